@@ -7,7 +7,12 @@ from pathlib import Path
 
 project = tomllib.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))["project"]
 extras = project["optional-dependencies"]
-tested = [requirement for name, group in extras.items() if name not in ("dev", "notebooks") for requirement in group]
+tested = [
+    requirement
+    for name, group in extras.items()
+    if name not in ("dev", "notebooks")
+    for requirement in group
+]
 for requirement in [*project["dependencies"], *tested]:
     floor = re.fullmatch(r"([\w-]+)>=([\w.]+)", requirement)
     if floor:

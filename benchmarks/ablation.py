@@ -3,30 +3,34 @@
 python benchmarks/ablation.py [--strategies NAME ...] [--constants [NAME ...]] [--without NAME ...] [--only PROBLEM ...]
                               [--seeds 0 1 2] [--quick] [--output benchmarks/results/ablation.txt]
 
-Every problem is fitted as a user would, `gb.fit(problem, starts=N, seed=s)`: from the declared values and N - 1 Sobol
-points of the declared boxes, once for every seed, with all strategies on and with one of them off. `--without` switches
-several off at once. `--quick` takes the first seed and the problems of less than a second. One process, one thread.
-Starts are screened where nothing is said of their number alone: `--starts 0 --strategies screened_starts` compares
-fits from the default starts.
+Every problem is fitted as a user would, `gb.fit(problem, starts=N, seed=s)`: from the declared
+values and N - 1 Sobol points of the declared boxes, once for every seed, with all strategies on and
+with one of them off. `--without` switches several off at once. `--quick` takes the first seed and
+the problems of less than a second. One process, one thread. Starts are screened where nothing is
+said of their number alone: `--starts 0 --strategies screened_starts` compares fits from the default
+starts.
 
-A run succeeds if it converged to the cost of the best known minimum, to within `within` (0.1: at worst 0.45 standard
-errors along one direction); a fit, if its lowest minimum is that. A cost that is lower by more is no success, since
-too coarse an integration may yield one, and is printed. The best known costs are those of fits from the truth or the
-certified values and of 15 further Sobol points, and of all runs of this benchmark. Times are of the processor.
-A difference counts as noise where a sign test on the runs and fits that changed does not reject chance at 5 %.
+A run succeeds if it converged to the cost of the best known minimum, to within `within` (0.1: at
+worst 0.45 standard errors along one direction); a fit, if its lowest minimum is that. A cost that
+is lower by more is no success, since too coarse an integration may yield one, and is printed. The
+best known costs are those of fits from the truth or the certified values and of 15 further Sobol
+points, and of all runs of this benchmark. Times are of the processor. A difference counts as noise
+where a sign test on the runs and fits that changed does not reject chance at 5 %.
 
 The problems were chosen before anything was switched off, from `tests/support/hard_models.py`:
-- those of `tests/solve/test_hard_models.py`: tanks, guarded tanks (roots of levels, after Wigren and Schoukens (2013),
-  Three free data sets for development and benchmarking in nonlinear system identification), reactor (ignition),
-  chain and unseen (unmeasured states), overflow (a limit that no start reaches), too simple (a wrong model, with
-  diagonal and full covariance);
-- those of `tests/solve/test_published_cases.py` and the like: Lotka and Volterra, a pendulum with two samples and a
-  half a period, Lorenz (1963), a damped swing whose stiffnesses may swap, direct delay (the cost jumps), a long record;
-- flights of the unstable tilt plant: output error in the declared boxes; with gusts that the model does not know of; as
-  a predictor with twelve gains; as a predictor at its stability limit; and a spring predictor with an unknown force;
+- those of `tests/solve/test_hard_models.py`: tanks, guarded tanks (roots of levels, after Wigren
+  and Schoukens (2013), Three free data sets for development and benchmarking in nonlinear system
+  identification), reactor (ignition), chain and unseen (unmeasured states), overflow (a limit that
+  no start reaches), too simple (a wrong model, with diagonal and full covariance);
+- those of `tests/solve/test_published_cases.py` and the like: Lotka and Volterra, a pendulum with
+  two samples and a half a period, Lorenz (1963), a damped swing whose stiffnesses may swap, direct
+  delay (the cost jumps), a long record;
+- flights of the unstable tilt plant: output error in the declared boxes; with gusts that the model
+  does not know of; as a predictor with twelve gains; as a predictor at its stability limit; and a
+  spring predictor with an unknown force;
 - stiff: a pole of 1000 1/s sampled at 20 Hz;
-- those known to fail or to mislead: conversion (a spurious fast solution), thrust (initial states hardly seen), tanh
-  chain (30 parameters for 12 states originally, here 15 for 6, poorly posed);
+- those known to fail or to mislead: conversion (a spurious fast solution), thrust (initial states
+  hardly seen), tanh chain (30 parameters for 12 states originally, here 15 for 6, poorly posed);
 - NIST's Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/ (public domain, in
   `tests/data/nist`): Bennett5, MGH10, MGH17, Lanczos1, Lanczos2, Lanczos3.
 """
@@ -65,7 +69,11 @@ BASE, ALL = "everything on", "everything off"
 
 def table(name: str) -> np.ndarray:
     """Return y and x (n, 2) of one of NIST's files."""
-    lines = (HERE.parent / "tests" / "data" / "nist" / f"{name}.dat").read_text(encoding="ascii").splitlines()[60:]
+    lines = (
+        (HERE.parent / "tests" / "data" / "nist" / f"{name}.dat")
+        .read_text(encoding="ascii")
+        .splitlines()[60:]
+    )
     return np.array([[float(value) for value in line.split()] for line in lines if line.strip()])
 
 
@@ -90,7 +98,9 @@ CASES = {
     "reactor": Case(hard.reactor, -541.510, 5, tags="outputs"),
     "chain": Case(hard.chain, -7791.318, tags="outputs"),
     "unseen": Case(hard.unseen, -622.943, tags="outputs quick"),
-    "overflow": Case(hard.overflow, -1750.0, 5, within=200.0),  # RK4 cuts its kinks: the truth costs -1533 to -1908
+    "overflow": Case(
+        hard.overflow, -1750.0, 5, within=200.0
+    ),  # RK4 cuts its kinks: the truth costs -1533 to -1908
     "too simple": Case(hard.too_simple, -831.726, tags="outputs quick"),
     "too simple, full": Case(lambda: hard.too_simple("full"), -831.856, tags="outputs quick"),
     "Lotka and Volterra": Case(hard.lotka_volterra, 78.682, tags="outputs quick"),
@@ -100,7 +110,9 @@ CASES = {
     "direct delay": Case(hard.direct_delay, -1247.538, tags="quick jumping"),
     "long": Case(hard.long_spring, -51295.166, 4, tags="outputs long"),
     "tilt": Case(hard.tilt, -13531.344, tags="outputs quick"),
-    "tilt in wind, output error": Case(hard.tilt_in_wind_as_output_error, -2280.245, tags="outputs"),
+    "tilt in wind, output error": Case(
+        hard.tilt_in_wind_as_output_error, -2280.245, tags="outputs"
+    ),
     "tilt in wind, predictor": Case(hard.tilt_in_wind, -11303.759, 4, tags="outputs predictor"),
     "blind tilt, predictor": Case(hard.blind_tilt, -22653.472, 3, tags="outputs predictor"),
     "pushed spring, predictor": Case(hard.pushed, -7326.593, tags="outputs quick predictor"),
@@ -108,9 +120,13 @@ CASES = {
     "conversion": Case(hard.conversion, -30.825, tags="quick"),
     "thrust": Case(hard.thrust, -3769.902, 4, tags="failing"),
     "tanh chain": Case(lambda: hard.tanh_chain(6, 400), -2565.151, 1, within=0.5, tags="failing"),
-    "Bennett5": Case(lambda: hard.nist(hard.Bennett5, table("Bennett5")), -750.981, tags="failing quick"),
+    "Bennett5": Case(
+        lambda: hard.nist(hard.Bennett5, table("Bennett5")), -750.981, tags="failing quick"
+    ),
     "MGH10": Case(lambda: hard.nist(hard.MGH10, table("MGH10")), 36.336, tags="quick"),
-    "MGH17": Case(lambda: hard.nist(hard.MGH17, table("MGH17"), e="b2", f="b3"), -172.808, tags="quick"),
+    "MGH17": Case(
+        lambda: hard.nist(hard.MGH17, table("MGH17"), e="b2", f="b3"), -172.808, tags="quick"
+    ),
     "Lanczos1": Case(lambda: lanczos(1), -473.063, tags="quick"),
     "Lanczos2": Case(lambda: lanczos(2), -298.400, tags="quick"),
     "Lanczos3": Case(lambda: lanczos(3), -219.403, tags="quick"),
@@ -122,7 +138,11 @@ ALONE = {
         brief_step process_noise pole_difference stability_share forgetting gain_samples""".split(),
     "jumping": ["held_discontinuous_delays", "blocked_damping"],
     "long": ["stretches_first"],
-    "outputs": ["covariance_curvature", "covariance_decrease", "least_curvature"],  # more than one, noise estimated
+    "outputs": [
+        "covariance_curvature",
+        "covariance_decrease",
+        "least_curvature",
+    ],  # more than one, noise estimated
     "failing": ["continued_runs", "continued_samples"],  # from all starts of some seed
 }
 
@@ -178,7 +198,7 @@ def varied(name: str) -> Iterator[Setting]:
         yield Setting(f"{name} = {exact:g}", replace(Strategies(), **{name: exact}), tag_of(name))
 
 
-# --- measuring --------------------------------------------------------------------------------------------------------
+# --- measuring
 
 
 class TooLongError(Exception):
@@ -281,13 +301,24 @@ def row(results: Results, setting: str, first: int) -> list[str]:
                for x, y in ((pooled[0], pooled[1]), (pooled[2], pooled[3]))]  # fmt: skip
     ratio = math.exp(np.mean([math.log(item[5] / item[4]) for item in problems.values()]))
     total = sum(item[5] for item in problems.values()) / sum(item[4] for item in problems.values())
-    steps = sum(item[8] for item in problems.values()) / max(sum(item[7] for item in problems.values()), 1)
+    steps = sum(item[8] for item in problems.values()) / max(
+        sum(item[7] for item in problems.values()), 1
+    )
     lines = [
         f"{setting:<46} {share(pooled[0]):>5} {share(pooled[1]):>5} {changed[0]:6.3f}   {share(pooled[2]):>5} "
         f"{share(pooled[3]):>5} {changed[1]:6.3f}   {ratio:5.2f} {total:5.2f} {steps:5.2f}   "
         f"{len(pooled[0])} runs, {len(pooled[2])} fits"
     ]
-    for name, (on, off, fits_on, fits_off, seconds_on, seconds_off, failure, *_) in problems.items():
+    for name, (
+        on,
+        off,
+        fits_on,
+        fits_off,
+        seconds_on,
+        seconds_off,
+        failure,
+        *_,
+    ) in problems.items():
         slower = seconds_off / seconds_on
         if on != off or fits_on != fits_off or not 0.7 < slower < 1.4:
             lines.append(
@@ -302,7 +333,9 @@ def share(values: Sequence[bool]) -> str:
 
 
 def report(results: Results, settings: Sequence[Setting], seeds: Sequence[int]) -> None:
-    print("\nWith everything on: runs and fits that end at the best known minimum, seconds of one fit")
+    print(
+        "\nWith everything on: runs and fits that end at the best known minimum, seconds of one fit"
+    )
     names = [name for name in CASES if any(key[:2] == (BASE, name) for key in results.fits)]
     everything: list[list[bool]] = [[], []]
     for name in names:
@@ -312,10 +345,18 @@ def report(results: Results, settings: Sequence[Setting], seeds: Sequence[int]) 
         everything = [everything[0] + runs, everything[1] + fits]
         print(f"  {name:<30} {share(runs):>5} of {len(runs):<3} {share(fits):>5} of {len(fits)}   "
               f"{np.mean([e['seconds'] for e in entries]):7.2f} s   {entries[0]['failure']}")  # fmt: skip
-    print(f"  {'all':<30} {share(everything[0]):>5} of {len(everything[0])}, {share(everything[1])} of fits")
-    print("\nRuns and fits at the best known minimum: with everything on, with the setting, probability of the change")
-    print("by chance; time of the setting over that with everything on: geometric mean over the problems, of the")
-    print("sums; and that of the iterations, which other work on the machine does not touch (neighbors not included)")
+    print(
+        f"  {'all':<30} {share(everything[0]):>5} of {len(everything[0])}, {share(everything[1])} of fits"
+    )
+    print(
+        "\nRuns and fits at the best known minimum: with everything on, with the setting, probability of the change"
+    )
+    print(
+        "by chance; time of the setting over that with everything on: geometric mean over the problems, of the"
+    )
+    print(
+        "sums; and that of the iterations, which other work on the machine does not touch (neighbors not included)"
+    )
     print(
         f"{'':<46} {'on':>5} {'off':>5} {'chance':>6}   {'on':>5} {'off':>5} {'chance':>6}   "
         f"{'time':>5} {'sum':>5} {'iter':>5}"
@@ -332,20 +373,36 @@ def report(results: Results, settings: Sequence[Setting], seeds: Sequence[int]) 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--strategies", "--strategy", nargs="*", choices=switches(), help="by default all")
-    parser.add_argument("--constants", nargs="*", choices=constants(), help="vary these, without names all")
-    parser.add_argument("--without", nargs="+", choices=switches(), action="append", default=[], metavar="NAME")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--strategies", "--strategy", nargs="*", choices=switches(), help="by default all"
+    )
+    parser.add_argument(
+        "--constants", nargs="*", choices=constants(), help="vary these, without names all"
+    )
+    parser.add_argument(
+        "--without", nargs="+", choices=switches(), action="append", default=[], metavar="NAME"
+    )
     parser.add_argument("--only", nargs="+", choices=list(CASES), help="problems")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
-        "--starts", type=int, help="of every fit, for all problems; 0: the default ones; needs its own --raw"
+        "--starts",
+        type=int,
+        help="of every fit, for all problems; 0: the default ones; needs its own --raw",
     )
-    parser.add_argument("--quick", action="store_true", help="one seed, and the problems of less than a second")
-    parser.add_argument("--raw", type=Path, help="keep every fit there, and go on with what is there")
+    parser.add_argument(
+        "--quick", action="store_true", help="one seed, and the problems of less than a second"
+    )
+    parser.add_argument(
+        "--raw", type=Path, help="keep every fit there, and go on with what is there"
+    )
     parser.add_argument("--output", type=Path, help="write there what is printed")
     options = parser.parse_args()
-    names = options.only or [name for name, case in CASES.items() if "quick" in case.tags or not options.quick]
+    names = options.only or [
+        name for name, case in CASES.items() if "quick" in case.tags or not options.quick
+    ]
     seeds = options.seeds[:1] if options.quick else options.seeds
     settings = [Setting(BASE, Strategies())]
     settings += [without(*group) for group in options.without]
@@ -371,7 +428,9 @@ def main() -> None:
             stack.enter_context(contextlib.redirect_stdout(file))
         print(f"{date.today()}, greybox-id {version('greybox-id')}, casadi {version('casadi')}, "
               f"numpy {version('numpy')}, python {platform.python_version()}, {processor()}, one thread")  # fmt: skip
-        print(f"{len(names)} problems, seeds {' '.join(map(str, seeds))}, {len(fields(Strategies))} settings exist")
+        print(
+            f"{len(names)} problems, seeds {' '.join(map(str, seeds))}, {len(fields(Strategies))} settings exist"
+        )
         report(results, settings, seeds)
 
 

@@ -2,9 +2,9 @@
 
 python benchmarks/bootstrap_coverage.py [--repeats 200] [--replicates 400] [--only TEXT] [--output FILE]
 
-Frequency responses with isotropic errors of one relative size: a lag, the tilt model of the paper and a pole far above
-the band, with few points and with more; and a lag in time whose errors are correlated. Of every cell the mean over its
-parameters, and the parameter that is covered the least.
+Frequency responses with isotropic errors of one relative size: a lag, the tilt model of the paper
+and a pole far above the band, with few points and with more; and a lag in time whose errors are
+correlated. Of every cell the mean over its parameters, and the parameter that is covered the least.
 """
 
 import argparse
@@ -68,7 +68,12 @@ RESPONSES = (
     ("tilt, 24 points", Tilt(), TILT, np.geomspace(1, 40, 24), 0.05),
     ("one-sided, 15 points", OneSided(), {"b": 800.0, "a": 400.0}, np.geomspace(0.3, 30, 15), 0.05),
 )
-SAMPLES, RATE, CORRELATION, SIZE = 400, 20, 0.8, 0.1  # of the records: step 1/RATE s, errors of an AR(1)
+SAMPLES, RATE, CORRELATION, SIZE = (
+    400,
+    20,
+    0.8,
+    0.1,
+)  # of the records: step 1/RATE s, errors of an AR(1)
 
 
 def main() -> None:
@@ -103,7 +108,9 @@ def response_case(model, truth, omega, sigma):
     def make(seed):
         random = np.random.default_rng(seed)
         errors = sigma * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
-        data = gb.FrequencyResponse(omega, clean.response * (1 + errors), input=clean.input, output=clean.output)
+        data = gb.FrequencyResponse(
+            omega, clean.response * (1 + errors), input=clean.input, output=clean.output
+        )
         return gb.fit(gb.Problem(model, data), starts=8, profiles=False, progress=False)
 
     return make, truth, ("residuals", "parametric", "points")
@@ -119,7 +126,11 @@ def _record_case():
         y[k + 1] = fade * y[k] + (1 - fade) * truth["K"] * u[k]
 
     def make(seed):
-        white = np.random.default_rng(seed).normal(size=SAMPLES + 100) * SIZE * np.sqrt(1 - CORRELATION**2)
+        white = (
+            np.random.default_rng(seed).normal(size=SAMPLES + 100)
+            * SIZE
+            * np.sqrt(1 - CORRELATION**2)
+        )
         errors = np.zeros(SAMPLES + 100)
         for k in range(1, SAMPLES + 100):
             errors[k] = CORRELATION * errors[k - 1] + white[k]

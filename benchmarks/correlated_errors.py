@@ -2,9 +2,10 @@
 
 Part of `coverage_time.py`.
 
-Plants with one to five outputs are flown with held commands; their parameters and initial states are fitted by least
-squares weighted with the residual variances, which is what output error does near its minimum, and the covariance is
-greybox's own (`colored_errors`), from the residuals and the Jacobian.
+Plants with one to five outputs are flown with held commands; their parameters and initial states
+are fitted by least squares weighted with the residual variances, which is what output error does
+near its minimum, and the covariance is greybox's own (`colored_errors`), from the residuals and the
+Jacobian.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -65,7 +66,9 @@ class Plant:
         states = len(self.discrete(q)[0])
         tiny = 1e-30j  # complex step
         rest = np.zeros(states)
-        by_parameter = [self.response(q + tiny * row, rest, u).imag / abs(tiny) for row in np.eye(len(q))]
+        by_parameter = [
+            self.response(q + tiny * row, rest, u).imag / abs(tiny) for row in np.eye(len(q))
+        ]
         by_state = [self.response(q, row, 0 * u).real for row in np.eye(states)]
         return np.array(by_parameter).transpose(1, 0, 2), np.array(by_state).transpose(1, 0, 2)
 
@@ -127,7 +130,12 @@ class Errors:
     def time(self, plant: Plant) -> float:
         """Return the correlation time, samples: of wind the plant's slowest time constant, of white noise 0."""
         if self.wind:
-            return float((-1 / np.log(np.abs(np.linalg.eigvals(plant.discrete(np.array(plant.values))[0])))).max())
+            return float(
+                (
+                    -1
+                    / np.log(np.abs(np.linalg.eigvals(plant.discrete(np.array(plant.values))[0])))
+                ).max()
+            )
         return -1 / np.log(self.phi) if self.phi else 0.0
 
 
@@ -168,7 +176,9 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
         size = np.sqrt(np.mean(residuals**2, axis=1))[:, None, None]
         profiled = _without(weighted / size, initial / size)
         inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", profiled, profiled))
-        unit = np.linalg.inv(np.linalg.cholesky(np.einsum("ksn,ktn->st", initial / size, initial / size)))
+        unit = np.linalg.inv(
+            np.linalg.cholesky(np.einsum("ksn,ktn->st", initial / size, initial / size))
+        )
         found = colored_errors(
             [profiled / size],
             [residuals],
@@ -186,7 +196,9 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 
 
-def _fits(plant: Plant, errors: Errors, n: int, repeats: int, seed: int) -> Iterator[tuple[Array, Array, Array, Array]]:
+def _fits(
+    plant: Plant, errors: Errors, n: int, repeats: int, seed: int
+) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Yield the errors of the parameters, the residuals, and both Jacobians."""
     random = np.random.default_rng([seed, n, *plant.name.encode(), *errors.name.encode()])
     for _ in range(INPUTS):
@@ -197,7 +209,9 @@ def _fits(plant: Plant, errors: Errors, n: int, repeats: int, seed: int) -> Iter
             weight = 1 / np.mean(e**2, axis=1)
             for _ in range(RELAXATIONS):
                 normal = np.einsum("k,kpn,kqn->pq", weight, A, A, optimize=True)
-                estimate = np.linalg.solve(normal, np.einsum("k,kpn,kn->p", weight, A, e, optimize=True))
+                estimate = np.linalg.solve(
+                    normal, np.einsum("k,kpn,kn->p", weight, A, e, optimize=True)
+                )
                 residuals = e - np.einsum("kpn,p->kn", A, estimate)
                 weight = 1 / np.mean(residuals**2, axis=1)
             yield estimate[: by_parameter.shape[1]], residuals, by_parameter, by_state
@@ -211,7 +225,9 @@ def _without(sensitivity: Array, initial: Array) -> Array:
     return (columns - basis @ (basis.T @ columns)).reshape(k, n, p).transpose(0, 2, 1)
 
 
-def study(repeats: dict[int, int], plants: Sequence[Plant] = PLANTS, seed: int = 1) -> Iterator[str]:
+def study(
+    repeats: dict[int, int], plants: Sequence[Plant] = PLANTS, seed: int = 1
+) -> Iterator[str]:
     """Yield the lines of the study; `repeats` by number of samples."""
     heads = f"{'samples':>7} {'times':>5} {'fits':>5} {'said':>4} {'unsaid':>6}"
     yield f"{'plant':14} {'errors':10} {heads}  coverage (rms) of every parameter"

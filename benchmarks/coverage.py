@@ -2,11 +2,12 @@
 
 python benchmarks/coverage.py [--repeats 1000] [--only tilt] [--output benchmarks/results/coverage.txt]
 
-Synthetic truths with isotropic complex normal noise are fitted again and again; counted is how often the interval holds
-the truth. To be quick a cell is compiled once, its cost taken from the criterion with the data as symbols, and all
-repeats are minimized together by Newton's method from the truth; the standard errors are those of a fit
-(`greybox.estimate.covariance.assess`). The first repeats of every cell, and those that end outside the bounds, are done
-by `gb.fit` itself: the table says how far the two ways differ, in standard errors.
+Synthetic truths with isotropic complex normal noise are fitted again and again; counted is how
+often the interval holds the truth. To be quick a cell is compiled once, its cost taken from the
+criterion with the data as symbols, and all repeats are minimized together by Newton's method from
+the truth; the standard errors are those of a fit (`greybox.estimate.covariance.assess`). The first
+repeats of every cell, and those that end outside the bounds, are done by `gb.fit` itself: the table
+says how far the two ways differ, in standard errors.
 """
 
 import argparse
@@ -31,7 +32,11 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
 
-UNEQUAL = ("MaximumLikelihood", "MagnitudePhase, coherence", "MagnitudePhase, variances")  # errors of several sizes
+UNEQUAL = (
+    "MaximumLikelihood",
+    "MagnitudePhase, coherence",
+    "MagnitudePhase, variances",
+)  # errors of several sizes
 CHECKS = 5  # repeats of every cell that gb.fit does too
 SMOOTHINGS = (1e-6, 1e-9, 1e-13)
 NOMINAL = (92.0, 97.0)  # per cent; outside, a number is marked
@@ -101,7 +106,9 @@ class Part:
     def draw(self, random: np.random.Generator, repeats: int, given: bool) -> np.ndarray:
         """Return noisy responses, (repeats, n)."""
         exact = self.exact()
-        noise = random.normal(size=(repeats, exact.size)) + 1j * random.normal(size=(repeats, exact.size))
+        noise = random.normal(size=(repeats, exact.size)) + 1j * random.normal(
+            size=(repeats, exact.size)
+        )
         for k in range(1, exact.size if self.correlation else 0):
             noise[:, k] *= np.sqrt(1 - self.correlation**2)
             noise[:, k] += self.correlation * noise[:, k - 1]
@@ -112,11 +119,16 @@ class Part:
         sizes = self.sizes(criterion in UNEQUAL)
         given = criterion in ("MaximumLikelihood", "MagnitudePhase, variances")
         variance = 2 * (sizes * np.abs(self.exact())) ** 2 if given else None
-        # A coherence such as errors of these sizes come with: (1 - γ²)/γ² in proportion to their variances.
+        # A coherence such as errors of these sizes come with: (1 - γ²)/γ² in proportion to their
+        # variances.
         coherence = 1 / (1 + 20 * sizes**2) if criterion.startswith("MagnitudePhase, ") else None
         signals = {"input": self.model.input_names[0], "output": self.model.output_names[0]}
-        data = gb.FrequencyResponse(self.omega, response, **signals, variance=variance, coherence=coherence)
-        return gb.Problem(self.model, data, criterion=CRITERIA[criterion], free=self.free, fixed=fixed)
+        data = gb.FrequencyResponse(
+            self.omega, response, **signals, variance=variance, coherence=coherence
+        )
+        return gb.Problem(
+            self.model, data, criterion=CRITERIA[criterion], free=self.free, fixed=fixed
+        )
 
 
 @dataclass(frozen=True)
@@ -148,9 +160,16 @@ def cases() -> list[Case]:
     return [
         *result,
         Case("joint, rotor 2 % + tilt 5 %", (rotor, both)),
-        Case("joint, rotor 2 % + tilt 5 % with 96 points", (rotor, replace(both, omega=np.geomspace(0.5, 30, 96)))),
+        Case(
+            "joint, rotor 2 % + tilt 5 % with 96 points",
+            (rotor, replace(both, omega=np.geomspace(0.5, 30, 96))),
+        ),
         Case("two-step, rotor 2 %, then tilt 5 %", (Part(Tilt(), TILT_OMEGA, 0.05),), rotor),
-        Case("two-step, rotor 4 %, then tilt 2 %", (Part(Tilt(), TILT_OMEGA, 0.02),), replace(rotor, noise=0.04)),
+        Case(
+            "two-step, rotor 4 %, then tilt 2 %",
+            (Part(Tilt(), TILT_OMEGA, 0.02),),
+            replace(rotor, noise=0.04),
+        ),
     ]
 
 
@@ -195,19 +214,27 @@ class Cell:
         self.smoothings = smoothings
         k, p = len(self.nlp.names), len(self.nlp.free)
         points = sum(len(part.data) for part in problem.parts)
-        x, data, smoothing = ca.SX.sym("x", k), ca.SX.sym("data", 2 * points), ca.SX.sym("smoothing")
+        x, data, smoothing = (
+            ca.SX.sym("x", k),
+            ca.SX.sym("data", 2 * points),
+            ca.SX.sym("smoothing"),
+        )
         values = self.nlp.responses(x)
         cost, begin = 0, 0
         for part in problem.parts:
             n = len(part.data)
             re, im = slice(begin, begin + n), slice(points + begin, points + begin + n)
-            symbols = _SymbolicData(_Measured(data[re], data[im]), part.data.variance, part.data.coherence, n)
+            symbols = _SymbolicData(
+                _Measured(data[re], data[im]), part.data.variance, part.data.coherence, n
+            )
             cost += part.criterion.cost(Complex(values[re], values[im]), symbols, smoothing)
             begin += n
         z = ca.SX.sym("z", p)
         scaled = ca.substitute(cost, x[:p], z * self._scale)
         hessian, gradient = ca.hessian(scaled, z)
-        self._newton = ca.Function("newton", [z, x[p:], data, smoothing], [scaled, gradient, hessian])
+        self._newton = ca.Function(
+            "newton", [z, x[p:], data, smoothing], [scaled, gradient, hessian]
+        )
         derived = [ca.SX(f) for f in self._derived(x)]
         stacked = ca.vertcat(*derived) if derived else ca.SX(0, 1)
         self._quantities = ca.Function("quantities", [x], [stacked, ca.jacobian(stacked, x)])
@@ -218,7 +245,11 @@ class Cell:
 
     def _derived(self, x: Any) -> list[Any]:
         values = dict(zip(self.nlp.names, ca.vertsplit(x), strict=True))
-        return [f(p.local_values(values)) for p in self.nlp.problem.parts for f in p.model.derived.values()]
+        return [
+            f(p.local_values(values))
+            for p in self.nlp.problem.parts
+            for f in p.model.derived.values()
+        ]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -228,7 +259,9 @@ class Cell:
     def truth(self) -> np.ndarray:
         """Return the true values of `names`."""
         values = [TRUTH[name] for name in self.nlp.names]
-        return np.concatenate([values[: len(self.nlp.free)], np.asarray(self._quantities(values)[0]).ravel()])
+        return np.concatenate(
+            [values[: len(self.nlp.free)], np.asarray(self._quantities(values)[0]).ravel()]
+        )
 
     def minimize(self, data: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the minima (repeats, p) near the truth for data (repeats, 2N), and whether they are ones."""
@@ -248,8 +281,12 @@ class Cell:
                 diagonal = np.abs(np.diagonal(h, axis1=1, axis2=2)) * damping[:, None]
                 values, vectors = np.linalg.eigh(h + diagonal[:, :, None] * np.eye(p))
                 # A direction of negative curvature is gone down as if it were of positive one.
-                values = np.maximum(np.abs(values), 1e-9 * np.abs(values).max(axis=1, keepdims=True))
-                step = np.einsum("rij,rj->ri", vectors, np.einsum("rji,rj->ri", vectors, g) / values)
+                values = np.maximum(
+                    np.abs(values), 1e-9 * np.abs(values).max(axis=1, keepdims=True)
+                )
+                step = np.einsum(
+                    "rij,rj->ri", vectors, np.einsum("rji,rj->ri", vectors, g) / values
+                )
                 decrement = np.einsum("ri,ri->r", g, step) / np.maximum(np.abs(f), 1e-12)
                 if decrement.max() < 1e-12:
                     break
@@ -257,14 +294,17 @@ class Cell:
                 better = new[0] <= f
                 z = np.where(better[:, None], z - step, z)
                 f, g, h = (
-                    np.where(better[(...,) + (None,) * (a.ndim - 1)], b, a) for a, b in zip((f, g, h), new, strict=True)
+                    np.where(better[(...,) + (None,) * (a.ndim - 1)], b, a)
+                    for a, b in zip((f, g, h), new, strict=True)
                 )
                 damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e6)
         return z * self._scale, decrement < 1e-9
 
     def judge(self, problem: Any, x: np.ndarray, constants: np.ndarray) -> "Answer":
         """Return what a Fit would say at the minimum `x`, by the same code."""
-        parts = tuple(part.with_problem(p) for part, p in zip(self.nlp.parts, problem.parts, strict=True))
+        parts = tuple(
+            part.with_problem(p) for part, p in zip(self.nlp.parts, problem.parts, strict=True)
+        )
         nlp = replace(self.nlp, problem=problem, parts=parts, constant_values=constants)
         accuracy = assess(nlp, x)
         value, gradient = (np.asarray(v) for v in self._quantities(nlp.all_values(x)))
@@ -273,7 +313,9 @@ class Cell:
         half = stdtrit(np.minimum(degrees(accuracy, gradient), 1e9), 0.975) * error
         found = np.concatenate([x, value.ravel()])
         center = found - gradient @ accuracy.bias
-        rough = any(known is not None and known.lengths < FEWEST_LENGTHS for known in accuracy.neighbors)
+        rough = any(
+            known is not None and known.lengths < FEWEST_LENGTHS for known in accuracy.neighbors
+        )
         return Answer(found, error, center, half, accuracy.covariance, accuracy.dof, rough)
 
     def inside(self, x: np.ndarray) -> np.ndarray:
@@ -318,7 +360,9 @@ class Outcome:
 
     def summary(self) -> list[tuple[str, float, float, int, float, float]]:
         """Per quantity: coverage and its binomial sigma (per cent), no interval, bias / sd, printed error / sd."""
-        value, error, center, half = (np.array(v) for v in (self.value, self.error, self.center, self.half))
+        value, error, center, half = (
+            np.array(v) for v in (self.value, self.error, self.center, self.half)
+        )
         rows = []
         for k, name in enumerate(self.names):
             known = np.isfinite(half[:, k])
@@ -328,7 +372,9 @@ class Outcome:
             share = hit.mean()
             sigma = np.sqrt(max(share * (1 - share), 0.95 * 0.05 / 4) / known.sum())
             ratio = np.sqrt(np.mean(error[known, k] ** 2)) / sd
-            rows.append((name, 100 * share, 100 * sigma, int((~known).sum()), miss.mean() / sd, ratio))
+            rows.append(
+                (name, 100 * share, 100 * sigma, int((~known).sum()), miss.mean() / sd, ratio)
+            )
         return rows
 
 
@@ -359,7 +405,8 @@ def cell(case: Case, criterion: str, repeats: int, seed: int) -> Outcome:
 
     def problem(r: int) -> Any:
         problems = [
-            part.problem(d[r], criterion, _fixed(part, known[r])) for part, d in zip(case.parts, draws, strict=True)
+            part.problem(d[r], criterion, _fixed(part, known[r]))
+            for part, d in zip(case.parts, draws, strict=True)
         ]
         return problems[0] if len(problems) == 1 else sum(problems[1:], problems[0])
 
@@ -369,22 +416,34 @@ def cell(case: Case, criterion: str, repeats: int, seed: int) -> Outcome:
 def _fixed(part: Part, known: Known | None) -> dict[str, Any]:
     """Return what is held: the true values of the declared constants, or the earlier answer where it has them."""
     declared = part.model.parameters
-    held = [name for name, parameter in declared.items() if parameter.fixed and name not in part.free]
-    return {name: known if known is not None and name in known.estimate else TRUTH[name] for name in held}
+    held = [
+        name for name, parameter in declared.items() if parameter.fixed and name not in part.free
+    ]
+    return {
+        name: known if known is not None and name in known.estimate else TRUTH[name]
+        for name in held
+    }
 
 
 def _first(part: Part, criterion: str, draws: np.ndarray) -> list[Known]:
     """Fit the first step of a two-step case in every repeat."""
     outcome, answers = _run(lambda r: part.problem(draws[r], criterion, {}), [draws], len(draws))
-    return [Known(dict(zip(outcome.names, a.value.tolist(), strict=True)), a.covariance, a.dof) for a in answers]
+    return [
+        Known(dict(zip(outcome.names, a.value.tolist(), strict=True)), a.covariance, a.dof)
+        for a in answers
+    ]
 
 
-def _run(problem: Callable[[int], Any], draws: list[np.ndarray], repeats: int) -> tuple[Outcome, list[Answer]]:
+def _run(
+    problem: Callable[[int], Any], draws: list[np.ndarray], repeats: int
+) -> tuple[Outcome, list[Answer]]:
     problems = [problem(r) for r in range(repeats)]
     smoothed = any(part.criterion.smoothed for part in problems[0].parts)
     own = Cell(problems[0], SMOOTHINGS if smoothed else (0.0,))
     stacked = np.hstack([*(d.real for d in draws), *(d.imag for d in draws)])
-    constants = np.array([[p.parameters[name].start for name in own.nlp.constants] for p in problems])
+    constants = np.array(
+        [[p.parameters[name].start for name in own.nlp.constants] for p in problems]
+    )
     constants = constants.reshape(repeats, len(own.nlp.constants))
     x, good = own.minimize(stacked, constants)
     good &= own.inside(x)
@@ -413,7 +472,11 @@ def report(case: Case, outcomes: Mapping[str, Outcome]) -> tuple[str, list[str]]
     """Return the table of one case, and the lines of what lies outside the nominal range."""
     names = next(iter(outcomes.values())).names
     heading = "".join(f"{name:>10}" for name in names)
-    lines = ["", case.label, f"  {'criterion':<28}{heading}   largest bias   error / sd  by gb.fit  differ"]
+    lines = [
+        "",
+        case.label,
+        f"  {'criterion':<28}{heading}   largest bias   error / sd  by gb.fit  differ",
+    ]
     outside = []
     for criterion, outcome in outcomes.items():
         rows = outcome.summary()
@@ -436,7 +499,9 @@ def report(case: Case, outcomes: Mapping[str, Outcome]) -> tuple[str, list[str]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="run the cases whose label holds this text")

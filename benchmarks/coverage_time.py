@@ -3,16 +3,18 @@
 python benchmarks/coverage_time.py [--repeats 300] [--linear 150] [--flights 60] [--output
 benchmarks/results/coverage_time.txt]
 
-First linear experiments (`correlated_errors.py`), since these can be repeated often: one to five outputs, 100 to 10 000
-samples, white and autoregressive errors, a small slow drift under white noise, wind. "times" is the length of the
-record in correlation times, "said" how often the answer says that it is too short, or that errors hidden in its noise
-would make intervals much wider, "unsaid" in how many fits the interval of the worst parameter misses the truth without
-either. Then a mass on a spring driven by held forces is flown again and again with
-`gb.virtual_flight`, fitted from the truth, and counted is how often the Student-t interval of every parameter holds it;
-beside it the standard deviation of (estimate - truth) / standard error, which should be 1. The same for flights of the
-paper's pitch axis with its controller, as `virtual_flight` returns them and by the default criterion: that the control
-is held is known from the record. Then the tilt plant of the paper in its closed loop, 60 s at 100 Hz: how many random
-starts in the declared boxes end in the best minimum, and how far that is from the truth.
+First linear experiments (`correlated_errors.py`), since these can be repeated often: one to five
+outputs, 100 to 10 000 samples, white and autoregressive errors, a small slow drift under white
+noise, wind. "times" is the length of the record in correlation times, "said" how often the answer
+says that it is too short, or that errors hidden in its noise would make intervals much wider,
+"unsaid" in how many fits the interval of the worst parameter misses the truth without either. Then
+a mass on a spring driven by held forces is flown again and again with `gb.virtual_flight`, fitted
+from the truth, and counted is how often the Student-t interval of every parameter holds it; beside
+it the standard deviation of (estimate - truth) / standard error, which should be 1. The same for
+flights of the paper's pitch axis with its controller, as `virtual_flight` returns them and by the
+default criterion: that the control is held is known from the record. Then the tilt plant of the
+paper in its closed loop, 60 s at 100 Hz: how many random starts in the declared boxes end in the
+best minimum, and how far that is from the truth.
 """
 
 import argparse
@@ -34,7 +36,15 @@ from greybox.models.tilt import LinearTilt, NonlinearTilt
 NOMINAL = (92.0, 97.5)  # per cent; outside, a number is marked
 HELD = gb.OutputError(inputs="held")
 SPRING = {"k": 9.0, "c": 1.2, "b": 4.0}
-TILT = {"a1": -2.0, "a2": 4.0, "a3": 3.0, "a4": 200.0, "C_x": 0.08, "T_rotor": 0.048, "T_delay": 0.0137}
+TILT = {
+    "a1": -2.0,
+    "a2": 4.0,
+    "a3": 3.0,
+    "a4": 200.0,
+    "C_x": 0.08,
+    "T_rotor": 0.048,
+    "T_delay": 0.0137,
+}
 
 
 class Spring(gb.StateSpace):
@@ -88,19 +98,37 @@ CELLS = (
     Cell("white, 50 samples", samples=50),
     Cell("white, position alone", outputs=("x",)),
     Cell("white, full covariance", criterion=gb.OutputError(noise="full", inputs="held")),
-    Cell("white, given noise", criterion=gb.OutputError(noise={"x": 0.05, "v": 0.15}, inputs="held")),
+    Cell(
+        "white, given noise", criterion=gb.OutputError(noise={"x": 0.05, "v": 0.15}, inputs="held")
+    ),
     Cell("white, free delay", samples=400, more={"d": 0.063}),
-    Cell("white, biases of v and F", samples=400, criterion=BIASED, more={"v_bias": 0.3, "F_bias": 0.5}),
+    Cell(
+        "white, biases of v and F",
+        samples=400,
+        criterion=BIASED,
+        more={"v_bias": 0.3, "F_bias": 0.5},
+    ),
     Cell("white, initial states", initial={"x": 1.0, "v": -2.0}),
     Cell("white, 30 % missing", missing=0.3),
     Cell("AR(1) 0.7", rho=0.7),
     Cell("AR(1) 0.9", rho=0.9),
     Cell("AR(1) 0.9, 1000 samples", rho=0.9, samples=1000),
-    Cell("AR(1) 0.9, biases, 1000", rho=0.9, samples=1000, criterion=BIASED, more={"v_bias": 0.3, "F_bias": 0.5}),
+    Cell(
+        "AR(1) 0.9, biases, 1000",
+        rho=0.9,
+        samples=1000,
+        criterion=BIASED,
+        more={"v_bias": 0.3, "F_bias": 0.5},
+    ),
     Cell("AR(1) 0.9, 10 % missing", rho=0.9, samples=1000, missing=0.1),
     Cell("AR(1) 0.9, 50 % missing", rho=0.9, samples=1000, missing=0.5),
     Cell("wind, output error", samples=2000, wind=1.0),
-    Cell("wind, prediction error", samples=2000, wind=1.0, criterion=gb.PredictionError(inputs="held")),
+    Cell(
+        "wind, prediction error",
+        samples=2000,
+        wind=1.0,
+        criterion=gb.PredictionError(inputs="held"),
+    ),
 )
 
 
@@ -110,7 +138,13 @@ def flown(cell: Cell, seed: int) -> gb.Record:
     truth = SPRING | {k: v for k, v in cell.more.items() if k == "d"}
     wind = {"v": cell.wind} if cell.wind else {}
     data = gb.virtual_flight(
-        Spring(), truth, excitation={"F": force}, rate=20.0, initial=cell.initial, process_noise=wind, seed=seed
+        Spring(),
+        truth,
+        excitation={"F": force},
+        rate=20.0,
+        initial=cell.initial,
+        process_noise=wind,
+        seed=seed,
     )
     signals = {"F": force + cell.more.get("F_bias", 0.0)}
     for name, sigma in (("x", 0.05), ("v", 0.15)):
@@ -129,7 +163,9 @@ def covered(cell: Cell, repeats: int) -> str:
     free = tuple(name for name in cell.more if name == "d")
     for seed in range(repeats):
         problem = gb.Problem(Spring(), flown(cell, seed), cell.criterion, free=free)
-        fit = gb.fit(problem, starts=[SPRING | {name: cell.more[name] for name in free}], progress=False)
+        fit = gb.fit(
+            problem, starts=[SPRING | {name: cell.more[name] for name in free}], progress=False
+        )
         if not fit.converged:
             failed += 1
             continue
@@ -144,24 +180,47 @@ def covered(cell: Cell, repeats: int) -> str:
     return f"{cell.name:26} {repeats:5} {failed:4}  {words}  [{time.perf_counter() - began:.0f} s]"
 
 
-PITCH = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0, "a5": 0.16, "T_rotor": 0.048, "T_delay": 0.01}
+PITCH = {
+    "a1": -14.6,
+    "a2": 3.0,
+    "a3": 8.5,
+    "a4": 295.0,
+    "a5": 0.16,
+    "T_rotor": 0.048,
+    "T_delay": 0.01,
+}
 UNKNOWN = ("a1", "a2", "a3", "a4", "T_delay")
 
 
 def covered_by_default(rate: float, known: bool, repeats: int) -> str:
     """Coverage of flights with a loop at this rate, logged at 100 Hz; `known` whether the record says what is held."""
     began, hits, scaled = time.perf_counter(), [], []
-    sweep = gb.experiment.sweep(0.5, 15, duration=40, rate=100, amplitude=0.12, dwell=1, signal="reference")
-    loop = {"controller": AttitudeController(rate=rate), "noise": {"theta": 0.002, "v": 0.03}, "rate": 100.0}
+    sweep = gb.experiment.sweep(
+        0.5, 15, duration=40, rate=100, amplitude=0.12, dwell=1, signal="reference"
+    )
+    loop = {
+        "controller": AttitudeController(rate=rate),
+        "noise": {"theta": 0.002, "v": 0.03},
+        "rate": 100.0,
+    }
     for seed in range(repeats):
         record = gb.virtual_flight(LinearTilt(), PITCH, sweep, seed=seed, **loop)
-        problem = gb.Problem(LinearTilt(), record if known else replace(record, hold={}), free=["T_delay"])
+        problem = gb.Problem(
+            LinearTilt(), record if known else replace(record, hold={}), free=["T_delay"]
+        )
         fit = gb.fit(problem, starts=[{n: PITCH[n] for n in UNKNOWN}], progress=False)
         interval = fit.interval()
         hits.append([interval[n][0] <= PITCH[n] <= interval[n][1] for n in UNKNOWN])
         scaled.append([(fit.estimate[n] - PITCH[n]) / fit.standard_error[n] for n in UNKNOWN])
-    share, spread, mean = 100 * np.mean(hits, axis=0), np.nanstd(scaled, axis=0), np.nanmean(scaled, axis=0)
-    words = " ".join(f"{n} {s:.0f}({z:.2f},{m:+.1f})" for n, s, z, m in zip(UNKNOWN, share, spread, mean, strict=True))
+    share, spread, mean = (
+        100 * np.mean(hits, axis=0),
+        np.nanstd(scaled, axis=0),
+        np.nanmean(scaled, axis=0),
+    )
+    words = " ".join(
+        f"{n} {s:.0f}({z:.2f},{m:+.1f})"
+        for n, s, z, m in zip(UNKNOWN, share, spread, mean, strict=True)
+    )
     said = "" if known else ", hold not known"
     return f"{f'loop at {rate:g} Hz{said}':34} {repeats:5}  {words}  [{time.perf_counter() - began:.0f} s]"
 
@@ -180,7 +239,11 @@ def starts_that_agree(starts: int) -> list[str]:
     for free in ((), ("T_delay",), ("T_rotor", "T_delay")):
         fixed = {n: TILT[n] for n in ("T_rotor", "T_delay") if n not in free}
         began = time.perf_counter()
-        fit = gb.fit(gb.Problem(FullTilt(), data, HELD, fixed=fixed, free=free), starts=starts, progress=False)
+        fit = gb.fit(
+            gb.Problem(FullTilt(), data, HELD, fixed=fixed, free=free),
+            starts=starts,
+            progress=False,
+        )
         off = max(abs(fit.estimate[n] - TILT[n]) / fit.standard_error[n] for n in fit.free)
         names = " ".join(fit.free)
         lines.append(
@@ -192,7 +255,9 @@ def starts_that_agree(starts: int) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=300)
     parser.add_argument("--linear", type=int, default=150)
     parser.add_argument("--flights", type=int, default=60)
@@ -228,7 +293,10 @@ def main() -> None:
     for cell in CELLS if options.repeats else ():
         lines.append(covered(cell, options.repeats))
         print(lines[-1], flush=True)
-    lines += ["", "Virtual flights at 100 Hz, default criterion; in brackets also the mean of the standardized errors."]
+    lines += [
+        "",
+        "Virtual flights at 100 Hz, default criterion; in brackets also the mean of the standardized errors.",
+    ]
     print(lines[-1])
     for rate, known in ((100.0, True), (400.0, True), (100.0, False)) if options.flights else ():
         lines.append(covered_by_default(rate, known, options.flights))
@@ -237,7 +305,9 @@ def main() -> None:
         "",
         "Tilt plant in its closed loop, 60 s at 100 Hz: random starts in the declared boxes at the best minimum.",
     ]
-    lines += ["With the rotor's lag free there are two minima: the lag may swap with the slow real pole of the tilt."]
+    lines += [
+        "With the rotor's lag free there are two minima: the lag may swap with the slow real pole of the tilt."
+    ]
     lines += starts_that_agree(options.starts) if options.starts else []
     print("\n".join(lines[-5:]))
     if options.output:

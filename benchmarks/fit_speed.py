@@ -2,8 +2,9 @@
 
 python benchmarks/fit_speed.py [--starts 200] [--rounds 7]
 
-Every round measures both, one after the other, so that the ratio does not depend on how busy the machine is. The bare
-loop has the same NLP, options and starts, ready-made; `gb.fit` is timed from call to return.
+Every round measures both, one after the other, so that the ratio does not depend on how busy the
+machine is. The bare loop has the same NLP, options and starts, ready-made; `gb.fit` is timed from
+call to return.
 """
 
 import argparse
@@ -41,7 +42,11 @@ def whole_fit(problem, starts):
 def import_seconds(statement):
     """Time an import in a fresh interpreter."""
     code = f"import time; t = time.perf_counter(); {statement}; print(time.perf_counter() - t)"
-    return float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    return float(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+    )
 
 
 def main():
@@ -49,7 +54,9 @@ def main():
     parser.add_argument("--starts", type=int, default=200)
     parser.add_argument("--rounds", type=int, default=7)
     options = parser.parse_args()
-    print(f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}")
+    print(
+        f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}"
+    )
     problem = pitch_hover.problem()
     nlp = compile_problem(problem)
     quiet = {
@@ -60,16 +67,24 @@ def main():
     z, smoothing = ca.SX.sym("z", len(nlp.free)), ca.SX.sym("smoothing")
     cost, limits = nlp.program(z, smoothing)
     solver = ca.nlpsol("bare", "ipopt", {"x": z, "p": smoothing, "f": cost, "g": limits}, quiet)
-    points = gb.solve.Sobol(options.starts).draw({name: problem.parameters[name] for name in nlp.free})
+    points = gb.solve.Sobol(options.starts).draw(
+        {name: problem.parameters[name] for name in nlp.free}
+    )
     z = nlp.scaling.to_solver(points)
     bounds = {"lbx": nlp.scaling.to_solver(nlp.lower), "ubx": nlp.scaling.to_solver(nlp.upper)}
     bare_loop(solver, z, bounds)
-    pairs = [(whole_fit(problem, options.starts), bare_loop(solver, z, bounds)) for _ in range(options.rounds)]
+    pairs = [
+        (whole_fit(problem, options.starts), bare_loop(solver, z, bounds))
+        for _ in range(options.rounds)
+    ]
     ratios = [whole / bare for whole, bare in pairs]
     print(f"gb.fit of pitch_hover, {options.starts} starts: {np.median([w for w, _ in pairs]):.3f} s; bare loop: "
           f"{np.median([b for _, b in pairs]):.3f} s; ratio {statistics.median(ratios):.2f} "
           f"({min(ratios):.2f} to {max(ratios):.2f}), limit 1.5")  # fmt: skip
-    pairs = [(import_seconds("import casadi, greybox"), import_seconds("import casadi")) for _ in range(options.rounds)]
+    pairs = [
+        (import_seconds("import casadi, greybox"), import_seconds("import casadi"))
+        for _ in range(options.rounds)
+    ]
     extra = [both - casadi for both, casadi in pairs]
     print(f"import greybox: {statistics.median(extra):.3f} s more than casadi ({min(extra):.3f} to {max(extra):.3f}), "
           "limit 0.5 s")  # fmt: skip

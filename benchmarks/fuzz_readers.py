@@ -2,10 +2,11 @@
 
 python benchmarks/fuzz_readers.py [--count 20000] [--seed 0] [--entry read|inspect] [--only 4711] [--kinds bin tlog]
 
-All inputs go through one process, each with a time limit. They are sound files of every format (up to 200 kB) after one
-to four mutations; number N of a seed is always the same input, so that ``--only N`` reproduces it, and ``--keep FILE``
-writes it. A sound outcome is a recording, or a ValueError or OSError of one line (for the command line: exit status 0,
-1 or 2). If the process dies, the file named by ``--progress`` says at which number.
+All inputs go through one process, each with a time limit. They are sound files of every format (up
+to 200 kB) after one to four mutations; number N of a seed is always the same input, so that
+``--only N`` reproduces it, and ``--keep FILE`` writes it. A sound outcome is a recording, or a
+ValueError or OSError of one line (for the command line: exit status 0, 1 or 2). If the process
+dies, the file named by ``--progress`` says at which number.
 """
 
 import argparse
@@ -33,8 +34,20 @@ import greybox.logs.readers
 ROOT = Path(__file__).parents[1]
 LARGEST = 200_000  # bytes
 LIMIT = 20  # s for one input
-QUICK = [".bin", ".csv", ".log", ".tlog"]  # read in this process, thousands a minute; the others start one of their own
-NUMBERS = [b"\x00" * 4, b"\xff" * 4, b"\x00\x00\x00\x80", b"\xff\xff\xff\x7f", b"\x01\x00\x00\x00", b"\x00\x00\x01\x00"]
+QUICK = [
+    ".bin",
+    ".csv",
+    ".log",
+    ".tlog",
+]  # read in this process, thousands a minute; the others start one of their own
+NUMBERS = [
+    b"\x00" * 4,
+    b"\xff" * 4,
+    b"\x00\x00\x00\x80",
+    b"\xff\xff\xff\x7f",
+    b"\x01\x00\x00\x00",
+    b"\x00\x00\x01\x00",
+]
 
 
 class Hang(BaseException):
@@ -48,7 +61,9 @@ def seeds() -> dict[str, list[bytes]]:
     return {suffix: [data[:LARGEST] for data in files] for suffix, files in made.samples().items()}
 
 
-def mutated(rng: np.random.Generator, files: dict[str, list[bytes]], kinds: list[str]) -> tuple[str, bytes]:
+def mutated(
+    rng: np.random.Generator, files: dict[str, list[bytes]], kinds: list[str]
+) -> tuple[str, bytes]:
     """Return a suffix and a damaged file."""
     suffix = kinds[rng.integers(len(kinds))]
     data = bytearray(files[suffix][rng.integers(len(files[suffix]))])
@@ -86,7 +101,11 @@ def _remove(rng, data, _):
 
 def _repeat(rng, data, _):
     """Insert a chunk of the file elsewhere, once or many times: repeated descriptions, torn messages."""
-    at, to, length = int(rng.integers(len(data))), int(rng.integers(len(data))), int(2 ** rng.integers(2, 12))
+    at, to, length = (
+        int(rng.integers(len(data))),
+        int(rng.integers(len(data))),
+        int(2 ** rng.integers(2, 12)),
+    )
     data[to:to] = data[at : at + length] * int(rng.choice([1, 1, 2, 20]))
     return data
 
@@ -94,7 +113,9 @@ def _repeat(rng, data, _):
 def _insert(rng, data, other):
     """Insert bytes that are random, all alike, or of another file."""
     at, length = int(rng.integers(len(data))), int(2 ** rng.integers(0, 13))
-    data[at:at] = [rng.bytes(length), bytes([int(rng.integers(256))]) * length, other[:length]][rng.integers(3)]
+    data[at:at] = [rng.bytes(length), bytes([int(rng.integers(256))]) * length, other[:length]][
+        rng.integers(3)
+    ]
     return data
 
 
@@ -114,7 +135,18 @@ def _header(rng, data, _):
 
 def _describe(rng, data, _):
     """Damage the bytes after a marker: a DataFlash description, a packet's head, an object header of HDF5."""
-    marks = [b"\xa3\x95\x80", b"\xa3\x95", b"\xfd", b"\xfe", b"FMT,", b"TREE", b"SNOD", b"HEAP", b"OHDR", b"\n"]
+    marks = [
+        b"\xa3\x95\x80",
+        b"\xa3\x95",
+        b"\xfd",
+        b"\xfe",
+        b"FMT,",
+        b"TREE",
+        b"SNOD",
+        b"HEAP",
+        b"OHDR",
+        b"\n",
+    ]
     mark = marks[rng.integers(len(marks))]
     start = data.find(mark, int(rng.integers(len(data))))
     if start >= 0:
@@ -145,7 +177,11 @@ def outcome(entry: Callable[[str], object], path: str, limit: float) -> tuple[st
     signal.signal(signal.SIGALRM, _alarm)
     signal.setitimer(signal.ITIMER_REAL, limit)
     try:
-        with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard), warnings.catch_warnings():
+        with (
+            contextlib.redirect_stdout(heard),
+            contextlib.redirect_stderr(heard),
+            warnings.catch_warnings(),
+        ):
             warnings.simplefilter("error")
             status = entry(path)
     except Hang:
@@ -154,8 +190,16 @@ def outcome(entry: Callable[[str], object], path: str, limit: float) -> tuple[st
         status = end.code
     except (ValueError, OSError) as refused:
         said = str(refused)
-        plain = type(refused).__module__ == "builtins" and "\n" not in said and said.rstrip().endswith(".")
-        return ("refused", said) if plain else ("NO SENTENCE", f"{type(refused).__name__}: {said[:200]!r}")
+        plain = (
+            type(refused).__module__ == "builtins"
+            and "\n" not in said
+            and said.rstrip().endswith(".")
+        )
+        return (
+            ("refused", said)
+            if plain
+            else ("NO SENTENCE", f"{type(refused).__name__}: {said[:200]!r}")
+        )
     except BaseException as problem:  # the whole point: whatever it is, it must not come through
         return "RAW EXCEPTION", f"{type(problem).__name__}: {str(problem)[:200]!r}"
     finally:
@@ -197,7 +241,9 @@ def fuzz(
             path.write_bytes(data)
             if progress:
                 progress.write_text(f"{number} {suffix}\n")
-            faulthandler.dump_traceback_later(3 * limit, exit=True)  # a hang inside C, which no alarm can interrupt
+            faulthandler.dump_traceback_later(
+                3 * limit, exit=True
+            )  # a hang inside C, which no alarm can interrupt
             began = time.perf_counter()
             result, details = outcome(entry, str(path), limit)
             seconds = time.perf_counter() - began
@@ -220,9 +266,20 @@ def report(counts: Counter, failures: list, slow: list) -> None:
     outcomes = sorted({result for _, result in counts}, key=lambda r: (r != "read", r.isupper(), r))
     print("suffix".ljust(8) + "".join(word.rjust(16) for word in outcomes))
     for suffix in sorted({suffix for suffix, _ in counts}):
-        print((suffix or "none").ljust(8) + "".join(str(counts[suffix, word]).rjust(16) for word in outcomes))
-    print("all".ljust(8) + "".join(str(sum(n for (_, r), n in counts.items() if r == w)).rjust(16) for w in outcomes))
-    print("slowest: " + ", ".join(f"{seconds:.2f} s (number {number}, {suffix})" for seconds, number, suffix in slow))
+        print(
+            (suffix or "none").ljust(8)
+            + "".join(str(counts[suffix, word]).rjust(16) for word in outcomes)
+        )
+    print(
+        "all".ljust(8)
+        + "".join(str(sum(n for (_, r), n in counts.items() if r == w)).rjust(16) for w in outcomes)
+    )
+    print(
+        "slowest: "
+        + ", ".join(
+            f"{seconds:.2f} s (number {number}, {suffix})" for seconds, number, suffix in slow
+        )
+    )
     for number, suffix, result, details in failures:
         print(f"number {number} ({suffix}): {result}: {details}")
     if not failures:
@@ -230,7 +287,9 @@ def report(counts: Counter, failures: list, slow: list) -> None:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--entry", choices=("read", "inspect"), default="read")
@@ -241,10 +300,16 @@ def main():
     parser.add_argument("--progress", type=Path, help="file that names the input under way")
     options = parser.parse_args()
     entry = greybox.logs.readers.read if options.entry == "read" else inspect
-    numbers = range(options.count) if options.only is None else range(options.only, options.only + 1)
+    numbers = (
+        range(options.count) if options.only is None else range(options.only, options.only + 1)
+    )
     began = time.perf_counter()
-    found = fuzz(entry, numbers, options.seed, options.limit, options.kinds, options.progress, options.keep)
-    versions = ", ".join(f"{name} {version(name)}" for name in ("greybox-id", "pymavlink", "h5py", "scipy", "numpy"))
+    found = fuzz(
+        entry, numbers, options.seed, options.limit, options.kinds, options.progress, options.keep
+    )
+    versions = ", ".join(
+        f"{name} {version(name)}" for name in ("greybox-id", "pymavlink", "h5py", "scipy", "numpy")
+    )
     print(f"{date.today()}, {versions}, python {platform.python_version()}")
     seconds = time.perf_counter() - began
     print(

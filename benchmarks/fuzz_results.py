@@ -2,12 +2,12 @@
 
 python benchmarks/fuzz_results.py [--count 2000] [--seed 0] [--only 4711] [--keep FILE]
 
-Every file is loaded and printed in a process of its own, forked from one that has imported greybox. A sound outcome is
-a fit that prints, or a ValueError that names the file, within 2 s and 500 MB: processor time of the process and of the
-one that it starts (clock time would measure what else the machine does; what waits is ended after 20 s), and the sum of
-their peak memories. Number N of a seed is always the same file. A
-file that names a module must not have it imported; one that names another file must not show its contents; none may
-print what a terminal obeys.
+Every file is loaded and printed in a process of its own, forked from one that has imported greybox.
+A sound outcome is a fit that prints, or a ValueError that names the file, within 2 s and 500 MB:
+processor time of the process and of the one that it starts (clock time would measure what else the
+machine does; what waits is ended after 20 s), and the sum of their peak memories. Number N of a
+seed is always the same file. A file that names a module must not have it imported; one that names
+another file must not show its contents; none may print what a terminal obeys.
 """
 
 import argparse
@@ -32,14 +32,23 @@ from greybox.files.sealed_files import BLOCK, seal
 ROOT = Path(__file__).parents[1]
 SECONDS, MEMORY = 2.0, 500e6  # for one file; bytes
 PATIENCE = 20  # s after which a process is ended
-NUMBERS = [b"\x00" * 4, b"\xff" * 4, b"\x00\x00\x00\x80", b"\xff\xff\xff\x7f", b"\x01\x00\x00\x00", b"\x00\x00\x01\x00"]
+NUMBERS = [
+    b"\x00" * 4,
+    b"\xff" * 4,
+    b"\x00\x00\x00\x80",
+    b"\xff\xff\xff\x7f",
+    b"\x01\x00\x00\x00",
+    b"\x00\x00\x01\x00",
+]
 
 
 def sound(path: Path) -> None:
     """Save a fit of a response and a record, with a few starts."""
     omega = np.geomspace(1, 20, 12)
     lag = importlib.import_module("greybox.models.polynomial").Polynomial(1, 0)
-    response = gb.FrequencyResponse(omega, 2 / (1j * omega + 3) * (1 + 0.01 * np.sin(omega)), input="u", output="y")
+    response = gb.FrequencyResponse(
+        omega, 2 / (1j * omega + 3) * (1 + 0.01 * np.sin(omega)), input="u", output="y"
+    )
     time_ = 0.05 * np.arange(100)
     u, y = np.sin(2 * time_), np.zeros(100)
     for k in range(99):
@@ -108,7 +117,18 @@ def _describe(rng, data):
     return data
 
 
-DAMAGES = (_flip, _flip, _overwrite, _number, _number, _swap, _truncate, _append, _describe, _describe)
+DAMAGES = (
+    _flip,
+    _flip,
+    _overwrite,
+    _number,
+    _number,
+    _swap,
+    _truncate,
+    _append,
+    _describe,
+    _describe,
+)
 
 
 def outcome(path: Path) -> tuple[str, str, float, float]:
@@ -144,8 +164,12 @@ def outcome(path: Path) -> tuple[str, str, float, float]:
 def _loaded(path: Path) -> str:
     """Load and print a file in this process; return what became of it, peak memory in bytes, details."""
     word, details = _tried(path)
-    # Linux counts in kB. What a process starts inherits the peak of its parent until it has more of its own.
-    peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    # Linux counts in kB. What a process starts inherits the peak of its parent until it has more of
+    # its own.
+    peaks = [
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    ]
     return f"{word}|{1024 * sum(peaks)}|{details}"
 
 
@@ -154,7 +178,11 @@ def _tried(path: Path) -> tuple[str, str]:
         fit = gb.load(path)
     except ValueError as error:
         text = str(error)
-        return ("refused", text) if str(path) in text and text.isprintable() else ("NO SENTENCE", repr(text)[:300])
+        return (
+            ("refused", text)
+            if str(path) in text and text.isprintable()
+            else ("NO SENTENCE", repr(text)[:300])
+        )
     except BaseException as error:
         return "RAW EXCEPTION", f"{type(error).__name__}: {error}"[:300]
     return _used(fit)
@@ -215,30 +243,44 @@ def fuzz(numbers: range, names: list[str], seed: int = 0, keep: Path | None = No
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, help="load this mutant alone")
-    parser.add_argument("--crafted", nargs="+", default=[], help="of the crafted files, these alone")
+    parser.add_argument(
+        "--crafted", nargs="+", default=[], help="of the crafted files, these alone"
+    )
     parser.add_argument("--keep", type=Path, help="write the mutant to this file")
     options = parser.parse_args()
-    numbers = range(options.count) if options.only is None else range(options.only, options.only + 1)
+    numbers = (
+        range(options.count) if options.only is None else range(options.only, options.only + 1)
+    )
     began = time.perf_counter()
     counts, failures, costs = fuzz(numbers, options.crafted, options.seed, options.keep)
     versions = ", ".join(f"{name} {version(name)}" for name in ("greybox-id", "h5py", "numpy"))
     print(f"{date.today()}, {versions}, python {platform.python_version()}")
     seconds = time.perf_counter() - began
-    print(f"{len(numbers)} mutants, seed {options.seed}, {len(costs) - len(numbers)} crafted files, {seconds:.0f} s")
+    print(
+        f"{len(numbers)} mutants, seed {options.seed}, {len(costs) - len(numbers)} crafted files, {seconds:.0f} s"
+    )
     for kind, word in sorted(counts):
         print(f"{kind:10} {word:20} {counts[kind, word]:6}")
     for which, what, unit, scale in ((0, "slowest", "s", 1), (1, "largest", "MB", 1e-6)):
         top = sorted(costs, key=lambda cost: -cost[which])[:5]
-        print(f"{what}: " + ", ".join(f"{cost[which] * scale:.3g} {unit} ({cost[2]})" for cost in top))
-    print(f"median: {np.median([c[0] for c in costs]):.2f} s, {np.median([c[1] for c in costs]) / 1e6:.0f} MB")
+        print(
+            f"{what}: " + ", ".join(f"{cost[which] * scale:.3g} {unit} ({cost[2]})" for cost in top)
+        )
+    print(
+        f"median: {np.median([c[0] for c in costs]):.2f} s, {np.median([c[1] for c in costs]) / 1e6:.0f} MB"
+    )
     for which, word, details in failures:
         print(f"{which}: {word}: {details}")
     if not failures:
-        print(f"none over {SECONDS:g} s or {MEMORY / 1e6:g} MB, no crash, no raw exception, nothing executed or shown")
+        print(
+            f"none over {SECONDS:g} s or {MEMORY / 1e6:g} MB, no crash, no raw exception, nothing executed or shown"
+        )
     sys.exit(1 if failures else 0)
 
 

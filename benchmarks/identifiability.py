@@ -2,9 +2,10 @@
 
 python benchmarks/identifiability.py [--planted 50] [--clean 200] [--output FILE]
 
-The planted ones are products, ratios, powers and sums of parameters, dead parameters and confounded biases of random
-models (`tests/support/random_structures.py`). Every warning of a fit without one counts as a false alarm, and so does a
-note that names a combination. Exit status 1 if one is named wrongly, or if more than one clean fit in twenty has one.
+The planted ones are products, ratios, powers and sums of parameters, dead parameters and confounded
+biases of random models (`tests/support/random_structures.py`). Every warning of a fit without one
+counts as a false alarm, and so does a note that names a combination. Exit status 1 if one is named
+wrongly, or if more than one clean fit in twenty has one.
 """
 
 import argparse
@@ -21,7 +22,9 @@ from random_structures import KINDS, named_rightly, planted
 
 def main() -> int:
     """Print what was named wrongly, and how often something was said in vain."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--planted", type=int, default=50)
     parser.add_argument("--clean", type=int, default=200)
     parser.add_argument("--output", type=Path)
@@ -36,7 +39,9 @@ def main() -> int:
         wrong += bool(error)
         if error:
             lines.append(f"{kind}, seed {seed}: {error}")
-    lines.append(f"planted redundancies: {options.planted - wrong} of {options.planted} named rightly")
+    lines.append(
+        f"planted redundancies: {options.planted - wrong} of {options.planted} named rightly"
+    )
 
     alarms, seconds = 0, 0.0
     for seed in range(1000, 1000 + options.clean):

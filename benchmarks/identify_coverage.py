@@ -2,13 +2,14 @@
 
 python benchmarks/identify_coverage.py [--repeats 60] [--only setpoint] [--out FILE]
 
-A quadcopter's pitch, K / ((τ s + 1) s (s + a)), is flown by an angle and rate controller at 400 Hz, with gusts on the
-angular acceleration and noise of the gyro. A logarithmic sweep is injected behind the controller or into its setpoint,
-and the log has every pass, every second or fewer. All flights of a cell are simulated at once.
+A quadcopter's pitch, K / ((τ s + 1) s (s + a)), is flown by an angle and rate controller at 400 Hz,
+with gusts on the angular acceleration and noise of the gyro. A logarithmic sweep is injected behind
+the controller or into its setpoint, and the log has every pass, every second or fewer. All flights
+of a cell are simulated at once.
 
-Printed: points of a response; the root mean square of their errors over their standard errors, of all and of the worst
-flight; per parameter the share of 95 % intervals that hold the truth, and the root mean square and the mean of the
-errors over the standard errors.
+Printed: points of a response; the root mean square of their errors over their standard errors, of
+all and of the worst flight; per parameter the share of 95 % intervals that hold the truth, and the
+root mean square and the mean of the errors over the standard errors.
 """
 
 import argparse
@@ -27,7 +28,13 @@ from greybox.data.record import Recording
 K, A, TAU = 91.0, 0.681, 0.05  # 1/s², 1/s, s
 STEP = 1 / 800  # s, of the simulation; the controller runs at every second
 REST = 8.0  # s before and after the sweep
-ANGLE, RATE_P, RATE_I, RATE_D, FILTER = 4.5, 0.135, 0.135, 0.0036, 20.0  # gains of ArduPilot, and Hz of the D term
+ANGLE, RATE_P, RATE_I, RATE_D, FILTER = (
+    4.5,
+    0.135,
+    0.135,
+    0.0036,
+    20.0,
+)  # gains of ArduPilot, and Hz of the D term
 GYRO, ATTITUDE = 0.003, 0.0002  # noise, rad/s and rad
 LADDER = [("rate:DampedAngle", (), "rate damping, one more pole")]
 
@@ -70,7 +77,11 @@ def flown(cell, flights, seed):
     steps = round((cell.duration + 2 * REST) / STEP)
     injected = sweep(cell, STEP * np.arange(steps))
     moment, rate, angle, control, gust, before, slope, integral = np.zeros((8, flights))
-    decay, lag, smoothing = np.exp(-STEP / 1.0), -np.expm1(-STEP / TAU), -np.expm1(-2 * np.pi * FILTER * 2 * STEP)
+    decay, lag, smoothing = (
+        np.exp(-STEP / 1.0),
+        -np.expm1(-STEP / TAU),
+        -np.expm1(-2 * np.pi * FILTER * 2 * STEP),
+    )
     rows = []
     for n in range(steps):
         if n % 2 == 0:
@@ -88,7 +99,9 @@ def flown(cell, flights, seed):
                 rows.append((n, control, attitude))
         gust = decay * gust + np.sqrt(1 - decay**2) * cell.gust * random.standard_normal(flights)
         moment = moment + lag * (control - moment)
-        rate = rate + STEP * (K * moment - A * rate + gust + 2 * cell.gust * random.standard_normal(flights))
+        rate = rate + STEP * (
+            K * moment - A * rate + gust + 2 * cell.gust * random.standard_normal(flights)
+        )
         angle = angle + STEP * rate
     at, controls, angles = (np.array(column) for column in zip(*rows, strict=True))
     return STEP * at, controls, angles, injected[at]
@@ -109,7 +122,9 @@ def measured(cell, flights, seed):
     points, squares, errors, held = [], [], [], []
     for u, theta in zip(controls.T, angles.T, strict=True):
         signals = {"u": u, "theta": np.degrees(theta), name: size * injected}
-        record = gb.Record(time, signals, {"theta": "deg", **({"desired": "deg"} if name == "desired" else {})})
+        record = gb.Record(
+            time, signals, {"theta": "deg", **({"desired": "deg"} if name == "desired" else {})}
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = gb.identify(
@@ -121,10 +136,17 @@ def measured(cell, flights, seed):
             )
         response = found.measurement.response
         points.append(len(response))
-        squares.append(np.mean(np.abs(response.response - plant(response.omega)) ** 2 / response.variance))
+        squares.append(
+            np.mean(np.abs(response.response - plant(response.omega)) ** 2 / response.variance)
+        )
         truth = {"K_phi": K, "a": A, "T_rotor": TAU}
         inside = found.fit.interval()
-        errors.append([(found.fit.estimate[p] - v) / found.fit.standard_error.get(p, np.nan) for p, v in truth.items()])
+        errors.append(
+            [
+                (found.fit.estimate[p] - v) / found.fit.standard_error.get(p, np.nan)
+                for p, v in truth.items()
+            ]
+        )
         held.append([p in inside and inside[p][0] <= v <= inside[p][1] for p, v in truth.items()])
     return np.array(points), np.array(squares), np.array(errors), np.array(held)
 

@@ -1,9 +1,9 @@
 """Kill a study again and again, and see what was lost: nothing that was finished for two seconds.
 
-``python benchmarks/kill_study.py --kills 30 --out benchmarks/results/kill_study.txt`` runs a study of responses and
-records on two workers and ends it by `kill -9` at random moments: the process that runs the study, or one of its
-workers. After every kill all files are opened and the runs on disk are counted; at the end the resumed study is held
-against one that was never interrupted.
+``python benchmarks/kill_study.py --kills 30 --out benchmarks/results/kill_study.txt`` runs a study
+of responses and records on two workers and ends it by `kill -9` at random moments: the process that
+runs the study, or one of its workers. After every kill all files are opened and the runs on disk
+are counted; at the end the resumed study is held against one that was never interrupted.
 """
 
 import argparse
@@ -25,7 +25,8 @@ from greybox.models.tilt import LinearTilt
 from greybox.problems import pitch_hover, rotors
 from greybox.study.run_files import RunFiles
 
-# Of the time of the study in one process, after which it is killed: thirty kills go through all of it on two workers.
+# Of the time of the study in one process, after which it is killed: thirty kills go through all of
+# it on two workers.
 SHARES = 0.003, 0.04
 
 
@@ -38,7 +39,9 @@ def record(seed):
     values = {name: p.start for name, p in LinearTilt().parameters.items()}
     values |= {"a1": 10.0, "a2": 3.0, "a3": 5.0}
     simulated = gb.simulate(LinearTilt(), values, flight)
-    signals = {name: simulated[name] + 0.005 * rng.standard_normal(time_s.size) for name in ("theta", "v")}
+    signals = {
+        name: simulated[name] + 0.005 * rng.standard_normal(time_s.size) for name in ("theta", "v")
+    }
     return gb.Record(time_s, {"u": control, **signals})
 
 
@@ -48,7 +51,9 @@ def members(starts):
         gb.study.Member(pitch_hover.problem(), starts, name="pitch", search="multistart"),
         gb.study.Member(gb.Problem(LinearTilt(), record(1)), max(starts // 20, 2), name="flight"),
         gb.study.Member(rotors.problem(), starts, name="rotors", search="multistart"),
-        gb.study.Member(pitch_hover.problem(), starts, seed=1, name="pitch again", search="multistart"),
+        gb.study.Member(
+            pitch_hover.problem(), starts, seed=1, name="pitch again", search="multistart"
+        ),
     ]
 
 
@@ -64,7 +69,11 @@ def kept(folder, starts):
     """Open every file, and return how many runs are kept."""
     count = 0
     for k, member in enumerate(members(starts)):
-        own = next((folder / "members").glob(f"{k + 1:03d}-*"), None) if (folder / "members").exists() else None
+        own = (
+            next((folder / "members").glob(f"{k + 1:03d}-*"), None)
+            if (folder / "members").exists()
+            else None
+        )
         if own is not None:
             count += len(RunFiles(own).known(fingerprint(member.problem, member.by)))
             if (own / "answer.json").exists():
@@ -74,7 +83,9 @@ def kept(folder, starts):
 
 def children(pid):
     """Return the numbers of the processes that a process has begun."""
-    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False)
+    found = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+    )
     return [int(word) for word in found.stdout.split()]
 
 
@@ -91,7 +102,9 @@ def main():
         work(options.work, options.starts)
         return
     rng = random.Random(options.seed)
-    lines = [f"kill_study.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, {vars(options)}"]
+    lines = [
+        f"kill_study.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, {vars(options)}"
+    ]
 
     def say(text):
         lines.append(text)
@@ -120,7 +133,9 @@ def main():
                 ended = process.poll() is not None
                 process.kill()
             now = kept(folder, options.starts)
-            say(f"kill {kill:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now} runs on disk")
+            say(
+                f"kill {kill:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now} runs on disk"
+            )
             assert now >= before, "runs were lost"
             before = now
         began = time.perf_counter()
@@ -132,8 +147,14 @@ def main():
                 np.array_equal(run.estimate, twin.estimate) and run.status == twin.status
                 for run, twin in zip(fit.runs, other.runs, strict=True)
             )
-            equal = same and fit.estimate == other.estimate and fit.standard_error == other.standard_error
-            say(f"{member.name}: {len(fit.runs)} runs, {'equal to the last bit' if equal else 'DIFFERENT'}")
+            equal = (
+                same
+                and fit.estimate == other.estimate
+                and fit.standard_error == other.standard_error
+            )
+            say(
+                f"{member.name}: {len(fit.runs)} runs, {'equal to the last bit' if equal else 'DIFFERENT'}"
+            )
     if options.out is not None:
         options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

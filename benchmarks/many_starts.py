@@ -1,9 +1,9 @@
 """Memory, store and comparison of a study with very many starts.
 
-``python benchmarks/many_starts.py --starts 1000 10000 100000 --out benchmarks/results/many_starts.txt`` fits the tilt
-model of the paper from so many starts, kept in a study, each in a process of its own, and reads the studies by
-``greybox compare``. Memory is the peak of the process; what the interpreter and the first thousand starts take is in
-the first line.
+``python benchmarks/many_starts.py --starts 1000 10000 100000 --out
+benchmarks/results/many_starts.txt`` fits the tilt model of the paper from so many starts, kept in a
+study, each in a process of its own, and reads the studies by ``greybox compare``. Memory is the
+peak of the process; what the interpreter and the first thousand starts take is in the first line.
 """
 
 import argparse
@@ -54,14 +54,20 @@ def main():
     if options.work is not None:
         work(options.work, options.starts[0])
         return
-    lines = [f"many_starts.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, {platform.machine()}"]
+    lines = [
+        f"many_starts.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, {platform.machine()}"
+    ]
     with tempfile.TemporaryDirectory() as place:
         for starts in options.starts:
             folder = Path(place) / str(starts)
             command = [sys.executable, __file__, "--work", folder, "--starts", str(starts)]
             said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
             began, used = time.perf_counter(), os.times().children_user
-            subprocess.run([sys.executable, "-m", "greybox", "compare", folder], capture_output=True, check=True)
+            subprocess.run(
+                [sys.executable, "-m", "greybox", "compare", folder],
+                capture_output=True,
+                check=True,
+            )
             seconds, used = time.perf_counter() - began, os.times().children_user - used
             lines.append(f"{said}; greybox compare {seconds:.1f} s ({used:.1f} s of the processor)")
             print(lines[-1], flush=True)

@@ -10,7 +10,9 @@ class Fault:
     """One change of one file: the source between two offsets is replaced."""
 
     file: str
-    lines: range  # of the statement, or of its head: a test that executes one of them meets the fault
+    lines: (
+        range  # of the statement, or of its head: a test that executes one of them meets the fault
+    )
     line: int
     kind: str
     before: str
@@ -61,7 +63,11 @@ def faults_of(file: str, source: str):
 
     def visit(node, statement, inside, returns):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            defaults = [] if isinstance(node, ast.ClassDef) else [*node.args.defaults, *node.args.kw_defaults]
+            defaults = (
+                []
+                if isinstance(node, ast.ClassDef)
+                else [*node.args.defaults, *node.args.kw_defaults]
+            )
             for default in filter(None, defaults):
                 yield from visit(default, node, inside, returns)
             function = not isinstance(node, ast.ClassDef)
@@ -75,10 +81,16 @@ def faults_of(file: str, source: str):
         if variants:
             head = getattr(statement, "body", None)
             last = head[0].lineno - 1 if isinstance(head, list) else statement.end_lineno
-            place = (starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset)
+            place = (
+                starts[node.lineno - 1] + node.col_offset,
+                starts[node.end_lineno - 1] + node.end_col_offset,
+            )
             lines = range(statement.lineno, max(last, statement.lineno) + 1)
             before = ast.unparse(node)
-            yield [Fault(file, lines, node.lineno, kind, before, after, *place, not inside) for kind, after in variants]
+            yield [
+                Fault(file, lines, node.lineno, kind, before, after, *place, not inside)
+                for kind, after in variants
+            ]
         for child in children(node):
             yield from visit(child, statement, inside, returns)
 
@@ -91,18 +103,35 @@ def children(node):
         return
     if isinstance(node, ast.Call):
         name = called(node)
-        if name in ("warn", "isinstance", "issubclass", "cast", "TypeVar", "ValueError", "OSError", "lru_cache"):
+        if name in (
+            "warn",
+            "isinstance",
+            "issubclass",
+            "cast",
+            "TypeVar",
+            "ValueError",
+            "OSError",
+            "lru_cache",
+        ):
             return
         yield node.func
         yield from node.args
-        yield from (k.value for k in node.keywords if k.arg != "strict")  # zip(strict=) is a check only
+        yield from (
+            k.value for k in node.keywords if k.arg != "strict"
+        )  # zip(strict=) is a check only
         return
     if isinstance(node, ast.AnnAssign):
         yield from filter(None, [node.value])
         return
-    if isinstance(node, ast.Assign) and any(getattr(t, "id", "") == "__all__" for t in node.targets):
+    if isinstance(node, ast.Assign) and any(
+        getattr(t, "id", "") == "__all__" for t in node.targets
+    ):
         return
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub) and isinstance(node.operand, ast.Constant):
+    if (
+        isinstance(node, ast.UnaryOp)
+        and isinstance(node.op, ast.USub)
+        and isinstance(node.operand, ast.Constant)
+    ):
         return
     yield from ast.iter_child_nodes(node)
 
@@ -114,7 +143,9 @@ def called(node) -> str:
 
 def is_text(node) -> bool:
     """Return whether an operand is a text or a list, of which + and * are no arithmetic."""
-    return isinstance(node, TEXTS) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
+    return isinstance(node, TEXTS) or (
+        isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
 
 
 def changes(node, file, returns):
@@ -122,7 +153,10 @@ def changes(node, file, returns):
     if isinstance(node, (ast.BinOp, ast.AugAssign, ast.BoolOp)):
         yield from other_operator(node)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.Not)):
-        yield "sign" if isinstance(node.op, ast.USub) else "operator", f"({ast.unparse(node.operand)})"
+        yield (
+            "sign" if isinstance(node.op, ast.USub) else "operator",
+            f"({ast.unparse(node.operand)})",
+        )
     elif isinstance(node, ast.Compare):
         for i, op in enumerate(node.ops):
             for other in COMPARED[type(op)]:
@@ -157,7 +191,10 @@ def without_limit(node):
     if called(node) in ABSOLUTE and len(node.args) == 1:
         yield "abs", f"({ast.unparse(node.args[0])})"
     elif called(node) in LIMITS and len(node.args) >= 2:
-        kept = next((a for a in node.args if not isinstance(a, (ast.Constant, ast.UnaryOp, ast.Starred))), None)
+        kept = next(
+            (a for a in node.args if not isinstance(a, (ast.Constant, ast.UnaryOp, ast.Starred))),
+            None,
+        )
         if kept is not None:
             yield "limit", f"({ast.unparse(kept)})"
 
@@ -166,7 +203,12 @@ def removals(node, returns):
     """Yield a statement that no longer says what is wrong."""
     if isinstance(node, ast.Raise) and "NotImplemented" not in ast.unparse(node):
         yield "removal", "pass"
-    elif isinstance(node, ast.Return) and node.value is not None and "str" in returns and "None" in returns:
+    elif (
+        isinstance(node, ast.Return)
+        and node.value is not None
+        and "str" in returns
+        and "None" in returns
+    ):
         if isinstance(node.value, ast.JoinedStr) or is_text(node.value):
             yield "removal", "return None"
     elif isinstance(node, ast.Expr):

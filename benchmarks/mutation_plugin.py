@@ -29,7 +29,8 @@ if NOTES:
     def _processor_time():
         """Return the seconds of processor time of this process and of its children that ended.
 
-        Other work on the machine does not lengthen it, so that the tests of a fault are the same there.
+        Other work on the machine does not lengthen it, so that the tests of a fault are the same
+        there.
         """
         return sum(os.times()[:4])
 

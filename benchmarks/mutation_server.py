@@ -1,7 +1,8 @@
 """Run chosen tests in forks of a process that has imported the libraries, but nothing that may hold a fault.
 
-Imports take most of the time of a short run. `mutation.py` starts one server in each copy of the package, and writes
-one request a line: the file with the tests, that for the output, the limits of processor time and of the clock.
+Imports take most of the time of a short run. `mutation.py` starts one server in each copy of the
+package, and writes one request a line: the file with the tests, that for the output, the limits of
+processor time and of the clock.
 """
 
 import contextlib
@@ -28,7 +29,9 @@ LIBRARIES = (
     "scipy.stats",
     "xdist",
 )
-MEMORY = 4 * 2**30  # bytes of addresses, several times what any test takes: a fault can make an array without end
+MEMORY = (
+    4 * 2**30
+)  # bytes of addresses, several times what any test takes: a fault can make an array without end
 # Plugins are imported already: pytest cannot rewrite their assertions, and says so.
 OPTIONS = "-p mutation_plugin -p no:cacheprovider -p no:benchmark -n 0 -x --tb=line -W".split()
 OPTIONS += ["ignore::pytest.PytestAssertRewriteWarning"]
@@ -55,7 +58,10 @@ def run(order: str, output: str, limit: int) -> None:
     os.setsid()
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    for source, flags, targets in ((os.devnull, os.O_RDONLY, (0,)), (output, os.O_WRONLY | os.O_CREAT, (1, 2))):
+    for source, flags, targets in (
+        (os.devnull, os.O_RDONLY, (0,)),
+        (output, os.O_WRONLY | os.O_CREAT, (1, 2)),
+    ):
         opened = os.open(source, flags)
         for target in targets:
             os.dup2(opened, target)

@@ -2,9 +2,10 @@
 
 python benchmarks/neighbor_coverage.py [--repeats 400] [--only yaw] [--output benchmarks/results/neighbor_coverage.txt]
 
-Errors are circular, of one relative size, and an autoregression of first order from point to point. Fits and intervals
-are made as in `coverage.py`, and once more as if all errors were independent, for comparison. Of a model that the data
-bound on one side alone `profile_coverage.py` has the profiles.
+Errors are circular, of one relative size, and an autoregression of first order from point to point.
+Fits and intervals are made as in `coverage.py`, and once more as if all errors were independent,
+for comparison. Of a model that the data bound on one side alone `profile_coverage.py` has the
+profiles.
 """
 
 import argparse
@@ -30,7 +31,12 @@ from greybox.models.tilt import Tilt, TiltRate
 NOMINAL = (92.0, 98.0)  # per cent; outside, a number is marked
 CORRELATIONS = (0.0, 0.3, 0.6, 0.8)
 POINTS = (12, 24, 48, 96)
-SETTINGS = ((0.05, "RelativeError"), (0.02, "RelativeError"), (0.2, "RelativeError"), (0.05, "MaximumLikelihood"))
+SETTINGS = (
+    (0.05, "RelativeError"),
+    (0.02, "RelativeError"),
+    (0.2, "RelativeError"),
+    (0.05, "MaximumLikelihood"),
+)
 FEWER = (24,)  # points, of all settings but the first
 
 
@@ -67,12 +73,16 @@ def cases(noise: float, n: int, correlation: float) -> Iterator[Case]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="run the models whose name holds this text")
     parser.add_argument("--points", type=int, nargs="*", default=POINTS, help="24 among them")
-    parser.add_argument("--settings", type=int, default=len(SETTINGS), help="how many of the noises and criteria")
+    parser.add_argument(
+        "--settings", type=int, default=len(SETTINGS), help="how many of the noises and criteria"
+    )
     parser.add_argument("--output", type=Path, help="also write the table here")
     arguments = parser.parse_args()
     began, text, pooled = time.perf_counter(), [], {}
@@ -81,7 +91,9 @@ def main() -> None:
         print(line, flush=True)
         text.append(line)
 
-    tell("Coverage (%) of 95 % intervals where errors are correlated from one frequency to the next")
+    tell(
+        "Coverage (%) of 95 % intervals where errors are correlated from one frequency to the next"
+    )
     tell(
         f"{dt.date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, numpy {np.__version__}, "
         f"scipy {scipy.__version__}, python {platform.python_version()}; seed {arguments.seed}, "
@@ -108,7 +120,9 @@ def main() -> None:
                     with patch.object(ResponsePart, "neighbors", lambda *_: None):
                         independent = coverage.cell(case, criterion, arguments.repeats, seed)
                     hit, line = _row(found, independent)
-                    tell(f"{case.label:<12}{noise:6.2f} {criterion:<18}{n:6}{correlation:6.1f}{line}")
+                    tell(
+                        f"{case.label:<12}{noise:6.2f} {criterion:<18}{n:6}{correlation:6.1f}{line}"
+                    )
                     pooled.setdefault((correlation, n), []).append(hit)
     tell("\nPooled, %:  points " + "".join(f"{n:8}" for n in arguments.points))
     for correlation in CORRELATIONS:

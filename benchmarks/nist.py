@@ -2,11 +2,12 @@
 
 python benchmarks/nist.py [--only MGH10] [--output FILE]
 
-Each is a static model with rows without a time, fitted by `gb.fit` from the first and from the second of NIST's starts
-alone. Where one of them leads to another minimum, the table goes on with the default starts (20, seed 0), drawn between
-zero and that start. A digit is -log10 of the largest relative difference to the certified values of a problem; they are
-given to eleven. Lanczos1 has no certified standard errors worth the name: its residuals are the rounding of its data.
-Source: NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/.
+Each is a static model with rows without a time, fitted by `gb.fit` from the first and from the
+second of NIST's starts alone. Where one of them leads to another minimum, the table goes on with
+the default starts (20, seed 0), drawn between zero and that start. A digit is -log10 of the largest
+relative difference to the certified values of a problem; they are given to eleven. Lanczos1 has no
+certified standard errors worth the name: its residuals are the rounding of its data. Source: NIST,
+Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/.
 """
 
 import argparse
@@ -30,7 +31,10 @@ ROUNDING = ("Lanczos1",)
 
 def digits(values: dict[str, float], reference: dict[str, float]) -> float:
     """Return how many digits of every value are right, at least."""
-    return min(float(-np.log10(max(abs(values[name] / value - 1), 1e-15))) for name, value in reference.items())
+    return min(
+        float(-np.log10(max(abs(values[name] / value - 1), 1e-15)))
+        for name, value in reference.items()
+    )
 
 
 def line(name: str, which: str, case: Certified, **options: Any) -> tuple[str, bool]:
@@ -41,7 +45,11 @@ def line(name: str, which: str, case: Certified, **options: Any) -> tuple[str, b
     if not fit.converged:
         return f"{name:10} {which:10} {fit.status}", False
     found = digits(fit.estimate, case.values)
-    errors = "-" if name in ROUNDING or found < RIGHT else f"{digits(fit.standard_error, case.errors):.1f}"
+    errors = (
+        "-"
+        if name in ROUNDING or found < RIGHT
+        else f"{digits(fit.standard_error, case.errors):.1f}"
+    )
     estimates = f"{found:.1f}" if found >= RIGHT else "another minimum"
     numbers = f"{case.problem.numbers:4d} {len(case.values):2d}"
     agreeing = f"{fit.agreeing} of {len(fit.runs)}"
@@ -64,7 +72,9 @@ def main() -> None:
         lines.append(text)
         print(text, flush=True)
 
-    versions = f"greybox {gb.__version__}, Python {platform.python_version()}, numpy {np.__version__}"
+    versions = (
+        f"greybox {gb.__version__}, Python {platform.python_version()}, numpy {np.__version__}"
+    )
     say(f"27 problems of NIST; {versions}, {dt.datetime.now(tz=dt.UTC):%Y-%m-%d}")
     say(f"{'':10} {'from start':10} rows  p   digits: estimate   errors   agreeing       s")
     for name in [options.only] if options.only else list(FORMULAS):

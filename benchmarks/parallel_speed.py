@@ -1,9 +1,10 @@
 """How well two workers are used: a fit of a minute on one process, on two of our own, and on two of Dask's.
 
-``python benchmarks/parallel_speed.py --rounds 3 --out benchmarks/results/parallel_speed.txt`` needs the extra ``dask``
-and a machine that does nothing else: times are those of the clock. The fit is plain multistart of two resonances with a
-delay, the slowest of `search_speed.py`. Workers are warm: they have built the solver in a short fit before. The
-efficiency is the time of one process over that of two, and over two.
+``python benchmarks/parallel_speed.py --rounds 3 --out benchmarks/results/parallel_speed.txt`` needs
+the extra ``dask`` and a machine that does nothing else: times are those of the clock. The fit is
+plain multistart of two resonances with a delay, the slowest of `search_speed.py`. Workers are warm:
+they have built the solver in a short fit before. The efficiency is the time of one process over
+that of two, and over two.
 """
 
 import argparse
@@ -21,7 +22,8 @@ from search_speed import hard
 
 import greybox as gb
 
-# What the documentation of `greybox.solve.executors` says of Dask's workers: without it IPOPT takes twice as long.
+# What the documentation of `greybox.solve.executors` says of Dask's workers: without it IPOPT takes
+# twice as long.
 MALLOC = {"MALLOC_TRIM_THRESHOLD_": "2000000000", "MALLOC_MMAP_THRESHOLD_": "2000000000"}
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 WORKERS = 2
@@ -45,7 +47,9 @@ def dask_executor(stack):
         )
         stack.callback(process.wait)
         stack.callback(process.kill)
-    client = stack.enter_context(Client(scheduler_file=str(Path(folder) / "scheduler.json"), timeout=120))
+    client = stack.enter_context(
+        Client(scheduler_file=str(Path(folder) / "scheduler.json"), timeout=120)
+    )
     client.wait_for_workers(WORKERS, timeout=120)
     return client.get_executor()
 
@@ -53,7 +57,15 @@ def dask_executor(stack):
 def seconds(problem, starts, executor):
     """Return how long a fit takes, and its runs."""
     began = time.perf_counter()
-    fit = gb.fit(problem, starts, seed=1, search="multistart", executor=executor, progress=False, profiles=False)
+    fit = gb.fit(
+        problem,
+        starts,
+        seed=1,
+        search="multistart",
+        executor=executor,
+        progress=False,
+        profiles=False,
+    )
     return time.perf_counter() - began, [run.cost for run in fit.runs]
 
 
@@ -67,7 +79,9 @@ def main():
     os.environ.update(THREADS)
     problem = hard()["resonances"]
     load = os.getloadavg()[0]
-    lines = [f"parallel_speed.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, load {load:.1f}"]
+    lines = [
+        f"parallel_speed.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, load {load:.1f}"
+    ]
     found = {name: [] for name in LEAST}
     with ExitStack() as stack:
         executors = {

@@ -2,8 +2,9 @@
 
 python benchmarks/planned_tests.py [--flights 40] [--output FILE]
 
-The tilt dynamics of the paper under a sampled controller with a noisy angle: the record of every flight is fitted by
-output error, and the scatter of the estimates is held against the expected standard errors.
+The tilt dynamics of the paper under a sampled controller with a noisy angle: the record of every
+flight is fitted by output error, and the scatter of the estimates is held against the expected
+standard errors.
 """
 
 import argparse
@@ -47,7 +48,9 @@ def equally_spaced(plan: SinePlan) -> gb.experiment.Excitation:
     low, high = 1.0, plan.flight_time
     for _ in range(40):
         least = (low + high) / 2
-        made = sine_schedule(omega.tolist(), amplitude.tolist(), periods=1, least=least, rate=plan.rate)
+        made = sine_schedule(
+            omega.tolist(), amplitude.tolist(), periods=1, least=least, rate=plan.rate
+        )
         low, high = (least, high) if made.time[-1] < plan.flight_time else (low, least)
     return sine_schedule(omega.tolist(), amplitude.tolist(), periods=1, least=low, rate=plan.rate)
 
@@ -57,9 +60,16 @@ def scatter(excitation: gb.experiment.Excitation, flights: int) -> tuple[np.ndar
     estimates, printed = [], []
     for seed in range(flights):
         record = gb.virtual_flight(
-            NonlinearTilt(), VALUES, excitation, controller=CONTROLLER, noise={"theta": NOISE}, seed=seed
+            NonlinearTilt(),
+            VALUES,
+            excitation,
+            controller=CONTROLLER,
+            noise={"theta": NOISE},
+            seed=seed,
         )
-        measured = {name: record[name] for name in ("u", "theta")}  # a velocity without noise would tell everything
+        measured = {
+            name: record[name] for name in ("u", "theta")
+        }  # a velocity without noise would tell everything
         hold = {name: record.hold[name] for name in measured}
         data = gb.Record(record.time, measured, hold=hold)
         problem = gb.Problem(NonlinearTilt(), data, fixed={"C_x": 0.05})
@@ -77,11 +87,18 @@ def main() -> None:
     parser.add_argument("--output")
     options = parser.parse_args()
     plan = planned()
-    lines = [f"{date.today()}, greybox-id {version('greybox-id')}, {options.flights} flights each", "", str(plan), ""]
+    lines = [
+        f"{date.today()}, greybox-id {version('greybox-id')}, {options.flights} flights each",
+        "",
+        str(plan),
+        "",
+    ]
     found, printed = scatter(plan.excitation(), options.flights)
     spaced, _ = scatter(equally_spaced(plan), options.flights)
     expected = np.array([plan.standard_error[name] for name in WANTED])
-    lines.append("                    " + "".join(f"{name:>8}" for name in WANTED) + "  geometric mean")
+    lines.append(
+        "                    " + "".join(f"{name:>8}" for name in WANTED) + "  geometric mean"
+    )
     for label, ratio in (
         ("achieved/expected", found / expected),
         ("printed/expected", printed / expected),

@@ -2,10 +2,11 @@
 
 python benchmarks/process_noise.py [--repeats 200] [--output benchmarks/results/process_noise.txt]
 
-A spring (two outputs, noise on its velocity) and a lateral aircraft (five outputs, noise on three states) are simulated
-exactly, with white noise on derivatives and sensors, and fitted with `PredictionError(process_noise=...)` from the
-truth. Counted is how often the 95 % interval of every parameter holds the truth. Then the spring without process noise:
-how often the test of output error against filter error finds some, by one candidate and by two.
+A spring (two outputs, noise on its velocity) and a lateral aircraft (five outputs, noise on three
+states) are simulated exactly, with white noise on derivatives and sensors, and fitted with
+`PredictionError(process_noise=...)` from the truth. Counted is how often the 95 % interval of every
+parameter holds the truth. Then the spring without process noise: how often the test of output error
+against filter error finds some, by one candidate and by two.
 """
 
 import argparse
@@ -34,14 +35,22 @@ def fitted(model: Any, truth: Any, record: gb.Record, rule: Any) -> gb.Fit:
     return gb.fit(gb.Problem(model, record, rule), starts=[truth], progress=False)
 
 
-def coverage(name: str, model: Any, truth: Any, process: Any, sensors: Any, size: Any, repeats: int) -> str:
+def coverage(
+    name: str, model: Any, truth: Any, process: Any, sensors: Any, size: Any, repeats: int
+) -> str:
     began, hits, failed = time.perf_counter(), [], 0
     samples, step, amplitude = size
-    wanted = truth | {f"w_{n}": v for n, v in process.items()} | {f"v_{n}": v for n, v in sensors.items()}
+    wanted = (
+        truth
+        | {f"w_{n}": v for n, v in process.items()}
+        | {f"v_{n}": v for n, v in sensors.items()}
+    )
     rule = gb.PredictionError(process_noise=tuple(process), inputs="held")
     for seed in range(repeats):
         inputs = doublets(len(model.inputs), samples, amplitude, seed)
-        fit = fitted(model, truth, disturbed(model, truth, inputs, step, process, sensors, seed), rule)
+        fit = fitted(
+            model, truth, disturbed(model, truth, inputs, step, process, sensors, seed), rule
+        )
         if not fit.converged:
             failed += 1
             continue
@@ -58,7 +67,9 @@ def false_alarms(states: tuple[str, ...], repeats: int) -> str:
     for seed in range(repeats):
         record = disturbed(Spring(), TRUTH, doublets(1, 600, 1.0, seed), 0.05, {}, SENSORS, seed)
         small = fitted(Spring(), TRUTH, record, gb.OutputError(inputs="held"))
-        large = fitted(Spring(), TRUTH, record, gb.PredictionError(process_noise=states, inputs="held"))
+        large = fitted(
+            Spring(), TRUTH, record, gb.PredictionError(process_noise=states, inputs="held")
+        )
         values.append(gb.validation.nested_test(small, large).p_value)
     share = [100 * np.mean(np.array(values) < level) for level in (0.05, 0.1)]
     found = f"{share[0]:.1f} % found at 5 %, {share[1]:.1f} % at 10 %"
@@ -66,15 +77,21 @@ def false_alarms(states: tuple[str, ...], repeats: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=200)
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
-    lines = [f"greybox {gb.__version__}, {dt.date.today()}, Python {platform.python_version()}, numpy {np.__version__}"]
+    lines = [
+        f"greybox {gb.__version__}, {dt.date.today()}, Python {platform.python_version()}, numpy {np.__version__}"
+    ]
     n = options.repeats
     for make in (
         lambda: coverage("spring", Spring(), TRUTH, {"v": 0.3}, SENSORS, (600, 0.05, 1.0), n),
-        lambda: coverage("lateral aircraft", Lateral(), LATERAL, WIND, AIRCRAFT, (500, 0.04, 0.1), n),
+        lambda: coverage(
+            "lateral aircraft", Lateral(), LATERAL, WIND, AIRCRAFT, (500, 0.04, 0.1), n
+        ),
         lambda: false_alarms(("v",), n),
         lambda: false_alarms(("x", "v"), n),
     ):

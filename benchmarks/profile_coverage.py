@@ -2,9 +2,9 @@
 
 python benchmarks/profile_coverage.py [--repeats 1000] [--output benchmarks/results/profile_coverage.txt]
 
-A model whose pole lies far above the band, so that the data bound it on one side alone, and the tilt model of the
-paper; isotropic errors of one relative size, independent or an autoregression from point to point. Standard errors of
-the first are of no use, which its column shows.
+A model whose pole lies far above the band, so that the data bound it on one side alone, and the
+tilt model of the paper; isotropic errors of one relative size, independent or an autoregression
+from point to point. Standard errors of the first are of no use, which its column shows.
 """
 
 import argparse
@@ -32,7 +32,13 @@ class OneSided(gb.TransferFunction):
 
 CELLS = (
     ("one-sided", OneSided(), {"b": 800.0, "a": 400.0}, np.geomspace(0.3, 30, 15), ("a",)),
-    ("tilt", Tilt(), {"a1": -13.6, "a2": 2.77, "a3": 8.52, "a4": 294.0}, np.geomspace(1, 40, 12), ("a1", "a4")),
+    (
+        "tilt",
+        Tilt(),
+        {"a1": -13.6, "a2": 2.77, "a3": 8.52, "a4": 294.0},
+        np.geomspace(1, 40, 12),
+        ("a1", "a4"),
+    ),
 )
 
 
@@ -51,7 +57,9 @@ def main() -> None:
     ]
     for name, model, truth, omega, names in CELLS:
         for errors in ((0.05, 0.0), (0.1, 0.0), (0.05, 0.3), (0.05, 0.6)):
-            lines += _cell(name, model, truth, omega, names, errors, options.repeats, seed=options.seed)
+            lines += _cell(
+                name, model, truth, omega, names, errors, options.repeats, seed=options.seed
+            )
             print("\n".join(lines[-len(names) :]), flush=True)
     if options.output:
         options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -68,7 +76,9 @@ def _cell(name, model, truth, omega, names, size_and_correlation, repeats, *, se
         errors = sigma * (rng.normal(size=omega.size) + 1j * rng.normal(size=omega.size))
         for k in range(1, omega.size if correlation else 0):
             errors[k] = correlation * errors[k - 1] + np.sqrt(1 - correlation**2) * errors[k]
-        data = gb.FrequencyResponse(omega, clean.response * (1 + errors), input=clean.input, output=clean.output)
+        data = gb.FrequencyResponse(
+            omega, clean.response * (1 + errors), input=clean.input, output=clean.output
+        )
         fit = gb.fit(gb.Problem(model, data), starts=3, profiles=False, progress=False)
         try:
             intervals = gb.profile(fit, names, fresh_starts=0).intervals

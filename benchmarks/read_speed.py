@@ -2,10 +2,11 @@
 
 python benchmarks/read_speed.py [LOG.BIN] [--messages ATT RATE] [--megabytes 20] [--rounds 5]
 
-Without a file it makes one: attitude and rates at 400 Hz, two IMUs at 100 Hz, GPS at 5 Hz. Every round measures both,
-one after the other, so that the ratio does not depend on how busy the machine is; pymavlink is timed from opening the
-file to the last `recv_match`, no field being looked at. Peak memory is that of a fresh process, less what it has after
-importing (VmHWM of Linux; the pages of the file count).
+Without a file it makes one: attitude and rates at 400 Hz, two IMUs at 100 Hz, GPS at 5 Hz. Every
+round measures both, one after the other, so that the ratio does not depend on how busy the machine
+is; pymavlink is timed from opening the file to the last `recv_match`, no field being looked at.
+Peak memory is that of a fresh process, less what it has after importing (VmHWM of Linux; the pages
+of the file count).
 """
 
 import argparse
@@ -58,8 +59,20 @@ def synthetic(path: Path, megabytes: float) -> None:
         "skk-kk-kk-oo-",
         "F?????????BB-",
     )
-    log.fmt("IMU", "QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz", "s#", "F-")
-    log.fmt("GPS", "QBBIHBcLLeffffB", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U", "s#", "F-")
+    log.fmt(
+        "IMU",
+        "QBffffffIIfBBHH",
+        "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz",
+        "s#",
+        "F-",
+    )
+    log.fmt(
+        "GPS",
+        "QBBIHBcLLeffffB",
+        "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U",
+        "s#",
+        "F-",
+    )
     header, log.parts, log.lines = log.binary, [], []
     for i in range(400):  # one second, repeated with other times
         at = 2500 * i
@@ -67,9 +80,38 @@ def synthetic(path: Path, megabytes: float) -> None:
         log.add("RATE", at + 100, *[0.1 * k for k in range(12)])
         if i % 4 == 0:
             for lane in (0, 1):
-                log.add("IMU", at + 200, lane, *[0.1 * k for k in range(6)], 0, 0, 35.0, 1, 1, 1000, 1000)
+                log.add(
+                    "IMU",
+                    at + 200,
+                    lane,
+                    *[0.1 * k for k in range(6)],
+                    0,
+                    0,
+                    35.0,
+                    1,
+                    1,
+                    1000,
+                    1000,
+                )
         if i % 80 == 0:
-            log.add("GPS", at + 300, 0, 3, 1000, 2200, 12, 0.8, -35.36, 149.16, 584.0, 1.0, 90.0, 0.0, 0.0, 1)
+            log.add(
+                "GPS",
+                at + 300,
+                0,
+                3,
+                1000,
+                2200,
+                12,
+                0.8,
+                -35.36,
+                149.16,
+                584.0,
+                1.0,
+                90.0,
+                0.0,
+                0.0,
+                1,
+            )
     second = np.frombuffer(log.binary, dtype=np.uint8).copy()
     stamps = np.cumsum([0] + [len(part) for part in log.parts[:-1]]) + 3
     ticks = np.array([int.from_bytes(part[3:11], "little") for part in log.parts])
@@ -90,7 +132,11 @@ def ours(path: Path, messages: list[str] | None) -> float:
 
 def theirs(path: Path, messages: list[str] | None) -> float:
     """Iterate with pymavlink; s."""
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+    with (
+        open(os.devnull, "w") as nowhere,
+        contextlib.redirect_stdout(nowhere),
+        contextlib.redirect_stderr(nowhere),
+    ):
         began = time.perf_counter()
         log = DFReader_binary(str(path))
         while log.recv_match(type=messages) is not None:
@@ -119,14 +165,18 @@ def measure(path: Path, messages: list[str] | None, rounds: int) -> None:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("log", type=Path, nargs="?")
     parser.add_argument("--messages", nargs="+", default=["ATT", "RATE"])
     parser.add_argument("--megabytes", type=float, default=20)
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     versions = ", ".join(f"{name} {version(name)}" for name in ("greybox-id", "pymavlink", "numpy"))
-    print(f"{date.today()}, {versions}, python {platform.python_version()}; medians of {options.rounds} rounds")
+    print(
+        f"{date.today()}, {versions}, python {platform.python_version()}; medians of {options.rounds} rounds"
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = options.log or Path(folder) / "synthetic.BIN"
         if not options.log:

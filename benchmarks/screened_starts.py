@@ -1,13 +1,15 @@
 """Starts of a nonlinear aircraft in wide boxes: plain ones, and the search from twenty that are screened.
 
-``python benchmarks/screened_starts.py --times 10 --seeds 100 --out benchmarks/results/screened_starts.txt`` fits the
-longitudinal motion of a transport (four states, two inputs, seven outputs, 601 samples at 10 Hz, 15 parameters), in
-boxes of so many times the values on both sides of zero. The equations are those of Jategaonkar, Flight Vehicle System
-Identification, 2nd ed. (AIAA, 2015), test case 4; the record is simulated, with values of the size that is known of
-such an aircraft, and white noise.
+``python benchmarks/screened_starts.py --times 10 --seeds 100 --out
+benchmarks/results/screened_starts.txt`` fits the longitudinal motion of a transport (four states,
+two inputs, seven outputs, 601 samples at 10 Hz, 15 parameters), in boxes of so many times the
+values on both sides of zero. The equations are those of Jategaonkar, Flight Vehicle System
+Identification, 2nd ed. (AIAA, 2015), test case 4; the record is simulated, with values of the size
+that is known of such an aircraft, and white noise.
 
-For every seed: one plain start, the first of twenty Sobol points, and the search that `greybox.fit` makes by default
-from all of them, but without the declared values, which are the truth here. Times are of the processor.
+For every seed: one plain start, the first of twenty Sobol points, and the search that `greybox.fit`
+makes by default from all of them, but without the declared values, which are the truth here. Times
+are of the processor.
 """
 
 import argparse
@@ -35,7 +37,11 @@ VALUES = {
 NOISE = {"V": 0.2, "alpha": 0.002, "theta": 0.001, "q": 0.001, "qdot": 0.01, "ax": 0.03, "az": 0.1}
 TRIM = {"V": 106.0, "alpha": 0.112, "theta": 0.105, "q": 0.0}
 V0, MASS, TILT = 104.67, 7472.0, 0.0524  # m/s, kg, rad
-AREA, MOMENT, THRUST = 4.028e-3, 8.0027e-4, -7.0153e-6  # S/m, S c/I_y, and the arm of the thrust over I_y
+AREA, MOMENT, THRUST = (
+    4.028e-3,
+    8.0027e-4,
+    -7.0153e-6,
+)  # S/m, S c/I_y, and the arm of the thrust over I_y
 
 
 def coefficients(x, u, p):
@@ -60,7 +66,9 @@ class Longitudinal(gb.StateSpace):
         path = x.theta - x.alpha
         return (
             -AREA * pressure * drag + u.T * gb.cos(x.alpha + TILT) / MASS - gb.g * gb.sin(path),
-            x.q + (gb.g * gb.cos(path) - AREA * pressure * lift - u.T * gb.sin(x.alpha + TILT) / MASS) / x.V,
+            x.q
+            + (gb.g * gb.cos(path) - AREA * pressure * lift - u.T * gb.sin(x.alpha + TILT) / MASS)
+            / x.V,
             x.q,
             MOMENT * pressure * moment + THRUST * u.T,
         )
@@ -84,7 +92,8 @@ class Longitudinal(gb.StateSpace):
 def in_boxes(times):
     """Return the model with boxes of so many times its values."""
     boxes = {
-        name: gb.Parameter(value, bounds=(-times * abs(value), times * abs(value))) for name, value in VALUES.items()
+        name: gb.Parameter(value, bounds=(-times * abs(value), times * abs(value)))
+        for name, value in VALUES.items()
     }
     return type("Longitudinal", (Longitudinal,), boxes)()
 
@@ -109,7 +118,9 @@ def flight():
     inputs = {"de": elevator, "T": thrust}
     simulated = gb.simulate(in_boxes(10), VALUES, gb.Record(time_s, inputs), initial=TRIM)
     rng = np.random.default_rng(0)
-    measured = {name: simulated[name] + size * rng.standard_normal(601) for name, size in NOISE.items()}
+    measured = {
+        name: simulated[name] + size * rng.standard_normal(601) for name, size in NOISE.items()
+    }
     return gb.Record(time_s, {**inputs, **measured})
 
 
@@ -125,7 +136,9 @@ def main():
     solver = GaussNewton(nlp)
     best = solver.run(np.array([VALUES[name] for name in nlp.free])).cost
     parameters = {name: problem.parameters[name] for name in nlp.free}
-    solver.screened(gb.solve.Sobol(20, options.seeds).draw(parameters))  # its functions are built once
+    solver.screened(
+        gb.solve.Sobol(20, options.seeds).draw(parameters)
+    )  # its functions are built once
     plain, screened, runs = [], [], 0
     for seed in range(options.seeds):
         starts = gb.solve.Sobol(20, seed).draw(parameters)

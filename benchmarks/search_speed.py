@@ -2,16 +2,17 @@
 
 python benchmarks/search_speed.py [--starts 1000] [--seeds 100] [--bare 100]
 
-The bare loop minimizes one SX function of unscaled variables, the root of (4.26) smoothed by 1e-14, with IPOPT's
-default options, from Latin hypercube starts. A start counts when it ended at a minimum of its own (projected gradient
-of at most 1e-6 in units of the starts' box), and is a success when its cost is within 0.1 % of the lowest that anything
-found.
+The bare loop minimizes one SX function of unscaled variables, the root of (4.26) smoothed by 1e-14,
+with IPOPT's default options, from Latin hypercube starts. A start counts when it ended at a minimum
+of its own (projected gradient of at most 1e-6 in units of the starts' box), and is a success when
+its cost is within 0.1 % of the lowest that anything found.
 
-Times are those of the processor, since machines are shared. Time per success: `gb.fit` with that many starts,
-everything included but the imports, against the bare loop without the building of its solver. Time to the global
-minimum: the default search, from a problem and a solver that are built, against as many starts of the bare loop as
-reach the minimum in 997 of 1000 cases. The first five are the fits of the paper; from a plain start the others, but for
-the joint operating points, reach their minimum in less than half of the cases.
+Times are those of the processor, since machines are shared. Time per success: `gb.fit` with that
+many starts, everything included but the imports, against the bare loop without the building of its
+solver. Time to the global minimum: the default search, from a problem and a solver that are built,
+against as many starts of the bare loop as reach the minimum in 997 of 1000 cases. The first five
+are the fits of the paper; from a plain start the others, but for the joint operating points, reach
+their minimum in less than half of the cases.
 """
 
 import argparse
@@ -28,7 +29,14 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.formulation.starts import LatinHypercube, Sobol
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.polynomial import Polynomial
-from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, roll_hover, rotors, yaw_hover
+from greybox.problems import (
+    pitch_5deg,
+    pitch_hover,
+    pitch_operating_points,
+    roll_hover,
+    rotors,
+    yaw_hover,
+)
 from greybox.solve.multistart import multistart, solver_for
 from greybox.solve.waves import PromisingFirst
 
@@ -85,7 +93,16 @@ def measured(model, values, low, high, noise=0.03, points=40):
 
 def hard():
     """Return the problems on which a plain start mostly fails, by name."""
-    two = {"K": 2.0, "w1": 8.0, "w2": 60.0, "wz": 25.0, "d1": 0.05, "d2": 0.03, "dz": 0.04, "tau": 0.012}
+    two = {
+        "K": 2.0,
+        "w1": 8.0,
+        "w2": 60.0,
+        "wz": 25.0,
+        "d1": 0.05,
+        "d2": 0.03,
+        "dz": 0.04,
+        "tau": 0.012,
+    }
     resonances = measured(Resonances(), two, 1, 150)
     return {
         "resonances": gb.Problem(Resonances(), resonances),
@@ -114,11 +131,17 @@ class Bare:
             cost += part.weight * own.criterion.cost(re_im, own.response, 1e-14)
         self.cost = ca.Function("cost", [x], [cost])
         self.gradient = ca.Function("gradient", [x], [ca.gradient(cost, x)])
-        quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}, "show_eval_warnings": False}
+        quiet = {
+            "print_time": False,
+            "ipopt": {"print_level": 0, "sb": "yes"},
+            "show_eval_warnings": False,
+        }
         self.solver = ca.nlpsol("bare", "ipopt", {"x": x, "f": cost}, quiet)
         self.bounds = {"lbx": nlp.lower, "ubx": nlp.upper}
         self.parameters = {name: problem.parameters[name] for name in nlp.free}
-        self.width = np.array([high - low for low, high in (p.box for p in self.parameters.values())])
+        self.width = np.array(
+            [high - low for low, high in (p.box for p in self.parameters.values())]
+        )
 
     def run(self, number):
         """Return seconds a start, and the costs of the starts that ended at a minimum."""
@@ -131,7 +154,11 @@ class Bare:
     def is_minimum(self, x):
         """Tell whether the projected gradient vanishes, in units of the box."""
         gradient = np.asarray(self.gradient(x)).ravel() * self.width
-        z, low, high = x / self.width, self.bounds["lbx"] / self.width, self.bounds["ubx"] / self.width
+        z, low, high = (
+            x / self.width,
+            self.bounds["lbx"] / self.width,
+            self.bounds["ubx"] / self.width,
+        )
         # IPOPT stays 1e-8 away from its bounds.
         return bool(np.all(np.abs(z - np.clip(z - gradient, low, high)) <= 1e-6 + 2e-8))
 
@@ -140,7 +167,11 @@ def time_per_success(problem, options, lowest):
     """Return seconds a success of the whole fit, and the share of its starts that are one."""
     began = time.process_time()
     fit = gb.fit(
-        problem, LatinHypercube(options.starts, seed=1), search=options.search, compile=options.compile, progress=False
+        problem,
+        LatinHypercube(options.starts, seed=1),
+        search=options.search,
+        compile=options.compile,
+        progress=False,
     )
     seconds = time.process_time() - began
     successes = sum(run.converged and run.cost <= SUCCESS * lowest for run in fit.runs)
@@ -166,18 +197,30 @@ def default_searches(problem, options, lowest):
 
 def main():
     """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--starts", type=int, default=1000)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--bare", type=int, default=100)
     parser.add_argument("--search", default="batched")
-    parser.add_argument("--compile", action="store_true", help="of the fits; run twice for a warm cache")
+    parser.add_argument(
+        "--compile", action="store_true", help="of the fits; run twice for a warm cache"
+    )
     parser.add_argument("--only", nargs="+", help="names of problems")
     options = parser.parse_args()
-    print(f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}")
-    print(f"bare loop: {options.bare} starts; fit: {options.starts} starts; default searches: {options.seeds} seeds")
+    print(
+        f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}"
+    )
+    print(
+        f"bare loop: {options.bare} starts; fit: {options.starts} starts; default searches: {options.seeds} seeds"
+    )
     problems = {module.__name__.rpartition(".")[2]: module.problem() for module in PAPER} | hard()
-    problems = {name: problem for name, problem in problems.items() if not options.only or name in options.only}
+    problems = {
+        name: problem
+        for name, problem in problems.items()
+        if not options.only or name in options.only
+    }
     ratios = []
     for name, problem in problems.items():
         bare = Bare(problem)
@@ -193,7 +236,11 @@ def main():
             flush=True,
         )
         seconds, found, brought = default_searches(problem, options, lowest)
-        needed = math.ceil(math.log(1 - SURE) / math.log(1 - min(bare_share, 0.99))) if bare_share else math.inf
+        needed = (
+            math.ceil(math.log(1 - SURE) / math.log(1 - min(bare_share, 0.99)))
+            if bare_share
+            else math.inf
+        )
         print(
             f"{'':18} default search {1e3 * seconds:6.1f} ms, {100 * found:5.1f} %, {brought:5.1f} runs; bare loop for "
             f"{100 * SURE:.1f} %: {needed} starts, {1e3 * needed * bare_seconds:6.1f} ms: "
@@ -201,7 +248,9 @@ def main():
             flush=True,
         )
     if ratios:
-        print(f"time per success, fits of the paper: {math.exp(np.mean(np.log(ratios))):.1f} times, geometric mean")
+        print(
+            f"time per success, fits of the paper: {math.exp(np.mean(np.log(ratios))):.1f} times, geometric mean"
+        )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Runs that meet on excerpts of a record, and runs alone: how many end at the best minimum.
 
-``python benchmarks/shared_runs.py --starts 12 --out benchmarks/results/shared_runs.txt`` runs both from the same Sobol
-points of the problems of `ablation.py` of 300 samples and more, predictors left out. Excerpts are asked for whatever
-the length, so that most of these records are far shorter than those whose starts share runs by default: a hard case.
-Times are of the processor.
+``python benchmarks/shared_runs.py --starts 12 --out benchmarks/results/shared_runs.txt`` runs both
+from the same Sobol points of the problems of `ablation.py` of 300 samples and more, predictors left
+out. Excerpts are asked for whatever the length, so that most of these records are far shorter than
+those whose starts share runs by default: a hard case. Times are of the processor.
 """
 
 import argparse
@@ -54,7 +54,9 @@ def main():
         shared = SharedRuns.of(solver) if samples >= FEWEST else None
         if shared is None:
             continue
-        starts = gb.solve.Sobol(options.starts, 1).draw({own: problem.parameters[own] for own in nlp.free})
+        starts = gb.solve.Sobol(options.starts, 1).draw(
+            {own: problem.parameters[own] for own in nlp.free}
+        )
         (alone, seconds), (costs, shorter) = ended(solver, starts), ended(shared, starts)
         found = [int(np.sum(each <= case.best + case.within)) for each in (alone, costs)]
         total += [len(starts), *found]
@@ -63,7 +65,9 @@ def main():
             f"{len(shared._known[0])}"
         )
         print(lines[-1], flush=True)
-    lines.append(f"of {total[0]} runs {total[1]} alone and {total[2]} shared end at the best minimum")
+    lines.append(
+        f"of {total[0]} runs {total[1]} alone and {total[2]} shared end at the best minimum"
+    )
     print("\n".join([lines[0], lines[-1]]))
     if options.out is not None:
         options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")

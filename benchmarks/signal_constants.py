@@ -2,13 +2,14 @@
 
 python benchmarks/signal_constants.py [detection] [windows] [polynomials]
 
-Detection: of 15 spoiled schedules of six sines and 20 noisy pairs (signal to noise 6 to 100), those found entirely; of
-24 sweeps, those in which no sine was found, and those that were found as one sweep; of 16 signals without a sine
-(noise, random walks, squares, steps), those in which none of 3 s was found; and sines of any length found in them.
+Detection: of 15 spoiled schedules of six sines and 20 noisy pairs (signal to noise 6 to 100), those
+found entirely; of 24 sweeps, those in which no sine was found, and those that were found as one
+sweep; of 16 signals without a sine (noise, random walks, squares, steps), those in which none of 3
+s was found; and sines of any length found in them.
 
-Windows and polynomials: root mean square error in percent of the response of a resonance of 6 rad/s, damped by 0.3 and
-by 0.05, from 12 records of 60 s with a sweep and 12 with white noise, output noise 0.02, 12 frequencies from 1.5 to 12
-rad/s.
+Windows and polynomials: root mean square error in percent of the response of a resonance of 6
+rad/s, damped by 0.3 and by 0.05, from 12 records of 60 s with a sweep and 12 with white noise,
+output noise 0.02, 12 frequencies from 1.5 to 12 rad/s.
 """
 
 import math
@@ -96,8 +97,15 @@ def sweeps(rng):
         duration = rng.uniform(30, 90)
         t = np.arange(0, duration, STEP)
         x = t / duration
-        phase = low * duration * ((factor**x - 1) / math.log(factor) if k % 2 else x + (factor - 1) * x**2 / 2)
-        yield [run.kind for run in sine_detection.sines_and_sweeps(t, np.sin(phase)[:: -1 if k % 4 > 1 else 1])]
+        phase = (
+            low
+            * duration
+            * ((factor**x - 1) / math.log(factor) if k % 2 else x + (factor - 1) * x**2 / 2)
+        )
+        yield [
+            run.kind
+            for run in sine_detection.sines_and_sweeps(t, np.sin(phase)[:: -1 if k % 4 > 1 else 1])
+        ]
 
 
 def without_sines():
@@ -105,8 +113,17 @@ def without_sines():
     for seed in range(4):
         rng = np.random.default_rng(seed)
         white = rng.standard_normal(t.size)
-        for values in (white, np.cumsum(white), np.sign(np.sin(2 * t)), np.repeat(rng.standard_normal(60), 100)):
-            yield [run.duration for run in sine_detection.sines_and_sweeps(t, values) if run.kind == "sine"]
+        for values in (
+            white,
+            np.cumsum(white),
+            np.sign(np.sin(2 * t)),
+            np.repeat(rng.standard_normal(60), 100),
+        ):
+            yield [
+                run.duration
+                for run in sine_detection.sines_and_sweeps(t, values)
+                if run.kind == "sine"
+            ]
 
 
 def detection_row(label):
@@ -130,13 +147,19 @@ def window_error(damping, kind, windows):
         u = rng.standard_normal(60 * RATE) if kind == "noise" else flown_sweep()
         y = lfilter(b, a, u) + 0.02 * rng.standard_normal(u.size)
         omega = np.geomspace(1.5, 12, 12)
-        got = composite_windows.spectral_response(record(u=u, theta=y), omega=omega, windows=windows)
+        got = composite_windows.spectral_response(
+            record(u=u, theta=y), omega=omega, windows=windows
+        )
         squares.append(np.abs(got.response / freqz(b, a, got.omega / RATE)[1] - 1) ** 2)
     return 100 * math.sqrt(np.mean(squares))
 
 
 def window_row(label, windows=LENGTHS):
-    errors = [window_error(damping, kind, windows) for kind in ("sweep", "noise") for damping in (0.3, 0.05)]
+    errors = [
+        window_error(damping, kind, windows)
+        for kind in ("sweep", "noise")
+        for damping in (0.3, 0.05)
+    ]
     print(f"{label:34} " + " ".join(f"{error:10.2f}" for error in errors), flush=True)
 
 
@@ -153,14 +176,20 @@ def vary(module, constants, row):
 def main():
     chosen = sys.argv[1:] or ["detection", "windows", "polynomials"]
     if "detection" in chosen:
-        print(f"{'':34} {'schedules':9} {'noisy':6} {'no sine':8} {'one sweep':10} {'none':8} {'spurious':9}")
+        print(
+            f"{'':34} {'schedules':9} {'noisy':6} {'no sine':8} {'one sweep':10} {'none':8} {'spurious':9}"
+        )
         print(f"{'of':34} {15:9} {20:6} {24:8} {24:10} {16:8}")
         vary(sine_detection, DETECTION, detection_row)
     if "windows" in chosen:
-        print(f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}")
+        print(
+            f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}"
+        )
         vary(composite_windows, WINDOWS, window_row)
     if "polynomials" in chosen:
-        print(f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}")
+        print(
+            f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}"
+        )
         vary(local_polynomials, POLYNOMIALS, lambda label: window_row(label, None))
 
 

@@ -2,13 +2,14 @@
 
 python benchmarks/spectral_coverage.py [--repeats 200] [--only example] [--output FILE]
 
-Records with noise, their spectral estimate with its defaults, and a fit of all parameters by maximum likelihood from
-the truth. To be quick the fit is one of scipy with the same cost and the same standard errors
-(`tests/support/known_systems.py`); the first records of the example are fitted by `gb.fit` too, and the table says how
-far the standard errors differ.
+Records with noise, their spectral estimate with its defaults, and a fit of all parameters by
+maximum likelihood from the truth. To be quick the fit is one of scipy with the same cost and the
+same standard errors (`tests/support/known_systems.py`); the first records of the example are fitted
+by `gb.fit` too, and the table says how far the standard errors differ.
 
-Printed: points and degrees of freedom of their variances; the squared error of a point over its variance; per parameter
-the share of intervals that hold the truth, and the root mean square of the error over the standard error.
+Printed: points and degrees of freedom of their variances; the squared error of a point over its
+variance; per parameter the share of intervals that hold the truth, and the root mean square of the
+error over the standard error.
 """
 
 import argparse
@@ -36,7 +37,11 @@ CELLS: dict[str, tuple[System, str, dict[str, float]]] = {
     "example, linear sweep": (EXAMPLE, "linear", {}),
     "example, logarithmic sweep, noise 1 %": (EXAMPLE, "logarithmic", {"noise": 0.01}),
     "example, logarithmic sweep, noise AR(0.95)": (EXAMPLE, "logarithmic", {"pole": 0.95}),
-    "example, noise, 400 s, 20 Hz, noise 30 %": (EXAMPLE, "noise", {"duration": 400.0, "rate": 20.0, "noise": 0.3}),
+    "example, noise, 400 s, 20 Hz, noise 30 %": (
+        EXAMPLE,
+        "noise",
+        {"duration": 400.0, "rate": 20.0, "noise": 0.3},
+    ),
     "lag, sweep of CIFER, 60 s": (LAG, "cifer", {"duration": 60.0}),
     "notch, linear sweep, 90 s, 50 Hz": (NOTCH, "linear", {"duration": 90.0, "rate": 50.0}),
     "mode damped by 0.08, sweep of CIFER": (MODE, "cifer", {}),
@@ -65,7 +70,9 @@ def cell(label: str, repeats: int, seed: int, say: Callable[[str], None]) -> Non
     system, kind, options = CELLS[label]
     scores, squares, points, dof, differ = [], [], [], [], 0.0
     for k in range(repeats):
-        data = spectral_response(flown(system, kind, np.random.default_rng([seed, k]), **options), "u", "y")
+        data = spectral_response(
+            flown(system, kind, np.random.default_rng([seed, k]), **options), "u", "y"
+        )
         estimate, error = maximum_likelihood(system, data)
         scores.append((estimate - system.truth) / error)
         misses = np.abs(data.response - system.response(1j * data.omega, system.truth)) ** 2
@@ -74,8 +81,12 @@ def cell(label: str, repeats: int, seed: int, say: Callable[[str], None]) -> Non
         dof.append(np.median(data.dof))
         if system is EXAMPLE and k < CHECKS:
             start = dict(zip(("b1", "b0", "a1", "a0", "T"), system.truth.tolist(), strict=True))
-            fit = gb.fit(gb.Problem(Example(), data, gb.MaximumLikelihood()), starts=[start], progress=False)
-            differ = max(differ, float(np.abs(np.array([*fit.standard_error.values()]) / error - 1).max()))
+            fit = gb.fit(
+                gb.Problem(Example(), data, gb.MaximumLikelihood()), starts=[start], progress=False
+            )
+            differ = max(
+                differ, float(np.abs(np.array([*fit.standard_error.values()]) / error - 1).max())
+            )
 
     held = 100 * np.mean(np.abs(scores) < 1.96, axis=0)
     rms = np.sqrt(np.mean(np.square(scores), axis=0))
@@ -90,7 +101,9 @@ def cell(label: str, repeats: int, seed: int, say: Callable[[str], None]) -> Non
 
 def main() -> None:
     """Run the chosen cells."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="")
@@ -108,7 +121,9 @@ def main() -> None:
         f"{options.repeats} records a cell, seed {options.seed}; greybox {gb.__version__}, Python "
         f"{platform.python_version()}, numpy {np.__version__}, {dt.datetime.now(tz=dt.UTC):%Y-%m-%d}"
     )
-    say(f"{'':44} points   dof  |e|²/v   held, %{'':25} rms of error / standard error; gb.fit differs by")
+    say(
+        f"{'':44} points   dof  |e|²/v   held, %{'':25} rms of error / standard error; gb.fit differs by"
+    )
     for label in CELLS:
         if options.only in label:
             cell(label, options.repeats, options.seed, say)

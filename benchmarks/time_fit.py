@@ -3,18 +3,20 @@
 python benchmarks/time_fit.py [--parts speed growth starts errors records] [--long]
                              [--output benchmarks/results/time_fit.txt]
 
-The unstable tilt plant of `time_references.py`, three outputs, five parameters, 60 s at 100 Hz. The rivals are one
-multiple-shooting NLP for IPOPT (twice: with CasADi's derivatives of the whole, and with blocks placed by hand) and
-scipy.optimize.least_squares around segments of one second (from measured and from unknown initial states).
+The unstable tilt plant of `time_references.py`, three outputs, five parameters, 60 s at 100 Hz. The
+rivals are one multiple-shooting NLP for IPOPT (twice: with CasADi's derivatives of the whole, and
+with blocks placed by hand) and scipy.optimize.least_squares around segments of one second (from
+measured and from unknown initial states).
 
-Every figure comes from a fresh process: libraries are imported (what greybox imports of scipy when a fit first needs
-it, too), everything else is cold and counts, from the arrays to the answer (standard errors included for greybox, left
-out for the rivals). Times are the processor's, which other work on the machine changes least; only the first fit with
-an empty cache of compiled libraries is timed by the clock, for the compiler. Peak memory is the whole process's,
-interpreter and data included. Rounds alternate, ratios are taken within a round, all run on one thread. `--long` goes
-on to 600 000 samples, where the NLP takes minutes and gigabytes, and gives the NLP random starts, of which those that
-fail take up to half a minute. The part `records` holds a hundred short records against one with as many samples and 99
-gaps.
+Every figure comes from a fresh process: libraries are imported (what greybox imports of scipy when
+a fit first needs it, too), everything else is cold and counts, from the arrays to the answer
+(standard errors included for greybox, left out for the rivals). Times are the processor's, which
+other work on the machine changes least; only the first fit with an empty cache of compiled
+libraries is timed by the clock, for the compiler. Peak memory is the whole process's, interpreter
+and data included. Rounds alternate, ratios are taken within a round, all run on one thread.
+`--long` goes on to 600 000 samples, where the NLP takes minutes and gigabytes, and gives the NLP
+random starts, of which those that fail take up to half a minute. The part `records` holds a hundred
+short records against one with as many samples and 99 gaps.
 """
 
 import argparse
@@ -53,21 +55,30 @@ from time_references import (
 
 SAMPLES = 6000
 SIZES = (6000, 60_000, 600_000)
-LIMITS = {("greybox", SAMPLES): 3.5, ("greybox compiled", SAMPLES): 6.0, ("greybox", SIZES[-1]): 20.0}
+LIMITS = {
+    ("greybox", SAMPLES): 3.5,
+    ("greybox compiled", SAMPLES): 6.0,
+    ("greybox", SIZES[-1]): 20.0,
+}
 POWER, MEGABYTES = 1.1, 1000.0
-RECORDS, SHORT, RATIO = 100, 1000, 3.0  # records, samples of each, and how much longer they may take than one with gaps
+RECORDS, SHORT, RATIO = (
+    100,
+    1000,
+    3.0,
+)  # records, samples of each, and how much longer they may take than one with gaps
 SAME = 1e-4  # of a standard error, between two answers that are one minimum
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 Case = Callable[[Flight, dict[str, Any]], dict[str, Any]]
 
 
-# --- the cases, each in its own process -------------------------------------------------------------------------------
+# --- the cases, each in its own process
 
 
 def greybox_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
     """Fit with greybox; the one place that names its interface."""
-    # The rivals' processes do without them; those of scipy are what a fit imports, up to 0.4 s of one process.
+    # The rivals' processes do without them; those of scipy are what a fit imports, up to 0.4 s of
+    # one process.
     import scipy.fft  # noqa: PLC0415
     import scipy.optimize  # noqa: PLC0415
     import scipy.special  # noqa: PLC0415
@@ -104,19 +115,27 @@ def greybox_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
         cuts = np.arange(0, len(flight.u), len(flight.u) // pieces)[1:]
         gaps = SEGMENT * STEP * np.searchsorted(cuts, np.arange(len(flight.u)), "right")
         each = [np.split(values, cuts) for values in (time_base, *signals.values())]
-        records = [gb.Record(row[0], dict(zip(signals, row[1:], strict=True))) for row in zip(*each, strict=True)]
+        records = [
+            gb.Record(row[0], dict(zip(signals, row[1:], strict=True)))
+            for row in zip(*each, strict=True)
+        ]
         whole = gb.Record(time_base + gaps, signals)
         model = FastTilt()
         problem = gb.Problem(model, whole, criterion=criterion)
         problem = problem if options["joined"] else gb.several(model, records, criterion=criterion)
     else:
         problem = gb.Problem(FastTilt(), gb.Record(time_base, signals), criterion=criterion)
-    method = gb.MultipleShooting(segment=SEGMENT, **({"compile": True} if options.get("compile") else {}))
+    method = gb.MultipleShooting(
+        segment=SEGMENT, **({"compile": True} if options.get("compile") else {})
+    )
     one = [dict(zip(NAMES, START.tolist(), strict=True))]
     fit = gb.fit(problem, starts=options.get("starts") or one, method=method, progress=False)
     seconds = time.process_time() - began
-    # The cost is the negative log-likelihood; without this constant it is half the sum of squares, as the rivals' are.
-    constant = len(flight.u) * sum(math.log(sigma) + math.log(2 * math.pi) / 2 for sigma in NOISE.values())
+    # The cost is the negative log-likelihood; without this constant it is half the sum of squares,
+    # as the rivals' are.
+    constant = len(flight.u) * sum(
+        math.log(sigma) + math.log(2 * math.pi) / 2 for sigma in NOISE.values()
+    )
     return {
         "seconds": seconds,
         "elapsed": time.perf_counter() - clock,
@@ -148,7 +167,10 @@ def scipy_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
 
     free = options.get("free", False)
     began = clear()
-    runs = [segment_fit(flight, start, free, options.get("errors", False)) for start in starts_of(options)]
+    runs = [
+        segment_fit(flight, start, free, options.get("errors", False))
+        for start in starts_of(options)
+    ]
     seconds = time.process_time() - began
     costs = [run["cost"] for run in runs]
     best = min(runs, key=lambda run: math.inf if run["cost"] is None else run["cost"])
@@ -195,7 +217,9 @@ def peak() -> float:
     except OSError:
         import resource  # noqa: PLC0415  (not on Windows)
 
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+            1e6 if sys.platform == "darwin" else 1e3
+        )
 
 
 def be_the_child(case: str, path: str, options: str) -> None:
@@ -225,19 +249,25 @@ class Bench:
         """Return what the case found, or None if it failed, having said so."""
         began = time.perf_counter()
         try:
-            answer = self._child("--case", case, str(self.record(samples, seed)), json.dumps(options))
+            answer = self._child(
+                "--case", case, str(self.record(samples, seed)), json.dumps(options)
+            )
         except subprocess.CalledProcessError as error:
-            last = (error.stderr or "").strip().splitlines()[-1:] or [f"exit status {error.returncode}"]
+            last = (error.stderr or "").strip().splitlines()[-1:] or [
+                f"exit status {error.returncode}"
+            ]
             print(f"!!! {case}, {samples} samples: {last[0][:160]}")
             return None
         return json.loads(answer.splitlines()[-1]) | {"process": time.perf_counter() - began}
 
     def _child(self, *arguments: str) -> str:
         command = [sys.executable, __file__, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=True, env=self.environment).stdout
+        return subprocess.run(
+            command, capture_output=True, text=True, check=True, env=self.environment
+        ).stdout
 
 
-# --- what is printed --------------------------------------------------------------------------------------------------
+# --- what is printed
 
 
 def middle(values: Sequence[float], form: str = ".3f") -> str:
@@ -249,11 +279,15 @@ def verdict(good: bool) -> str:
     return "met" if good else "MISSED"
 
 
-def speed(bench: Bench, cases: Sequence[str], samples: int, rounds: int) -> dict[str, list[dict[str, Any]]]:
+def speed(
+    bench: Bench, cases: Sequence[str], samples: int, rounds: int
+) -> dict[str, list[dict[str, Any]]]:
     """Time every case in every round; print times, memory and ratios; return what was found."""
     print(f"\n{samples} samples, one start, {rounds} round{'s' * (rounds > 1)}")
     if "greybox compiled" in cases and (first := bench.run("greybox compiled", samples)):
-        print(f"  greybox compiled, the first time (empty cache): {first['elapsed']:.3f} s by the clock")
+        print(
+            f"  greybox compiled, the first time (empty cache): {first['elapsed']:.3f} s by the clock"
+        )
     found: dict[str, list[dict[str, Any]]] = {case: [] for case in cases}
     failed: set[str] = set()
     for _ in range(rounds):
@@ -281,7 +315,11 @@ def ratios(found: dict[str, list[dict[str, Any]]], case: str, samples: int) -> N
             continue
         values = [b["seconds"] / a["seconds"] for a, b in zip(found[case], answers, strict=False)]
         limit = LIMITS.get((case, samples)) if rival.startswith("IPOPT") else None
-        said = "" if limit is None else f", at least {limit:g}: {verdict(statistics.median(values) >= limit)}"
+        said = (
+            ""
+            if limit is None
+            else f", at least {limit:g}: {verdict(statistics.median(values) >= limit)}"
+        )
         print(f"  {case} is {middle(values, '.2f')} times as fast as {rival}{said}")
     if samples == SIZES[-1]:
         used = max(answer["megabytes"] for answer in found[case])
@@ -300,13 +338,21 @@ def same_minimum(bench: Bench, found: dict[str, list[dict[str, Any]]], samples: 
     for case, answers in found.items():
         if case.startswith("scipy") or case == "IPOPT by blocks":
             continue
-        away = max(np.max(np.abs(np.array(answer["estimate"]) - exact) / sigma) for answer in answers)
+        away = max(
+            np.max(np.abs(np.array(answer["estimate"]) - exact) / sigma) for answer in answers
+        )
         agreed &= bool(away <= SAME)
-        words = "the same minimum" if away <= SAME else "!!! NOT THE SAME MINIMUM, the times do not compare"
+        words = (
+            "the same minimum"
+            if away <= SAME
+            else "!!! NOT THE SAME MINIMUM, the times do not compare"
+        )
         print(f"  {case} and IPOPT by blocks: {away:.1e} standard errors apart: {words}")
         if case == "greybox" and samples == SAMPLES:
             wide = np.array(answers[0]["standard_error"]) / sigma
-            print(f"  standard errors of greybox over those of the KKT matrix: {min(wide):.4f} to {max(wide):.4f}")
+            print(
+                f"  standard errors of greybox over those of the KKT matrix: {min(wide):.4f} to {max(wide):.4f}"
+            )
     return agreed
 
 
@@ -315,7 +361,9 @@ def growth(bench: Bench, cases: Sequence[str], sizes: Sequence[int], rounds: int
     agreed = True
     times: dict[str, dict[int, float]] = {case: {} for case in cases}
     for samples in sizes:
-        found = speed(bench, cases, samples, min(rounds, {SIZES[1]: 2, SIZES[2]: 1}.get(samples, rounds)))
+        found = speed(
+            bench, cases, samples, min(rounds, {SIZES[1]: 2, SIZES[2]: 1}.get(samples, rounds))
+        )
         agreed &= same_minimum(bench, found, samples)
         for case, answers in found.items():
             times[case][samples] = statistics.median(answer["seconds"] for answer in answers)
@@ -324,14 +372,20 @@ def growth(bench: Bench, cases: Sequence[str], sizes: Sequence[int], rounds: int
         if len(seconds) > 1:
             x, y = np.log(list(seconds)), np.log(list(seconds.values()))
             power, last = float(np.polyfit(x, y, 1)[0]), float((y[-1] - y[-2]) / (x[-1] - x[-2]))
-            limit = f", at most {POWER}: {verdict(power <= POWER)}" if case.startswith("greybox") else ""
+            limit = (
+                f", at most {POWER}: {verdict(power <= POWER)}"
+                if case.startswith("greybox")
+                else ""
+            )
             print(f"  {case:<22} {power:.3f}; {last:.3f}{limit}")
     return agreed
 
 
 def starts(bench: Bench, cases: Sequence[str], number: int) -> None:
     """Print the share of random starts in the box of the bounds that come within 1 % of the best cost."""
-    print(f"\n{number} random starts in the bounds, {SAMPLES} samples: share within 1 % of the lowest cost; in all")
+    print(
+        f"\n{number} random starts in the bounds, {SAMPLES} samples: share within 1 % of the lowest cost; in all"
+    )
     for case in cases:
         answer = bench.run(case, SAMPLES, starts=number)
         if answer is None:
@@ -346,32 +400,49 @@ def starts(bench: Bench, cases: Sequence[str], number: int) -> None:
 
 def errors(bench: Bench, cases: Sequence[str], flights: int) -> None:
     """Print the error of the parameters over several flights, in percent and in the method's own standard errors."""
-    print(f"\nRoot mean square error of the parameters over {flights} flights, %; and in its own standard errors")
-    print(f"  {'':<22} {'  '.join(f'{name:>6}' for name in NAMES)}    {'  '.join(f'{name:>5}' for name in NAMES)}")
+    print(
+        f"\nRoot mean square error of the parameters over {flights} flights, %; and in its own standard errors"
+    )
+    print(
+        f"  {'':<22} {'  '.join(f'{name:>6}' for name in NAMES)}    {'  '.join(f'{name:>5}' for name in NAMES)}"
+    )
     for case in cases:
-        answers = [bench.run(case, SAMPLES, seed=seed, errors=True) for seed in range(1, flights + 1)]
+        answers = [
+            bench.run(case, SAMPLES, seed=seed, errors=True) for seed in range(1, flights + 1)
+        ]
         answers = [answer for answer in answers if answer is not None]
         if not answers:
             continue
         off = np.array([answer["estimate"] for answer in answers]) - TRUTH
         sigma = np.array([answer["standard_error"] for answer in answers])
         percent, own = (np.sqrt(np.mean(a**2, axis=0)) for a in (100 * off / TRUTH, off / sigma))
-        print(f"  {case:<22} {'  '.join(f'{a:6.3f}' for a in percent)}    {'  '.join(f'{a:5.1f}' for a in own)}")
+        print(
+            f"  {case:<22} {'  '.join(f'{a:6.3f}' for a in percent)}    {'  '.join(f'{a:5.1f}' for a in own)}"
+        )
 
 
 def records(bench: Bench, rounds: int) -> None:
     """Print how much longer many short records take than one record with as many samples and gaps."""
     one, many = "greybox, one record with gaps", "greybox, many records"
     for count in (1, 20):
-        print(f"\n{RECORDS} records of {SHORT} samples, {count} start{'s' * (count > 1)}, {rounds} rounds")
+        print(
+            f"\n{RECORDS} records of {SHORT} samples, {count} start{'s' * (count > 1)}, {rounds} rounds"
+        )
         options = {} if count == 1 else {"starts": count}
-        pairs = [[bench.run(case, RECORDS * SHORT, **options) for case in (one, many)] for _ in range(rounds)]
+        pairs = [
+            [bench.run(case, RECORDS * SHORT, **options) for case in (one, many)]
+            for _ in range(rounds)
+        ]
         found = [(a, b) for a, b in pairs if a and b]
         for case, answers in zip((one, many), zip(*found, strict=True), strict=True):
-            print(f"  {case:<30} {middle([a['seconds'] for a in answers])} s, {answers[0]['megabytes']:.0f} MB")
+            print(
+                f"  {case:<30} {middle([a['seconds'] for a in answers])} s, {answers[0]['megabytes']:.0f} MB"
+            )
         values = [b["seconds"] / a["seconds"] for a, b in found]
         good = statistics.median(values) <= RATIO
-        print(f"  many records take {middle(values, '.2f')} times as long, at most {RATIO:g}: {verdict(good)}")
+        print(
+            f"  many records take {middle(values, '.2f')} times as long, at most {RATIO:g}: {verdict(good)}"
+        )
         ends = [np.array([answer["estimate"], answer["standard_error"]]) for answer in found[0]]
         away = float(np.max(np.abs(ends[0][0] - ends[1][0]) / ends[0][1]))
         print(f"  estimates {away:.1e} standard errors apart, the noise being given")
@@ -390,7 +461,12 @@ def usable(case: str) -> bool:
     if not case.startswith("greybox"):
         return True
     code = "import greybox as gb; gb.MultipleShooting, gb.OutputError"
-    return subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, check=False).returncode == 0
+    return (
+        subprocess.run(
+            [sys.executable, "-P", "-c", code], capture_output=True, check=False
+        ).returncode
+        == 0
+    )
 
 
 def main() -> int:
@@ -401,7 +477,9 @@ def main() -> int:
         flight = fly(int(sys.argv[3]), int(sys.argv[4]))
         np.savez(sys.argv[2], u=flight.u, y=flight.y)
         return 0
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     every = ["speed", "growth", "starts", "errors", "records"]
     parser.add_argument("--parts", nargs="+", choices=every, default=every)
     plain = [case for case, (_, fixed) in CASES.items() if "pieces" not in fixed]
@@ -422,17 +500,23 @@ def main() -> int:
 
 def report(bench: Bench, options: argparse.Namespace) -> int:
     """Print all parts; return 1 if estimators of one cost found different minima."""
-    print(f"{date.today()}, {versions()}, python {platform.python_version()}, {os.cpu_count()} cores, one thread each")
+    print(
+        f"{date.today()}, {versions()}, python {platform.python_version()}, {os.cpu_count()} cores, one thread each"
+    )
     cases = [case for case in options.cases if usable(case)]
     if missing := [case for case in options.cases if case not in cases]:
-        print(f"!!! this greybox has no MultipleShooting and OutputError yet: {', '.join(missing)} left out")
+        print(
+            f"!!! this greybox has no MultipleShooting and OutputError yet: {', '.join(missing)} left out"
+        )
     agreed = True
     sizes = SIZES if options.long else SIZES[:-1]
     if "growth" in options.parts:
         agreed = growth(bench, cases, sizes, options.rounds)
     elif "speed" in options.parts:
         agreed = same_minimum(bench, speed(bench, cases, SAMPLES, options.rounds), SAMPLES)
-    cases = [case for case in cases if case not in ("IPOPT", "greybox compiled")]  # they find what their twins find
+    cases = [
+        case for case in cases if case not in ("IPOPT", "greybox compiled")
+    ]  # they find what their twins find
     if "starts" in options.parts:
         starts(bench, [c for c in cases if options.long or c != "IPOPT by blocks"], options.starts)
     if "errors" in options.parts:

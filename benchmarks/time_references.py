@@ -1,12 +1,14 @@
 """What one writes by hand instead of a time-domain `gb.fit`, and the data that both are given.
 
-The plant is the quadcopter's tilt, (4.23) of the paper without the rotor's lag: states and outputs v, q, theta, five
-unknowns, unstable in open loop. The references know nothing of greybox: they have their own statement of the physics.
+The plant is the quadcopter's tilt, (4.23) of the paper without the rotor's lag: states and outputs
+v, q, theta, five unknowns, unstable in open loop. The references know nothing of greybox: they have
+their own statement of the physics.
 
-- `NonlinearProgram`: one multiple-shooting NLP for IPOPT, the idiom of CasADi's own example sysid.py: a step of SX,
-  `map` over segments, nodes as unknowns, continuity as constraints, the Gauss-Newton Hessian through `hess_lag`.
-- `segment_fit`: scipy.optimize.least_squares around segments of one second, simulated in numpy all at once, from the
-  measured states or from initial states that are unknowns too.
+- `NonlinearProgram`: one multiple-shooting NLP for IPOPT, the idiom of CasADi's own example
+  sysid.py: a step of SX, `map` over segments, nodes as unknowns, continuity as constraints, the
+  Gauss-Newton Hessian through `hess_lag`.
+- `segment_fit`: scipy.optimize.least_squares around segments of one second, simulated in numpy all
+  at once, from the measured states or from initial states that are unknowns too.
 """
 
 from dataclasses import dataclass
@@ -26,7 +28,9 @@ UPPER = np.array([100.0, 50.0, 50.0, 2000.0, 2.0])
 SCALE = np.array([10.0, 3.0, 5.0, 250.0, 0.05])
 NOISE = {"v": 0.05, "q": 0.02, "theta": 0.005}  # m/s, rad/s, rad
 SIGMA = np.array(list(NOISE.values()))[:, None]
-FEEDBACK = np.array([0.004, 0.0175, 0.18])  # of v, q, theta: closes the loop at about 1.5 and 5 rad/s
+FEEDBACK = np.array(
+    [0.004, 0.0175, 0.18]
+)  # of v, q, theta: closes the loop at about 1.5 and 5 rad/s
 SEGMENT = 10  # samples a shooting segment
 EVALUATIONS = 200  # where least_squares gives up
 SECOND = 100  # samples a simulated segment of `segment_fit`
@@ -54,7 +58,7 @@ def sx_slopes(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
     return ca.vertcat(*slopes(ca.vertsplit(x), u, ca.vertsplit(p), ca.tan))
 
 
-# --- the data ---------------------------------------------------------------------------------------------------------
+# --- the data
 
 
 @dataclass(frozen=True)
@@ -92,14 +96,19 @@ def multisine(samples: int) -> NDArray[np.float64]:
     return np.resize(0.012 * waves.sum(axis=0), samples)
 
 
-# --- one NLP for IPOPT ------------------------------------------------------------------------------------------------
+# --- one NLP for IPOPT
 
 
 def shooting_segment(length: int) -> ca.Function:
     """(x0 (3,), u (1, length), y (3, length), scaled p (5,)) -> standardized residuals (3, length), state after it."""
-    x0, u, y, p = (ca.SX.sym(n, *size) for n, size in zip("xuyp", [(3,), (1, length), (3, length), (5,)], strict=True))
+    x0, u, y, p = (
+        ca.SX.sym(n, *size)
+        for n, size in zip("xuyp", [(3,), (1, length), (3, length), (5,)], strict=True)
+    )
     one, uk = ca.SX.sym("one", 3), ca.SX.sym("uk")
-    step = ca.Function("step", [one, uk, p], [runge_kutta(lambda z: sx_slopes(z, uk, p), one, STEP)])
+    step = ca.Function(
+        "step", [one, uk, p], [runge_kutta(lambda z: sx_slopes(z, uk, p), one, STEP)]
+    )
     x, residuals = x0, []
     for k in range(length):
         residuals.append((x - y[:, k]) / SIGMA[:, 0])
@@ -116,8 +125,8 @@ def smoothed(y: NDArray[np.float64]) -> NDArray[np.float64]:
 class NonlinearProgram:
     """The estimator as one NLP: unknowns are the scaled parameters and the state at the head of every segment.
 
-    With `blocks`, the derivatives are those of one segment, written as expressions and put in their places by hand,
-    instead of CasADi's derivatives of the whole: more to write, less to build.
+    With `blocks`, the derivatives are those of one segment, written as expressions and put in their
+    places by hand, instead of CasADi's derivatives of the whole: more to write, less to build.
     """
 
     def __init__(self, flight: Flight, blocks: bool = False) -> None:
@@ -166,7 +175,9 @@ class NonlinearProgram:
         return np.sqrt(np.diag(splu(kkt).solve(head))) * SCALE
 
 
-def _by_casadi(w: ca.MX, nodes: ca.MX, data: tuple[Any, ...], segments: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def _by_casadi(
+    w: ca.MX, nodes: ca.MX, data: tuple[Any, ...], segments: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
     residuals, after = shooting_segment(SEGMENT).map(segments)(*data)
     residuals, gaps = ca.vec(residuals), ca.vec(after[:, :-1] - nodes[:, 1:])
     jacobian = ca.jacobian(residuals, w)
@@ -174,36 +185,51 @@ def _by_casadi(w: ca.MX, nodes: ca.MX, data: tuple[Any, ...], segments: int) -> 
     return {"f": ca.sumsqr(residuals) / 2, "g": gaps}, {"hess_lag": _gauss_newton(w, hessian, gaps)}
 
 
-def _by_blocks(w: ca.MX, nodes: ca.MX, data: tuple[Any, ...], segments: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def _by_blocks(
+    w: ca.MX, nodes: ca.MX, data: tuple[Any, ...], segments: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
     segment = shooting_segment(SEGMENT)
     symbols = segment.sx_in()
     residuals, after = segment(*symbols)
     z = ca.vertcat(symbols[3], symbols[0])
     jacobian, size = ca.jacobian(ca.vec(residuals), z), len(TRUTH) + 3
     values = ca.Function("values", symbols, [ca.sumsqr(residuals) / 2, after])
-    slopes_of = ca.Function("slopes", symbols, [ca.mtimes(jacobian.T, ca.vec(residuals)), ca.jacobian(after, z)])
+    slopes_of = ca.Function(
+        "slopes", symbols, [ca.mtimes(jacobian.T, ca.vec(residuals)), ca.jacobian(after, z)]
+    )
     squares = ca.Function("squares", symbols, [ca.mtimes(jacobian.T, jacobian)])
     cost, ends = values.map(segments)(*data)
     gradients, sensitivities = slopes_of.map(segments)(*data)
     gaps = ca.vec(ends[:, :-1] - nodes[:, 1:])
-    # Where the unknowns (p, node) of a segment stand among all, (8, segments), and the same for the gaps behind it.
-    own = np.r_[np.tile(np.arange(5)[:, None], segments), 5 + np.arange(3 * segments).reshape(-1, 3).T]
+    # Where the unknowns (p, node) of a segment stand among all, (8, segments), and the same for the
+    # gaps behind it.
+    own = np.r_[
+        np.tile(np.arange(5)[:, None], segments), 5 + np.arange(3 * segments).reshape(-1, 3).T
+    ]
     gap = np.arange(3 * (segments - 1)).reshape(-1, 3).T
     rows, columns = np.tile(own, (size, 1)), np.repeat(own, size, axis=0)
-    hessian = _placed(ca.vec(squares.map(segments)(*data)), rows.T, columns.T, (w.numel(), w.numel()), upper=True)
+    hessian = _placed(
+        ca.vec(squares.map(segments)(*data)), rows.T, columns.T, (w.numel(), w.numel()), upper=True
+    )
     slope = _placed(
         ca.vec(sensitivities[:, :-size]),
         np.tile(gap, (size, 1)).T,
         np.repeat(own[:, :-1], 3, axis=0).T,
         (gaps.numel(), w.numel()),
     )
-    after_node = ca.DM(ca.Sparsity.triplet(*slope.shape, range(gaps.numel()), range(8, w.numel())), 1)
+    after_node = ca.DM(
+        ca.Sparsity.triplet(*slope.shape, range(gaps.numel()), range(8, w.numel())), 1
+    )
     gradient = ca.vertcat(ca.sum2(gradients[:5, :]), ca.vec(gradients[5:, :]))
     names, none = ["x", "p"], ca.MX(0, 1)
     functions = {
         "hess_lag": _gauss_newton(w, hessian, gaps),
-        "grad_f": ca.Function("nlp_grad_f", [w, none], [ca.sum2(cost), gradient], names, ["f", "grad_f_x"]),
-        "jac_g": ca.Function("nlp_jac_g", [w, none], [gaps, slope - after_node], names, ["g", "jac_g_x"]),
+        "grad_f": ca.Function(
+            "nlp_grad_f", [w, none], [ca.sum2(cost), gradient], names, ["f", "grad_f_x"]
+        ),
+        "jac_g": ca.Function(
+            "nlp_jac_g", [w, none], [gaps, slope - after_node], names, ["g", "jac_g_x"]
+        ),
     }
     return {"f": ca.sum2(cost), "g": gaps}, functions
 
@@ -219,17 +245,21 @@ def _gauss_newton(w: ca.MX, hessian: ca.MX, gaps: ca.MX) -> ca.Function:
     )
 
 
-def _placed(values: ca.MX, rows: Any, columns: Any, shape: tuple[int, int], upper: bool = False) -> ca.MX:
+def _placed(
+    values: ca.MX, rows: Any, columns: Any, shape: tuple[int, int], upper: bool = False
+) -> ca.MX:
     """Return the sparse matrix with these entries, those of one place summed."""
     rows, columns = np.ravel(rows), np.ravel(columns)
     kept = np.flatnonzero(rows <= columns) if upper else np.arange(len(rows))
     places, which = np.unique(columns[kept] * shape[0] + rows[kept], return_inverse=True)
-    pattern = ca.Sparsity.triplet(*shape, (places % shape[0]).tolist(), (places // shape[0]).tolist())
+    pattern = ca.Sparsity.triplet(
+        *shape, (places % shape[0]).tolist(), (places // shape[0]).tolist()
+    )
     gather = ca.DM(ca.Sparsity.triplet(len(places), len(rows), which.tolist(), kept.tolist()), 1)
     return ca.MX(pattern, ca.mtimes(gather, values))
 
 
-# --- scipy around short segments --------------------------------------------------------------------------------------
+# --- scipy around short segments
 
 
 def simulated(p: Any, heads: Any, u: Any) -> Any:
@@ -244,8 +274,9 @@ def simulated(p: Any, heads: Any, u: Any) -> Any:
 class ShortSegments:
     """Residuals of all segments and their difference quotients; the unknowns are scaled.
 
-    With `free`, the state at the head of every segment is unknown; otherwise it is the measured one. All perturbations
-    that do not meet are simulated at once: one for each parameter, and one for each of the three head states.
+    With `free`, the state at the head of every segment is unknown; otherwise it is the measured
+    one. All perturbations that do not meet are simulated at once: one for each parameter, and one
+    for each of the three head states.
     """
 
     def __init__(self, flight: Flight, free: bool) -> None:
@@ -291,7 +322,9 @@ class ShortSegments:
         return hstack([csr_array(dense), csr_array((quotients.ravel(), index))], format="csr")
 
 
-def segment_fit(flight: Flight, start: NDArray[np.float64], free: bool = False, errors: bool = False) -> dict[str, Any]:
+def segment_fit(
+    flight: Flight, start: NDArray[np.float64], free: bool = False, errors: bool = False
+) -> dict[str, Any]:
     """Return `estimate`, `cost`, `status` and `iterations`, and `standard_error` if asked for."""
     from scipy.optimize import least_squares  # noqa: PLC0415  (the references import what they use themselves)
 
@@ -300,8 +333,13 @@ def segment_fit(flight: Flight, start: NDArray[np.float64], free: bool = False, 
     bounds = np.r_[LOWER / SCALE, heads - np.inf], np.r_[UPPER / SCALE, heads + np.inf]
     try:
         with np.errstate(all="ignore"):
-            answer = least_squares(problem.residuals, w, problem.jacobian, bounds, max_nfev=EVALUATIONS)
-    except (ValueError, np.linalg.LinAlgError) as error:  # the simulation overflows at the start, or on the way
+            answer = least_squares(
+                problem.residuals, w, problem.jacobian, bounds, max_nfev=EVALUATIONS
+            )
+    except (
+        ValueError,
+        np.linalg.LinAlgError,
+    ) as error:  # the simulation overflows at the start, or on the way
         return {"estimate": start.tolist(), "cost": None, "status": str(error), "iterations": 0}
     found = {
         "estimate": (answer.x[: len(TRUTH)] * SCALE).tolist(),

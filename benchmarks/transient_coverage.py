@@ -1,9 +1,10 @@
 """Coverage of the 95 % intervals from the Fourier integrals of short manoeuvres, with known truth.
 
-Simulated by exact integration on a fine grid: one 8 s manoeuvre that ends while its input and its states are moving;
-two manoeuvres of 8 and 6 s; two inputs and two outputs of different noise, which may be correlated; and the first and
-the third with white noise in the differential equation instead, for equation error. Trim values, which the fit does not
-know, are drawn anew each time. The band is 0.5 to 10 rad/s.
+Simulated by exact integration on a fine grid: one 8 s manoeuvre that ends while its input and its
+states are moving; two manoeuvres of 8 and 6 s; two inputs and two outputs of different noise, which
+may be correlated; and the first and the third with white noise in the differential equation
+instead, for equation error. Trim values, which the fit does not know, are drawn anew each time. The
+band is 0.5 to 10 rad/s.
 
     python benchmarks/transient_coverage.py [--runs 400]
 """
@@ -105,7 +106,9 @@ def lateral_record():
     a, b = np.array([[p["Lp"], p["Lr"]], [p["Np"], p["Nr"]]]), np.diag([p["La"], p["Nd"]])
     inputs = [pulses(0.5, 1.1, 1.7), pulses(3.0, 4.0, 5.0)]
     t, u, y = simulated(a, b, np.eye(2), inputs, 0.0, 8.0, [0.02, -0.05])
-    return gb.Record(t, {"da": u[0], "dr": u[1], "roll": y[0], "yaw": y[1]}, hold={"da": np.inf, "dr": np.inf})
+    return gb.Record(
+        t, {"da": u[0], "dr": u[1], "roll": y[0], "yaw": y[1]}, hold={"da": np.inf, "dr": np.inf}
+    )
 
 
 def measured(record, noise, random):
@@ -126,7 +129,9 @@ def disturbed(record, a, noise, random):
             rows.append(x)
         x = one @ (x + e * STEP / FINE)
     shifted = {name: x + random.normal() for name, x in record.signals.items()}
-    outputs = {n: shifted[n] + y for n, y in zip(noise, np.array(rows).T, strict=True) if n in shifted}
+    outputs = {
+        n: shifted[n] + y for n, y in zip(noise, np.array(rows).T, strict=True) if n in shifted
+    }
     return record.with_signals(**shifted | outputs)
 
 
@@ -148,7 +153,9 @@ def correlated(record, random):
     """Return the record with correlated noise on its outputs, and trim values."""
     shared = random.standard_normal(len(record))
     return measured(
-        record.with_signals(roll=record["roll"] + 0.02 * shared, yaw=record["yaw"] + 0.005 * shared),
+        record.with_signals(
+            roll=record["roll"] + 0.02 * shared, yaw=record["yaw"] + 0.005 * shared
+        ),
         {"roll": 0.01, "yaw": 0.0025},
         random,
     )
@@ -164,7 +171,10 @@ def cases():
     def noisy(**noise):
         return lambda record, random: measured(record, noise, random)
 
-    one, two = (ShortPeriod(), SHORT_PERIOD, [first]), (ShortPeriod(), SHORT_PERIOD, [first, second])
+    one, two = (
+        (ShortPeriod(), SHORT_PERIOD, [first]),
+        (ShortPeriod(), SHORT_PERIOD, [first, second]),
+    )
     both = (Lateral(), LATERAL, [lateral])
     pair = (["da", "dr"], ["roll", "yaw"])
     return {
@@ -172,9 +182,19 @@ def cases():
         "2-1-1 and doublet": (*two, noisy(q=0.02), ["u"], ["q"], by_output),
         "two inputs, two outputs": (*both, noisy(roll=0.02, yaw=0.005), *pair, by_output),
         "correlated noise": (*both, correlated, *pair, by_output),
-        "correlated noise, full covariance": (*both, correlated, *pair, gb.OutputError(noise="full")),
+        "correlated noise, full covariance": (
+            *both,
+            correlated,
+            *pair,
+            gb.OutputError(noise="full"),
+        ),
         "turbulence, equation error": (*one, short_period_in_turbulence, ["u"], ["q"], by_equation),
-        "turbulence, equation error of two outputs": (*both, lateral_in_turbulence, *pair, by_equation),
+        "turbulence, equation error of two outputs": (
+            *both,
+            lateral_in_turbulence,
+            *pair,
+            by_equation,
+        ),
     }
 
 
@@ -185,12 +205,21 @@ def coverage(case, runs, seed):
     names = list(truth)
     inside, standardized = [], []
     for _ in range(runs):
-        spectra = [gb.spectral.transient_spectrum(measure(r, random), inputs, outputs, BAND) for r in records]
-        fit = gb.fit(sum(gb.Problem(model, spectrum, criterion) for spectrum in spectra), starts=1, progress=False)
+        spectra = [
+            gb.spectral.transient_spectrum(measure(r, random), inputs, outputs, BAND)
+            for r in records
+        ]
+        fit = gb.fit(
+            sum(gb.Problem(model, spectrum, criterion) for spectrum in spectra),
+            starts=1,
+            progress=False,
+        )
         interval = fit.interval()
         inside.append([interval[n][0] <= truth[n] <= interval[n][1] for n in names])
         standardized.append([(fit.estimate[n] - truth[n]) / fit.standard_error[n] for n in names])
-    return dict(zip(names, np.mean(inside, axis=0), strict=True)), np.sqrt(np.nanmean(np.square(standardized), axis=0))
+    return dict(zip(names, np.mean(inside, axis=0), strict=True)), np.sqrt(
+        np.nanmean(np.square(standardized), axis=0)
+    )
 
 
 def main() -> None:
@@ -207,7 +236,9 @@ def main() -> None:
         shares, rms = coverage(case, runs, seed=1)
         print(f"{name}: {runs} runs, {1e3 * (time.perf_counter() - began) / runs:.0f} ms each")
         for (parameter, share), size in zip(shares.items(), rms, strict=True):
-            print(f"  {parameter:4s} coverage {100 * share:5.1f} %   rms of standardized errors {size:.2f}")
+            print(
+                f"  {parameter:4s} coverage {100 * share:5.1f} %   rms of standardized errors {size:.2f}"
+            )
         print(f"  all  coverage {100 * np.mean(list(shares.values())):5.1f} %", flush=True)
 
 

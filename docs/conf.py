@@ -1,7 +1,7 @@
 """The documentation site: `sphinx-build -W docs site`.
 
-Pages are the Markdown files here; the notebooks are executed, and the API reference is made from the docstrings of the
-public names, both into folders that are not kept.
+Pages are the Markdown files here; the notebooks are executed, and the API reference is made from
+the docstrings of the public names, both into folders that are not kept.
 """
 
 import inspect
@@ -52,7 +52,11 @@ html_show_sourcelink = False
 def public(module):
     """Return the public classes and functions of a module, in order of the alphabet."""
     names = (name for name in dir(module) if not name.startswith("_"))
-    return [n for n in names if inspect.isclass(getattr(module, n)) or inspect.isroutine(getattr(module, n))]
+    return [
+        n
+        for n in names
+        if inspect.isclass(getattr(module, n)) or inspect.isroutine(getattr(module, n))
+    ]
 
 
 def page(title, module, names):
@@ -69,7 +73,9 @@ def page(title, module, names):
 def write_sources(_):
     """Copy the notebooks and write the pages of the reference."""
     shutil.rmtree(HERE / "notebooks", ignore_errors=True)
-    shutil.copytree(HERE.parent / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns(".*"))
+    shutil.copytree(
+        HERE.parent / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns(".*")
+    )
     stories = "# Stories\n\n```{toctree}\n:maxdepth: 1\n:glob:\n\n0*\n```\n"
     (HERE / "notebooks" / "index.md").write_text(stories, encoding="utf-8")
     api = HERE / "api"
@@ -80,9 +86,13 @@ def write_sources(_):
     for folder in FOLDERS.split():
         module = f"greybox.{folder}"
         only_here = [name for name in public(import_module(module)) if name not in top]
-        (api / f"{folder}.rst").write_text(page(f"greybox.{folder}", module, only_here), encoding="utf-8")
+        (api / f"{folder}.rst").write_text(
+            page(f"greybox.{folder}", module, only_here), encoding="utf-8"
+        )
     contents = "\n".join(f"   {name}" for name in ("greybox", *FOLDERS.split()))
-    (api / "index.rst").write_text(f"API\n===\n\n.. toctree::\n   :maxdepth: 2\n\n{contents}\n", encoding="utf-8")
+    (api / "index.rst").write_text(
+        f"API\n===\n\n.. toctree::\n   :maxdepth: 2\n\n{contents}\n", encoding="utf-8"
+    )
 
 
 LITERAL = re.compile(r"(``.+?``|:math:`.+?`|`.+?`)")

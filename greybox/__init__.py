@@ -1,7 +1,7 @@
 """Grey-box estimation: declare a model structure once, fit it to flight data, know how far to believe the answer.
 
-Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, state a `Problem` (model, data, criterion),
-`fit` it, and print the `Fit`. The folders are namespaces:
+Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, state a `Problem`
+(model, data, criterion), `fit` it, and print the `Fit`. The folders are namespaces:
 
 | namespace | contents |
 | --- | --- |
@@ -54,7 +54,9 @@ from greybox.estimate.profile import profile as profile
 from greybox.estimate.profiles import Contour as Contour
 from greybox.estimate.profiles import Profiles as Profiles
 from greybox.estimate.result import Fit as Fit
-from greybox.estimate.structural_identifiability import structural_identifiability as structural_identifiability
+from greybox.estimate.structural_identifiability import (
+    structural_identifiability as structural_identifiability,
+)
 from greybox.experiment import Controller as Controller
 from greybox.experiment import virtual_flight as virtual_flight
 from greybox.formulation import Criterion as Criterion
@@ -82,7 +84,8 @@ from greybox.modeling import TransferFunction as TransferFunction
 from greybox.modeling import feedback as feedback
 from greybox.modeling import frequency_response as frequency_response
 
-# The functions that formulas are written with: each serves numbers, CasADi expressions and rational functions of s.
+# The functions that formulas are written with: each serves numbers, CasADi expressions and rational
+# functions of s.
 from greybox.modeling.functions import arccos as arccos
 from greybox.modeling.functions import arcsin as arcsin
 from greybox.modeling.functions import arctan as arctan

@@ -10,35 +10,57 @@ def _limited(value, limit):
 class AttitudeController(gb.Controller):
     r"""Angle error to rate setpoint, rate error to control by a PID, once every $h$ seconds.
 
-    $$q^*_k = \mathrm{sat}(K_\theta (\theta^*_k - \theta_k), q_{max}) + q^+_k, \qquad e_k = q^*_k - q_k$$
+    $$q^*_k = \mathrm{sat}(K_\theta (\theta^*_k - \theta_k), q_{max}) + q^+_k, \qquad e_k = q^*_k -
+    q_k$$
 
-    $$d_k = d_{k-1} + \frac{\omega_D h}{1 + \omega_D h} \left( \frac{e_k - e_{k-1}}{h} - d_{k-1} \right), \qquad
-    i_k = \mathrm{sat}(i_{k-1} + K_I h e_k, I_{max})$$
+    $$d_k = d_{k-1} + \frac{\omega_D h}{1 + \omega_D h} \left( \frac{e_k - e_{k-1}}{h} - d_{k-1}
+    \right), \qquad i_k = \mathrm{sat}(i_{k-1} + K_I h e_k, I_{max})$$
 
     $$u_k = \mathrm{sat}(K_P e_k + i_k + K_D d_k + u^+_k, u_{max})$$
 
-    Anti-windup: after a saturated sample the integral may only shrink, which it does when $i_{k-1}$ and $e_k$ have
-    opposite signs. The setpoint of (3.14) is $\theta^*$ (`reference`); $q^+$ (`rate`) and $u^+$ (`mixer`) are the other
-    points at which ArduPilot's System Identification mode injects a test signal. The rate setpoint $q^*$ is logged as
-    `q_reference`. The gains are ArduPilot's defaults: with the tilt dynamics identified in the paper the loop tolerates
-    6 times more or 4 times less control effectiveness, or 28 ms more delay. Not modeled: the input shaping and
-    feed-forward of the setpoint, the filter of the rate setpoint, and the square-root control of large angle errors.
+    Anti-windup: after a saturated sample the integral may only shrink, which it does when $i_{k-1}$
+    and $e_k$ have opposite signs. The setpoint of (3.14) is $\theta^*$ (`reference`); $q^+$
+    (`rate`) and $u^+$ (`mixer`) are the other points at which ArduPilot's System Identification
+    mode injects a test signal. The rate setpoint $q^*$ is logged as `q_reference`. The gains are
+    ArduPilot's defaults: with the tilt dynamics identified in the paper the loop tolerates 6 times
+    more or 4 times less control effectiveness, or 28 ms more delay. Not modeled: the input shaping
+    and feed-forward of the setpoint, the filter of the rate setpoint, and the square-root control
+    of large angle errors.
 
-    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3; ArduPilot Copter,
-    libraries/AC_AttitudeControl and AC_PID/AC_PID.cpp (update_all, update_i), parameters ATC_ANG_PIT and ATC_RAT_PIT.
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3;
+    ArduPilot Copter, libraries/AC_AttitudeControl and AC_PID/AC_PID.cpp (update_all, update_i),
+    parameters ATC_ANG_PIT and ATC_RAT_PIT.
     """
 
     states = ("error", "derivative", "integral", "limited")
     inputs = ("theta", "q")
     setpoints = ("reference", "rate", "mixer")
     outputs = ("u", "q_reference")
-    units = {"reference": "rad", "theta": "rad", "q": "rad/s", "rate": "rad/s", "q_reference": "rad/s"}
-    K_theta = gb.Parameter(4.5, bounds=(0, 20), unit="1/s", about="rate setpoint per angle error, ATC_ANG_PIT_P")
-    K_P = gb.Parameter(0.135, bounds=(0, 5), unit="s", about="control per rate error, ATC_RAT_PIT_P")
-    K_I = gb.Parameter(0.135, bounds=(0, 5), unit="1", about="control per rate error integral, ATC_RAT_PIT_I")
-    K_D = gb.Parameter(0.0036, bounds=(0, 1), unit="s²", about="control per rate error derivative, ATC_RAT_PIT_D")
-    I_max = gb.Parameter(0.5, bounds=(0, 1), unit="1", about="limit of the integral, ATC_RAT_PIT_IMAX")
-    omega_D = gb.Parameter(125.7, bounds=(1, 3000), unit="rad/s", about="derivative filter, ATC_RAT_PIT_FLTD 20 Hz")
+    units = {
+        "reference": "rad",
+        "theta": "rad",
+        "q": "rad/s",
+        "rate": "rad/s",
+        "q_reference": "rad/s",
+    }
+    K_theta = gb.Parameter(
+        4.5, bounds=(0, 20), unit="1/s", about="rate setpoint per angle error, ATC_ANG_PIT_P"
+    )
+    K_P = gb.Parameter(
+        0.135, bounds=(0, 5), unit="s", about="control per rate error, ATC_RAT_PIT_P"
+    )
+    K_I = gb.Parameter(
+        0.135, bounds=(0, 5), unit="1", about="control per rate error integral, ATC_RAT_PIT_I"
+    )
+    K_D = gb.Parameter(
+        0.0036, bounds=(0, 1), unit="s²", about="control per rate error derivative, ATC_RAT_PIT_D"
+    )
+    I_max = gb.Parameter(
+        0.5, bounds=(0, 1), unit="1", about="limit of the integral, ATC_RAT_PIT_IMAX"
+    )
+    omega_D = gb.Parameter(
+        125.7, bounds=(1, 3000), unit="rad/s", about="derivative filter, ATC_RAT_PIT_FLTD 20 Hz"
+    )
     q_max = gb.Parameter(3.5, bounds=(0.1, 20), unit="rad/s", about="limit of the rate setpoint")
     u_max = gb.Parameter(1.0, bounds=(0.01, 1), unit="1", about="limit of the control")
 
@@ -49,7 +71,9 @@ class AttitudeController(gb.Controller):
         smoothing = p.omega_D * h / (1 + p.omega_D * h)
         derivative = x.derivative + smoothing * ((error - x.error) / h - x.derivative)
         integrates = gb.maximum(1 - x.limited, x.integral * error < 0)
-        integral = gb.where(integrates, _limited(x.integral + p.K_I * h * error, p.I_max), x.integral)
+        integral = gb.where(
+            integrates, _limited(x.integral + p.K_I * h * error, p.I_max), x.integral
+        )
         demand = p.K_P * error + integral + p.K_D * derivative + u.mixer
         limited = gb.where(abs(demand) >= p.u_max, 1, 0)
         return (error, derivative, integral, limited), (_limited(demand, p.u_max), q_reference)

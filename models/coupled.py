@@ -20,9 +20,13 @@ class CoupledVelocity(gb.StateSpace):
     units = {"p": "rad/s", "phi": "rad", "v": "m/s"}
     delays = {"u": "T_delay"}
     a1 = gb.Parameter(-0.2, bounds=(-50, 50), unit="1/s", about="drag on the velocity")
-    a2 = gb.Parameter(-5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity")
+    a2 = gb.Parameter(
+        -5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity"
+    )
     b1 = gb.Parameter(0.0, bounds=(-50, 50), unit="m/s²", about="acceleration per control")
-    b2 = gb.Parameter(300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control, K̃")
+    b2 = gb.Parameter(
+        300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control, K̃"
+    )
     T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
     derived = {
         "b1_tilde": lambda p: p.a2 * p.b1 / p.b2 - p.a1,
@@ -40,13 +44,16 @@ class CoupledVelocity(gb.StateSpace):
 class CoupledVelocityTransfer(gb.TransferFunction):
     r"""Roll rate from the roll control, the transfer function of (2.9).
 
-    $$P_p(s) = \frac{\tilde K s (s + \tilde b_1)}{s^3 + \tilde a_2 s^2 + \tilde a_0} e^{-s T_{delay}}$$
+    $$P_p(s) = \frac{\tilde K s (s + \tilde b_1)}{s^3 + \tilde a_2 s^2 + \tilde a_0} e^{-s
+    T_{delay}}$$
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, below (2.9).
     """
 
     input, output = "u", "p"
-    K_tilde = gb.Parameter(300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control")
+    K_tilde = gb.Parameter(
+        300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control"
+    )
     b1_tilde = gb.Parameter(0.2, bounds=(-100, 100), unit="1/s", about="zero at s = -b̃1")
     a2_tilde = gb.Parameter(0.2, bounds=(-50, 50), unit="1/s", about="coefficient of s²")
     a0_tilde = gb.Parameter(50.0, bounds=(-500, 500), unit="1/s³", about="constant coefficient")
@@ -60,9 +67,9 @@ class CoupledVelocityTransfer(gb.TransferFunction):
 class DampedCoupledVelocity(gb.StateSpace):
     r"""Roll rate and sideways velocity from the roll control, with the rate acting on both, (2.11).
 
-    $$\begin{bmatrix} \dot v \\ \dot p \\ \dot\phi \end{bmatrix} =
-    \begin{bmatrix} a_{11} & a_{12} & g \\ a_{21} & a_{22} & 0 \\ 0 & 1 & 0 \end{bmatrix}
-    \begin{bmatrix} v \\ p \\ \phi \end{bmatrix} + \begin{bmatrix} 0 \\ b_2 \\ 0 \end{bmatrix} u_\phi$$
+    $$\begin{bmatrix} \dot v \\ \dot p \\ \dot\phi \end{bmatrix} = \begin{bmatrix} a_{11} & a_{12} &
+    g \\ a_{21} & a_{22} & 0 \\ 0 & 1 & 0 \end{bmatrix} \begin{bmatrix} v \\ p \\ \phi \end{bmatrix}
+    + \begin{bmatrix} 0 \\ b_2 \\ 0 \end{bmatrix} u_\phi$$
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.11).
     """
@@ -73,9 +80,13 @@ class DampedCoupledVelocity(gb.StateSpace):
     units = {"p": "rad/s", "phi": "rad", "v": "m/s"}
     a11 = gb.Parameter(-0.2, bounds=(-50, 50), unit="1/s", about="drag on the velocity")
     a12 = gb.Parameter(0.1, bounds=(-50, 50), unit="m/s", about="acceleration per roll rate")
-    a21 = gb.Parameter(-5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity")
+    a21 = gb.Parameter(
+        -5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity"
+    )
     a22 = gb.Parameter(-1.0, bounds=(-50, 50), unit="1/s", about="damping of the roll rate")
-    b2 = gb.Parameter(300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control, K̃")
+    b2 = gb.Parameter(
+        300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control, K̃"
+    )
     derived = {
         "b1_tilde": lambda p: -p.a11,
         "a2_tilde": lambda p: -(p.a11 + p.a22),
@@ -97,14 +108,17 @@ class DampedCoupledVelocity(gb.StateSpace):
 class DampedCoupledVelocityTransfer(gb.TransferFunction):
     r"""Roll rate from the roll control, (2.12), the transfer function of (2.11).
 
-    $$P_p(s) = \frac{\tilde K s (s + \tilde b_1)}{s^3 + \tilde a_2 s^2 + \tilde a_1 s + \tilde a_0}$$
+    $$P_p(s) = \frac{\tilde K s (s + \tilde b_1)}{s^3 + \tilde a_2 s^2 + \tilde a_1 s + \tilde
+    a_0}$$
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.12).
     """
 
     input, output = "u", "p"
     units = {"p": "rad/s"}
-    K_tilde = gb.Parameter(300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control")
+    K_tilde = gb.Parameter(
+        300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control"
+    )
     b1_tilde = gb.Parameter(0.2, bounds=(-50, 50), unit="1/s", about="zero at s = -b̃1")
     a2_tilde = gb.Parameter(1.0, bounds=(-100, 100), unit="1/s", about="coefficient of s²")
     a1_tilde = gb.Parameter(1.0, bounds=(-500, 500), unit="1/s²", about="coefficient of s")

@@ -8,8 +8,8 @@ class Drag(gb.StateSpace):
 
     $$\dot v = g \tan\theta - a_5 v - C_x |v| v$$
 
-    The first line of (4.23), with both the quadratic drag and the linear drag of (4.24). Fix one at zero to fit the
-    other alone: ``fixed={"a5": 0.0}``.
+    The first line of (4.23), with both the quadratic drag and the linear drag of (4.24). Fix one at
+    zero to fit the other alone: ``fixed={"a5": 0.0}``.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.23) and (4.24).
     """

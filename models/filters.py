@@ -11,8 +11,8 @@ class LowPass(gb.TransferFunction):
 
     $$F(s) = \frac{\omega_c^2}{s^2 + 2 \zeta \omega_c s + \omega_c^2}$$
 
-    The model of a signal q that is logged after the filter is ``plant * LowPass(20.0, signal="q")``; if the log tells
-    the cutoff, `prepare` keeps it in ``record.filters["q"]``.
+    The model of a signal q that is logged after the filter is ``plant * LowPass(20.0,
+    signal="q")``; if the log tells the cutoff, `prepare` keeps it in ``record.filters["q"]``.
 
     Source: S. Butterworth, On the theory of filter amplifiers, Wireless Engineer 7 (1930) 536-541.
 
@@ -23,19 +23,25 @@ class LowPass(gb.TransferFunction):
     damping : float
         ζ; the default is Butterworth's.
     rate : float, Hz, optional
-        Sampling rate of a digital filter: the bilinear transform of the above, prewarped at the cutoff, as ArduPilot's
-        LowPassFilter2p. Its rational form needs a Padé approximation.
+        Sampling rate of a digital filter: the bilinear transform of the above, prewarped at the
+        cutoff, as ArduPilot's LowPassFilter2p. Its rational form needs a Padé approximation.
     signal : str, optional
         Name of the filtered signal in the data.
     """
 
     input, output = "raw", "filtered"
-    omega_c = gb.Parameter(126.0, bounds=(0.1, 10000), unit="rad/s", about="cutoff ω_c of the filter", fixed=True)
-    zeta = gb.Parameter(0.5**0.5, bounds=(0.01, 10), unit="1", about="damping ζ of the filter", fixed=True)
+    omega_c = gb.Parameter(
+        126.0, bounds=(0.1, 10000), unit="rad/s", about="cutoff ω_c of the filter", fixed=True
+    )
+    zeta = gb.Parameter(
+        0.5**0.5, bounds=(0.01, 10), unit="1", about="damping ζ of the filter", fixed=True
+    )
 
     def __init__(self, cutoff=20.0, damping=0.5**0.5, rate=None, signal=""):
         if rate is not None and not cutoff < rate / 2:
-            raise ValueError(f"cutoff {cutoff} Hz is not below half the sampling rate {rate} Hz: lower it.")
+            raise ValueError(
+                f"cutoff {cutoff} Hz is not below half the sampling rate {rate} Hz: lower it."
+            )
         self.rate = rate
         if signal:
             self.input, self.output = f"{signal}_raw", signal
@@ -69,10 +75,14 @@ class FirstOrderLowPass(gb.TransferFunction):
     """
 
     input, output = "raw", "filtered"
-    omega_1 = gb.Parameter(126.0, bounds=(0.1, 10000), unit="rad/s", about="cutoff ω_1 of the filter", fixed=True)
+    omega_1 = gb.Parameter(
+        126.0, bounds=(0.1, 10000), unit="rad/s", about="cutoff ω_1 of the filter", fixed=True
+    )
 
     def __init__(self, cutoff=20.0):
-        self.parameters = {"omega_1": replace(type(self).parameters["omega_1"], start=2 * pi * cutoff)}
+        self.parameters = {
+            "omega_1": replace(type(self).parameters["omega_1"], start=2 * pi * cutoff)
+        }
 
     def response(self, s, p):
         return p.omega_1 / (s + p.omega_1)
@@ -81,11 +91,13 @@ class FirstOrderLowPass(gb.TransferFunction):
 class Notch(gb.TransferFunction):
     r"""Notch filter, as flight controllers apply to their gyros against the vibration of the propellers.
 
-    $$F(s) = \frac{s^2 + 10^{-A/20} \frac{\omega_0}{Q} s + \omega_0^2}{s^2 + \frac{\omega_0}{Q} s + \omega_0^2}$$
+    $$F(s) = \frac{s^2 + 10^{-A/20} \frac{\omega_0}{Q} s + \omega_0^2}{s^2 + \frac{\omega_0}{Q} s +
+    \omega_0^2}$$
 
     Its numbers are constants, not parameters: several notches in series have several.
 
-    Source: NotchFilter.cpp of ArduPilot, after R. Bristow-Johnson, Cookbook formulae for audio equalizer filters.
+    Source: NotchFilter.cpp of ArduPilot, after R. Bristow-Johnson, Cookbook formulae for audio
+    equalizer filters.
 
     Parameters
     ----------
@@ -105,4 +117,6 @@ class Notch(gb.TransferFunction):
 
     def response(self, s, p):
         width = self.omega_0 / self.quality
-        return (s**2 + self.remainder * width * s + self.omega_0**2) / (s**2 + width * s + self.omega_0**2)
+        return (s**2 + self.remainder * width * s + self.omega_0**2) / (
+            s**2 + width * s + self.omega_0**2
+        )

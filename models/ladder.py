@@ -17,14 +17,22 @@ TILT = (
     Step("rate:BasicAngle", (), "two integrators with rotor lag and delay, (2.6)"),
     Step("rate:DampedAngle", (), "rate damping, one more pole"),
     Step("tilt:Tilt", ("T_rotor", "T_delay"), "velocity feedback with a known drag, (4.25)"),
-    Step("tilt:Tilt", ("T_rotor", "T_delay", "a5"), "velocity feedback, (2.12) with rotor lag and delay"),
+    Step(
+        "tilt:Tilt",
+        ("T_rotor", "T_delay", "a5"),
+        "velocity feedback, (2.12) with rotor lag and delay",
+    ),
 )
 TILT_RATE = (
     Step("rate:LaggedRate", (), "lag and delay"),
     Step("rate:BasicRate", (), "integrator with rotor lag and delay, (2.5)"),
     Step("rate:DampedRotation", (), "rate damping, one more pole"),
     Step("tilt:TiltRate", ("T_rotor", "T_delay"), "velocity feedback with a known drag, (4.25)"),
-    Step("tilt:TiltRate", ("T_rotor", "T_delay", "a5"), "velocity feedback, (2.12) with rotor lag and delay"),
+    Step(
+        "tilt:TiltRate",
+        ("T_rotor", "T_delay", "a5"),
+        "velocity feedback, (2.12) with rotor lag and delay",
+    ),
 )
 YAW = (
     Step("rate:LaggedAngle", (), "one integrator with lag and delay"),

@@ -6,10 +6,9 @@ import greybox as gb
 class Mixer(gb.StateSpace):
     r"""Motor controls from the thrust, roll, pitch and yaw controls, below (2.3).
 
-    $$\begin{aligned}
-    u_1 &= u_F - 0.5 u_\phi - 0.5 u_\theta + u_\psi, & u_2 &= u_F + 0.5 u_\phi + 0.5 u_\theta + u_\psi, \\
-    u_3 &= u_F + 0.5 u_\phi - 0.5 u_\theta - u_\psi, & u_4 &= u_F - 0.5 u_\phi + 0.5 u_\theta - u_\psi
-    \end{aligned}$$
+    $$\begin{aligned} u_1 &= u_F - 0.5 u_\phi - 0.5 u_\theta + u_\psi, & u_2 &= u_F + 0.5 u_\phi +
+    0.5 u_\theta + u_\psi, \\ u_3 &= u_F + 0.5 u_\phi - 0.5 u_\theta - u_\psi, & u_4 &= u_F - 0.5
+    u_\phi + 0.5 u_\theta - u_\psi \end{aligned}$$
 
     A static model of the symmetric X frame, without the limits of the controls.
 
@@ -43,9 +42,15 @@ class Torques(gb.StateSpace):
     inputs = ("Omega_1", "Omega_2", "Omega_3", "Omega_4")
     outputs = ("tau_phi", "tau_theta", "tau_psi")
     K_tau = gb.Parameter(
-        2e-6, bounds=(1e-9, 1e-3), unit="N·m·s²", about="roll and pitch torque per squared speed", scale="log"
+        2e-6,
+        bounds=(1e-9, 1e-3),
+        unit="N·m·s²",
+        about="roll and pitch torque per squared speed",
+        scale="log",
     )
-    K_psi = gb.Parameter(2e-7, bounds=(1e-10, 1e-4), unit="N·m·s²", about="yaw torque per squared speed", scale="log")
+    K_psi = gb.Parameter(
+        2e-7, bounds=(1e-10, 1e-4), unit="N·m·s²", about="yaw torque per squared speed", scale="log"
+    )
 
     def output(self, x, u, p):
         one, two, three, four = (speed**2 for speed in (u.Omega_1, u.Omega_2, u.Omega_3, u.Omega_4))

@@ -9,12 +9,22 @@ from greybox.models.tilt import NonlinearTilt, TiltParameters
 class MomentParameters(TiltParameters):
     """The coefficients of the candidate terms, each of them absent at zero."""
 
-    b_vv = gb.Parameter(0.0, bounds=(-20, 20), unit="1/m²", about="moment by the square of the velocity", fixed=True)
-    b_vtheta = gb.Parameter(0.0, bounds=(-500, 500), unit="1/(m·s)", about="stiffness per velocity", fixed=True)
+    b_vv = gb.Parameter(
+        0.0, bounds=(-20, 20), unit="1/m²", about="moment by the square of the velocity", fixed=True
+    )
+    b_vtheta = gb.Parameter(
+        0.0, bounds=(-500, 500), unit="1/(m·s)", about="stiffness per velocity", fixed=True
+    )
     b_vq = gb.Parameter(0.0, bounds=(-20, 20), unit="1/m", about="damping per velocity", fixed=True)
-    b_thetatheta = gb.Parameter(0.0, bounds=(-20000, 20000), unit="1/s²", about="stiffness per angle", fixed=True)
-    b_thetaq = gb.Parameter(0.0, bounds=(-500, 500), unit="1/s", about="damping per angle", fixed=True)
-    b_vtau = gb.Parameter(0.0, bounds=(-200, 200), unit="1/(m·s)", about="loss of control per velocity", fixed=True)
+    b_thetatheta = gb.Parameter(
+        0.0, bounds=(-20000, 20000), unit="1/s²", about="stiffness per angle", fixed=True
+    )
+    b_thetaq = gb.Parameter(
+        0.0, bounds=(-500, 500), unit="1/s", about="damping per angle", fixed=True
+    )
+    b_vtau = gb.Parameter(
+        0.0, bounds=(-200, 200), unit="1/(m·s)", about="loss of control per velocity", fixed=True
+    )
 
 
 MOMENT_TERMS = ("b_vv", "b_vtheta", "b_vq", "b_thetatheta", "b_thetaq", "b_vtau")
@@ -27,8 +37,8 @@ class TiltMoment(MomentParameters, NonlinearTilt):
     - b_{vv} |v| v - b_{v\theta} |v| \theta - b_{vq} |v| q - b_{\theta\theta} |\theta| \theta
     - b_{\theta q} |\theta| q - b_{v\tau} |v| \tau_\theta$$
 
-    All additions are odd, as those of a symmetric vehicle are: a flight backward is the mirror image of one forward.
-    With all of them at zero it is `NonlinearTilt`.
+    All additions are odd, as those of a symmetric vehicle are: a flight backward is the mirror
+    image of one forward. With all of them at zero it is `NonlinearTilt`.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21) and (4.23).
     """
@@ -52,14 +62,15 @@ class TiltMomentAt(MomentParameters, gb.TransferFunction):
 
     $a_1$ to $a_4$ are
 
-    $$A_1 = a_1 + b_{v\theta} v_0 + 2 b_{\theta\theta} \theta_0, \quad
-    A_2 = a_2 + b_{vq} v_0 + b_{\theta q} \theta_0, \quad
-    A_3 = a_3 + 2 b_{vv} v_0 + b_{v\theta} \theta_0 + b_{v\tau} \tau_0, \quad A_4 = a_4 - b_{v\tau} v_0$$
+    $$A_1 = a_1 + b_{v\theta} v_0 + 2 b_{\theta\theta} \theta_0, \quad A_2 = a_2 + b_{vq} v_0 +
+    b_{\theta q} \theta_0, \quad A_3 = a_3 + 2 b_{vv} v_0 + b_{v\theta} \theta_0 + b_{v\tau} \tau_0,
+    \quad A_4 = a_4 - b_{v\tau} v_0$$
 
-    there, with $2 C_x v_0$ for $a_5$ and $g / \cos^2\theta_0$ for $g$, where $C_x v_0^2 = g \tan\theta_0$ and the
-    moment is zero at $\tau_0$.
+    there, with $2 C_x v_0$ for $a_5$ and $g / \cos^2\theta_0$ for $g$, where $C_x v_0^2 = g
+    \tan\theta_0$ and the moment is zero at $\tau_0$.
 
-    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21), (4.23) and (4.25).
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21), (4.23) and
+    (4.25).
 
     Parameters
     ----------

@@ -12,9 +12,9 @@ class Polynomial(gb.TransferFunction):
 
     $$P(s) = \frac{b_m s^m + \dots + b_0}{s^n + a_{n-1} s^{n-1} + \dots + a_0}, \qquad m < n$$
 
-    With integrators the denominator has as many factors $s$: $a_0$ and so on are zero and not parameters. With `delay`
-    it is multiplied by $e^{-s T_{delay}}$. The default orders are
-    those of (3.18) and (3.19); (3.20) is ``Polynomial(4, 1, integrator=True)``.
+    With integrators the denominator has as many factors $s$: $a_0$ and so on are zero and not
+    parameters. With `delay` it is multiplied by $e^{-s T_{delay}}$. The default orders are those of
+    (3.18) and (3.19); (3.20) is ``Polynomial(4, 1, integrator=True)``.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.13).
 
@@ -36,15 +36,17 @@ class Polynomial(gb.TransferFunction):
     Raises
     ------
     ValueError
-        Unless the orders are integers with 0 <= m < n, there are at most n integrators, 0 < starts <= radius, and the
-        delay is not below zero.
+        Unless the orders are integers with 0 <= m < n, there are at most n integrators, 0 < starts
+        <= radius, and the delay is not below zero.
     """
 
     def __init__(self, n=4, m=1, integrator=False, radius=50.0, starts=20.0, output="y", delay=0.0):
         _require_order("n", n, 1)
         _require_order("m", m, 0)
         if m >= n:
-            raise ValueError(f"m = {m} is not below n = {n}: (2.13) needs m < n. Lower m or raise n.")
+            raise ValueError(
+                f"m = {m} is not below n = {n}: (2.13) needs m < n. Lower m or raise n."
+            )
         if not 0 < starts <= radius < math.inf:
             raise ValueError(
                 f"starts = {starts} and radius = {radius} must be finite with 0 < starts <= radius, in rad/s."
@@ -60,7 +62,9 @@ class Polynomial(gb.TransferFunction):
         self.delay = delay
         self.output = output
         numerator = {f"b{k}": _coefficient(k, m, n, radius, starts) for k in range(m + 1)}
-        denominator = {f"a{k}": _coefficient(k, n, n, radius, starts) for k in range(self.integrator, n)}
+        denominator = {
+            f"a{k}": _coefficient(k, n, n, radius, starts) for k in range(self.integrator, n)
+        }
         self.parameters = numerator | denominator
         if delay:
             self.parameters["T_delay"] = gb.Parameter(
@@ -102,6 +106,10 @@ def _value(coefficients, s):
 
 def _require_order(name, order, least):
     if isinstance(order, bool) or not isinstance(order, int) or order < least:
-        raise ValueError(f"{name} = {order!r} is not the order of a polynomial: give an integer of at least {least}.")
+        raise ValueError(
+            f"{name} = {order!r} is not the order of a polynomial: give an integer of at least {least}."
+        )
     if order > LARGEST_ORDER:
-        raise ValueError(f"{name} = {order} is too large: give an order of at most {LARGEST_ORDER}.")
+        raise ValueError(
+            f"{name} = {order} is too large: give an order of at most {LARGEST_ORDER}."
+        )

@@ -9,15 +9,18 @@ class BasicRate(gb.TransferFunction):
     $$P_p(s) = \frac{K_\phi}{s (T_\Omega s + 1)} e^{-s T_{delay}}, \qquad
     K_\phi = \frac{4 K_\tau \Omega_F K_\Omega}{J_x}$$
 
-    The factor 4 refers to the control $u_\phi$: the torque (2.3) gives $8 K_\tau \Omega_F$ per common speed change
-    $\Omega_\phi$ of the rotors, and the mixer below (2.3) passes half of $u_\phi$ to each.
+    The factor 4 refers to the control $u_\phi$: the torque (2.3) gives $8 K_\tau \Omega_F$ per
+    common speed change $\Omega_\phi$ of the rotors, and the mixer below (2.3) passes half of
+    $u_\phi$ to each.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.5).
     """
 
     input, output = "u", "p"
     units = {"p": "rad/s"}
-    K_phi = gb.Parameter(300.0, bounds=(0, 5000), unit="1/s²", about="angular acceleration per control")
+    K_phi = gb.Parameter(
+        300.0, bounds=(0, 5000), unit="1/s²", about="angular acceleration per control"
+    )
     T_rotor = gb.Parameter(0.05, bounds=(0.001, 1), unit="s", about="rotor time constant T_Ω")
     T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
 
@@ -52,7 +55,9 @@ class DampedAngle(gb.TransferFunction):
 
     input, output = "u", "theta"
     units = {"theta": "rad"}
-    K_phi = gb.Parameter(100.0, bounds=(1, 2000), unit="1/s²", about="angular acceleration per control")
+    K_phi = gb.Parameter(
+        100.0, bounds=(1, 2000), unit="1/s²", about="angular acceleration per control"
+    )
     a = gb.Parameter(1.0, bounds=(0, 5), unit="1/s", about="damping of the rate")
     T_rotor = gb.Parameter(0.05, bounds=(0.001, 0.2), unit="s", about="rotor time constant T_Ω")
     T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
@@ -123,7 +128,9 @@ class DampedRate(gb.TransferFunction):
     units = {"p": "rad/s"}
     K_1 = gb.Parameter(100.0, bounds=(0, 5000), unit="1/s²", about="gain")
     T_1 = gb.Parameter(0.2, bounds=(0.001, 10), unit="s", about="time constant of the real pole")
-    xi = gb.Parameter(0.1, bounds=(-2, 2), unit="1", about="damping ratio ξ, negative when unstable")
+    xi = gb.Parameter(
+        0.1, bounds=(-2, 2), unit="1", about="damping ratio ξ, negative when unstable"
+    )
     omega_p = gb.Parameter(3.0, bounds=(0.01, 50), unit="rad/s", about="natural frequency")
     T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
 

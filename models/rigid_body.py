@@ -28,12 +28,12 @@ class EulerKinematics(gb.StateSpace):
 class RigidBody(gb.StateSpace):
     r"""Euler angles and body rates from the torques, (2.1) with (2.2).
 
-    $$\begin{bmatrix} \dot p \\ \dot q \\ \dot r \end{bmatrix} = \begin{bmatrix}
-    \frac{J_y - J_z}{J_x} q r \\ \frac{J_z - J_x}{J_y} p r \\ \frac{J_x - J_y}{J_z} p q \end{bmatrix} +
+    $$\begin{bmatrix} \dot p \\ \dot q \\ \dot r \end{bmatrix} = \begin{bmatrix} \frac{J_y -
+    J_z}{J_x} q r \\ \frac{J_z - J_x}{J_y} p r \\ \frac{J_x - J_y}{J_z} p q \end{bmatrix} +
     \begin{bmatrix} \tau_\phi / J_x \\ \tau_\theta / J_y \\ \tau_\psi / J_z \end{bmatrix}$$
 
-    The angles follow (2.1), see `EulerKinematics`. The body axes are principal axes. Unless the torques are measured,
-    flight data determine only the ratios of the inertias to the torque gains.
+    The angles follow (2.1), see `EulerKinematics`. The body axes are principal axes. Unless the
+    torques are measured, flight data determine only the ratios of the inertias to the torque gains.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.1) and (2.2).
     """
@@ -41,9 +41,15 @@ class RigidBody(gb.StateSpace):
     states = ("phi", "theta", "psi", "p", "q", "r")
     inputs = ("tau_phi", "tau_theta", "tau_psi")
     outputs = states
-    J_x = gb.Parameter(0.01, bounds=(1e-4, 1), unit="kg·m²", about="inertia about body x", scale="log")
-    J_y = gb.Parameter(0.01, bounds=(1e-4, 1), unit="kg·m²", about="inertia about body y", scale="log")
-    J_z = gb.Parameter(0.02, bounds=(1e-4, 1), unit="kg·m²", about="inertia about body z", scale="log")
+    J_x = gb.Parameter(
+        0.01, bounds=(1e-4, 1), unit="kg·m²", about="inertia about body x", scale="log"
+    )
+    J_y = gb.Parameter(
+        0.01, bounds=(1e-4, 1), unit="kg·m²", about="inertia about body y", scale="log"
+    )
+    J_z = gb.Parameter(
+        0.02, bounds=(1e-4, 1), unit="kg·m²", about="inertia about body z", scale="log"
+    )
 
     def derivative(self, x, u, p):
         return (

@@ -6,12 +6,22 @@ import greybox as gb
 class TiltParameters:
     """Parameters common to the three forms of the tilt dynamics: (4.23) without its drag, and the rotor (4.22)."""
 
-    a1 = gb.Parameter(0.0, bounds=(-100, 100), unit="1/s²", about="stiffness: angular acceleration per angle")
+    a1 = gb.Parameter(
+        0.0, bounds=(-100, 100), unit="1/s²", about="stiffness: angular acceleration per angle"
+    )
     a2 = gb.Parameter(3.0, bounds=(-50, 50), unit="1/s", about="damping of the angular velocity")
-    a3 = gb.Parameter(5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity")
-    a4 = gb.Parameter(250.0, bounds=(1, 2000), unit="1/s²", about="angular acceleration per control, ã4")
-    T_rotor = gb.Parameter(0.048, bounds=(0.001, 1), unit="s", about="rotor time constant T_Ω", fixed=True)
-    T_delay = gb.Parameter(0.0042, bounds=(0, 0.05), unit="s", about="controller and ESC delay", fixed=True)
+    a3 = gb.Parameter(
+        5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity"
+    )
+    a4 = gb.Parameter(
+        250.0, bounds=(1, 2000), unit="1/s²", about="angular acceleration per control, ã4"
+    )
+    T_rotor = gb.Parameter(
+        0.048, bounds=(0.001, 1), unit="s", about="rotor time constant T_Ω", fixed=True
+    )
+    T_delay = gb.Parameter(
+        0.0042, bounds=(0, 0.05), unit="s", about="controller and ESC delay", fixed=True
+    )
     derived = {"a3_tilde": lambda p: gb.g * p.a3}
 
 
@@ -29,7 +39,9 @@ class Tilt(TiltParameters, gb.TransferFunction):
 
     input, output = "u", "theta"
     units = {"theta": "rad"}
-    a5 = gb.Parameter(0.16, bounds=(0, 10), unit="1/s", about="drag on the velocity, (4.24)", fixed=True)
+    a5 = gb.Parameter(
+        0.16, bounds=(0, 10), unit="1/s", about="drag on the velocity, (4.24)", fixed=True
+    )
 
     def response(self, s, p):
         tilt = (s + p.a5) / ((s + p.a5) * (s**2 + p.a2 * s + p.a1) + gb.g * p.a3)
@@ -60,9 +72,11 @@ class LinearTilt(TiltParameters, gb.StateSpace):
     $$\dot v = g \theta - a_5 v, \quad \dot q = -a_1 \theta - a_2 q - a_3 v + a_4 \tau_\theta, \quad
     \dot\theta = q, \quad \dot\tau_\theta = (u(t - T_{delay}) - \tau_\theta) / T_\Omega$$
 
-    The rotor state represents the torque; `a4` includes the torque gain. The transfer function is `Tilt`.
+    The rotor state represents the torque; `a4` includes the torque gain. The transfer function is
+    `Tilt`.
 
-    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21), (4.23) and (4.24).
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21), (4.23) and
+    (4.24).
     """
 
     states = ("v", "q", "theta", "rotor")
@@ -87,11 +101,13 @@ class LinearTilt(TiltParameters, gb.StateSpace):
 class NonlinearTilt(TiltParameters, gb.StateSpace):
     r"""Tilt angle and velocity from the tilt control with quadratic drag, (4.23).
 
-    $$\dot v = g \tan\theta - C_x |v| v, \quad \dot q = -a_1 \theta - a_2 q - a_3 v + a_4 \tau_\theta, \quad
-    \dot\theta = q, \quad \dot\tau_\theta = (u(t - T_{delay}) - \tau_\theta) / T_\Omega$$
+    $$\dot v = g \tan\theta - C_x |v| v, \quad \dot q = -a_1 \theta - a_2 q - a_3 v + a_4
+    \tau_\theta, \quad \dot\theta = q, \quad \dot\tau_\theta = (u(t - T_{delay}) - \tau_\theta) /
+    T_\Omega$$
 
-    The rotor state represents the torque; `a4` includes the torque gain. In hover the slope of the drag is zero, so
-    `C_x` vanishes from the linearization there. Records identify it, and so do responses with a stated sine amplitude.
+    The rotor state represents the torque; `a4` includes the torque gain. In hover the slope of the
+    drag is zero, so `C_x` vanishes from the linearization there. Records identify it, and so do
+    responses with a stated sine amplitude.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21) and (4.23).
     """
@@ -101,7 +117,9 @@ class NonlinearTilt(TiltParameters, gb.StateSpace):
     outputs = ("theta", "v")
     units = {"theta": "rad", "v": "m/s"}
     delays = {"u": "T_delay"}
-    C_x = gb.Parameter(0.05, bounds=(0.001, 2), unit="1/m", about="drag per squared velocity", scale="log")
+    C_x = gb.Parameter(
+        0.05, bounds=(0.001, 2), unit="1/m", about="drag per squared velocity", scale="log"
+    )
 
     def derivative(self, x, u, p):
         return (

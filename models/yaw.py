@@ -14,12 +14,20 @@ class YawRate(gb.TransferFunction):
 
     input, output = "u", "r"
     units = {"r": "rad/s"}
-    a1_tilde = gb.Parameter(0.0, bounds=(-20000, 20000), unit="1/s²", about="feedback through ν, a1 K_ν")
+    a1_tilde = gb.Parameter(
+        0.0, bounds=(-20000, 20000), unit="1/s²", about="feedback through ν, a1 K_ν"
+    )
     a2 = gb.Parameter(100.0, bounds=(-100, 2000), unit="1/s", about="damping of the yaw rate")
-    a3_tilde = gb.Parameter(500.0, bounds=(1, 10000), unit="1/s²", about="yaw acceleration per control")
+    a3_tilde = gb.Parameter(
+        500.0, bounds=(1, 10000), unit="1/s²", about="yaw acceleration per control"
+    )
     a4 = gb.Parameter(1.0, bounds=(-50, 100), unit="1/s", about="decay of the state ν")
-    T_rotor = gb.Parameter(0.048, bounds=(0.001, 1), unit="s", about="rotor time constant T_Ω", fixed=True)
-    T_delay = gb.Parameter(0.0042, bounds=(0, 0.05), unit="s", about="controller and ESC delay", fixed=True)
+    T_rotor = gb.Parameter(
+        0.048, bounds=(0.001, 1), unit="s", about="rotor time constant T_Ω", fixed=True
+    )
+    T_delay = gb.Parameter(
+        0.0042, bounds=(0, 0.05), unit="s", about="controller and ESC delay", fixed=True
+    )
 
     def response(self, s, p):
         rate = p.a3_tilde * (s + p.a4) / ((s + p.a4) * (s + p.a2) + p.a1_tilde)
@@ -45,11 +53,12 @@ class YawAngle(YawRate):
 class YawStates(gb.StateSpace):
     r"""Yaw rate and yaw angle from the yaw control as an ODE, (4.33) with the rotor (4.21).
 
-    $$\dot\nu = -a_4 \nu + K_\nu r, \quad \dot r = -a_1 \nu - a_2 r + a_3 \tau_\psi, \quad \dot\psi = r, \quad
-    \dot\tau_\psi = (u(t - T_{delay}) - \tau_\psi) / T_\Omega$$
+    $$\dot\nu = -a_4 \nu + K_\nu r, \quad \dot r = -a_1 \nu - a_2 r + a_3 \tau_\psi, \quad \dot\psi
+    = r, \quad \dot\tau_\psi = (u(t - T_{delay}) - \tau_\psi) / T_\Omega$$
 
-    The rotor state represents the torque; `a3` includes the torque gain. The yaw motion determines only the product
-    $a_1 K_\nu$, so `K_nu` is fixed; it sets the unit of $\nu$. The transfer functions are `YawRate` and `YawAngle`.
+    The rotor state represents the torque; `a3` includes the torque gain. The yaw motion determines
+    only the product $a_1 K_\nu$, so `K_nu` is fixed; it sets the unit of $\nu$. The transfer
+    functions are `YawRate` and `YawAngle`.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21) and (4.33).
     """
@@ -61,7 +70,9 @@ class YawStates(gb.StateSpace):
     delays = {"u": "T_delay"}
     a1 = gb.Parameter(0.0, bounds=(-20000, 20000), unit="1/s²", about="yaw acceleration per ν")
     a2 = YawRate.a2
-    a3 = gb.Parameter(500.0, bounds=(1, 10000), unit="1/s²", about="yaw acceleration per control, ã3")
+    a3 = gb.Parameter(
+        500.0, bounds=(1, 10000), unit="1/s²", about="yaw acceleration per control, ã3"
+    )
     a4 = YawRate.a4
     T_rotor = YawRate.T_rotor
     T_delay = YawRate.T_delay

@@ -1,8 +1,9 @@
 """What the problems of the paper share: its tables.
 
-The tables are those of "Frequency Domain Identification of the Quadcopter Attitude Dynamics": real flights of a
-quadcopter with an S500 frame, 10-inch propellers and a Pixhawk 4 with ArduPilot. The setpoint of one angle followed
-sines, one frequency after another, (3.14); each point of a table is a ratio (3.15) of Fourier filters (3.16).
+The tables are those of "Frequency Domain Identification of the Quadcopter Attitude Dynamics": real
+flights of a quadcopter with an S500 frame, 10-inch propellers and a Pixhawk 4 with ArduPilot. The
+setpoint of one angle followed sines, one frequency after another, (3.14); each point of a table is
+a ratio (3.15) of Fourier filters (3.16).
 """
 
 from pathlib import Path
@@ -26,5 +27,9 @@ def coefficients(numerator, *factors):
     for factor in factors:
         denominator = np.convolve(denominator, factor)
     b, a = np.array(numerator)[::-1] / denominator[0], denominator[:0:-1] / denominator[0]
-    named = {f"b{k}": float(value) for k, value in enumerate(b)} | {f"a{k}": float(value) for k, value in enumerate(a)}
-    return {name: value for name, value in named.items() if value or name != "a0"}  # an integrator has no a0
+    named = {f"b{k}": float(value) for k, value in enumerate(b)} | {
+        f"a{k}": float(value) for k, value in enumerate(a)
+    }
+    return {
+        name: value for name, value in named.items() if value or name != "a0"
+    }  # an integrator has no a0

@@ -1,10 +1,12 @@
 """Every structure of the paper on every table that it can serve, by criterion, treatment of the delay, and seed.
 
-``greybox batch paper --out DIR`` fits them all, by three criteria, with the exact and a Padé delay, from two seeds, and
-`greybox compare DIR` shows them side by side. Structures of a rate, (2.5) to (2.12) and (4.34), are fitted to the
-response of the angle times s. Rotor and delay are fixed at (4.22), but for the rotor's own table.
+``greybox batch paper --out DIR`` fits them all, by three criteria, with the exact and a Padé delay,
+from two seeds, and `greybox compare DIR` shows them side by side. Structures of a rate, (2.5) to
+(2.12) and (4.34), are fitted to the response of the angle times s. Rotor and delay are fixed at
+(4.22), but for the rotor's own table.
 
-Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, Tables 3.1, 4.2 and 4.3.
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, Tables 3.1, 4.2 and
+4.3.
 """
 
 from dataclasses import replace
@@ -72,7 +74,10 @@ def members():
     """Return all fits of the study."""
     return [
         gb.study.Member(
-            stated.with_(criterion=criterion, delay=delay), STARTS, seed, name=f"{name}, {label}, {delay}, seed {seed}"
+            stated.with_(criterion=criterion, delay=delay),
+            STARTS,
+            seed,
+            name=f"{name}, {label}, {delay}, seed {seed}",
         )
         for name, stated in problems().items()
         for label, criterion in CRITERIA.items()

@@ -4,9 +4,9 @@ Flown: setpoint sines of 3° about a pitch of 5°, so that the quadcopter flies 
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2.
 
-As in the paper, rotor and delay are fixed at (4.22) and the drag a5 at 0.16 1/s. The paper prints a3 times g.
-The cost at the minimum is lower than at the published estimate.
-a1 and a3 differ considerably from hover, from which the paper concludes that the dynamics are nonlinear.
+As in the paper, rotor and delay are fixed at (4.22) and the drag a5 at 0.16 1/s. The paper prints
+a3 times g. The cost at the minimum is lower than at the published estimate. a1 and a3 differ
+considerably from hover, from which the paper concludes that the dynamics are nonlinear.
 """
 
 import greybox as gb

@@ -4,8 +4,8 @@ Flown: setpoint sines of the pitch angle of a quadcopter in hover.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2.
 
-As in the paper, rotor and delay are fixed at (4.22) and the drag a5 at 0.16 1/s. The paper prints a3 times g.
-The cost at the minimum is lower than at the published estimate.
+As in the paper, rotor and delay are fixed at (4.22) and the drag a5 at 0.16 1/s. The paper prints
+a3 times g. The cost at the minimum is lower than at the published estimate.
 """
 
 import greybox as gb

@@ -4,8 +4,8 @@ Flown: as in `pitch_hover`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3.
 
-Note: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
-There is no delay: the coefficients absorb it.
+Note: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is
+minimized here. There is no delay: the coefficients absorb it.
 """
 
 import greybox as gb

@@ -2,20 +2,23 @@
 
 Flown: as in `pitch_hover` and `pitch_5deg`.
 
-Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2 and its conclusion, "further
-research is required to find limits and dependencies of the system parameters".
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2 and its
+conclusion, "further research is required to find limits and dependencies of the system parameters".
 
-The question: (4.23) with one set of parameters costs 6.08 on both tables (`pitch_operating_points`), two separate fits
-cost 1.22. `selection` looks for the smallest structure that explains both, among six odd terms of the moment. Three are
-supported, the moment by |v| v, by |v| θ and by |v| τ: together they cost 1.325. A fourth, damping by |v| q, would come
-to 1.217, which is all that separate parameters can do; its p-value of 0.035 is above the limit of 0.017 for one of
-three that are tried.
+The question: (4.23) with one set of parameters costs 6.08 on both tables
+(`pitch_operating_points`), two separate fits cost 1.22. `selection` looks for the smallest
+structure that explains both, among six odd terms of the moment. Three are supported, the moment by
+|v| v, by |v| θ and by |v| τ: together they cost 1.325. A fourth, damping by |v| q, would come to
+1.217, which is all that separate parameters can do; its p-value of 0.035 is above the limit of
+0.017 for one of three that are tried.
 
-What the tables cannot tell: |θ| θ may stand in the place of |v| v or of |v| θ, and |θ| q in that of |v| q, at the same
-cost. About one operating point beside hover each term is a change of the four coefficients of (4.25), and v and θ are
-tied to one another by the trim. `flights` says which other angle would tell them apart.
+What the tables cannot tell: |θ| θ may stand in the place of |v| v or of |v| θ, and |θ| q in that of
+|v| q, at the same cost. About one operating point beside hover each term is a change of the four
+coefficients of (4.25), and v and θ are tied to one another by the trim. `flights` says which other
+angle would tell them apart.
 
-C_x is fixed where its slope at 5° equals the paper's a5 of 0.16 1/s, as in `pitch_operating_points`.
+C_x is fixed where its slope at 5° equals the paper's a5 of 0.16 1/s, as in
+`pitch_operating_points`.
 """
 
 import math
@@ -52,7 +55,9 @@ def separate():
     """Return the problem with separate parameters for the two tables: what any terms can explain at most."""
     hover, moving = data()
     own = {name: f"{name}_5deg" for name in ("a1", "a2", "a3", "a4")}
-    return gb.Problem(TiltMomentAt(0.0, DRAG), hover) + gb.Problem(TiltMomentAt(ANGLE, DRAG), moving, rename=own)
+    return gb.Problem(TiltMomentAt(0.0, DRAG), hover) + gb.Problem(
+        TiltMomentAt(ANGLE, DRAG), moving, rename=own
+    )
 
 
 def selection(starts=4):
@@ -63,19 +68,24 @@ def selection(starts=4):
 def flights(angles=ANGLES, starts=None):
     """Say about which angle the same sines would tell the chosen terms from those that explain both tables as well.
 
-    A noise-free response of the chosen structure is added to the tables, and each rival fitted to all three: by how
-    many variances of the errors its sum of squares is the larger, which is the expected difference of AIC. From 10 on
-    the rival has no support (Burnham and Anderson (2002), section 2.6).
+    A noise-free response of the chosen structure is added to the tables, and each rival fitted to
+    all three: by how many variances of the errors its sum of squares is the larger, which is the
+    expected difference of AIC. From 10 on the rival has no support (Burnham and Anderson (2002),
+    section 2.6).
     """
     by = {"criterion": gb.SquaredRelativeError()}
     chosen = gb.fit(problem().with_(**by), starts, progress=False)
-    variance = chosen.cost / (2 * sum(len(part.data) for part in chosen.responses) - len(chosen.free))
+    variance = chosen.cost / (
+        2 * sum(len(part.data) for part in chosen.responses) - len(chosen.free)
+    )
     omega = pitch_5deg.data().omega
     rows = []
     for terms in RIVALS:
         more = []
         for angle in angles:
-            made = gb.frequency_response(TiltMomentAt(math.radians(angle), DRAG), chosen.estimate, omega)
+            made = gb.frequency_response(
+                TiltMomentAt(math.radians(angle), DRAG), chosen.estimate, omega
+            )
             stated = problem(terms, more=[(math.radians(angle), made)]).with_(**by)
             rival = gb.fit(stated, starts, progress=False)
             more.append(f"{(rival.cost - chosen.cost) / variance:.0f}")

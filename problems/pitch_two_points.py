@@ -2,9 +2,9 @@
 
 Flown: as in `pitch_hover` and `pitch_5deg`.
 
-Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2. The paper identifies each
-operating point separately, (4.28) and (4.31), and finds that a1 and a3 change significantly; here only these two
-differ (a1_5deg, a3_5deg), while a2 and a4 are shared.
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2. The paper
+identifies each operating point separately, (4.28) and (4.31), and finds that a1 and a3 change
+significantly; here only these two differ (a1_5deg, a3_5deg), while a2 and a4 are shared.
 """
 
 import greybox as gb

@@ -1,13 +1,14 @@
 """Speeds of the four rotors from their motor controls, one common model: Table 4.2 and (4.21), estimate (4.22).
 
-Flown: yaw tests of a quadcopter in hover, with the rotor speeds reported by the speed controllers (BLHeli32). The four
-responses share one model, as in the paper.
+Flown: yaw tests of a quadcopter in hover, with the rotor speeds reported by the speed controllers
+(BLHeli32). The four responses share one model, as in the paper.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.1.
 
-Note: the table prints the real part of rotor 3 at 3.00 rad/s as -1002, but its neighbors suggest +1002. The data are
-kept as printed; ``data(mended=True)`` and ``problem(mended=True)`` reverse the sign. This one point contributes 2.0 to
-the cost of 3.3, yet the sum of relative errors hardly lets it affect the estimate. See also `rotors_mended`.
+Note: the table prints the real part of rotor 3 at 3.00 rad/s as -1002, but its neighbors suggest
++1002. The data are kept as printed; ``data(mended=True)`` and ``problem(mended=True)`` reverse the
+sign. This one point contributes 2.0 to the cost of 3.3, yet the sum of relative errors hardly lets
+it affect the estimate. See also `rotors_mended`.
 """
 
 from dataclasses import replace

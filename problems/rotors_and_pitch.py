@@ -2,11 +2,12 @@
 
 Flown: as in `rotors` and `pitch_hover`.
 
-Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, sections 4.1 and 4.2. The paper identifies
-the rotor first and holds it fixed for the pitch dynamics; here T_rotor and T_delay are estimated from both experiments
-together.
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, sections 4.1 and 4.2.
+The paper identifies the rotor first and holds it fixed for the pitch dynamics; here T_rotor and
+T_delay are estimated from both experiments together.
 
-Note: the sign of one value of Table 4.2 is corrected, see `rotors`; ``problem(mended=False)`` takes it as printed.
+Note: the sign of one value of Table 4.2 is corrected, see `rotors`; ``problem(mended=False)`` takes
+it as printed.
 """
 
 import greybox as gb

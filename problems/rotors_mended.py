@@ -4,7 +4,8 @@ Flown: as in `rotors`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.1.
 
-Note: the real part of rotor 3 at 3.00 rad/s is +1002 here, as its neighbors suggest, not -1002 as printed.
+Note: the real part of rotor 3 at 3.00 rad/s is +1002 here, as its neighbors suggest, not -1002 as
+printed.
 """
 
 from greybox.problems import rotors

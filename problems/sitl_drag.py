@@ -1,11 +1,12 @@
 """Drag of a simulated quadcopter, from tilt angle and velocity in time: linear and quadratic, (4.23) and (4.24).
 
-Flown: as `sitl_pitch`, in hover and about a pitch of 5°, where the vehicle accelerates to 2.5 m/s and stops at the end.
-The tilt angle is measured; the velocity is the forward velocity of the vehicle's state estimator. Both are at 12.5 Hz.
+Flown: as `sitl_pitch`, in hover and about a pitch of 5°, where the vehicle accelerates to 2.5 m/s
+and stops at the end. The tilt angle is measured; the velocity is the forward velocity of the
+vehicle's state estimator. Both are at 12.5 Hz.
 
-Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2, which takes a5 from the
-measured velocity. The simulator's linear drag is 4 f / m = 0.26 1/s in hover, and it also has quadratic drag; these are
-settings, not estimates.
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2, which
+takes a5 from the measured velocity. The simulator's linear drag is 4 f / m = 0.26 1/s in hover, and
+it also has quadratic drag; these are settings, not estimates.
 """
 
 from pathlib import Path
@@ -28,8 +29,10 @@ def data():
 def problem(records=None, **fixed):
     """Return both drags on both flights, or on other records; ``a5=0.0`` or ``C_x=0.0`` leaves one drag out.
 
-    The thrust is not exactly aligned with the vehicle, and there is wind: both act as a bias of the angle, one for each
-    flight.
+    The thrust is not exactly aligned with the vehicle, and there is wind: both act as a bias of the
+    angle, one for each flight.
     """
-    stated = gb.several(Drag(), records or data(), criterion=gb.OutputError(biases=("theta",)), fixed=fixed)
+    stated = gb.several(
+        Drag(), records or data(), criterion=gb.OutputError(biases=("theta",)), fixed=fixed
+    )
     return stated.with_(name="drag, simulated flights")

@@ -1,13 +1,14 @@
 """Pitch of a simulated quadcopter, from its flight log to the fit: (3.15)-(3.16), then (2.6) with damping.
 
-Flown: the ArduPilot Copter firmware (4.6-dev) in its own simulator, recorded by its own logger; setpoint sines of 3°
-from 20.11 to 1.00 rad/s in hover, each announced by a SINE message. The log in `data/` is reduced to every seventh
-message of ATT, RATE and SINE, and to half of the last test.
+Flown: the ArduPilot Copter firmware (4.6-dev) in its own simulator, recorded by its own logger;
+setpoint sines of 3° from 20.11 to 1.00 rad/s in hover, each announced by a SINE message. The log in
+`data/` is reduced to every seventh message of ATT, RATE and SINE, and to half of the last test.
 
-Source: the simulator's physics, which are known: K = 91.0 1/s², a = 0.681 1/s, T_rotor = 0.050 s, T_delay = 0.0008 s.
-The values shown as published are therefore the truth, not an estimate, to their last digit: the simulator takes steps
-of 1/1200 s (SIM_RATE_HZ), and a lag of 0.050 s is one of 0.0496 s if they are explicit Euler steps, as three whole
-flights together suggest, 0.0496 ± 0.0002 s.
+Source: the simulator's physics, which are known: K = 91.0 1/s², a = 0.681 1/s, T_rotor = 0.050 s,
+T_delay = 0.0008 s. The values shown as published are therefore the truth, not an estimate, to their
+last digit: the simulator takes steps of 1/1200 s (SIM_RATE_HZ), and a lag of 0.050 s is one of
+0.0496 s if they are explicit Euler steps, as three whole flights together suggest, 0.0496 ± 0.0002
+s.
 """
 
 from pathlib import Path

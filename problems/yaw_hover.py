@@ -4,9 +4,10 @@ Flown: setpoint sines of the yaw angle of a quadcopter in hover.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.3.
 
-Note: the paper fitted the yaw rate, whose response it does not print; here the same structure is fitted to the angle.
-The estimate (4.35) costs 1.05, the minimum 0.80. Rotor and delay are fixed at (4.22). The data determine the ratios
-a3_tilde / a2 and a1_tilde / a2 far better than each of the three: their fast pole lies far above the highest frequency.
+Note: the paper fitted the yaw rate, whose response it does not print; here the same structure is
+fitted to the angle. The estimate (4.35) costs 1.05, the minimum 0.80. Rotor and delay are fixed at
+(4.22). The data determine the ratios a3_tilde / a2 and a1_tilde / a2 far better than each of the
+three: their fast pole lies far above the highest frequency.
 """
 
 import greybox as gb

@@ -4,10 +4,10 @@ Flown: as in `yaw_hover`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3.
 
-Note: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
-There is no delay: the coefficients absorb it.
-The minimum has a pole near 240 rad/s, eight times the highest frequency of the data, so the bounds are wider than the
-model's defaults (a radius of 50 rad/s gives 0.79207 with a3 at its bound).
+Note: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is
+minimized here. There is no delay: the coefficients absorb it. The minimum has a pole near 240
+rad/s, eight times the highest frequency of the data, so the bounds are wider than the model's
+defaults (a radius of 50 rad/s gives 0.79207 with a3 at its bound).
 """
 
 import greybox as gb

@@ -2,8 +2,9 @@
 
 import os
 
-# Tests run in as many processes as there are cores: threads within each would only wait for one another. On two cores
-# the suite takes 3 min 16 s with one thread a process, 4 min 35 s with two. Set before NumPy is imported.
+# Tests run in as many processes as there are cores: threads within each would only wait for one
+# another. On two cores the suite takes 3 min 16 s with one thread a process, 4 min 35 s with two.
+# Set before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import signal
@@ -23,7 +24,12 @@ def pytest_collection_modifyitems(items):
 
 
 # Where damaged and crafted files are read, and how that is done.
-IN_SUBPROCESS = ("/tests/data/", "/tests/logs/readers/", "test_storage.py", "test_files_from_strangers.py")
+IN_SUBPROCESS = (
+    "/tests/data/",
+    "/tests/logs/readers/",
+    "test_storage.py",
+    "test_files_from_strangers.py",
+)
 
 
 @pytest.fixture(autouse=True)

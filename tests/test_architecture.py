@@ -18,7 +18,9 @@ files data statistics logs spectral modeling formulation compiled regression sol
 experiment interop identification study plotting html_report cli
 """.split()
 
-SOURCES = sorted(path for folder in ("greybox", "models", "problems") for path in (ROOT / folder).rglob("*.py"))
+SOURCES = sorted(
+    path for folder in ("greybox", "models", "problems") for path in (ROOT / folder).rglob("*.py")
+)
 HOUSE = sorted(path for folder in FOLDERS for path in (ROOT / "greybox" / folder).rglob("*.py"))
 
 
@@ -32,7 +34,9 @@ def imported(path):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name} has a relative import"
             names += [node.module]
-            names += [f"{node.module}.{alias.name}" for alias in node.names if node.module == "greybox"]
+            names += [
+                f"{node.module}.{alias.name}" for alias in node.names if node.module == "greybox"
+            ]
     return names
 
 
@@ -50,7 +54,12 @@ def not_above(folder, names):
 
 
 def test_contributing_has_the_same_folders_in_the_same_order():
-    table = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split("<!-- folders -->")[1].split("<!-- end -->")[0]
+    table = (
+        (ROOT / "CONTRIBUTING.md")
+        .read_text(encoding="utf-8")
+        .split("<!-- folders -->")[1]
+        .split("<!-- end -->")[0]
+    )
     assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == FOLDERS
 
 
@@ -67,13 +76,22 @@ def test_imports_point_one_way(path):
 
 def test_a_planted_import_is_found(tmp_path):
     planted = tmp_path / "parameter.py"
-    planted.write_text("def f():\n    from greybox.estimate.fit import fit\n    from greybox import fit\n")
-    assert not_above("modeling", imported(planted)) == ["greybox.estimate.fit", "greybox", "greybox.fit"]
+    planted.write_text(
+        "def f():\n    from greybox.estimate.fit import fit\n    from greybox import fit\n"
+    )
+    assert not_above("modeling", imported(planted)) == [
+        "greybox.estimate.fit",
+        "greybox",
+        "greybox.fit",
+    ]
 
 
 def test_no_file_imports_itself_through_others():
     modules = {module(path): path for path in HOUSE}
-    graph = {name: {m for m in imported(path) if m in modules and m != name} for name, path in modules.items()}
+    graph = {
+        name: {m for m in imported(path) if m in modules and m != name}
+        for name, path in modules.items()
+    }
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -84,7 +102,11 @@ def test_no_file_imports_itself_through_others():
 def test_every_folder_says_what_is_in_it(folder):
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
     assert text
-    missing = [path.stem for path in folder.glob("*.py") if path.stem != "__init__" and f"`{path.stem}`" not in text]
+    missing = [
+        path.stem
+        for path in folder.glob("*.py")
+        if path.stem != "__init__" and f"`{path.stem}`" not in text
+    ]
     assert not missing, f"the docstring of {folder.name}/ does not mention {', '.join(missing)}"
 
 
@@ -104,7 +126,9 @@ def test_no_file_imports_models_or_problems_as_top_level_modules(path):
     assert "pickle" not in roots or path.parts[-2:] == ("solve", "executors.py")
 
 
-@pytest.mark.parametrize("path", [p for p in SOURCES if p.parent.name == "models"], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "path", [p for p in SOURCES if p.parent.name == "models"], ids=lambda p: p.name
+)
 def test_models_hold_no_solver_data_or_plots(path):
     roots = {name.split(".")[0] for name in imported(path)}
     assert not roots & {"matplotlib", "h5py", "scipy"}
@@ -112,5 +136,7 @@ def test_models_hold_no_solver_data_or_plots(path):
 
 def test_import_is_light():
     code = "import sys, greybox; print([m for m in ('matplotlib', 'pymavlink', 'h5py', 'scipy') if m in sys.modules])"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert loaded.strip() == "[]"

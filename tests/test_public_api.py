@@ -49,7 +49,9 @@ NAMESPACES = {
     "reduce stepwise",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]
-EVERYTHING += [(getattr(gb, space), name) for space, names in NAMESPACES.items() for name in names.split()]
+EVERYTHING += [
+    (getattr(gb, space), name) for space, names in NAMESPACES.items() for name in names.split()
+]
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +65,9 @@ def listed():
         "print(json.dumps({module: names(module) for module in sys.argv[1:]}))"
     )
     modules = ["greybox", *(f"greybox.{space}" for space in NAMESPACES)]
-    done = subprocess.run([sys.executable, "-c", code, *modules], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *modules], capture_output=True, text=True, check=True
+    )
     return json.loads(done.stdout)
 
 
@@ -90,7 +94,11 @@ def test_public_values_are_frozen_or_abstract():
 
 
 def test_a_model_comes_before_its_values_and_these_before_what_it_is_evaluated_at():
-    functions = {name: thing for module, name in EVERYTHING if inspect.isfunction(thing := getattr(module, name))}
+    functions = {
+        name: thing
+        for module, name in EVERYTHING
+        if inspect.isfunction(thing := getattr(module, name))
+    }
     for name, function in functions.items():
         arguments = [*inspect.signature(function).parameters]
         if "model" in arguments and "values" in arguments:

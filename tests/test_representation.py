@@ -14,7 +14,9 @@ from greybox.solve.minima import Multistart
 from greybox.spectral.frequency_points import FiniteFrequency
 
 RECORD = flight(QUADRATIC, 1, duration=10.0)
-RESPONSE = measured(LagLagDelay(), TWO_LAGS_OMEGA, noise=0.02, name="a name of a test that is long " * 10)
+RESPONSE = measured(
+    LagLagDelay(), TWO_LAGS_OMEGA, noise=0.02, name="a name of a test that is long " * 10
+)
 PROBLEM = gb.Problem(Lag(), RESPONSE)
 FIT = gb.fit(PROBLEM, starts=3)
 SMALL, LARGE = fitted(LinearDrag(), RECORD), fitted(Drag(), RECORD)
@@ -101,7 +103,13 @@ def test_a_notebook_shows_a_small_table(kind):
 
 def test_the_table_of_a_fit_has_its_numbers():
     text = Elements(FIT._repr_html_()).text
-    for words in (FIT.name[:30], "Lag", f"{FIT.standard_error['K']:.2g}"[:4], "gain", "[0.001, 1000]"):
+    for words in (
+        FIT.name[:30],
+        "Lag",
+        f"{FIT.standard_error['K']:.2g}"[:4],
+        "gain",
+        "[0.001, 1000]",
+    ):
         assert words in text
 
 

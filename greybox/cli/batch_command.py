@@ -4,7 +4,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, add_parser, add_time_options, positive
+from greybox.cli.options import (
+    UsageError,
+    add_common_options,
+    add_parser,
+    add_time_options,
+    positive,
+)
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.study_file import INCLUDED, find_study, read_study_file
@@ -26,12 +32,28 @@ EXAMPLES = (
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "batch", "fit many problems, and lose nothing when killed", EXAMPLES)
+    parser = add_parser(
+        commands, "batch", "fit many problems, and lose nothing when killed", EXAMPLES
+    )
     add = parser.add_argument
-    add("study", nargs="?", metavar="STUDY", help="study.toml, study.py with a function members(), or included: paper")
+    add(
+        "study",
+        nargs="?",
+        metavar="STUDY",
+        help="study.toml, study.py with a function members(), or included: paper",
+    )
     add("--out", type=Path, metavar="DIR", help="keep every run and the answers in this folder")
-    add("--resume", type=Path, metavar="DIR", help="go on with the study in this folder, whatever ended it")
-    add("--starts", type=positive, help="number of starts of every member (default: the study's, or as of greybox fit)")
+    add(
+        "--resume",
+        type=Path,
+        metavar="DIR",
+        help="go on with the study in this folder, whatever ended it",
+    )
+    add(
+        "--starts",
+        type=positive,
+        help="number of starts of every member (default: the study's, or as of greybox fit)",
+    )
     add_time_options(parser, "study")
     add_worker_options(parser)
     add_common_options(parser)
@@ -44,12 +66,19 @@ def run(options: argparse.Namespace) -> Answer:
     path = find_study(source)
     members = read_study_file(path, starts)
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / ORIGIN, {"study": source if source in INCLUDED else str(path.resolve()), "starts": starts})
+    write_json(
+        folder / ORIGIN,
+        {"study": source if source in INCLUDED else str(path.resolve()), "starts": starts},
+    )
     resume = f"`greybox batch --resume {folder}` goes on"
     try:
         with stated_executor(options) as executor:
             study = batch(
-                members, folder, executor=executor, seconds=options.seconds, start_seconds=options.start_seconds
+                members,
+                folder,
+                executor=executor,
+                seconds=options.seconds,
+                start_seconds=options.start_seconds,
             )
     except BatchInterrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {resume}."}
@@ -62,7 +91,9 @@ def run(options: argparse.Namespace) -> Answer:
     bad = [member.name for member in study.members if member.status != "done"]
     if bad:
         time_is_up = any(member.status == "unfinished" for member in study.members)
-        answer["error"] = f"{len(bad)} of {len(study.members)} members have no answer: {', '.join(bad)}"
+        answer["error"] = (
+            f"{len(bad)} of {len(study.members)} members have no answer: {', '.join(bad)}"
+        )
         answer["error"] += f"; the time limit ended the study, {resume}." if time_is_up else "."
     return answer, str(study), FAILED if bad else USABLE
 
@@ -82,21 +113,31 @@ def _stated(options: argparse.Namespace) -> tuple[str, Path, int | None]:
     if options.study is not None or options.out is not None:
         raise UsageError("--resume DIR knows its study file and its folder: leave out the others.")
     if not is_study(options.resume):
-        raise UsageError(f"{options.resume} is no study: begin one with greybox batch STUDY --out {options.resume}.")
+        raise UsageError(
+            f"{options.resume} is no study: begin one with greybox batch STUDY --out {options.resume}."
+        )
     try:
         origin = read_json(options.resume / ORIGIN)
     except FileNotFoundError:
         origin = {}
     source, starts = origin.get("study"), origin.get("starts")
     if not isinstance(source, str) or not isinstance(starts, int | None):
-        raise UsageError(f"{options.resume} does not say which study file it is of: call gb.batch as it was begun.")
+        raise UsageError(
+            f"{options.resume} does not say which study file it is of: call gb.batch as it was begun."
+        )
     return source, options.resume, options.starts or starts
 
 
 def as_json(study: Study) -> dict[str, Any]:
     """Return a study as plain values."""
     members = [
-        {"name": m.name, "status": m.status, "runs": m.runs, "error": m.error or None, "answer": dict(m.answer) or None}
+        {
+            "name": m.name,
+            "status": m.status,
+            "runs": m.runs,
+            "error": m.error or None,
+            "answer": dict(m.answer) or None,
+        }
         for m in study.members
     ]
     return {"study": str(study.folder), "members": members}

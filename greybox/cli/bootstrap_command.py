@@ -20,7 +20,9 @@ EXAMPLES = (
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "bootstrap", "errors and intervals from data drawn anew", EXAMPLES)
+    parser = add_parser(
+        commands, "bootstrap", "errors and intervals from data drawn anew", EXAMPLES
+    )
     add = parser.add_argument
     add_fit_argument(parser)
     add(
@@ -31,9 +33,25 @@ def add_command(commands: Any) -> None:
     )
     add("--replicates", type=positive, default=1000, metavar="N", help="1000 by default")
     add("--seed", type=nonnegative, default=0, help="of what is drawn, 0 by default")
-    add("--block", type=positive, default=1, metavar="N", help="samples of a block of residuals, 1 by default")
-    add("--level", type=float, default=0.95, help="of the intervals in the JSON object, 0.95 by default")
-    add("--out", type=Path, metavar="DIR", help="keep the replicates in this folder; the same command goes on there")
+    add(
+        "--block",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="samples of a block of residuals, 1 by default",
+    )
+    add(
+        "--level",
+        type=float,
+        default=0.95,
+        help="of the intervals in the JSON object, 0.95 by default",
+    )
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="keep the replicates in this folder; the same command goes on there",
+    )
     add_worker_options(parser)
     add_common_options(parser)
     parser.set_defaults(command=run)

@@ -21,7 +21,11 @@ SETTINGS = ("starts", "seed", "method")  # what a problem file may choose
 def shipped(kind: str) -> list[str]:
     """Return the names of the included files of a kind, "models" or "problems"."""
     package = importlib.import_module(f"greybox.{kind}")
-    return sorted(item.name for item in pkgutil.iter_modules(package.__path__) if not item.name.startswith("_"))
+    return sorted(
+        item.name
+        for item in pkgutil.iter_modules(package.__path__)
+        if not item.name.startswith("_")
+    )
 
 
 def shipped_module(kind: str, name: str) -> ModuleType:
@@ -36,7 +40,9 @@ def shipped_module(kind: str, name: str) -> ModuleType:
     if name not in known:
         near = nearest(name, known)
         hint = f"did you mean {near!r}?" if near else f"the included ones are {', '.join(known)}."
-        raise ValueError(f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py.")
+        raise ValueError(
+            f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py."
+        )
     return importlib.import_module(f"greybox.{kind}.{name}")
 
 
@@ -56,7 +62,9 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     if found is None:
         near = nearest(wanted, (own for own in vars(module) if not own.startswith("_")))
         hint = f"did you mean {near!r}? Otherwise " if near else ""
-        raise ValueError(f"{place} has no {wanted!r}: {hint}define {wanted}() that returns a gb.Problem.")
+        raise ValueError(
+            f"{place} has no {wanted!r}: {hint}define {wanted}() that returns a gb.Problem."
+        )
     problem = found() if callable(found) and not isinstance(found, Problem | Sum) else found
     if not isinstance(problem, Problem | Sum):
         raise ValueError(
@@ -69,7 +77,9 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
         name = min(map(str, unknown))
         near = nearest(name, SETTINGS)
         hint = f": did you mean {near!r}?" if near else "."
-        raise ValueError(f"settings in {text} has {name!r}: it may contain 'starts', 'seed' and 'method'{hint}")
+        raise ValueError(
+            f"settings in {text} has {name!r}: it may contain 'starts', 'seed' and 'method'{hint}"
+        )
     return problem.with_(name=label), dict(settings)
 
 
@@ -83,13 +93,17 @@ def find_model(text: str) -> Model:
     """
     match = re.fullmatch(r"(?P<place>[^()]+?)(?P<arguments>\(.*\))?", text)
     if match is None:
-        raise ValueError(f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel.")
+        raise ValueError(
+            f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel."
+        )
     module, name = _locate("models", match["place"])
     known = {model.__name__: model for model in models_of(module)}
     if not name and len(known) == 1:
         (name,) = known
     if name not in known:
-        raise ValueError(f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, known)}")
+        raise ValueError(
+            f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, known)}"
+        )
     return known[name](*_arguments(match["arguments"] or "()", text))
 
 

@@ -38,7 +38,9 @@ def stated_columns(options: argparse.Namespace) -> dict[str, str]:
     for word in options.columns:
         name, _, column = word.partition("=")
         if not (name and column):
-            raise UsageError(f"--columns {word!r} is not understood: write NAME=COLUMN:UNIT, e.g. frequency=f:Hz.")
+            raise UsageError(
+                f"--columns {word!r} is not understood: write NAME=COLUMN:UNIT, e.g. frequency=f:Hz."
+            )
         if name in columns:
             raise UsageError(f"--columns names {name} twice: {columns[name]} and {column}.")
         columns[name] = column

@@ -57,7 +57,9 @@ def _compared(options: argparse.Namespace) -> Comparison:
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
     if len(set(labels)) < len(labels):
         raise UsageError(f"{max(labels, key=labels.count)} is given twice: give different fits.")
-    return compare(*(saved_fit(path, options) for path in paths), labels=labels, folds=options.folds)
+    return compare(
+        *(saved_fit(path, options) for path in paths), labels=labels, folds=options.folds
+    )
 
 
 def _summary(found: Comparison) -> dict[str, Any]:

@@ -23,8 +23,17 @@ PROBLEMS = {
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "completion", "print what a shell needs to complete commands and options", EXAMPLES)
-    parser.add_argument("shell", choices=SHELLS, help="which prints a script: keep it where the shell looks for such")
+    parser = add_parser(
+        commands,
+        "completion",
+        "print what a shell needs to complete commands and options",
+        EXAMPLES,
+    )
+    parser.add_argument(
+        "shell",
+        choices=SHELLS,
+        help="which prints a script: keep it where the shell looks for such",
+    )
     add_common_options(parser)
     parser.set_defaults(command=run)
 

@@ -22,23 +22,31 @@ LONG = 200  # characters of a list in a sentence: more would hide the cure after
 
 
 def read_data(
-    path: str | Path, model: Model, input: str = "", output: str = "", columns: Mapping[str, str] | None = None
+    path: str | Path,
+    model: Model,
+    input: str = "",
+    output: str = "",
+    columns: Mapping[str, str] | None = None,
 ) -> FrequencyResponse | Record | TransientSpectrum:
     """Return a response, the spectrum of a manoeuvre, or else the one record of the file with the model's signals.
 
-    `columns` are as `--columns` states them: those of a response if one is its frequency or magnitude.
+    `columns` are as `--columns` states them: those of a response if one is its frequency or
+    magnitude.
 
     Raises
     ------
     ValueError, FileNotFoundError
-        If there is no such file, or it has neither or several such records, or its units are not SI.
+        If there is no such file, or it has neither or several such records, or its units are not
+        SI.
     """
     path = Path(path)
     require_file(path)
     if not columns and holds_spectrum(path):
         return read_spectrum(path)
     if {"frequency", "magnitude"} & columns.keys() if columns else _is_response(path):
-        return as_the_only_pair(model, read_response(path, input=input, output=output, columns=columns))
+        return as_the_only_pair(
+            model, read_response(path, input=input, output=output, columns=columns)
+        )
     try:
         log = read(path, columns=columns or None)
     except ValueError as error:
@@ -60,13 +68,17 @@ def _is_response(path: Path) -> bool:
     names = read_delimited(path, head).header
     if "omega_rad_s" in names or not names:
         return True
-    timed = any(seconds(*heading(name)) for name in names)  # alpha and beta are also angles of a flight
+    timed = any(
+        seconds(*heading(name)) for name in names
+    )  # alpha and beta are also angles of a flight
     return not timed and any(name.endswith(column) for name in names for column in COLUMNS[:3])
 
 
 def _record_of(log: Recording, path: Path, model: Model) -> Record:
     inputs, outputs = model.input_names, model.output_names
-    fitting = [r for r in log.values() if set(inputs) <= set(r.signals) and set(outputs) & set(r.signals)]
+    fitting = [
+        r for r in log.values() if set(inputs) <= set(r.signals) and set(outputs) & set(r.signals)
+    ]
     if len(fitting) != 1:
         there = "; ".join(f"{name}: {', '.join(record.signals)}" for name, record in log.items())
         raise ValueError(
@@ -86,10 +98,18 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         if conversion.changes:
             raise ValueError(
                 f"{path} has {name} in {record.units[name]}, but a fit needs {conversion.si}: "
-                + (f"{_converting(record, names)}." if len(log) == 1 else f"{_preparation(path, names)}.")
+                + (
+                    f"{_converting(record, names)}."
+                    if len(log) == 1
+                    else f"{_preparation(path, names)}."
+                )
             )
     # What the log says of other messages is left out.
-    findings += [text for text in log.findings if text not in findings and text.partition(":")[0] not in log.records]
+    findings += [
+        text
+        for text in log.findings
+        if text not in findings and text.partition(":")[0] not in log.records
+    ]
     return replace(record, findings=tuple(findings))
 
 

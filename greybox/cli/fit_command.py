@@ -50,7 +50,9 @@ def add_command(commands: Any) -> None:
     add_problem_options(parser)
     number = parser.add_mutually_exclusive_group()
     number.add_argument(
-        "--starts", type=positive, help="number of starts (default: the problem's; else 200, or 20 with records)"
+        "--starts",
+        type=positive,
+        help="number of starts (default: the problem's; else 200, or 20 with records)",
     )
     number.add_argument(
         "--until-found-again",
@@ -58,7 +60,9 @@ def add_command(commands: Any) -> None:
         metavar="ERROR",
         help="as many starts as it takes until the probability of another minimum is at most ERROR, as 0.01",
     )
-    parser.add_argument("--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)")
+    parser.add_argument(
+        "--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)"
+    )
     parser.add_argument(
         "--search",
         choices=SEARCHES,
@@ -68,7 +72,9 @@ def add_command(commands: Any) -> None:
     )
     add_out_option(parser, "save the result to this HDF5 file; killed, the same command goes on")
     parser.add_argument(
-        "--no-profiles", action="store_true", help="no profiles of parameters whose standard error misleads"
+        "--no-profiles",
+        action="store_true",
+        help="no profiles of parameters whose standard error misleads",
     )
     add_time_options(parser, "fit")
     add_worker_options(parser)
@@ -87,7 +93,9 @@ def run(options: argparse.Namespace) -> Answer:
         with _kept(options) as kept, stated_executor(options) as executor, limited(limits):
             return _answer(options, kept, *_fitted(partial(make, executor=executor), kept, options))
     except ExecutorLostError as error:
-        resume = "" if options.out is None else "; the same command goes on with the runs that were kept"
+        resume = (
+            "" if options.out is None else "; the same command goes on with the runs that were kept"
+        )
         return {"error": f"{str(error).rstrip('.')}{resume}."}, "", FAILED
 
 
@@ -98,9 +106,13 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     if options.until_found_again is not None:
-        settings["starts"] = UntilFoundAgain(error=options.until_found_again, seed=settings.pop("seed", None) or 0)
+        settings["starts"] = UntilFoundAgain(
+            error=options.until_found_again, seed=settings.pop("seed", None) or 0
+        )
     by = SolverChoice(settings.pop("method", None), options.search)
-    return partial(fit_keeping, problem=problem, by=by, profiles=not options.no_profiles, **settings)
+    return partial(
+        fit_keeping, problem=problem, by=by, profiles=not options.no_profiles, **settings
+    )
 
 
 def _kept(options: argparse.Namespace) -> AbstractContextManager[RunsBesideFit | None]:
@@ -108,7 +120,9 @@ def _kept(options: argparse.Namespace) -> AbstractContextManager[RunsBesideFit |
     return nullcontext() if options.out is None else kept_beside(options.out)
 
 
-def _fitted(make: Callable[..., Fit], kept: RunsBesideFit | None, options: argparse.Namespace) -> tuple[Fit, bool]:
+def _fitted(
+    make: Callable[..., Fit], kept: RunsBesideFit | None, options: argparse.Namespace
+) -> tuple[Fit, bool]:
     """Return the fit, or the best so far if it was interrupted, and whether it was."""
     try:
         return make(kept), False
@@ -126,7 +140,9 @@ def _fitted(make: Callable[..., Fit], kept: RunsBesideFit | None, options: argpa
         return _fitted(make, kept, options)
 
 
-def _answer(options: argparse.Namespace, kept: RunsBesideFit | None, result: Fit, interrupted: bool) -> Answer:
+def _answer(
+    options: argparse.Namespace, kept: RunsBesideFit | None, result: Fit, interrupted: bool
+) -> Answer:
     """Save and draw a fit, and return what there is to say; runs are kept until it is complete and saved."""
     answer = summary(result)
     status = USABLE if result.converged else FAILED

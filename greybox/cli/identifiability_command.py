@@ -5,12 +5,22 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_model
-from greybox.cli.options import UsageError, add_common_options, add_parser, assignments, nonnegative, positive
+from greybox.cli.options import (
+    UsageError,
+    add_common_options,
+    add_parser,
+    assignments,
+    nonnegative,
+    positive,
+)
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.data.response_file import HDF5
 from greybox.estimate.identifiability import Identifiability
-from greybox.estimate.structural_identifiability import StructuralIdentifiability, structural_identifiability
+from greybox.estimate.structural_identifiability import (
+    StructuralIdentifiability,
+    structural_identifiability,
+)
 from greybox.files.json_numbers import finite
 
 EXAMPLES = (
@@ -31,10 +41,27 @@ def add_command(commands: Any) -> None:
         help="a structure, tilt:Tilt or my.py:Class: the rank of its sensitivities at random points; or a fit that "
         "greybox fit --out wrote: errors and insensitivities in percent, correlations, determined combinations",
     )
-    add("--outputs", nargs="+", metavar="NAME", help="of a structure, what is measured (default: all)")
-    add("--at", nargs="+", default=[], metavar="NAME=VALUE", help="operating point at which an ODE is linearized")
+    add(
+        "--outputs",
+        nargs="+",
+        metavar="NAME",
+        help="of a structure, what is measured (default: all)",
+    )
+    add(
+        "--at",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE",
+        help="operating point at which an ODE is linearized",
+    )
     add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="parameters that are known")
-    add("--free", nargs="+", default=[], metavar="NAME", help="parameters that the model declares fixed")
+    add(
+        "--free",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="parameters that the model declares fixed",
+    )
     add("--points", type=positive, metavar="N", help="random points, 3 by default")
     add("--seed", type=nonnegative, metavar="N", help="of the points, 0 by default")
     add_model_option(parser)
@@ -52,14 +79,19 @@ def run(options: argparse.Namespace) -> Answer:
         return _of_structure(found), str(found), USABLE
     if stated:
         flag = {"fixed": "fix"}.get(min(stated), min(stated))
-        raise UsageError(f"--{flag} is for a structure, and {options.subject} is a fit: leave it out.")
+        raise UsageError(
+            f"--{flag} is for a structure, and {options.subject} is a fit: leave it out."
+        )
     fit = saved_fit(Path(options.subject), options)
     told = fit.identifiability
     return {"problem": fit.name, **_of_fit(told)}, f"{fit.name}\n\n{told}", USABLE
 
 
 def _of_structure(found: StructuralIdentifiability) -> dict[str, Any]:
-    groups = [{"names": list(g.names), "initial_states": list(g.states), "to_fix": g.directions} for g in found.groups]
+    groups = [
+        {"names": list(g.names), "initial_states": list(g.states), "to_fix": g.directions}
+        for g in found.groups
+    ]
     return {
         "model": found.model,
         "data": found.data,
@@ -78,6 +110,7 @@ def _of_fit(told: Identifiability) -> dict[str, Any]:
         "correlated": [list(pair) for pair in told.correlated],
         "condition": finite(told.condition),
         "determined": {
-            c.formula: {"value": finite(c.value), "standard_error": finite(c.standard_error)} for c in told.combinations
+            c.formula: {"value": finite(c.value), "standard_error": finite(c.standard_error)}
+            for c in told.combinations
         },
     }

@@ -30,8 +30,18 @@ def add_command(commands: Any) -> None:
     parser = add_parser(commands, "identify", "go from a log to a fitted model in one go", EXAMPLES)
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
-    add("--input", default="", metavar="[NAME=]SIGNAL", help="the control (default: that of the axis)")
-    add("--output", default="", metavar="[NAME=]SIGNAL", help="the output (default: the best-sampled angle)")
+    add(
+        "--input",
+        default="",
+        metavar="[NAME=]SIGNAL",
+        help="the control (default: that of the axis)",
+    )
+    add(
+        "--output",
+        default="",
+        metavar="[NAME=]SIGNAL",
+        help="the output (default: the best-sampled angle)",
+    )
     add_measurement_options(parser)
     add(
         "--through",
@@ -47,7 +57,12 @@ def add_command(commands: Any) -> None:
         help="models to fit and compare, the simplest first, as of greybox fit --model, each with the parameters to "
         "free (default: those of greybox.models.ladder for this output)",
     )
-    add("--starts", type=positive, default=STARTS, help=f"number of starts of every fit (default: {STARTS})")
+    add(
+        "--starts",
+        type=positive,
+        default=STARTS,
+        help=f"number of starts of every fit (default: {STARTS})",
+    )
     add("--seed", type=nonnegative, default=0, help="seed of the starts (default: 0)")
     add(
         "--out",
@@ -61,11 +76,18 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Identify; write response, result and figure."""
     prefix = options.out or Path(options.log).stem
-    response, result, figure = Path(f"{prefix}_response.csv"), Path(f"{prefix}_fit.h5"), Path(f"{prefix}.png")
+    response, result, figure = (
+        Path(f"{prefix}_response.csv"),
+        Path(f"{prefix}_fit.h5"),
+        Path(f"{prefix}.png"),
+    )
     for path in (response, result):
         require_writable(path, options.force)
     require_figure(figure, options.force)
-    ladder = [(model, tuple(free), "stated") for model, *free in (word.split("+") for word in options.structures or ())]
+    ladder = [
+        (model, tuple(free), "stated")
+        for model, *free in (word.split("+") for word in options.structures or ())
+    ]
     found = identify(
         read_log(options),
         ladder=ladder,
@@ -76,9 +98,16 @@ def run(options: argparse.Namespace) -> Answer:
         **stated_choices(options),
     )
 
-    commands = tuple(_with_columns(line, options.columns) for line in found.commands(options.log, prefix))
+    commands = tuple(
+        _with_columns(line, options.columns) for line in found.commands(options.log, prefix)
+    )
     answer = _json(found, commands)
-    text = "\n\n".join([str(found), "\n".join(["The same in single commands:", *(f"  {line}" for line in commands)])])
+    text = "\n\n".join(
+        [
+            str(found),
+            "\n".join(["The same in single commands:", *(f"  {line}" for line in commands)]),
+        ]
+    )
     measured, fit = found.measurement.response, found.fit
     if measured is None or not found.measurement.quality.usable:
         answer["error"] = " ".join(found.measurement.quality.refusals)
@@ -134,7 +163,9 @@ def _json(found: Identification, commands: tuple[str, ...]) -> dict[str, Any]:
         "structures": steps,
         "comparison": found.comparison.table if found.comparison else [],
         "reason": found.reason,
-        "fit_without_filters": summary(found.unfiltered.fit) if found.unfiltered is not None else None,
+        "fit_without_filters": summary(found.unfiltered.fit)
+        if found.unfiltered is not None
+        else None,
         "fit": summary(found.fit) if found.fit is not None else None,
         "next": list(found.next),
         "commands": list(commands),

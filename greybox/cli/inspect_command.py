@@ -25,17 +25,19 @@ EXAMPLES = (
     "flight.BIN --vibration spectra.png",
 )
 
-BURSTS = (
-    0.05  # of the samples that a gap precedes, above which a message comes in bursts: a lossy log drops 1 % or less
-)
+BURSTS = 0.05  # of the samples that a gap precedes, above which a message comes in bursts: a lossy log drops 1 % or less
 
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "inspect", "show what a log holds, its test segments and its defects", EXAMPLES)
+    parser = add_parser(
+        commands, "inspect", "show what a log holds, its test segments and its defects", EXAMPLES
+    )
     parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
     add_test_options(parser)
-    parser.add_argument("--vibration", type=Path, metavar="FILE", help="draw spectra of gyros and accelerometers")
+    parser.add_argument(
+        "--vibration", type=Path, metavar="FILE", help="draw spectra of gyros and accelerometers"
+    )
     add_common_options(parser, "setpoints, angles and tests")
     parser.set_defaults(command=run)
 
@@ -48,16 +50,32 @@ def run(options: argparse.Namespace) -> Answer:
     segments = segments_of(recording, options)
 
     # Controllers that make tests make setpoints that are no manoeuvres.
-    manoeuvres = () if segments and not options.setpoint else find_manoeuvres(recording, options.setpoint)
+    manoeuvres = (
+        () if segments and not options.setpoint else find_manoeuvres(recording, options.setpoint)
+    )
     in_time = any(record.has_time for record in recording.values())
-    none = "no test segments found: give --announced or --setpoint." if in_time else "no time column: rows in no order."
+    none = (
+        "no test segments found: give --announced or --setpoint."
+        if in_time
+        else "no time column: rows in no order."
+    )
     found = segment_table(segments) if segments else none
     found += f"\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else ""
     findings = [f"  {finding}" for finding in recording.findings]
     notes = save_figure(options.plot, lambda: _figure(recording, (*segments, *manoeuvres)))
     notes += save_figure(options.vibration, lambda: _vibration(recording))
-    shaking = [one for name, record in recording.items() if name.startswith("ISBD[") for one in vibration(name, record)]
-    parts = [_about(recording), _contents(recording), *([vibration_table(shaking)] if shaking else []), found]
+    shaking = [
+        one
+        for name, record in recording.items()
+        if name.startswith("ISBD[")
+        for one in vibration(name, record)
+    ]
+    parts = [
+        _about(recording),
+        _contents(recording),
+        *([vibration_table(shaking)] if shaking else []),
+        found,
+    ]
     text = "\n\n".join(parts) + "\n" + "\n".join([*findings])
 
     answer = {
@@ -78,7 +96,10 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _following(
-    recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment], options: argparse.Namespace
+    recording: Recording,
+    segments: Sequence[Segment],
+    manoeuvres: Sequence[Segment],
+    options: argparse.Namespace,
 ) -> str:
     """Return the command to type next, where there is something to identify.
 
@@ -93,7 +114,15 @@ def _following(
     if any(axis_of(signal) for signal in signals):
         words = ["greybox", "identify", options.log]
     else:
-        words = ["greybox", "response", options.log, "--input", "u=SIGNAL", "--output", "theta=SIGNAL"]
+        words = [
+            "greybox",
+            "response",
+            options.log,
+            "--input",
+            "u=SIGNAL",
+            "--output",
+            "theta=SIGNAL",
+        ]
     for flag, value in (("--announced", options.announced), ("--setpoint", options.setpoint)):
         words += [flag, value] if value else []
     words += ["--fields", *options.fields] if options.fields else []

@@ -22,9 +22,17 @@ EXAMPLES = (
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "list", "list the included models and problems, with equations and sources", EXAMPLES)
+    parser = add_parser(
+        commands,
+        "list",
+        "list the included models and problems, with equations and sources",
+        EXAMPLES,
+    )
     parser.add_argument(
-        "name", nargs="?", metavar="NAME", help="show the details of one: a problem, or a model such as tilt:Tilt"
+        "name",
+        nargs="?",
+        metavar="NAME",
+        help="show the details of one: a problem, or a model such as tilt:Tilt",
     )
     add_common_options(parser)
     parser.set_defaults(command=run)
@@ -45,12 +53,17 @@ def run(options: argparse.Namespace) -> Answer:
         for title, rows in (("problem", problems), ("model", models))
     ]
     titles = dict.fromkeys(
-        re.split(r", (?=[(]|section|below|which)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc)
+        re.split(r", (?=[(]|section|below|which)", _source(doc))[0]
+        for _, doc in (*problems, *models)
+        if _source(doc)
     )
     sources = "\n".join(f"Source: {title}" for title in titles)
     last = "`greybox list NAME` shows the details of one, with its equation."
     answer = {
-        kind: [{"name": name, "summary": _first(doc), "source": _source(doc), "about": doc} for name, doc in rows]
+        kind: [
+            {"name": name, "summary": _first(doc), "source": _source(doc), "about": doc}
+            for name, doc in rows
+        ]
         for kind, rows in (("problems", problems), ("models", models))
     }
     return answer, "\n\n".join([*tables, sources, last]), USABLE
@@ -59,26 +72,51 @@ def run(options: argparse.Namespace) -> Answer:
 def _show(name: str) -> Answer:
     if ":" in name or name.endswith(".py"):
         model = find_model(name)
-        return {"name": name, "about": equation(model), **_parameters(model)}, _model_text(model), USABLE
+        return (
+            {"name": name, "about": equation(model), **_parameters(model)},
+            _model_text(model),
+            USABLE,
+        )
     module = shipped_module("problems", name)
     problem, _ = find_problem(name)
     parts = "\n\n".join(dict.fromkeys(_model_text(part.model) for part in problem.parts))
     models = [{"name": part.model.label, **_parameters(part.model)} for part in problem.parts]
-    return {"name": name, "about": _doc(module), "models": models}, f"{name}\n\n{_doc(module)}\n\n{parts}", USABLE
+    return (
+        {"name": name, "about": _doc(module), "models": models},
+        f"{name}\n\n{_doc(module)}\n\n{parts}",
+        USABLE,
+    )
 
 
 def _parameters(model: Model) -> dict[str, Any]:
     rows = [
-        {"name": n, "start": p.start, "bounds": [finite(end) for end in p.bounds], "unit": p.unit, "about": p.about}
+        {
+            "name": n,
+            "start": p.start,
+            "bounds": [finite(end) for end in p.bounds],
+            "unit": p.unit,
+            "about": p.about,
+        }
         | {"fixed": p.fixed, "scale": p.scale}
         for n, p in model.parameters.items()
     ]
-    return {"parameters": rows, "inputs": list(model.input_names), "outputs": list(model.output_names)}
+    return {
+        "parameters": rows,
+        "inputs": list(model.input_names),
+        "outputs": list(model.output_names),
+    }
 
 
 def _model_text(model: Model) -> str:
     rows = [
-        [name, number(p.start), f"[{p.bounds[0]:g}, {p.bounds[1]:g}]", p.unit, "fixed" if p.fixed else "", p.about]
+        [
+            name,
+            number(p.start),
+            f"[{p.bounds[0]:g}, {p.bounds[1]:g}]",
+            p.unit,
+            "fixed" if p.fixed else "",
+            p.about,
+        ]
         for name, p in model.parameters.items()
     ]
     table = text_table(["parameter", "start", "bounds", "unit", "", "meaning"], rows, (0, 3, 4, 5))

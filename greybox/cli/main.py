@@ -32,7 +32,14 @@ from greybox.cli import (
     stepwise_command,
 )
 from greybox.cli.options import HelpFormatter, UsageError
-from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
+from greybox.cli.output import (
+    BAD_INPUT,
+    FAILED,
+    NO_WORKING_DIRECTORY,
+    USABLE,
+    Answer,
+    has_working_directory,
+)
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.terminal import colored, has_all_characters, no_terminal, write
 from greybox.files.text_table import alternatives, nearest, printable
@@ -83,7 +90,9 @@ class _Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"there is no {value!r}; there are {choices}")
 
     def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{message.rstrip('.')}{' See' if message.endswith('?') else '; see'} {self.prog} --help.")
+        raise UsageError(
+            f"{message.rstrip('.')}{' See' if message.endswith('?') else '; see'} {self.prog} --help."
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -109,15 +118,20 @@ def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
     help_or_version = io.StringIO()
     try:
         with contextlib.redirect_stdout(help_or_version):
-            options = _parser().parse_args(arguments, argparse.Namespace(arguments=tuple(arguments)))
+            options = _parser().parse_args(
+                arguments, argparse.Namespace(arguments=tuple(arguments))
+            )
     except UsageError as error:
         return {"error": str(error)}, "", BAD_INPUT
     except SystemExit:
         return {}, help_or_version.getvalue().rstrip("\n"), USABLE
     try:
-        # With --json, whatever a user's own file prints must not reach standard output; what is quiet shows no bars.
+        # With --json, whatever a user's own file prints must not reach standard output; what is
+        # quiet shows no bars.
         with (
-            contextlib.redirect_stderr(no_terminal(sys.stderr)) if options.quiet else contextlib.nullcontext(),
+            contextlib.redirect_stderr(no_terminal(sys.stderr))
+            if options.quiet
+            else contextlib.nullcontext(),
             contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext(),
         ):
             result, text, status = options.command(options)
@@ -137,7 +151,9 @@ def _tell(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
     """Write an answer, and return the exit status."""
     if "error" in result:
         write(colored(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr), sys.stderr)
-    text = colored(printable(text, keep="\n\t"), sys.stdout)  # of names of files, which a user did not type but got
+    text = colored(
+        printable(text, keep="\n\t"), sys.stdout
+    )  # of names of files, which a user did not type but got
     if as_json and result:
         text = json.dumps(result, allow_nan=False, ensure_ascii=not has_all_characters(sys.stdout))
     trouble = write(text, sys.stdout) if text else ""
@@ -164,7 +180,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     """Turn an exception into one sentence and an exit status; an error in a user's own file names file and line."""
-    message = error.args[0] if isinstance(error, KeyError) and error.args else error  # str() of it would add quotes
+    message = (
+        error.args[0] if isinstance(error, KeyError) and error.args else error
+    )  # str() of it would add quotes
     sentence = " ".join(str(message).split()) or type(error).__name__
     if isinstance(error, UnknownModelError):
         sentence = f"{error.missing}: give its file, --model my.py."
@@ -172,7 +190,9 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
         return sentence, BAD_INPUT
 
     # The files of the user, by their full path, as they were written on the command line.
-    users = {_full_path(m[1]): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}
+    users = {
+        _full_path(m[1]): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))
+    }
     if isinstance(error, SyntaxError) and error.filename and _full_path(error.filename) in users:
         return f"{users[_full_path(error.filename)]}, line {error.lineno}: {error.msg}.", BAD_INPUT
 
@@ -187,7 +207,10 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
         return NO_WORKING_DIRECTORY, BAD_INPUT
     if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
         return sentence, BAD_INPUT
-    return f"internal error, {type(error).__name__}: {sentence}; run again with --debug and report it.", FAILED
+    return (
+        f"internal error, {type(error).__name__}: {sentence}; run again with --debug and report it.",
+        FAILED,
+    )
 
 
 def _full_path(path: str) -> Path:

@@ -11,9 +11,21 @@ from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.starting_files import model_file, problem_file
 from greybox.files.safe_files import write_text
 
-# Packages that such a file, or who runs it, imports: one of the same name would stand in their place.
+# Packages that such a file, or who runs it, imports: one of the same name would stand in their
+# place.
 TAKEN = frozenset(
-    ("casadi", "control", "greybox", "h5py", "matplotlib", "models", "numpy", "pandas", "problems", "scipy")
+    (
+        "casadi",
+        "control",
+        "greybox",
+        "h5py",
+        "matplotlib",
+        "models",
+        "numpy",
+        "pandas",
+        "problems",
+        "scipy",
+    )
 )
 
 
@@ -27,9 +39,17 @@ EXAMPLES = (
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
     parser = add_parser(commands, "new", "write a commented file to start from", EXAMPLES)
-    parser.add_argument("kind", choices=("model", "problem"), help="a model alone, or a model with data and a problem")
-    parser.add_argument("name", metavar="NAME", help="of the file, NAME.py in this folder, and of the model in it")
-    parser.add_argument("--in-time", action="store_true", help="an ODE and a record, not a transfer function")
+    parser.add_argument(
+        "kind",
+        choices=("model", "problem"),
+        help="a model alone, or a model with data and a problem",
+    )
+    parser.add_argument(
+        "name", metavar="NAME", help="of the file, NAME.py in this folder, and of the model in it"
+    )
+    parser.add_argument(
+        "--in-time", action="store_true", help="an ODE and a record, not a transfer function"
+    )
     add_common_options(parser, writes=True)
     parser.set_defaults(command=run)
 
@@ -38,9 +58,13 @@ def run(options: argparse.Namespace) -> Answer:
     """Write the file, and say what to do with it."""
     path = Path(options.name if options.name.endswith(".py") else f"{options.name}.py")
     if not path.stem.isidentifier():
-        raise UsageError(f"{path.stem!r} cannot be the name of a Python file: use letters, digits and underscores.")
+        raise UsageError(
+            f"{path.stem!r} cannot be the name of a Python file: use letters, digits and underscores."
+        )
     if path.stem in TAKEN | sys.stdlib_module_names:
-        raise UsageError(f"{path.stem} is the name of a Python package, which {path} would hide: choose another name.")
+        raise UsageError(
+            f"{path.stem} is the name of a Python package, which {path} would hide: choose another name."
+        )
     require_writable(path, options.force)
     write = model_file if options.kind == "model" else problem_file
     write_text(path, write(path.name, _class_name(path.stem), in_time=options.in_time))
@@ -57,5 +81,8 @@ def run(options: argparse.Namespace) -> Answer:
 def _class_name(stem: str) -> str:
     """Return ``PitchRate`` of ``pitch_rate``; a name that has capitals stays."""
     words = [word for word in stem.split("_") if word]
-    name = "".join(word if re.search(r"[A-Z]", word) else word.capitalize() for word in words) or "Model"
+    name = (
+        "".join(word if re.search(r"[A-Z]", word) else word.capitalize() for word in words)
+        or "Model"
+    )
     return name if name[:1].isalpha() else f"Model{name}"

@@ -25,26 +25,43 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
         return super().format_help()
 
 
-def add_parser(commands: Any, name: str, about: str, examples: Sequence[str]) -> argparse.ArgumentParser:
+def add_parser(
+    commands: Any, name: str, about: str, examples: Sequence[str]
+) -> argparse.ArgumentParser:
     """Add a command, whose help ends with examples: lines as a user would type them, after ``greybox``."""
     return commands.add_parser(
         name,
         help=about,
         description=f"{about[0].upper()}{about[1:]}.",
-        epilog="\n".join(["examples:", *(f"  greybox {name} {example}".rstrip() for example in examples)]),
+        epilog="\n".join(
+            ["examples:", *(f"  greybox {name} {example}".rstrip() for example in examples)]
+        ),
         formatter_class=HelpFormatter,
         allow_abbrev=False,
     )
 
 
-def add_common_options(parser: argparse.ArgumentParser, figure: str = "", *, writes: bool = False) -> None:
+def add_common_options(
+    parser: argparse.ArgumentParser, figure: str = "", *, writes: bool = False
+) -> None:
     """Add what every command has, `--plot` where there is a figure to draw, and `--force` where files are written."""
     if figure:
-        parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw {figure} into this png, pdf or svg file")
+        parser.add_argument(
+            "--plot",
+            type=Path,
+            metavar="FILE",
+            help=f"draw {figure} into this png, pdf or svg file",
+        )
     if figure or writes:
         parser.add_argument("--force", action="store_true", help="overwrite files that exist")
-    parser.add_argument("--json", action="store_true", help="print one JSON object on standard output and nothing else")
-    parser.add_argument("--quiet", action="store_true", help="print errors alone: no answer as text, no progress")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print one JSON object on standard output and nothing else",
+    )
+    parser.add_argument(
+        "--quiet", action="store_true", help="print errors alone: no answer as text, no progress"
+    )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
@@ -87,7 +104,12 @@ def seconds(text: str) -> float:
 def add_time_options(parser: argparse.ArgumentParser, whole: str) -> None:
     """Add the time limits of the `whole` and of a start."""
     add = parser.add_argument
-    add("--seconds", type=seconds, metavar="S", help=f"time of the {whole}, after which no run goes on")
+    add(
+        "--seconds",
+        type=seconds,
+        metavar="S",
+        help=f"time of the {whole}, after which no run goes on",
+    )
     add("--start-seconds", type=seconds, metavar="S", help="time of the runs from one start")
 
 
@@ -134,7 +156,9 @@ def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]
     return _by_name(words, flag, "NAME=LOW:HIGH, e.g. a1=-10:10", interval)
 
 
-def _by_name(words: Sequence[str], flag: str, form: str, read: Callable[[str], Value]) -> dict[str, Value]:
+def _by_name(
+    words: Sequence[str], flag: str, form: str, read: Callable[[str], Value]
+) -> dict[str, Value]:
     result = {}
     for word in words:
         name, _, text = word.partition("=")

@@ -22,13 +22,33 @@ EXAMPLES = (
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "orders", "choose the orders of a rational transfer function", EXAMPLES)
+    parser = add_parser(
+        commands, "orders", "choose the orders of a rational transfer function", EXAMPLES
+    )
     add = parser.add_argument
-    add("response", type=Path, metavar="RESPONSE", help="a measured frequency response, as of greybox response")
+    add(
+        "response",
+        type=Path,
+        metavar="RESPONSE",
+        help="a measured frequency response, as of greybox response",
+    )
     add_columns_option(parser, "what the columns of a table are that names them otherwise")
-    add("--n", type=positive, nargs="+", default=[1, 2, 3, 4], help="orders of the denominator, 1 2 3 4 by default")
+    add(
+        "--n",
+        type=positive,
+        nargs="+",
+        default=[1, 2, 3, 4],
+        help="orders of the denominator, 1 2 3 4 by default",
+    )
     add("--m", type=nonnegative, nargs="+", help="orders of the numerator (default: all below n)")
-    add("--integrators", type=nonnegative, nargs="+", default=[0, 1], metavar="K", help="0 1 by default")
+    add(
+        "--integrators",
+        type=nonnegative,
+        nargs="+",
+        default=[0, 1],
+        metavar="K",
+        help="0 1 by default",
+    )
     add(
         "--delays",
         type=float,
@@ -37,7 +57,12 @@ def add_command(commands: Any) -> None:
         metavar="S",
         help="largest delays, in s; 0 is a structure without one: 0 0.1 tries both (default: 0)",
     )
-    add("--starts", type=positive, default=8, help="of every structure, beside linear least squares; 8 by default")
+    add(
+        "--starts",
+        type=positive,
+        default=8,
+        help="of every structure, beside linear least squares; 8 by default",
+    )
     add("--seed", type=nonnegative, default=0, help="of the starts, 0 by default")
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
     add_common_options(parser, "BIC over the number of parameters")
@@ -57,11 +82,22 @@ def run(options: argparse.Namespace) -> Answer:
 
 def _summary(found: OrderSelection) -> dict[str, Any]:
     structures = [
-        {"n": c.n, "m": c.m, "integrators": c.integrators, "delay": c.delay, "parameters": c.parameters}
+        {
+            "n": c.n,
+            "m": c.m,
+            "integrators": c.integrators,
+            "delay": c.delay,
+            "parameters": c.parameters,
+        }
         | {"bic": finite(c.bic), "chosen": c is found.chosen}
         for c in found.candidates
     ]
-    return {"verdict": found.verdict, "structures": structures, "failed": found.failed, "fit": summary(found.fit)}
+    return {
+        "verdict": found.verdict,
+        "structures": structures,
+        "failed": found.failed,
+        "fit": summary(found.fit),
+    }
 
 
 def _figure(found: OrderSelection) -> Any:

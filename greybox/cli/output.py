@@ -29,7 +29,9 @@ def has_working_directory() -> bool:
     return True
 
 
-def require_writable(path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = "") -> None:
+def require_writable(
+    path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = ""
+) -> None:
     """Refuse a file that exists, without `force`, that cannot be written, or that ends otherwise. None is no file.
 
     Raises

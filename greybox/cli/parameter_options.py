@@ -13,8 +13,16 @@ from greybox.formulation.problem import Problem
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values")
-    add("--free", nargs="+", default=[], metavar="NAME", help="estimate parameters that the model declares fixed")
+    add(
+        "--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values"
+    )
+    add(
+        "--free",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="estimate parameters that the model declares fixed",
+    )
     add(
         "--bounds",
         nargs="+",
@@ -22,7 +30,13 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=LOW:HIGH",
         help="bounds in place of the declared ones, a1=-10:10; an end may be left open, T=0:",
     )
-    add("--start", nargs="+", default=[], metavar="NAME=VALUE", help="declared values to begin at, in their place")
+    add(
+        "--start",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE",
+        help="declared values to begin at, in their place",
+    )
     add(
         "--starts-box",
         nargs="+",
@@ -71,11 +85,17 @@ def _restated(part: Problem, stated: Mapping[str, Mapping[str, Any]]) -> Problem
         for what, values in stated.items()
     }
     if own["prior"] and not isinstance(part.prior, Mapping):
-        raise UsageError(f"--prior goes with parameters, and {part.name} has an earlier fit as prior: leave it out.")
+        raise UsageError(
+            f"--prior goes with parameters, and {part.name} has an earlier fit as prior: leave it out."
+        )
     held = {name: value for name, value in part.fixed_values.items() if name not in own["free"]}
     kept = [name for name in part.free if name not in own["fixed"]]
     return part.with_(
         fixed={**held, **own["fixed"]},
         free=tuple(dict.fromkeys([*kept, *own["free"]])),
-        **{what: {**getattr(part, what), **own[what]} for what in ("bounds", "start", "starts", "prior") if own[what]},
+        **{
+            what: {**getattr(part, what), **own[what]}
+            for what in ("bounds", "start", "starts", "prior")
+            if own[what]
+        },
     )

@@ -22,10 +22,25 @@ def add_command(commands: Any) -> None:
     parser = add_parser(commands, "plot", "draw the tests of a log and their response", EXAMPLES)
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
-    add("--input", default="", metavar="[NAME=]SIGNAL", help="the control (default: that of the axis)")
-    add("--output", default="", metavar="[NAME=]SIGNAL", help="the output (default: the best-sampled angle)")
+    add(
+        "--input",
+        default="",
+        metavar="[NAME=]SIGNAL",
+        help="the control (default: that of the axis)",
+    )
+    add(
+        "--output",
+        default="",
+        metavar="[NAME=]SIGNAL",
+        help="the output (default: the best-sampled angle)",
+    )
     add_measurement_options(parser)
-    add("--out", type=Path, metavar="FILE", help="png, pdf or svg file (default: the name of the log, in this folder)")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="png, pdf or svg file (default: the name of the log, in this folder)",
+    )
     add_common_options(parser, writes=True)
     parser.set_defaults(command=run)
 

@@ -22,11 +22,18 @@ def add_command(commands: Any) -> None:
     """Declare the command and its options."""
     parser = add_parser(commands, "profile", "intervals that need not be symmetric", EXAMPLES)
     add_fit_argument(parser)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default")
     parser.add_argument(
-        "--contour", nargs=2, metavar="NAME", help="instead of intervals the region of two parameters together"
+        "names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default"
     )
-    parser.add_argument("--level", type=float, default=0.95, help="of the intervals, 0.95 by default")
+    parser.add_argument(
+        "--contour",
+        nargs=2,
+        metavar="NAME",
+        help="instead of intervals the region of two parameters together",
+    )
+    parser.add_argument(
+        "--level", type=float, default=0.95, help="of the intervals, 0.95 by default"
+    )
     parser.add_argument(
         "--fresh-starts",
         type=nonnegative,
@@ -44,13 +51,17 @@ def run(options: argparse.Namespace) -> Answer:
     fit, problem = stated_fit(options)
     if options.contour:
         if options.names or options.workers or options.scheduler:
-            raise UsageError("--contour takes two parameters, in this process: leave out other names and workers.")
+            raise UsageError(
+                "--contour takes two parameters, in this process: leave out other names and workers."
+            )
         found = contour(fit, *options.contour, problem=problem, level=options.level)
         answer = _region(found)
     else:
         settings = {"level": options.level, "fresh_starts": options.fresh_starts}
         with stated_executor(options) as executor:
-            found = profile(fit, options.names or None, problem=problem, executor=executor, **settings)
+            found = profile(
+                fit, options.names or None, problem=problem, executor=executor, **settings
+            )
         answer = found.summary()
     lines = save_figure(options.plot, lambda: _figure(found))
     return answer, "\n".join([str(found), *lines]), USABLE
@@ -72,4 +83,8 @@ def _region(found: Contour) -> dict[str, Any]:
 def _figure(found: Profiles | Contour) -> Any:
     from greybox.plotting import profile as drawn  # noqa: PLC0415  (matplotlib takes long to import)
 
-    return drawn.contour(found).figure if isinstance(found, Contour) else drawn.profiles(found)[0].figure
+    return (
+        drawn.contour(found).figure
+        if isinstance(found, Contour)
+        else drawn.profiles(found)[0].figure
+    )

@@ -5,7 +5,13 @@ from typing import Any
 
 from greybox.cli.options import add_common_options, add_parser, positive
 from greybox.cli.output import USABLE, Answer
-from greybox.cli.saved_fits import add_fit_argument, add_out_option, require_fit_file, save_fit, stated_fit
+from greybox.cli.saved_fits import (
+    add_fit_argument,
+    add_out_option,
+    require_fit_file,
+    save_fit,
+    stated_fit,
+)
 from greybox.estimate.summary import summary
 from greybox.files.json_numbers import finite
 from greybox.validation.reduction import Reduction, reduce
@@ -18,10 +24,18 @@ EXAMPLES = (
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "reduce", "the smaller structure that a fit suggests, fitted and compared", EXAMPLES)
+    parser = add_parser(
+        commands,
+        "reduce",
+        "the smaller structure that a fit suggests, fitted and compared",
+        EXAMPLES,
+    )
     add_fit_argument(parser)
     parser.add_argument(
-        "--starts", type=positive, default=8, help="of every structure, beside the estimate; 8 by default"
+        "--starts",
+        type=positive,
+        default=8,
+        help="of every structure, beside the estimate; 8 by default",
     )
     add_out_option(parser, "save the fit of the smaller structure to this HDF5 file")
     add_common_options(parser, writes=True)

@@ -39,7 +39,12 @@ def add_command(commands: Any) -> None:
         metavar="RESULT",
         help="a fit that greybox fit --out or greybox identify wrote, or the folder of a study; several side by side",
     )
-    add("--out", type=Path, metavar="FILE", help="the page (default: the name of the first result, ending in .html)")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="the page (default: the name of the first result, ending in .html)",
+    )
     add_model_option(parser)
     add(
         "--held-out",
@@ -93,7 +98,10 @@ def _entries(options: argparse.Namespace) -> list[Any]:
     for path in options.results:
         if path.is_dir():
             command = _batch_command(path)
-            entries += [replace(entry, command=command) for entry in study_entries(read_study(path), options.details)]
+            entries += [
+                replace(entry, command=command)
+                for entry in study_entries(read_study(path), options.details)
+            ]
         else:
             entries.append(Entry(labels[path], loaded[path], file=str(path)))
     return entries
@@ -106,7 +114,13 @@ def _batch_command(study: Path) -> tuple[str, ...]:
     source, starts = (read_json(study / ORIGIN).get(name) for name in ("study", "starts"))
     if not isinstance(source, str):
         return ()
-    return ("batch", source, "--out", str(study), *(("--starts", str(starts)) if isinstance(starts, int) else ()))
+    return (
+        "batch",
+        source,
+        "--out",
+        str(study),
+        *(("--starts", str(starts)) if isinstance(starts, int) else ()),
+    )
 
 
 def _held_out(paths: Sequence[Path], entries: Sequence[Any]) -> Comparison | None:
@@ -119,5 +133,9 @@ def _held_out(paths: Sequence[Path], entries: Sequence[Any]) -> Comparison | Non
     model = fits[0].model_of()
     records = [data for path in paths if isinstance(data := read_data(path, model), Record)]
     if len(records) < len(paths):
-        raise UsageError("--held-out takes records, columns of time and signals: compare responses in Python.")
-    return compare(*fits, records=records, labels=[entry.label for entry in entries if entry.fit is not None])
+        raise UsageError(
+            "--held-out takes records, columns of time and signals: compare responses in Python."
+        )
+    return compare(
+        *fits, records=records, labels=[entry.label for entry in entries if entry.fit is not None]
+    )

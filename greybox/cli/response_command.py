@@ -31,8 +31,20 @@ def add_command(commands: Any) -> None:
     parser = add_parser(commands, "response", "measure a frequency response from a log", EXAMPLES)
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
-    add("--input", required=True, nargs="+", metavar="[NAME=]SIGNAL", help="the control, e.g. u=RATE.POut")
-    add("--output", required=True, nargs="+", metavar="[NAME=]SIGNAL", help="the output, e.g. theta=ATT.Pitch")
+    add(
+        "--input",
+        required=True,
+        nargs="+",
+        metavar="[NAME=]SIGNAL",
+        help="the control, e.g. u=RATE.POut",
+    )
+    add(
+        "--output",
+        required=True,
+        nargs="+",
+        metavar="[NAME=]SIGNAL",
+        help="the output, e.g. theta=ATT.Pitch",
+    )
     add(
         "--manoeuvre",
         metavar="NUMBER|KIND",
@@ -40,9 +52,20 @@ def add_command(commands: Any) -> None:
         "kind; of any number of inputs and outputs",
     )
     add_measurement_options(parser)
-    add("--held", nargs="+", default=[], metavar="NAME", help="with --manoeuvre: inputs held between samples")
+    add(
+        "--held",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="with --manoeuvre: inputs held between samples",
+    )
     add("--out", type=Path, metavar="FILE", help="save the response to this .csv or .h5 file")
-    add("--traces", type=Path, metavar="FILE", help="draw control, output and setpoint of the first test")
+    add(
+        "--traces",
+        type=Path,
+        metavar="FILE",
+        help="draw control, output and setpoint of the first test",
+    )
     add_common_options(parser, "Bode diagram and coherence")
     parser.set_defaults(command=run)
 
@@ -58,8 +81,17 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
         help="the injected signal, for the joint estimate in closed loop (default: what the log says was injected); of "
         "several inputs, one for each",
     )
-    add("--open-loop", action="store_true", help="direct estimate, whatever controller the log shows")
-    add("--rate", type=float, metavar="HZ", help="common sampling rate (default: that of the slowest signal)")
+    add(
+        "--open-loop",
+        action="store_true",
+        help="direct estimate, whatever controller the log shows",
+    )
+    add(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="common sampling rate (default: that of the slowest signal)",
+    )
     add(
         "--band",
         nargs="+",
@@ -68,7 +100,12 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
         help="lowest and highest frequency to use, in rad/s, or with Hz after them (default: what was excited)",
     )
     add("--axis", default="", help="use only the tests of this axis")
-    add("--tests", default="", metavar="1,3-5", help="use only these tests, numbered as `greybox inspect` does")
+    add(
+        "--tests",
+        default="",
+        metavar="1,3-5",
+        help="use only these tests, numbered as `greybox inspect` does",
+    )
     add(
         "--settle",
         type=float,
@@ -84,15 +121,26 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
         "of the multisines on all inputs at once, for the matrix of responses",
     )
     add("--whole", action="store_true", help="use the whole log if no test is found")
-    add("--method", default="least-squares", help="for sines: least-squares or quadrature (default: least-squares)")
-    add("--points", type=int, default=40, help="number of frequencies of a sweep's estimate (default: 40)")
+    add(
+        "--method",
+        default="least-squares",
+        help="for sines: least-squares or quadrature (default: least-squares)",
+    )
+    add(
+        "--points",
+        type=int,
+        default=40,
+        help="number of frequencies of a sweep's estimate (default: 40)",
+    )
     add_test_options(parser)
 
 
 def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return what the options state of a measurement of one input and one output, by the names of `Settings`."""
     if len(options.instrument) > 1:
-        raise UsageError(f"--instrument {' '.join(options.instrument)} are several signals: give one for each input.")
+        raise UsageError(
+            f"--instrument {' '.join(options.instrument)} are several signals: give one for each input."
+        )
     names = {field.name for field in fields(Settings)}
     values = {name: value for name, value in vars(options).items() if name in names}
     parsed = {"fields": stated_fields(options), "band": stated_band(options.band)}
@@ -138,7 +186,9 @@ def run(options: argparse.Namespace) -> Answer:
         write_response(response, options.out)
         notes.append(f"saved {options.out}")
     notes += save_figure(options.plot, lambda: _figure("bode", response))
-    notes += save_figure(options.traces, lambda: _figure("traces", measured.record, next(iter(measured.used), None)))
+    notes += save_figure(
+        options.traces, lambda: _figure("traces", measured.record, next(iter(measured.used), None))
+    )
     return answer, "\n".join([_text(recording, measured), *notes]), USABLE
 
 
@@ -161,14 +211,19 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
         write_spectrum(spectrum, options.out)
         notes.append(f"saved {options.out}")
     notes += save_figure(options.plot, lambda: _figure("spectrum", spectrum))
-    notes += save_figure(options.traces, lambda: _figure("traces", measured.record, measured.manoeuvre))
+    notes += save_figure(
+        options.traces, lambda: _figure("traces", measured.record, measured.manoeuvre)
+    )
     answer = {
         **_said(recording, measured),
         "manoeuvre": segment_as_json(measured.manoeuvre),
         "manoeuvres": [segment_as_json(segment) for segment in measured.manoeuvres],
         "omega": spectrum.omega.tolist(),
         **{
-            kind: {n: {"alpha": x.real.tolist(), "beta": x.imag.tolist()} for n, x in getattr(spectrum, kind).items()}
+            kind: {
+                n: {"alpha": x.real.tolist(), "beta": x.imag.tolist()}
+                for n, x in getattr(spectrum, kind).items()
+            }
             for kind in ("inputs", "outputs")
         },
         "duration": spectrum.duration,
@@ -181,14 +236,20 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
 def _run_matrix(options: argparse.Namespace) -> Answer:
     """Measure all outputs against all inputs; save and draw the matrix where asked to."""
     if options.period is None:
-        several = [(f"--{name}", words) for name in ("input", "output") if len(words := getattr(options, name)) > 1]
+        several = [
+            (f"--{name}", words)
+            for name in ("input", "output")
+            if len(words := getattr(options, name)) > 1
+        ]
         said = " and ".join(f"{flag} {' '.join(words)}" for flag, words in several)
         raise UsageError(
             f"{said} are several signals: give one, or the --period of the multisines that excite all inputs at once, "
             "or a --manoeuvre."
         )
     if options.out is not None and options.out.suffix.lower() != ".csv":
-        raise UsageError(f"--out {options.out} is not a table: a matrix of responses is kept in one .csv file.")
+        raise UsageError(
+            f"--out {options.out} is not a table: a matrix of responses is kept in one .csv file."
+        )
     recording = read_log(options)
     measured = measure_matrix(
         recording,
@@ -251,8 +312,12 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
     columns: Mapping[str, Any] = {}
     if response is not None:
         known = {"omega": response.omega, **response.columns}
-        columns = dict.fromkeys(("coherence", "variance", "dof")) | {name: x.tolist() for name, x in known.items()}
-    difference = measured.difference and {name: finite(x) for name, x in asdict(measured.difference).items()}
+        columns = dict.fromkeys(("coherence", "variance", "dof")) | {
+            name: x.tolist() for name, x in known.items()
+        }
+    difference = measured.difference and {
+        name: finite(x) for name, x in asdict(measured.difference).items()
+    }
     return {
         **_said(recording, measured),
         "input": response.input if response else None,
@@ -265,5 +330,7 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
         "direct_difference": difference,
         "segments": [segment_as_json(segment) for segment in measured.tests],
         "usable": quality.usable,
-        "findings": [{"about": f.about, "severity": f.severity, "text": f.text} for f in quality.findings],
+        "findings": [
+            {"about": f.about, "severity": f.severity, "text": f.text} for f in quality.findings
+        ],
     }

@@ -12,15 +12,24 @@ from greybox.estimate.result import Fit
 
 def add_fit_argument(parser: argparse.ArgumentParser) -> None:
     """Declare RESULT, a saved fit, and what was fitted where the file alone does not say it."""
-    parser.add_argument("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
-    parser.add_argument("--problem", metavar="PROBLEM", help="what was fitted, where it has ties or constraints")
+    parser.add_argument(
+        "result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote"
+    )
+    parser.add_argument(
+        "--problem", metavar="PROBLEM", help="what was fitted, where it has ties or constraints"
+    )
     add_model_option(parser)
 
 
 def add_model_option(parser: argparse.ArgumentParser) -> None:
     """Declare the option."""
     parser.add_argument(
-        "--model", type=Path, nargs="+", default=[], metavar="FILE", help="Python files with models of your own"
+        "--model",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="Python files with models of your own",
     )
 
 
@@ -49,7 +58,9 @@ def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:
     return saved_fit(options.result, options), problem
 
 
-def add_out_option(parser: argparse.ArgumentParser, about: str = "save the fit to this HDF5 file") -> None:
+def add_out_option(
+    parser: argparse.ArgumentParser, about: str = "save the fit to this HDF5 file"
+) -> None:
     """Declare where a fit is saved."""
     parser.add_argument("--out", type=Path, metavar="FILE", help=about)
 

@@ -12,7 +12,8 @@ class {name}(gb.TransferFunction):
     input, output = "u", "theta"  # the names by which model and data meet
     units = {{"theta": "rad"}}  # data in other units are refused
 
-    # Start, bounds, unit, meaning. Starts are drawn between the bounds: make these as narrow as you are sure of.
+    # Start, bounds, unit, meaning. Starts are drawn between the bounds: make these as narrow as you
+    # are sure of.
     K = gb.Parameter(50.0, bounds=(1, 500), unit="1/s²", about="angular acceleration per control")
     a = gb.Parameter(1.0, bounds=(0, 5), unit="1/s", about="damping of the rate")
     T = gb.Parameter(0.05, bounds=(0.005, 0.2), unit="s", about="time constant of the rotors")
@@ -22,7 +23,8 @@ class {name}(gb.TransferFunction):
     derived = {{"bandwidth": lambda p: 1 / p.T}}
 
     def response(self, s, p):
-        # As on paper: + - * / ** and gb.exp, gb.sqrt ... One formula serves numbers, CasADi and rational functions.
+        # As on paper: + - * / ** and gb.exp, gb.sqrt ... One formula serves numbers, CasADi and
+        # rational functions.
         return p.K * gb.exp(-s * p.T_delay) / (s * (s + p.a) * (p.T * s + 1))
 '''
 
@@ -38,11 +40,13 @@ class {name}(gb.StateSpace):
     states, inputs, outputs = ("v",), ("theta",), ("v",)  # the names by which model and data meet
     units = {{"theta": "rad", "v": "m/s"}}  # data in other units are refused
 
-    # Start, bounds, unit, meaning. Starts are drawn between the bounds: make these as narrow as you are sure of.
+    # Start, bounds, unit, meaning. Starts are drawn between the bounds: make these as narrow as you
+    # are sure of.
     c = gb.Parameter(0.1, bounds=(0.001, 2), unit="1/m", about="drag", scale="log")
 
     def derivative(self, x, u, p):
-        # One entry for each state. abs, gb.tan, gb.where ... serve numbers and expressions alike; if and max do not.
+        # One entry for each state. abs, gb.tan, gb.where ... serve numbers and expressions alike;
+        # if and max do not.
         return (gb.g * gb.tan(u.theta) - p.c * abs(x.v) * x.v,)
 
     def output(self, x, u, p):
@@ -107,10 +111,10 @@ settings = {{"starts": {starts}, "seed": 0}}  # of the search; --starts and --se
 RESPONSE_DATA = '''\
     """Return the measured frequency response: here a made-up one, with 2 % noise."""
     # Yours, from a file with the columns omega_rad_s, alpha, beta, or from magnitude and phase:
-    #     return gb.read_response("response.csv")
-    #     columns = {{"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg"}}
-    #     return gb.read_response("response.csv", columns=columns)
-    # or from a flight log, on the command line: greybox response flight.BIN --input u=... --output theta=... --out ...
+    # return gb.read_response("response.csv")     columns = {{"frequency": "f:Hz", "magnitude":
+    # "mag:dB", "phase": "ph:deg"}}     return gb.read_response("response.csv", columns=columns) or
+    # from a flight log, on the command line: greybox response flight.BIN --input u=... --output
+    # theta=... --out ...
     truth = {{"K": 60.0, "a": 2.0, "T": 0.06}}
     exact = gb.frequency_response({name}(), truth, np.geomspace(1, 40, 20))  # rad/s
     parts = np.random.default_rng(0).normal(size=(2, 20))
@@ -121,8 +125,8 @@ RESPONSE_DATA = '''\
 RECORD_DATA = '''\
     """Return the measured record: here a made-up one, with noise of 0.05 m/s."""
     # Yours, from a table with the columns time [s], theta [rad], v [m/s], or from a flight log:
-    #     return gb.read("flight.csv")["flight"]
-    #     return gb.prepare(gb.read("flight.BIN"), {{"theta": "ATT.Pitch", "v": "XKF1.VN"}}, rate=50)
+    # return gb.read("flight.csv")["flight"]     return gb.prepare(gb.read("flight.BIN"), {{"theta":
+    # "ATT.Pitch", "v": "XKF1.VN"}}, rate=50)
     time = np.arange(0, 60, 0.02)  # s
     theta = 0.2 * np.sin(0.8 * time) + 0.1 * np.sin(2.5 * time)
     between = {{"theta": 0.0}}  # samples of what is continuous; math.inf for what a controller holds until the next one
@@ -135,16 +139,34 @@ RECORD_DATA = '''\
 
 def model_file(file: str, name: str, *, in_time: bool) -> str:
     """Return a file with a model, a transfer function or an ODE (`in_time`)."""
-    model, trial = (STATE_SPACE, STATE_SPACE_TRIAL) if in_time else (TRANSFER_FUNCTION, TRANSFER_FUNCTION_TRIAL)
+    model, trial = (
+        (STATE_SPACE, STATE_SPACE_TRIAL)
+        if in_time
+        else (TRANSFER_FUNCTION, TRANSFER_FUNCTION_TRIAL)
+    )
     return MODEL.format(file=file, model=model.format(name=name), trial=trial.format(name=name))
 
 
 def problem_file(file: str, name: str, *, in_time: bool) -> str:
     """Return a file with a model, data and a problem, of a frequency response or of a record (`in_time`)."""
     model, data = (STATE_SPACE, RECORD_DATA) if in_time else (TRANSFER_FUNCTION, RESPONSE_DATA)
-    stated = {"first": "c", "value": 0.1, "low": 0.01, "high": 1, "starts": 5, "criterion": "gb.OutputError()"}
+    stated = {
+        "first": "c",
+        "value": 0.1,
+        "low": 0.01,
+        "high": 1,
+        "starts": 5,
+        "criterion": "gb.OutputError()",
+    }
     if not in_time:
-        stated = {"first": "a", "value": 2.0, "low": 0, "high": 5, "starts": 50, "criterion": "gb.RelativeLikelihood()"}
+        stated = {
+            "first": "a",
+            "value": 2.0,
+            "low": 0,
+            "high": 5,
+            "starts": 50,
+            "criterion": "gb.RelativeLikelihood()",
+        }
     return PROBLEM.format(
         file=file,
         stem=file.removesuffix(".py"),

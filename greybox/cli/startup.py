@@ -1,7 +1,7 @@
 """Ctrl-C while the command line is still being imported, which takes half a second: it ends without a traceback.
 
-Python imports the package `greybox` before it calls any function of the command line. This is therefore what the
-package imports first, and it needs nothing of it.
+Python imports the package `greybox` before it calls any function of the command line. This is
+therefore what the package imports first, and it needs nothing of it.
 """
 
 import os

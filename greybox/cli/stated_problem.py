@@ -40,8 +40,13 @@ FILTER_NAMES = ("-filter", "-notch")  # ends of the names by which responses sta
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options that state a problem."""
     add = parser.add_argument
-    add("problem", nargs="?", metavar="PROBLEM", help="an included problem, or my.py, or my.py:name")
-    add("--model", help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class")
+    add(
+        "problem", nargs="?", metavar="PROBLEM", help="an included problem, or my.py, or my.py:name"
+    )
+    add(
+        "--model",
+        help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class",
+    )
     add(
         "--data",
         nargs="+",
@@ -72,7 +77,11 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add("--delay", help="exact or pade:n (default: the problem's)")
     add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")
-    add("--method", choices=METHODS, help="how records are transcribed and solved (default: the problem's)")
+    add(
+        "--method",
+        choices=METHODS,
+        help="how records are transcribed and solved (default: the problem's)",
+    )
 
 
 def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
@@ -84,7 +93,9 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
         For options that contradict one another, and for what is not there.
     """
     if (options.problem is None) == (options.model is None):
-        raise UsageError("give either a PROBLEM or --model with --data; `greybox list` shows the included problems.")
+        raise UsageError(
+            "give either a PROBLEM or --model with --data; `greybox list` shows the included problems."
+        )
     settings: dict[str, Any] = {}
     if options.problem is not None:
         for name in ("data", "columns", "through", "input", "output", "at"):
@@ -115,14 +126,21 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     for word in options.through or ():
         for filtered in _filters(word, data[0]):
             model = through(model, filtered)
-    kinds = {FrequencyResponse: "a frequency response", TransientSpectrum: "the spectrum of a manoeuvre"}
+    kinds = {
+        FrequencyResponse: "a frequency response",
+        TransientSpectrum: "the spectrum of a manoeuvre",
+    }
     for path, one in zip(options.data, data, strict=True):
         for name, kind in (("input", FrequencyResponse), ("output", FrequencyResponse)):
             if getattr(options, name) and not isinstance(one, kind):
                 what = kinds.get(type(one), "a record")
-                raise UsageError(f"--{name} is for a frequency response, and {path} is {what}: leave it out.")
+                raise UsageError(
+                    f"--{name} is for a frequency response, and {path} is {what}: leave it out."
+                )
         if options.at and isinstance(one, Record):
-            raise UsageError(f"--at is for a frequency response, and {path} is a record: leave it out.")
+            raise UsageError(
+                f"--at is for a frequency response, and {path} is a record: leave it out."
+            )
     at = assignments(options.at, "--at")
     if len(data) == 1:
         return Problem(model, data[0], at=at)
@@ -171,7 +189,9 @@ def _require_problem(name: str) -> None:
 
 def _criteria() -> dict[str, Criterion | TimeCriterion]:
     """Return the included criteria by name."""
-    return {criterion.name: criterion for criterion in (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)}
+    return {
+        criterion.name: criterion for criterion in (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)
+    }
 
 
 def _criterion(text: str) -> Criterion | TimeCriterion:
@@ -208,7 +228,9 @@ def _with_criterion(problem: AnyProblem, criterion: Criterion | TimeCriterion) -
         if not isinstance(part.data, tuple(served.values())):
             parts.append(part)
         elif isinstance(criterion, TimeCriterion) and isinstance(part.criterion, TimeCriterion):
-            shared = {field.name: getattr(part.criterion, field.name) for field in fields(TimeCriterion)}
+            shared = {
+                field.name: getattr(part.criterion, field.name) for field in fields(TimeCriterion)
+            }
             parts.append(part.with_(criterion=replace(criterion, **shared)))
         else:
             parts.append(part.with_(criterion=criterion))

@@ -21,7 +21,12 @@ EXAMPLES = (
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = add_parser(commands, "stepwise", "choose terms of a model from a list of candidates, by tests", EXAMPLES)
+    parser = add_parser(
+        commands,
+        "stepwise",
+        "choose terms of a model from a list of candidates, by tests",
+        EXAMPLES,
+    )
     add_problem_options(parser)
     parser.add_argument(
         "--candidates",
@@ -31,10 +36,16 @@ def add_command(commands: Any) -> None:
         help="parameters that may be left out, and the value of each where its term is absent, 0 by default",
     )
     parser.add_argument(
-        "--size", type=probability, default=SIGNIFICANT, help=f"of the tests, {SIGNIFICANT:g} by default"
+        "--size",
+        type=probability,
+        default=SIGNIFICANT,
+        help=f"of the tests, {SIGNIFICANT:g} by default",
     )
     parser.add_argument(
-        "--starts", type=positive, default=4, help="of every structure, beside the one before; 4 by default"
+        "--starts",
+        type=positive,
+        default=4,
+        help="of every structure, beside the one before; 4 by default",
     )
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
     add_common_options(parser, writes=True)
@@ -58,12 +69,16 @@ def _candidates(words: list[str]) -> dict[str, float]:
         try:
             found[name] = float(value or 0.0)
         except ValueError:
-            raise UsageError(f"--candidates {word!r} is not understood: write NAME or NAME=VALUE, e.g. n=1.") from None
+            raise UsageError(
+                f"--candidates {word!r} is not understood: write NAME or NAME=VALUE, e.g. n=1."
+            ) from None
     return found
 
 
 def _summary(found: StepwiseSelection) -> dict[str, Any]:
-    trials = [asdict(t) | {"cost": finite(t.cost), "p_value": finite(t.p_value)} for t in found.trials]
+    trials = [
+        asdict(t) | {"cost": finite(t.cost), "p_value": finite(t.p_value)} for t in found.trials
+    ]
     return {
         "terms": list(found.terms),
         "candidates": list(found.candidates),

@@ -21,7 +21,20 @@ from greybox.study.batch import Member, require_distinct
 # What a [[member]] states: in a list, one value for each of several members.
 GRID = ("problem", "criterion", "delay", "fix", "seed", "search")
 SINGLE = (
-    *("name", "model", "through", "data", "input", "output", "at", "free", "bounds", "start", "starts_box", "prior"),
+    *(
+        "name",
+        "model",
+        "through",
+        "data",
+        "input",
+        "output",
+        "at",
+        "free",
+        "bounds",
+        "start",
+        "starts_box",
+        "prior",
+    ),
     *("columns", "method", "starts"),
 )
 SETTINGS = ("starts", "seed")  # of the whole file
@@ -42,17 +55,20 @@ def find_study(text: str) -> Path:
     if text in INCLUDED and not path.is_file():
         return Path(str(importlib.import_module(f"greybox.problems._{text}_study").__file__))
     if not path.suffix and not path.exists():
-        raise UsageError(f"there is no included study {text!r}, there is {', '.join(INCLUDED)}: or give study.toml.")
+        raise UsageError(
+            f"there is no included study {text!r}, there is {', '.join(INCLUDED)}: or give study.toml."
+        )
     return path
 
 
 def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     """Return the members that a study file states; `starts`, if given, are those of every member.
 
-    In TOML every ``[[member]]`` has a ``problem`` (an included one, or a file beside the study file, as of ``greybox
-    fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free, bounds, start, starts_box, prior, at,
-    input, output, columns, method, starts, seed, search, name``, as the options of ``greybox fit``. Lists of ``problem,
-    criterion, delay, fix, seed, search`` make a grid. In Python ``members()`` returns a list of `greybox.study.Member`.
+    In TOML every ``[[member]]`` has a ``problem`` (an included one, or a file beside the study
+    file, as of ``greybox fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free,
+    bounds, start, starts_box, prior, at, input, output, columns, method, starts, seed, search,
+    name``, as the options of ``greybox fit``. Lists of ``problem, criterion, delay, fix, seed,
+    search`` make a grid. In Python ``members()`` returns a list of `greybox.study.Member`.
 
     Raises
     ------
@@ -65,7 +81,9 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     elif path.suffix == ".toml":
         members = _stated_in_toml(path)
     else:
-        raise UsageError(f"{path} is not a known kind of study file: write study.toml, or study.py with members().")
+        raise UsageError(
+            f"{path} is not a known kind of study file: write study.toml, or study.py with members()."
+        )
     require_distinct(members)
     if starts is None:
         return members
@@ -75,14 +93,22 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
 def _stated_in_python(path: Path) -> list[Member]:
     included = [name for name in INCLUDED if find_study(name) == path]
     module: Any = (
-        importlib.import_module(f"greybox.problems._{included[0]}_study") if included else module_from_file(path)
+        importlib.import_module(f"greybox.problems._{included[0]}_study")
+        if included
+        else module_from_file(path)
     )
     function = getattr(module, "members", None)
     if not callable(function):
-        raise UsageError(f"{path} has no function members(): define it, and return a list of gb.study.Member.")
+        raise UsageError(
+            f"{path} has no function members(): define it, and return a list of gb.study.Member."
+        )
     found: Any = function()
-    if not isinstance(found, list | tuple) or not all(isinstance(member, Member) for member in found):
-        raise UsageError(f"members() in {path} returns {found!r:.60}: return a list of gb.study.Member.")
+    if not isinstance(found, list | tuple) or not all(
+        isinstance(member, Member) for member in found
+    ):
+        raise UsageError(
+            f"members() in {path} returns {found!r:.60}: return a list of gb.study.Member."
+        )
     return list(found)
 
 
@@ -97,8 +123,14 @@ def _stated_in_toml(path: Path) -> list[Member]:
             raise UsageError(
                 f"{path} states {name!r}, which is not known; there are member, {alternatives(name, SETTINGS)}"
             )
-    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise UsageError(f"{path} has no members: write [[member]] and below it problem = 'rotors', say.")
+    if (
+        not isinstance(entries, list)
+        or not entries
+        or not all(isinstance(entry, dict) for entry in entries)
+    ):
+        raise UsageError(
+            f"{path} has no members: write [[member]] and below it problem = 'rotors', say."
+        )
     members = [member for entry in entries for member in _members({**stated, **entry}, path)]
     return _named_apart(members)
 
@@ -113,7 +145,11 @@ def _members(entry: Mapping[str, Any], path: Path) -> list[tuple[str, str, Membe
     lists = {name: _values(entry, name) for name in GRID if name in entry}
     single = {name: entry[name] for name in SINGLE if name in entry}
     return [
-        _member({**single, **dict(zip(lists, values, strict=True))}, [n for n in lists if len(lists[n]) > 1], path)
+        _member(
+            {**single, **dict(zip(lists, values, strict=True))},
+            [n for n in lists if len(lists[n]) > 1],
+            path,
+        )
         for values in itertools.product(*lists.values())
     ]
 
@@ -125,7 +161,9 @@ def _values(entry: Mapping[str, Any], name: str) -> list[Any]:
     for value in values:
         if not isinstance(value, kind) or isinstance(value, bool):
             wanted = {"fix": "a table {name = value}", "seed": "a whole number"}.get(name, "text")
-            raise UsageError(f"{name} = {value!r:.40} is not understood: give {wanted}, or a list of such.")
+            raise UsageError(
+                f"{name} = {value!r:.40} is not understood: give {wanted}, or a list of such."
+            )
     return values
 
 
@@ -141,10 +179,17 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
         at=_assigned(stated, "at"),
         fix=_assigned(stated, "fix"),
         free=_list(stated, "free"),
-        bounds=[f"{name}={low!r}:{high!r}" for name, (low, high) in _pairs(stated, "bounds").items()],
+        bounds=[
+            f"{name}={low!r}:{high!r}" for name, (low, high) in _pairs(stated, "bounds").items()
+        ],
         start=_assigned(stated, "start"),
-        starts_box=[f"{name}={low!r}:{high!r}" for name, (low, high) in _pairs(stated, "starts_box").items()],
-        prior=[f"{name}={mean!r}+-{sigma!r}" for name, (mean, sigma) in _pairs(stated, "prior", "mean, sigma").items()],
+        starts_box=[
+            f"{name}={low!r}:{high!r}" for name, (low, high) in _pairs(stated, "starts_box").items()
+        ],
+        prior=[
+            f"{name}={mean!r}+-{sigma!r}"
+            for name, (mean, sigma) in _pairs(stated, "prior", "mean, sigma").items()
+        ],
         columns=_list(stated, "columns"),
         method=_method(stated),
         delay=_text(stated, "delay"),
@@ -200,8 +245,12 @@ def _list(stated: Mapping[str, Any], name: str) -> list[str]:
 def _assigned(stated: Mapping[str, Any], name: str) -> list[str]:
     """Return what the command line would have after ``--fix``, ``--start`` or ``--at``."""
     value = stated.get(name, {})
-    if not isinstance(value, dict) or not all(type(number) in (int, float) for number in value.values()):
-        raise UsageError(f"{name} = {value!r:.40} is not understood: give a table {{name = number}}.")
+    if not isinstance(value, dict) or not all(
+        type(number) in (int, float) for number in value.values()
+    ):
+        raise UsageError(
+            f"{name} = {value!r:.40} is not understood: give a table {{name = number}}."
+        )
     return [f"{key}={number!r}" for key, number in value.items()]
 
 
@@ -221,7 +270,10 @@ def _pairs(stated: Mapping[str, Any], name: str, ends: str = "low, high") -> dic
     value = stated.get(name, {})
     pairs = value.values() if isinstance(value, dict) else [None]
     if not all(
-        isinstance(pair, list) and [type(end) in (int, float) for end in pair] == [True, True] for pair in pairs
+        isinstance(pair, list) and [type(end) in (int, float) for end in pair] == [True, True]
+        for pair in pairs
     ):
-        raise UsageError(f"{name} = {value!r:.40} is not understood: give a table {{name = [{ends}]}}.")
+        raise UsageError(
+            f"{name} = {value!r:.40} is not understood: give a table {{name = [{ends}]}}."
+        )
     return value

@@ -8,8 +8,8 @@ import sys
 import unicodedata
 from typing import Any, TextIO
 
-# What is written for a character that the encoding of a terminal or file does not have. Letters with accents lose
-# them, Greek letters are named, and the rest is written as Python's escapes.
+# What is written for a character that the encoding of a terminal or file does not have. Letters
+# with accents lose them, Greek letters are named, and the rest is written as Python's escapes.
 SPELLED = str.maketrans(
     {
         "±": "+-",
@@ -30,9 +30,12 @@ SPELLED = str.maketrans(
 )
 
 
-# What stands out where there are colors: why there is no answer, and what to know before believing one.
+# What stands out where there are colors: why there is no answer, and what to know before believing
+# one.
 RED, YELLOW, PLAIN = "\033[1;31m", "\033[33m", "\033[0m"
-STANDS_OUT = re.compile(r"^(?P<red>greybox:|[ ]*FAILED:)|(?P<yellow>^[ ]*warning:|\bAT BOUND\b)", re.MULTILINE)
+STANDS_OUT = re.compile(
+    r"^(?P<red>greybox:|[ ]*FAILED:)|(?P<yellow>^[ ]*warning:|\bAT BOUND\b)", re.MULTILINE
+)
 
 
 def colored(text: str, stream: TextIO | None) -> str:
@@ -40,7 +43,10 @@ def colored(text: str, stream: TextIO | None) -> str:
 
     See https://no-color.org.
     """
-    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM", "" if os.name == "nt" else "dumb") == "dumb"
+    plain = (
+        os.environ.get("NO_COLOR")
+        or os.environ.get("TERM", "" if os.name == "nt" else "dumb") == "dumb"
+    )
     if stream is None or plain or not stream.isatty():
         return text
     return STANDS_OUT.sub(lambda found: f"{RED if found['red'] else YELLOW}{found[0]}{PLAIN}", text)
@@ -112,7 +118,9 @@ def _spell(character: str) -> str:
     spelled = character.translate(SPELLED)
     if spelled == character:
         words = unicodedata.name(character, "").lower().split()
-        spelled = words[-1] if words[:1] == ["greek"] and len(words) == 4 else _without_accent(character)
+        spelled = (
+            words[-1] if words[:1] == ["greek"] and len(words) == 4 else _without_accent(character)
+        )
     return spelled
 
 

@@ -14,8 +14,12 @@ CONNECTING = 10  # s, after which a scheduler that does not answer is not there
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     group = parser.add_mutually_exclusive_group()
-    group.add_argument("--workers", type=positive, metavar="N", help="make the runs in N processes on this machine")
-    group.add_argument("--scheduler", metavar="ADDRESS", help="make the runs on Dask's workers: 127.0.0.1:8786")
+    group.add_argument(
+        "--workers", type=positive, metavar="N", help="make the runs in N processes on this machine"
+    )
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="make the runs on Dask's workers: 127.0.0.1:8786"
+    )
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """Costs that are sums of terms of one form, with their derivatives: built for one term, evaluated for all of them.
 
-A response has a term for every frequency, and these differ in their constants alone. The Hessian of one term is built
-in a fraction of the time that the Hessian of the sum takes, and few searches at once are columns enough for numpy.
+A response has a term for every frequency, and these differ in their constants alone. The Hessian of
+one term is built in a fraction of the time that the Hessian of the sum takes, and few searches at
+once are columns enough for numpy.
 """
 
 from collections import defaultdict
@@ -17,15 +18,16 @@ from greybox.compiled.vectorized import CHUNK, Columns
 
 Array = NDArray[np.float64]
 
-# Instructions of cost, gradient and Hessian, some two for every operation of the cost and input, from which terms are
-# taken together also for few columns: a step of eight searches on ten points (5000) takes a fifth longer so, on forty
-# (25 000) half the time. Of a thousand searches on ten points all take a twentieth less time, on 36 an eighth, since
-# functions of one term are built and laid out in a tenth of the time.
+# Instructions of cost, gradient and Hessian, some two for every operation of the cost and input,
+# from which terms are taken together also for few columns: a step of eight searches on ten points
+# (5000) takes a fifth longer so, on forty (25 000) half the time. Of a thousand searches on ten
+# points all take a twentieth less time, on 36 an eighth, since functions of one term are built and
+# laid out in a tenth of the time.
 LARGE = 10_000
 FEWEST_ALIKE = 4  # terms that are worth a function of their own
 
-# Columns from which registers of numpy, which take 1.5 µs to lay out for every operation, are repaid within a few
-# calls where operations are many.
+# Columns from which registers of numpy, which take 1.5 µs to lay out for every operation, are
+# repaid within a few calls where operations are many.
 FEWEST_COLUMNS = 512
 
 
@@ -49,13 +51,21 @@ class SecondOrder:
         """Build for m columns and what follows: of many, and of large sums, terms are taken together."""
         operations = ca.Function("cost", [*self._inputs], [self._cost]).n_instructions()
         is_large = m >= FEWEST_COLUMNS or 2 * operations * self._inputs[0].numel() >= LARGE
-        groups, rest = _alike(self._inputs, self._cost) if is_large and not self._as_c else ([], self._cost)
-        self._groups = [(Columns(_derivatives([*self._inputs, g.symbols], g.term)), g.constants) for g in groups]
-        self._repeated: dict[int, list[list[Array]]] = {}  # constants of every group, by the number of columns
+        groups, rest = (
+            _alike(self._inputs, self._cost) if is_large and not self._as_c else ([], self._cost)
+        )
+        self._groups = [
+            (Columns(_derivatives([*self._inputs, g.symbols], g.term)), g.constants) for g in groups
+        ]
+        self._repeated: dict[
+            int, list[list[Array]]
+        ] = {}  # constants of every group, by the number of columns
         self._rest: Columns | None = None
         if not (groups and rest.is_zero()):
             derivatives = _derivatives(self._inputs, rest)
-            self._rest = Columns(compiled(derivatives) if self._as_c else derivatives, fewest=FEWEST_COLUMNS)
+            self._rest = Columns(
+                compiled(derivatives) if self._as_c else derivatives, fewest=FEWEST_COLUMNS
+            )
         self._is_built = True
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
@@ -63,11 +73,17 @@ class SecondOrder:
         p, m = inputs[0].shape
         if not self._is_built:
             self._build(m)
-        values = [np.zeros((size, m)) for size in (1, p, p * p)] if self._rest is None else self._rest(*inputs)
+        values = (
+            [np.zeros((size, m)) for size in (1, p, p * p)]
+            if self._rest is None
+            else self._rest(*inputs)
+        )
         for (function, _), shares in zip(self._groups, self._constants(m), strict=True):
             for constants in shares:
                 count = constants.shape[1] // m
-                found = function(*(np.concatenate([value] * count, axis=1) for value in inputs), constants)
+                found = function(
+                    *(np.concatenate([value] * count, axis=1) for value in inputs), constants
+                )
                 for k, terms in enumerate(found):
                     values[k] += terms.reshape(-1, count, m).sum(axis=1)
         cost, gradient, hessian = values
@@ -76,7 +92,10 @@ class SecondOrder:
     def _constants(self, m: int) -> list[list[Array]]:
         """Return the constants of every group for m columns, in shares of as many terms as the cache holds."""
         if m not in self._repeated:
-            shares = (np.array_split(c, -(-c.shape[1] // max(CHUNK // m, 1)), axis=1) for _, c in self._groups)
+            shares = (
+                np.array_split(c, -(-c.shape[1] // max(CHUNK // m, 1)), axis=1)
+                for _, c in self._groups
+            )
             self._repeated[m] = [[np.repeat(some, m, axis=1) for some in each] for each in shares]
         return self._repeated[m]
 
@@ -92,7 +111,9 @@ class _Alike(NamedTuple):
 def _derivatives(inputs: Sequence[ca.SX], cost: ca.SX) -> ca.Function:
     hessian, gradient = ca.hessian(cost, inputs[0])
     outputs = [cost, ca.densify(gradient), ca.vec(ca.densify(hessian))]
-    return ca.Function("derivatives", [*inputs], [ca.densify(value) for value in outputs], {"cse": True})
+    return ca.Function(
+        "derivatives", [*inputs], [ca.densify(value) for value in outputs], {"cse": True}
+    )
 
 
 def _alike(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Alike], ca.SX]:
@@ -106,7 +127,9 @@ def _alike(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Alike], ca.SX]:
             (operation, *function.instruction_input(k), *function.instruction_output(k))
             for k, operation in zip(places, operations, strict=True)
         )
-        constants = [function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST]
+        constants = [
+            function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST
+        ]
         groups[form].append((factor, term, function, constants))
     found, rest = [], ca.SX(0)
     for members in groups.values():
@@ -120,7 +143,11 @@ def _alike(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Alike], ca.SX]:
         for k, place in enumerate(np.flatnonzero(differs)):
             values[place] = symbols[k]
         function = members[0][2]
-        found.append(_Alike(values[0] * _with_constants(function, inputs, values[1:]), symbols, table[differs]))
+        found.append(
+            _Alike(
+                values[0] * _with_constants(function, inputs, values[1:]), symbols, table[differs]
+            )
+        )
     return found, rest
 
 
@@ -148,7 +175,9 @@ def _terms(cost: ca.SX) -> list[tuple[float, ca.SX]]:
     return found
 
 
-def _with_constants(function: ca.Function, inputs: Sequence[ca.SX], constants: Sequence[ca.SX]) -> ca.SX:
+def _with_constants(
+    function: ca.Function, inputs: Sequence[ca.SX], constants: Sequence[ca.SX]
+) -> ca.SX:
     """Return the one output of an SX function with other constants, in their order."""
     registers: dict[int, ca.SX] = {}
     given = iter(constants)

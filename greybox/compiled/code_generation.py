@@ -25,11 +25,18 @@ NAME = "linearization_of_all"
 class CompiledLinearization:
     """For s segments of some samples: ends, their derivatives, and JᵀJ and Jᵀe, all in one loop.
 
-    `sample` is (x, q, d) -> next state, residuals, outputs; `active` names the parameters of the derivatives.
+    `sample` is (x, q, d) -> next state, residuals, outputs; `active` names the parameters of the
+    derivatives.
     """
 
     def __init__(
-        self, sample: ca.Function, active: list[int], segments: int, length: int, *, each: bool = False
+        self,
+        sample: ca.Function,
+        active: list[int],
+        segments: int,
+        length: int,
+        *,
+        each: bool = False,
     ) -> None:
         """Take the function from the cache where it was compiled before, otherwise compile it.
 
@@ -47,17 +54,22 @@ class CompiledLinearization:
             one = _linearization(sample, active, length)
             return one.map(NAME, "serial", segments, [] if each else [1, 2], [])
 
-        self._function = _kept(NAME, (sample.serialize(), active, segments, length, each), linearization)
+        self._function = _kept(
+            NAME, (sample.serialize(), active, segments, length, each), linearization
+        )
 
     def __call__(self, nodes: Array, q: Array, weight: Array, data: Array) -> list[Array]:
         """Return ends (s, n), derivatives (s, v, n), products (s, v (v + 1) / 2) and gradients (s, v).
 
-        From nodes (s, n), parameters, weights (k, k) and data (samples, width), in the order of the samples; with
-        parameters (s, q) and weights (s, k, k) for every segment.
+        From nodes (s, n), parameters, weights (k, k) and data (samples, width), in the order of the
+        samples; with parameters (s, q) and weights (s, k, k) for every segment.
         """
         buffer: Any
         buffer, evaluate = self._function.buffer()
-        inputs = [np.ascontiguousarray(value, dtype=float) for value in (nodes, q, np.swapaxes(weight, -1, -2), data)]
+        inputs = [
+            np.ascontiguousarray(value, dtype=float)
+            for value in (nodes, q, np.swapaxes(weight, -1, -2), data)
+        ]
         results = [np.empty((self._segments, size)) for size in self._sizes]
         for k, value in enumerate(inputs):
             buffer.set_arg(k, value.data)
@@ -70,8 +82,9 @@ class CompiledLinearization:
 def compiled(function: ca.Function) -> ca.Function:
     """Return a function as C.
 
-    Taken from the cache where it was compiled before: ``greybox`` in the folder that XDG_CACHE_HOME names, by default
-    ``~/.cache``. What is loaded runs with all rights of the user, so nobody else may write there; see `library_cache`.
+    Taken from the cache where it was compiled before: ``greybox`` in the folder that XDG_CACHE_HOME
+    names, by default ``~/.cache``. What is loaded runs with all rights of the user, so nobody else
+    may write there; see `library_cache`.
 
     Raises
     ------
@@ -120,7 +133,9 @@ def _pattern(A: ca.SX, n: int, v: int) -> ca.Sparsity:
     """Return where the derivatives of a state by node and parameters may differ from zero, after any steps."""
     one, pattern = ca.DM(A.sparsity(), 1), ca.sparsify(ca.DM(np.eye(n, v)))
     for _ in range(v):
-        pattern = ca.DM((pattern + one[:, :n] @ pattern + ca.horzcat(ca.DM(n, n), one[:, n:])).sparsity(), 1)
+        pattern = ca.DM(
+            (pattern + one[:, :n] @ pattern + ca.horzcat(ca.DM(n, n), one[:, n:])).sparsity(), 1
+        )
     return pattern.sparsity()
 
 
@@ -139,5 +154,7 @@ def _library(function: ca.Function) -> bytes:
         command = [compiler, *FLAGS, "-o", str(fresh), source, "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise RuntimeError(f"{compiler} failed: {done.stderr.strip()[:300]}; leave out compile=True.")
+            raise RuntimeError(
+                f"{compiler} failed: {done.stderr.strip()[:300]}; leave out compile=True."
+            )
         return fresh.read_bytes()

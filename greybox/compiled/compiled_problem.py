@@ -35,11 +35,12 @@ from greybox.modeling.trim import Trimmed
 AnyProblem = Problem | Sum[Problem]
 Array = NDArray[np.float64]
 
-# Frequencies times parameters below which no formula makes a response `LARGE` (which takes 300 instructions here).
+# Frequencies times parameters below which no formula makes a response `LARGE` (which takes 300
+# instructions here).
 FEW = 1000
 
-# A hundred rounding errors over the tolerance of the solvers, 1e-8: with ten, a quarter of the runs on 14 points with
-# errors of 1e-4 does not come below it, with a hundred none.
+# A hundred rounding errors over the tolerance of the solvers, 1e-8: with ten, a quarter of the runs
+# on 14 points with errors of 1e-4 does not come below it, with a hundred none.
 ROUNDED = 100 * float(np.finfo(float).eps) / 1e-8
 
 
@@ -52,7 +53,8 @@ class Nlp:
     problem : Problem or Sum
         What was compiled.
     free, constants : tuple of str
-        Names of the unknowns, in the order of every vector here, and of the fixed parameters after them.
+        Names of the unknowns, in the order of every vector here, and of the fixed parameters after
+        them.
     lower, upper : (p,) arrays
         Bounds of the unknowns, in their own units.
     scaling : Scaling
@@ -64,14 +66,16 @@ class Nlp:
     parts : tuple of Part
         In the order of the problem's.
     program : casadi.Function
-        (z, smoothing) -> the cost of the frequency responses with `solver_weights`, and what must be >= 0.
+        (z, smoothing) -> the cost of the frequency responses with `solver_weights`, and what must
+        be >= 0.
     locating : casadi.Function or None
         The same with the criteria that locate the minimum, where they differ.
     locating_derivatives, program_derivatives : dict of casadi.Function
-        Of both, as options of `casadi.nlpsol`, where CasADi's own take longer: see `response_map`, `explicit_program`.
+        Of both, as options of `casadi.nlpsol`, where CasADi's own take longer: see `response_map`,
+        `explicit_program`.
     explicit : tuple of casadi.Function
-        `locating`, if any, and `program` as SX functions (z, smoothing), or (z, smoothing, w) with roots that are
-        given; none where responses exist as MX only.
+        `locating`, if any, and `program` as SX functions (z, smoothing), or (z, smoothing, w) with
+        roots that are given; none where responses exist as MX only.
     roots : casadi.Function or None
         (z) -> w, the unknowns of all trims that are found by Newton's method.
     constraint : casadi.Function
@@ -133,7 +137,7 @@ class Nlp:
         constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
         return np.concatenate([x, constants], axis=-1)
 
-    # --- frequency responses alone, many points at once ---------------------------------------------------------------
+    # --- frequency responses alone, many points at once
 
     def cost(self, values: Array) -> float:
         """Return the cost without smoothing of the frequency responses at all values (k,)."""
@@ -151,7 +155,9 @@ class Nlp:
 
     def signatures(self, x: Array) -> Array:
         """Return the signatures (r, 2 N) of the frequency responses for every row of x (r, p), see `Part.signature`."""
-        return (np.asarray(self.responses(self.all_values(x).T)) / np.tile(self.magnitudes, 2)[:, None]).T
+        return (
+            np.asarray(self.responses(self.all_values(x).T)) / np.tile(self.magnitudes, 2)[:, None]
+        ).T
 
 
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
@@ -167,7 +173,11 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     free = tuple(name for name, p in parameters.items() if not p.fixed)
     constants = tuple(name for name, p in parameters.items() if p.fixed)
     if not free:
-        cure = f"free one, e.g. free=({constants[0]!r},)" if constants else "there is nothing to estimate"
+        cure = (
+            f"free one, e.g. free=({constants[0]!r},)"
+            if constants
+            else "there is nothing to estimate"
+        )
         raise ValueError(f"no parameter of {problem.name!r} is free: {cure}.")
     scaling = scaling_of([parameters[name] for name in free])
     constant_values = np.array([parameters[name].start for name in constants])
@@ -175,8 +185,11 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     responding = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
     mapped = _mapped(responding)
     formulas = [] if mapped else [_formula(part) for part in responding]
-    models = [m.function() for m in mapped] if mapped else [_closed(formula) for formula in formulas]
-    # A trim that is found by Newton's method and a mapped response exist as MX only; everything else is faster as SX.
+    models = (
+        [m.function() for m in mapped] if mapped else [_closed(formula) for formula in formulas]
+    )
+    # A trim that is found by Newton's method and a mapped response exist as MX only; everything
+    # else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
     limits = limits_of(problem, kind)
 
@@ -187,7 +200,9 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     def modeled(named: Mapping[str, Any]) -> list[Complex]:
         """Return the response of every part."""
         each = zip(models, responding, strict=True)
-        return [Complex(*model(ca.vertcat(*part.local_values(named).values()))) for model, part in each]
+        return [
+            Complex(*model(ca.vertcat(*part.local_values(named).values()))) for model, part in each
+        ]
 
     x = kind.sym("x", len(names))
     by_name = dict(zip(names, ca.vertsplit(x), strict=True))
@@ -197,16 +212,22 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     scaled, named = modeled(at(z)), at(point)
     scaled_limits = stacked(limits, at(z), kind)
 
-    trimmed = [formula for formula in formulas if isinstance(formula, Trimmed)] if kind is ca.MX else []
+    trimmed = (
+        [formula for formula in formulas if isinstance(formula, Trimmed)] if kind is ca.MX else []
+    )
     roots = None
     if trimmed and len(trimmed) == len(responding):
         roots = ca.Function("roots", [z], [roots_of(responding, trimmed, at(z))])
 
     def stated(name: str, choose: Callable[[Problem], Criterion], costs: list[Any]) -> _Stated:
         """Return the program in one criterion, of these costs."""
-        program = ca.Function(name, [z, smoothing], [kind(_weighted(responding, costs)), scaled_limits])
+        program = ca.Function(
+            name, [z, smoothing], [kind(_weighted(responding, costs)), scaled_limits]
+        )
         if mapped:
-            hessian = _composed_hessian(responding, mapped, named, point, stacked(limits, named, ca.SX), choose)
+            hessian = _composed_hessian(
+                responding, mapped, named, point, stacked(limits, named, ca.SX), choose
+            )
             return _Stated(program, {"hess_lag": hessian})
         if roots is None:
             return _Stated(program, {}, (program,) if kind is ca.SX else ())
@@ -215,7 +236,9 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             trimmed,
             named,
             point,
-            lambda found, smoothing: _weighted(responding, _costs(responding, found, smoothing, choose)),
+            lambda found, smoothing: _weighted(
+                responding, _costs(responding, found, smoothing, choose)
+            ),
             stacked(limits, named, ca.SX),
         )
         return _Stated(program, derivatives_at(roots, explicit), (explicit,))
@@ -229,13 +252,21 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             problem=part,
             objective=ca.Function("objective", [z, smoothing], [kind(cost)]),
             model_response=ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
-            scaled_response=ca.Function("response", [z], [kind(ca.vertcat(scaled_response.re, scaled_response.im))]),
+            scaled_response=ca.Function(
+                "response", [z], [kind(ca.vertcat(scaled_response.re, scaled_response.im))]
+            ),
         )
-        for part, cost, response, scaled_response in zip(responding, own_costs, responses, scaled, strict=True)
+        for part, cost, response, scaled_response in zip(
+            responding, own_costs, responses, scaled, strict=True
+        )
     }
     method = method or MultipleShooting()
     compiled: dict[Problem, Part] = {**compiled_responses}
-    compiled |= {p: compile_spectrum(p, named, point) for p in problem.parts if isinstance(p.data, TransientSpectrum)}
+    compiled |= {
+        p: compile_spectrum(p, named, point)
+        for p in problem.parts
+        if isinstance(p.data, TransientSpectrum)
+    }
     recorded = [part for part in problem.parts if isinstance(part.data, Record)]
     compiled |= dict(zip(recorded, compile_records(recorded, named, point, method), strict=True))
     return Nlp(
@@ -259,9 +290,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         limits=tuple(limit.label for limit in limits),
         response_cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
         responses=ca.Function(
-            "responses", [x], [ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])]
+            "responses",
+            [x],
+            [ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])],
         ),
-        magnitudes=np.concatenate([np.zeros(0), *[part.magnitude for part in compiled_responses.values()]]),
+        magnitudes=np.concatenate(
+            [np.zeros(0), *[part.magnitude for part in compiled_responses.values()]]
+        ),
     )
 
 
@@ -274,7 +309,10 @@ class _Stated(NamedTuple):
 
 
 def _costs(
-    parts: list[Problem], responses: list[Complex], smoothing: Any, criterion: Callable[[Problem], Criterion]
+    parts: list[Problem],
+    responses: list[Complex],
+    smoothing: Any,
+    criterion: Callable[[Problem], Criterion],
 ) -> list[Any]:
     pairs = zip(parts, responses, strict=True)
     return [criterion(part).cost(response, part.response, smoothing) for part, response in pairs]
@@ -290,8 +328,9 @@ def _weighted(parts: list[Problem], costs: list[Any]) -> Any:
 def solver_weights(parts: Sequence[Problem]) -> list[float]:
     """Return the weights of responses in what the solver minimizes, so small that its tolerance can be reached.
 
-    A model is rounded relative to its magnitude M. Where errors are known to be of a size σ, the gradient of the cost
-    is rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds the tolerance of the solver.
+    A model is rounded relative to its magnitude M. Where errors are known to be of a size σ, the
+    gradient of the cost is rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds
+    the tolerance of the solver.
     """
     precision = 0.0
     for part in parts:
@@ -315,7 +354,9 @@ def _locator(part: Problem) -> Criterion:
 
 def _formula(part: Problem) -> Trimmed | ca.Function:
     if part.amplitude is not None:
-        return harmonic_function(part.model, part.response.omega, part.amplitude, **response_options(part))
+        return harmonic_function(
+            part.model, part.response.omega, part.amplitude, **response_options(part)
+        )
     return response_formula(part.model, part.response.omega, **response_options(part))
 
 
@@ -326,7 +367,12 @@ def _closed(formula: Trimmed | ca.Function) -> ca.Function:
 def response_options(part: Problem) -> dict[str, Any]:
     """Return how the response of a part is evaluated, as `response_formula` takes it."""
     data = part.response
-    return {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
+    return {
+        "input": data.input,
+        "output": data.output,
+        "at": part.at,
+        "pade": delay_order(part.delay),
+    }
 
 
 def _mapped(parts: list[Problem]) -> list[Mapped] | None:
@@ -334,8 +380,15 @@ def _mapped(parts: list[Problem]) -> list[Mapped] | None:
     size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
     if size < FEW or any(part.amplitude is not None for part in parts):
         return None
-    formulas = [formula_at_one_frequency(part.model, part.response.omega, **response_options(part)) for part in parts]
-    found = [Mapped(f, part.response.omega) for f, part in zip(formulas, parts, strict=True) if f is not None]
+    formulas = [
+        formula_at_one_frequency(part.model, part.response.omega, **response_options(part))
+        for part in parts
+    ]
+    found = [
+        Mapped(f, part.response.omega)
+        for f, part in zip(formulas, parts, strict=True)
+        if f is not None
+    ]
     return found if len(found) == len(parts) and sum(m.work for m in found) > LARGE else None
 
 
@@ -355,6 +408,8 @@ def _composed_hessian(
             lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
             weight,
         )
-        for part, response, weight in zip(responding, mapped, solver_weights(responding), strict=True)
+        for part, response, weight in zip(
+            responding, mapped, solver_weights(responding), strict=True
+        )
     ]
     return lagrangian_hessian(parts, z, limits)

@@ -1,11 +1,13 @@
 """Condensing: nodes and multipliers of continuity are eliminated from the Gauss-Newton system of a record.
 
-The Karush-Kuhn-Tucker system of a chain of segments is banded: each segment is coupled to the next by its end state
-alone. Solved for several right-hand sides at once (the residuals, and one for each parameter), it gives how nodes and
-multipliers follow the parameters, so that a small system in the parameters is left.
+The Karush-Kuhn-Tucker system of a chain of segments is banded: each segment is coupled to the next
+by its end state alone. Solved for several right-hand sides at once (the residuals, and one for each
+parameter), it gives how nodes and multipliers follow the parameters, so that a small system in the
+parameters is left.
 
-Source: Bock and Plitt (1984), A multiple shooting algorithm for direct solution of optimal control problems, IFAC
-Proceedings 17(2); Betts (2010), Practical Methods for Optimal Control and Estimation, 2nd ed., chapter 4.
+Source: Bock and Plitt (1984), A multiple shooting algorithm for direct solution of optimal control
+problems, IFAC Proceedings 17(2); Betts (2010), Practical Methods for Optimal Control and
+Estimation, 2nd ed., chapter 4.
 """
 
 import threading
@@ -32,9 +34,10 @@ def solve_continuity(
 ) -> tuple[Array, Array]:
     """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states for r right-hand sides.
 
-    H_j x_j + A_jᵀ λ_j - λ_(j-1) = stationarity_j and A_j x_j - x_(j+1) - P λ_j = continuity_j, with λ_j = 0 where
-    segment j is not `coupled` to the next. P = diag(variance) is zero for exact continuity; otherwise continuity is a
-    penalty gap²/2P. Sparse QR in the order x_0, λ_0, x_1, λ_1 ... takes a time linear in s.
+    H_j x_j + A_jᵀ λ_j - λ_(j-1) = stationarity_j and A_j x_j - x_(j+1) - P λ_j = continuity_j, with
+    λ_j = 0 where segment j is not `coupled` to the next. P = diag(variance) is zero for exact
+    continuity; otherwise continuity is a penalty gap²/2P. Sparse QR in the order x_0, λ_0, x_1, λ_1
+    ... takes a time linear in s.
 
     Parameters
     ----------
@@ -62,7 +65,8 @@ def solve_continuity(
     hessian = hessian * size * size[:, None]
 
     link = np.where(coupled, -1.0, 0.0)
-    # Column by column: of x_k the row of λ before, H and A; of λ_k the rows of A, itself, and x after.
+    # Column by column: of x_k the row of λ before, H and A; of λ_k the rows of A, itself, and x
+    # after.
     states = np.zeros((s, n, 2 * n + 1))
     states[1:, :, 0] = link[:-1, None]
     states[:, :, 1 : n + 1] = hessian.transpose(0, 2, 1)
@@ -78,7 +82,9 @@ def solve_continuity(
     solver = _solvers.of(s, n, r)
     solution = solver(values[solver.inside], np.ascontiguousarray(right.T)).T
     if not np.all(np.isfinite(solution)):
-        raise np.linalg.LinAlgError("the nodes of the record are not determined: its KKT system is singular.")
+        raise np.linalg.LinAlgError(
+            "the nodes of the record are not determined: its KKT system is singular."
+        )
     solution = np.ascontiguousarray(solution).reshape(s, 2 * n, r)
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
@@ -89,7 +95,9 @@ def _state_sizes(hessian: Array, transition: Array) -> Array:
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
         curvature = np.where(curvature > 0, curvature, passed_on @ curvature)
-    usable = (curvature > 1e-200) & (curvature < 1e200)  # their square roots and products stay within double range
+    usable = (curvature > 1e-200) & (
+        curvature < 1e200
+    )  # their square roots and products stay within double range
     return 1 / np.sqrt(np.where(usable, curvature, 1.0))
 
 
@@ -104,14 +112,17 @@ class _Solver:
         to_next = ca.blockcat([[nothing, nothing], [unit, nothing]]).sparsity()
         sparsity = ca.kron(ca.Sparsity.diag(s), own)
         if s > 1:
-            sparsity += ca.kron(ca.Sparsity.band(s, -1), to_next) + ca.kron(ca.Sparsity.band(s, 1), to_next.T)
+            sparsity += ca.kron(ca.Sparsity.band(s, -1), to_next) + ca.kron(
+                ca.Sparsity.band(s, 1), to_next.T
+            )
         self.inside = np.ones((s, n * (2 * n + 1) + n * (n + 2)), dtype=bool)
         self.inside[0, : n * (2 * n + 1) : 2 * n + 1] = False
         self.inside[-1, n * (2 * n + 1) + n + 1 :: n + 2] = False
         self.inside = self.inside.ravel()
         values, right = ca.MX.sym("values", sparsity.nnz()), ca.MX.sym("right", size, r)
         solution = ca.solve(ca.MX(sparsity, values), right, "qr")
-        # A buffer hands over memory as it is; converting numpy arrays to CasADi's takes longer than the solution.
+        # A buffer hands over memory as it is; converting numpy arrays to CasADi's takes longer than
+        # the solution.
         self._function = ca.Function("chain", [values, right], [solution])
         self._buffer: Any
         self._buffer, self._evaluate = self._function.buffer()

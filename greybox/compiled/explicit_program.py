@@ -1,8 +1,9 @@
 """Programs of responses whose trims are found by Newton's method: with the roots given, their formulas are explicit.
 
-A root finder is no SX function, and CasADi's second derivatives through one take twenty times as long as the cost. With
-the roots given, cost and constraints are an SX function whose derivatives hold the roots, see `modeling.trim.Trimmed`:
-it is evaluated for many points at once, and IPOPT's derivatives are its own behind the root finder.
+A root finder is no SX function, and CasADi's second derivatives through one take twenty times as
+long as the cost. With the roots given, cost and constraints are an SX function whose derivatives
+hold the roots, see `modeling.trim.Trimmed`: it is evaluated for many points at once, and IPOPT's
+derivatives are its own behind the root finder.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,10 +16,14 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.trim import Trimmed
 
 
-def roots_of(parts: Sequence[Problem], formulas: Sequence[Trimmed], named: Mapping[str, Any]) -> ca.MX:
+def roots_of(
+    parts: Sequence[Problem], formulas: Sequence[Trimmed], named: Mapping[str, Any]
+) -> ca.MX:
     """Return the roots of all responses, stacked, as expressions of the `named` values."""
     found = [
-        ca.MX(0, 1) if formula.root is None else formula.root(ca.vertcat(*part.local_values(named).values()))
+        ca.MX(0, 1)
+        if formula.root is None
+        else formula.root(ca.vertcat(*part.local_values(named).values()))
         for part, formula in zip(parts, formulas, strict=True)
     ]
     return ca.vertcat(*found)
@@ -34,8 +39,8 @@ def explicit_program(
 ) -> ca.Function:
     """Return (z, smoothing, w) -> cost and limits, for the stacked roots w of all parts.
 
-    The `named` values and the `limits` (c,) are expressions of z (p,), the `cost` is one of the responses of all parts
-    and of the smoothing.
+    The `named` values and the `limits` (c,) are expressions of z (p,), the `cost` is one of the
+    responses of all parts and of the smoothing.
     """
     roots = [ca.SX.sym("w", formula.function.numel_in(1)) for formula in formulas]
     each = [
@@ -44,7 +49,9 @@ def explicit_program(
     ]
     responses = [Complex(re, im) for re, im in each]
     smoothing = ca.SX.sym("smoothing")
-    return ca.Function("explicit", [z, smoothing, ca.vertcat(*roots)], [ca.SX(cost(responses, smoothing)), limits])
+    return ca.Function(
+        "explicit", [z, smoothing, ca.vertcat(*roots)], [ca.SX(cost(responses, smoothing)), limits]
+    )
 
 
 def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Function]:
@@ -54,14 +61,22 @@ def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Fu
     factor, multipliers = ca.SX.sym("factor"), ca.SX.sym("multipliers", limits.numel())
     hessian, _ = ca.hessian(factor * cost + ca.dot(multipliers, limits), z)
     upper = [ca.triu(ca.densify(hessian))]
-    slope = ca.Function("slope", [z, smoothing, w], [cost, ca.densify(ca.gradient(cost, z))], {"cse": True})
-    curvature = ca.Function("curvature", [z, smoothing, factor, multipliers, w], upper, {"cse": True})
+    slope = ca.Function(
+        "slope", [z, smoothing, w], [cost, ca.densify(ca.gradient(cost, z))], {"cse": True}
+    )
+    curvature = ca.Function(
+        "curvature", [z, smoothing, factor, multipliers, w], upper, {"cse": True}
+    )
     x, p, f, m = (ca.MX.sym("v", count) for count in (z.numel(), 1, 1, limits.numel()))
     given: Any = curvature(x, p, f, m, roots(x))
     both: Any = slope(x, p, roots(x))
     return {
         "grad_f": ca.Function("nlp_grad_f", [x, p], both, ["x", "p"], ["f", "grad_f_x"]),
         "hess_lag": ca.Function(
-            "nlp_hess_l", [x, p, f, m], [given], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+            "nlp_hess_l",
+            [x, p, f, m],
+            [given],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
         ),
     }

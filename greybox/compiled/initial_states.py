@@ -1,9 +1,9 @@
 """States to begin with: what the outputs show of them, and elsewhere a point at which the model has finite values.
 
-Zero is where most models rest, and a better beginning than noisy measurements around it; what stays away from zero
-begins as measured. A root, a logarithm or a division may exclude zero (the level of a tank, an airspeed, a
-temperature). Then sizes over many decades are tried for the states that no output shows, and the ones kept with which
-the model comes closest to the measured outputs.
+Zero is where most models rest, and a better beginning than noisy measurements around it; what stays
+away from zero begins as measured. A root, a logarithm or a division may exclude zero (the level of
+a tank, an airspeed, a temperature). Then sizes over many decades are tried for the states that no
+output shows, and the ones kept with which the model comes closest to the measured outputs.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,9 @@ from greybox.compiled.vectorized import Columns
 from greybox.modeling.realization import Dynamics
 
 Array = NDArray[np.float64]
-GOLDEN = (5**0.5 - 1) / 2  # whose multiples modulo one are spread more evenly than those of any other number
+GOLDEN = (
+    5**0.5 - 1
+) / 2  # whose multiples modulo one are spread more evenly than those of any other number
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
@@ -39,11 +41,17 @@ class InitialStates:
         """Compile what tells whether the model is finite, with its derivatives."""
         self._n = len(system.states)
         self._strategies = strategies
-        x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
+        x, u, p = (
+            ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters)
+        )
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
         f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
-        slopes = ca.vertcat(ca.vec(ca.densify(ca.jacobian(f, x))), ca.vec(ca.densify(ca.jacobian(y, x))))
-        self._model = Columns(ca.Function("first", [x, u, p], [f, y, slopes], {"cse": True}), shared=(2,))
+        slopes = ca.vertcat(
+            ca.vec(ca.densify(ca.jacobian(f, x))), ca.vec(ca.densify(ca.jacobian(y, x)))
+        )
+        self._model = Columns(
+            ca.Function("first", [x, u, p], [f, y, slopes], {"cse": True}), shared=(2,)
+        )
         self._shown = _shown(y, x, ca.vertcat(u, p))
 
     def at(self, measured: Array, inputs: Array, p: Array, known: Array) -> Array:
@@ -74,10 +82,14 @@ class InitialStates:
 
     def poles(self, states: Array, inputs: Array, p: Array) -> NDArray[np.complex128]:
         """Return the poles (s, n) of the linearizations at states (n, s), without those that are not finite."""
-        matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(inputs.shape[1], self._n, self._n)
+        matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(
+            inputs.shape[1], self._n, self._n
+        )
         return np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).astype(complex)
 
-    def _sized(self, states: Array, hidden: NDArray[np.integer], measured: Array, inputs: Array, p: Array) -> Array:
+    def _sized(
+        self, states: Array, hidden: NDArray[np.integer], measured: Array, inputs: Array, p: Array
+    ) -> Array:
         """Return the states with the best sizes of the hidden ones: of all together, then of each."""
         best, least = states, self._score(states, measured, inputs, p)
         groups = [hidden] if hidden.size else []
@@ -103,7 +115,9 @@ class InitialStates:
         finite, missed = self._judged(states, measured, inputs, p)
         return int((~finite).sum()), float(missed[finite].sum())
 
-    def _judged(self, states: Array, measured: Array, inputs: Array, p: Array) -> tuple[NDArray[np.bool_], Array]:
+    def _judged(
+        self, states: Array, measured: Array, inputs: Array, p: Array
+    ) -> tuple[NDArray[np.bool_], Array]:
         """Return at which samples the model is finite (s,), and by how much its outputs miss (s,), in their spread."""
         f, y, slopes = self._model(states, inputs, p)
         finite = np.asarray(np.isfinite(np.vstack([f, y, slopes])).all(axis=0))
@@ -119,7 +133,12 @@ def _shown(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Shown]:
     mixed = ca.which_depends(y, others, 1, True) if others.numel() else [False] * y.numel()
     for k in range(y.numel()):
         state = [c for c in range(x.numel()) if slopes[k, c].nnz()]
-        if mixed[k] or len(state) != 1 or state[0] in found or not slopes[k, state[0]].is_constant():
+        if (
+            mixed[k]
+            or len(state) != 1
+            or state[0] in found
+            or not slopes[k, state[0]].is_constant()
+        ):
             continue
         factor = float(slopes[k, state[0]])
         offset = ca.simplify(ca.substitute(y[k], x, ca.SX.zeros(x.numel())))
@@ -131,14 +150,18 @@ def _shown(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Shown]:
 def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[Array, Array]:
     """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every n-th sample of a stretch.
 
-    The first of a stretch is its first sample; with `spread` it is another in every stretch, since many short ones that
-    begin at rest would show nothing else.
+    The first of a stretch is its first sample; with `spread` it is another in every stretch, since
+    many short ones that begin at rest would show nothing else.
     """
     outputs, inputs = [], []
-    everywhere = [np.concatenate(rows) for rows in zip(*(s.outputs for s in data.stretches), strict=True)]
+    everywhere = [
+        np.concatenate(rows) for rows in zip(*(s.outputs for s in data.stretches), strict=True)
+    ]
     means = [float(np.nanmean(row)) if np.isfinite(row).any() else 0.0 for row in everywhere]
     for k, stretch in enumerate(data.stretches):
-        at = np.arange(int(k * GOLDEN % 1 * min(every, len(stretch))) if spread else 0, len(stretch), every)
+        at = np.arange(
+            int(k * GOLDEN % 1 * min(every, len(stretch))) if spread else 0, len(stretch), every
+        )
         rows = []
         for row, mean in zip(stretch.outputs, means, strict=True):
             there = np.flatnonzero(np.isfinite(row))

@@ -1,8 +1,8 @@
 """The Kalman gain of a record in innovations form: its stability, and values to begin with.
 
-A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial state. It can then
-be simulated from the first sample of a stretch to the last: an unstable plant does not diverge, and no nodes in between
-have to be found and joined.
+A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial
+state. It can then be simulated from the first sample of a stretch to the last: an unstable plant
+does not diverge, and no nodes in between have to be found and joined.
 """
 
 import math
@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 # Excerpts, evenly over a record, on which candidates of a gain are compared.
 EXCERPTS = 3
 
-# Of the distance between the stability limit and the unit circle: a pole this close has come to the limit. Steps go at
-# most 0.9 of the way to it, and two of them come within 0.01.
+# Of the distance between the stability limit and the unit circle: a pole this close has come to the
+# limit. Steps go at most 0.9 of the way to it, and two of them come within 0.01.
 AT_LIMIT = 0.02
 
 
@@ -38,7 +38,8 @@ class KalmanGain:
     states, outputs, places : (g,) arrays
         State and output of every entry, and its place among the parameters of a sample.
     unknowns : (u,) array
-        Places of what is estimated: these entries, or the sizes of the noise from which they follow.
+        Places of what is estimated: these entries, or the sizes of the noise from which they
+        follow.
     names : tuple of str
         Of what is estimated, as the problem knows it.
     """
@@ -54,11 +55,14 @@ class KalmanGain:
     def limit(self) -> float:
         """The largest magnitude of a pole: what is left of an initial state fades over the longest stretch.
 
-        A predictor beyond would use its free initial states to fit later samples. Where a mode is hardly driven
-        by noise, the likelihood grows toward the unit circle and has no maximum within, as for the unit root of a
-        moving average: Sargan and Bhargava (1983), Econometrica 51(3).
+        A predictor beyond would use its free initial states to fit later samples. Where a mode is
+        hardly driven by noise, the likelihood grows toward the unit circle and has no maximum
+        within, as for the unit root of a moving average: Sargan and Bhargava (1983), Econometrica
+        51(3).
         """
-        return 1 - self.part.model.strategies.forgetting / max(len(stretch) for stretch in self.part.data.stretches)
+        return 1 - self.part.model.strategies.forgetting / max(
+            len(stretch) for stretch in self.part.data.stretches
+        )
 
     def is_stable(self, trajectory: Trajectory, placed: Placed | None = None) -> bool:
         """Tell whether the poles of the mean linearization are within the limit.
@@ -79,19 +83,27 @@ class KalmanGain:
         A, _ = self.part.segments.mean_transition(trajectory.detail.states, placed.q, placed.data)
         return self._reached(A)
 
-    def pole_derivatives(self, trajectory: Trajectory, z: Array, difference: float) -> tuple[Array, Array]:
+    def pole_derivatives(
+        self, trajectory: Trajectory, z: Array, difference: float
+    ) -> tuple[Array, Array]:
         """Return the derivatives of the poles' magnitudes (m, p) by z, and how far they may grow (m,).
 
-        By finite differences of the transition along a trajectory, of the relative size `difference`.
+        By finite differences of the transition along a trajectory, of the relative size
+        `difference`.
         """
         A = self.error_transition(trajectory)
         steps = difference * np.maximum(np.abs(z), 1.0)
         moved = [self.part.place(z + row) for row in np.diag(steps)]
-        change = [(self.error_transition(trajectory, at) - A) / step for at, step in zip(moved, steps, strict=True)]
+        change = [
+            (self.error_transition(trajectory, at) - A) / step
+            for at, step in zip(moved, steps, strict=True)
+        ]
         poles, right = np.linalg.eig(A)
         left = np.linalg.pinv(right)
         slopes = np.einsum("mi,pij,jm->mp", left, np.array(change), right)
-        size = np.maximum(np.abs(poles), 1e-12)  # a pole at zero has no direction, and is far from the limit
+        size = np.maximum(
+            np.abs(poles), 1e-12
+        )  # a pole at zero has no direction, and is far from the limit
         return np.real(np.conj(poles)[:, None] * slopes) / size[:, None], self.limit - np.abs(poles)
 
     def _reached(self, A: Array) -> Array:
@@ -116,16 +128,20 @@ class KalmanGain:
     def _excerpts(self) -> list[tuple[int, int]]:
         """First segment and number of segments of every excerpt."""
         ends = np.cumsum(self.part.data.segment_counts)
-        size = max(self.part.model.strategies.gain_samples // (EXCERPTS * self.part.data.segment_length), 1)
+        size = max(
+            self.part.model.strategies.gain_samples // (EXCERPTS * self.part.data.segment_length), 1
+        )
         firsts = np.unique(np.linspace(0, max(ends[-1] - size, 0), EXCERPTS).astype(int))
         left = ends[np.searchsorted(ends, firsts, side="right")] - firsts
-        return [(int(first), int(min(size, rest))) for first, rest in zip(firsts, left, strict=True)]
+        return [
+            (int(first), int(min(size, rest))) for first, rest in zip(firsts, left, strict=True)
+        ]
 
     def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
         """Return the unknowns (u,) of steady Kalman filters, None where the predictor would not be stable.
 
-        For process noise of variances (n,) a sample in the states that are corrected, or driven, and the residuals of
-        the trajectory as measurement noise.
+        For process noise of variances (n,) a sample in the states that are corrected, or driven,
+        and the residuals of the trajectory as measurement noise.
         """
         placed = trajectory.detail.placed
         q = placed.q.copy()
@@ -134,7 +150,9 @@ class KalmanGain:
         covariance = self.part.covariance.covariance(trajectory.products)
         return [self._steady_state(F, C, covariance, q, variance) for variance in process]
 
-    def _steady_state(self, F: Array, C: Array, covariance: Array, q: Array, variance: Array) -> Array | None:
+    def _steady_state(
+        self, F: Array, C: Array, covariance: Array, q: Array, variance: Array
+    ) -> Array | None:
         noise = self.part.noise_model
         K = np.zeros((len(F), len(C)))
         if noise is None:
@@ -143,7 +161,10 @@ class KalmanGain:
             gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
             K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
         else:
-            intensities, deviations = np.sqrt(variance[noise.driven] / noise.step), np.sqrt(np.diag(covariance))
+            intensities, deviations = (
+                np.sqrt(variance[noise.driven] / noise.step),
+                np.sqrt(np.diag(covariance)),
+            )
             unknowns, q = np.concatenate([intensities, deviations]), q.copy()
             q[self.unknowns] = unknowns
             K = noise.at(q).gain
@@ -168,7 +189,9 @@ def kalman_gain(part: Part) -> KalmanGain | None:
         return None
     part = cast(RecordPart, part)  # whose states the gain corrects
     names = list(part.model.parameters)
-    places = np.array([names.index(f"K_{state}_{output}") for state, output in part.gains], dtype=int)
+    places = np.array(
+        [names.index(f"K_{state}_{output}") for state, output in part.gains], dtype=int
+    )
     noise = part.noise_model
     unknowns = places if noise is None else np.concatenate([noise.intensities, noise.deviations])
     return KalmanGain(
@@ -183,4 +206,6 @@ def kalman_gain(part: Part) -> KalmanGain | None:
 
 def spectral_radius(A: Array) -> float:
     """Return the largest magnitude of an eigenvalue of A (n, n); infinite where A is not finite."""
-    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if np.all(np.isfinite(A)) else math.inf
+    return (
+        float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if np.all(np.isfinite(A)) else math.inf
+    )

@@ -1,7 +1,8 @@
 """Compiled libraries, kept for the next time where only the user can write.
 
-A library runs in this process with all rights of the user as soon as it is loaded. So the folder is the user's own and
-closed to all others, and the name of every library holds the SHA-256 of its contents, by which a damaged one is found.
+A library runs in this process with all rights of the user as soon as it is loaded. So the folder is
+the user's own and closed to all others, and the name of every library holds the SHA-256 of its
+contents, by which a damaged one is found.
 """
 
 import hashlib

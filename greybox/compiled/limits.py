@@ -37,13 +37,19 @@ def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
             tied = f"of the tied {part.outside(name)}"
             if math.isfinite(low):
                 label = f"the lower bound {low:g} {tied}"
-                found.setdefault(label, Limit(label, part, lambda p, name=name, low=low: p[name] - low))
+                found.setdefault(
+                    label, Limit(label, part, lambda p, name=name, low=low: p[name] - low)
+                )
             if math.isfinite(high):
                 label = f"the upper bound {high:g} {tied}"
-                found.setdefault(label, Limit(label, part, lambda p, name=name, high=high: high - p[name]))
+                found.setdefault(
+                    label, Limit(label, part, lambda p, name=name, high=high: high - p[name])
+                )
     return list(found.values())
 
 
 def stacked(limits: Sequence[Limit], named: Mapping[str, Any], kind: Any) -> Any:
     """Return the limits (c,) at values by outside name."""
-    return ca.vertcat(kind(0, 1), *[limit.value(limit.part.local_values(named)) for limit in limits])
+    return ca.vertcat(
+        kind(0, 1), *[limit.value(limit.part.local_values(named)) for limit in limits]
+    )

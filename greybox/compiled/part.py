@@ -1,14 +1,15 @@
 """The interface that every part of a compiled problem answers: a frequency response, a record, or a spectrum.
 
-A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns besides: the states
-at the beginning of its segments, its *nodes*. They belong to the part, which eliminates them from its linearization
-(condensing), so that a solver adds up Hessians and gradients in z whatever the data are. A frequency response has none,
-and what is hidden in a spectrum is eliminated within its cost: their arrays over nodes are empty, see
+A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns
+besides: the states at the beginning of its segments, its *nodes*. They belong to the part, which
+eliminates them from its linearization (condensing), so that a solver adds up Hessians and gradients
+in z whatever the data are. A frequency response has none, and what is hidden in a spectrum is
+eliminated within its cost: their arrays over nodes are empty, see
 `greybox.compiled.part_without_nodes`.
 
-What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima (`signature`), the
-check of the discretization (`refined`), IPOPT (`program`, where there are nodes), the covariance of the estimate
-(`information`), the diagnostics (the properties at the end).
+What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima
+(`signature`), the check of the discretization (`refined`), IPOPT (`program`, where there are
+nodes), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
 """
 
 import math
@@ -27,7 +28,9 @@ from greybox.statistics.error_spectrum import ErrorSpectrum
 
 Array = NDArray[np.float64]
 
-TIME_BINS = 200  # parts of a record by which it is said what tells of a parameter: what a figure can show
+TIME_BINS = (
+    200  # parts of a record by which it is said what tells of a parameter: what a figure can show
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +47,11 @@ class Trajectory:
     gaps : (s, n) array
         Ends less the next nodes: zero where the trajectory is continuous.
     products : (k, k) array
-        Sums over all samples of the products of the residuals of two outputs; of a frequency response its cost.
+        Sums over all samples of the products of the residuals of two outputs; of a frequency
+        response its cost.
     simulated : bool
-        True where the trajectory was simulated from the first node of every stretch: no other node counts.
+        True where the trajectory was simulated from the first node of every stretch: no other node
+        counts.
     detail : object
         What else the part needs to linearize here.
     """
@@ -77,7 +82,8 @@ class Condensed:
     multiplier, multiplier_sensitivity : (s, n) and (s, n, p) arrays
         Lagrange multipliers of the continuity, likewise.
     damping : (s, n) array
-        Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is added to the cost.
+        Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is
+        added to the cost.
     decrease : float
         Of the merit, predicted for the step of the nodes alone.
     """
@@ -120,9 +126,11 @@ class ColoredErrors:
     duration : float
         Of the longest gapless stretch, s.
     is_long_enough : bool
-        Whether that is long enough, against the correlation times, for the spectrum of the errors to be known.
+        Whether that is long enough, against the correlation times, for the spectrum of the errors
+        to be known.
     hidden : float
-        How many times larger the variances would be by slow errors that the residuals do not exclude, one at least.
+        How many times larger the variances would be by slow errors that the residuals do not
+        exclude, one at least.
     spectrum : ErrorSpectrum or None
         Of the errors, enlarged for what the fit took from them; None where all residuals are zero.
     """
@@ -156,7 +164,8 @@ class CorrelatedPoints:
     correlation : float
         Of neighboring points, in the mean.
     scale : float
-        How many times larger the variances of errors of this correlation are than those of independent ones.
+        How many times larger the variances of errors of this correlation are than those of
+        independent ones.
     lengths : float
         How many correlation lengths the points are.
     """
@@ -178,34 +187,41 @@ class Information:
     jacobian : (rows, k) array
         Derivatives of the real residuals, or a triangular factor of them.
     numbers : int
-        Real numbers in the data that count as independent, less those that nuisance unknowns use up.
+        Real numbers in the data that count as independent, less those that nuisance unknowns use
+        up.
     spread : function of a correction
-        Returns `bread` (a factor on JᵀJ) and `meat` (k, k), with the noise larger by the correction: the estimate has
-        the covariance B⁻¹ M B⁻¹ of an M-estimator, see `greybox.formulation.frequency_criteria`.
+        Returns `bread` (a factor on JᵀJ) and `meat` (k, k), with the noise larger by the
+        correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
+        `greybox.formulation.frequency_criteria`.
     relative_noise : float
-        Standard deviation of one component of the relative error of a frequency response; NaN for a record.
+        Standard deviation of one component of the relative error of a frequency response; NaN for a
+        record.
     reach : (k,) array
-        Lengths of the columns of the Jacobian before the initial states were fitted along: what is left of them is
-        rounding where initial states make up for a value.
+        Lengths of the columns of the Jacobian before the initial states were fitted along: what is
+        left of them is rounding where initial states make up for a value.
     initial : mapping of state to (stretches, k) array
-        How the initial states follow the values, in changes that the data notice; empty without states.
+        How the initial states follow the values, in changes that the data notice; empty without
+        states.
     colored : function of a square root (p, r) of B⁻¹, or None
-        For a record whose errors are taken as correlated in time: what that makes of it, for the directions of the root
-        of the covariance of the free parameters for white errors times the weight of the part. `spread` takes them as
-        white. Directions of unit variance keep their digits where parameters are hardly determined.
+        For a record whose errors are taken as correlated in time: what that makes of it, for the
+        directions of the root of the covariance of the free parameters for white errors times the
+        weight of the part. `spread` takes them as white. Directions of unit variance keep their
+        digits where parameters are hardly determined.
     correlated : function of a correction, a square root (p, r) of B⁻¹ and degrees of freedom, or None
-        Of a frequency response, what its errors are where neighboring points are correlated, or None where nothing is
-        known of that. `spread` takes them as independent.
+        Of a frequency response, what its errors are where neighboring points are correlated, or
+        None where nothing is known of that. `spread` takes them as independent.
     offset : function of a correction, or None
-        Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the `gain_bias` of the
-        criterion, with the noise larger by the correction: the bias of the estimate is its least squares on the
-        Jacobian.
+        Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the
+        `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
+        estimate is its least squares on the Jacobian.
     told : function of directions (p, q)
-        What each point of the data tells of these directions of the free parameters, for independent errors: its share
-        (q, m) of their squared lengths by the bread. The m points are frequencies, of a manoeuvre those of one output
-        after the other, or outputs one after the other, each over `TIME_BINS` equal parts of the record.
+        What each point of the data tells of these directions of the free parameters, for
+        independent errors: its share (q, m) of their squared lengths by the bread. The m points are
+        frequencies, of a manoeuvre those of one output after the other, or outputs one after the
+        other, each over `TIME_BINS` equal parts of the record.
     output_errors : function of the covariance (k, k) of all values and the colored errors or None, or None
-        Of a record, the standard errors (outputs, rows) of the fitted outputs; NaN where none was compared.
+        Of a record, the standard errors (outputs, rows) of the fitted outputs; NaN where none was
+        compared.
     """
 
     part: "Part"
@@ -225,8 +241,8 @@ class Information:
 class Program(ABC):
     """A part as expressions for a solver of nonlinear programs, at the solver's point z (p,).
 
-    Its hidden unknowns are variables of the program. What is relaxed, weights of residuals and whole samples of delays,
-    are parameters w of it, which follow from the last solution.
+    Its hidden unknowns are variables of the program. What is relaxed, weights of residuals and
+    whole samples of delays, are parameters w of it, which follow from the last solution.
 
     Attributes
     ----------
@@ -262,8 +278,8 @@ class Program(ABC):
 class Part(ABC):
     """One problem of a sum, compiled.
 
-    Solvers need no more than its functions and these facts, and only they travel when a part is pickled: `problem`,
-    with the user's classes, stays where it was compiled.
+    Solvers need no more than its functions and these facts, and only they travel when a part is
+    pickled: `problem`, with the user's classes, stays where it was compiled.
 
     Attributes
     ----------
@@ -294,7 +310,7 @@ class Part(ABC):
         """Leave the problem behind."""
         return {name: value for name, value in vars(self).items() if name != "problem"}
 
-    # --- facts --------------------------------------------------------------------------------------------------------
+    # --- facts
 
     @property
     def samples(self) -> int:
@@ -306,7 +322,7 @@ class Part(ABC):
         """How many steps the integrator takes in a sample; 0 where nothing is integrated."""
         return 0
 
-    # --- what the Gauss-Newton driver asks ---------------------------------------------------------------------------
+    # --- what the Gauss-Newton driver asks
 
     @property
     @abstractmethod
@@ -348,7 +364,9 @@ class Part(ABC):
         """Return W (k, k) for residuals of a `share` of each signal's spread."""
 
     @abstractmethod
-    def linearize(self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False) -> Any:
+    def linearize(
+        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
+    ) -> Any:
         """Linearize along a trajectory, the residuals multiplied by `weight` (k, k).
 
         With `covariance_curvature` an estimated residual covariance follows the parameters.
@@ -363,7 +381,11 @@ class Part(ABC):
 
     @abstractmethod
     def condense(
-        self, linearization: Any, trajectory: Trajectory, continuity_variance: Array, damping: float = 0.0
+        self,
+        linearization: Any,
+        trajectory: Trajectory,
+        continuity_variance: Array,
+        damping: float = 0.0,
     ) -> Condensed:
         """Eliminate the nodes; continuity is exact where its variances (n,) are zero."""
 
@@ -394,13 +416,13 @@ class Part(ABC):
         """Return the part with `factor` times the steps per sample; not `compiled` for a look at it alone."""
         return self
 
-    # --- what IPOPT asks ----------------------------------------------------------------------------------------------
+    # --- what IPOPT asks
 
     @abstractmethod
     def program(self, z: ca.MX) -> Program:
         """Return the part as expressions of the solver's point z (p,)."""
 
-    # --- what the covariance of the estimate asks --------------------------------------------------------------------
+    # --- what the covariance of the estimate asks
 
     @abstractmethod
     def information(
@@ -425,7 +447,7 @@ class Part(ABC):
             Derivatives of the solver's variables by the free parameters.
         """
 
-    # --- what the diagnostics ask ------------------------------------------------------------------------------------
+    # --- what the diagnostics ask
 
     @property
     @abstractmethod

@@ -42,7 +42,11 @@ class PartWithoutNodes(Part):
         return np.zeros(0)
 
     def condense(
-        self, linearization: Any, trajectory: Trajectory, continuity_variance: Array, damping: float = 0.0
+        self,
+        linearization: Any,
+        trajectory: Trajectory,
+        continuity_variance: Array,
+        damping: float = 0.0,
     ) -> Condensed:
         """Return the quadratic model: there is nothing to eliminate."""
         gradient, hessian = linearization

@@ -1,9 +1,9 @@
 """Records of one model, evaluated and condensed together: a solver's arithmetic takes one call for all of them.
 
-A call from Python costs as much as the arithmetic of some hundred samples, so a hundred short records one after the
-other take ten times as long as one record with as many samples. What differs between them, parameters of their own,
-residual covariances, delays, is an axis of arrays. The rest of greybox sees parts, one for every problem; `Groups` is
-between the two.
+A call from Python costs as much as the arithmetic of some hundred samples, so a hundred short
+records one after the other take ten times as long as one record with as many samples. What differs
+between them, parameters of their own, residual covariances, delays, is an axis of arrays. The rest
+of greybox sees parts, one for every problem; `Groups` is between the two.
 """
 
 import math
@@ -30,8 +30,8 @@ SIGNATURE = 500
 class RecordGroup(RecordPart):
     """Several records with one compiled sample, segments of one length and one weight, as one part.
 
-    Its trajectories have the nodes of all records, one after the other, and the products of the residuals of each,
-    (records, k, k); so have residual weights.
+    Its trajectories have the nodes of all records, one after the other, and the products of the
+    residuals of each, (records, k, k); so have residual weights.
     """
 
     def __init__(self, parts: Sequence[RecordPart]) -> None:
@@ -39,7 +39,9 @@ class RecordGroup(RecordPart):
         self.parts = tuple(parts)
         first = self.parts[0]
         expressions = [part.model.expressions for part in self.parts]
-        own = tuple(k for k, each in enumerate(zip(*expressions, strict=True)) if len(set(each)) > 1)
+        own = tuple(
+            k for k, each in enumerate(zip(*expressions, strict=True)) if len(set(each)) > 1
+        )
         counts = [part.data.segments for part in self.parts]
         data = joined([part.data for part in self.parts])
         segments = Segments(
@@ -100,13 +102,15 @@ class RecordGroup(RecordPart):
         """Return the columns (r, c) of some segments."""
         of_all = values.reshape(len(values), self.data.segment_length, self.data.segments)
         chosen = of_all[:, :, segments]
-        return chosen.reshape(len(values), math.prod(chosen.shape[1:]))  # a static model has no rows
+        return chosen.reshape(
+            len(values), math.prod(chosen.shape[1:])
+        )  # a static model has no rows
 
     def by_part(self, nodes: Array) -> list[Array]:
         """Return the nodes of the records."""
         return [nodes[rows] for rows in self._rows_of_records]
 
-    # --- what differs between the records ----------------------------------------------------------------------------
+    # --- what differs between the records
 
     @cached_property
     def _located(self) -> tuple[ca.Function, NDArray[np.integer]]:
@@ -120,7 +124,10 @@ class RecordGroup(RecordPart):
             initial, initial_slope = model.initial(q)
             results.append([q, slope, delay, initial, initial_slope])
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
-        stacked = [ca.densify(side(*each)) for side, each in zip(sides, zip(*results, strict=True), strict=True)]
+        stacked = [
+            ca.densify(side(*each))
+            for side, each in zip(sides, zip(*results, strict=True), strict=True)
+        ]
         which = np.array([places[id(part.model.locate)] for part in self.parts])
         return ca.Function("located", [z], stacked), which
 
@@ -130,7 +137,9 @@ class RecordGroup(RecordPart):
         q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
         n, active = self.states, len(self.model.active)
         if not which.any():
-            return Placed(q.ravel(), slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope)
+            return Placed(
+                q.ravel(), slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope
+            )
         count = int(which.max()) + 1
         stretches = np.repeat(which, [len(part.data.stretches) for part in self.parts])
         return Placed(
@@ -182,7 +191,9 @@ class Groups:
             lots.setdefault(_kind(part, k), []).append(k)
         self._members = list(lots.values())
         self._number = len(parts)
-        self.parts: tuple[Part, ...] = tuple(_as_one([parts[k] for k in members]) for members in self._members)
+        self.parts: tuple[Part, ...] = tuple(
+            _as_one([parts[k] for k in members]) for members in self._members
+        )
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every group, given those of every part."""
@@ -192,13 +203,19 @@ class Groups:
     def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every part, given those of every group."""
         return self._by_part(
-            [group.by_part(own) if isinstance(group, RecordGroup) else [own] for group, own in self._each(nodes)]
+            [
+                group.by_part(own) if isinstance(group, RecordGroup) else [own]
+                for group, own in self._each(nodes)
+            ]
         )
 
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Return the trajectories of every part, given those of every group."""
         return self._by_part(
-            [group.split(t) if isinstance(group, RecordGroup) else [t] for group, t in self._each(trajectories)]
+            [
+                group.split(t) if isinstance(group, RecordGroup) else [t]
+                for group, t in self._each(trajectories)
+            ]
         )
 
     def rejoined(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
@@ -228,7 +245,10 @@ def excerpts(parts: Sequence[Part], samples: int) -> list[Any]:
     total = sum(part.samples for part in parts)
     if total <= samples:
         return list(parts)
-    return [part.excerpt(max(samples * part.samples // total, 1)) if part.samples else part for part in parts]
+    return [
+        part.excerpt(max(samples * part.samples // total, 1)) if part.samples else part
+        for part in parts
+    ]
 
 
 def _kind(part: Part, number: int) -> Any:

@@ -1,9 +1,9 @@
 """What a record says of the parameters where its residuals are correlated in time.
 
-J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states fitted along; e are
-the residuals. For errors with the spectrum of the residuals, Jᵀe has the covariance M (the *meat*); for white ones it
-is JᵀJ. Correlated residuals count as fewer independent numbers: as many as make the parameters take from white ones
-what they take from these.
+J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states
+fitted along; e are the residuals. For errors with the spectrum of the residuals, Jᵀe has the
+covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals count as fewer independent
+numbers: as many as make the parameters take from white ones what they take from these.
 """
 
 import math
@@ -17,15 +17,18 @@ from greybox.statistics.residual_spectrum import colored_information, product_ov
 
 Array = NDArray[np.float64]
 
-# Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a finite variance.
+# Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
+# finite variance.
 FEWEST = 4
 
-# Correlation times in the longest stretch below which no spectrum is known well enough where it matters. About ten are
-# needed; the correlation time found in so short a record is too short by a fifth in the mean.
+# Correlation times in the longest stretch below which no spectrum is known well enough where it
+# matters. About ten are needed; the correlation time found in so short a record is too short by a
+# fifth in the mean.
 FEWEST_TIMES = 12.0
 
-# Correlation times per degree of freedom of an exponential correlation's spectrum at zero frequency: the coefficient φ
-# of n samples has the variance (1 - φ²)/n, so that the relative variance of 1/(1 - φ)² is 8 times per n.
+# Correlation times per degree of freedom of an exponential correlation's spectrum at zero
+# frequency: the coefficient φ of n samples has the variance (1 - φ²)/n, so that the relative
+# variance of 1/(1 - φ)² is 8 times per n.
 TIMES_PER_DOF = 4.0
 
 
@@ -64,7 +67,8 @@ def colored_errors(
     found = colored_information(weighted, residuals, inverse, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
-    # What the parameters take from these residuals and would take from white ones of the same variance.
+    # What the parameters take from these residuals and would take from white ones of the same
+    # variance.
     bread = sum(product_over_time(J, noise) for J in weighted)
     paid = float(np.sum(inverse * bread))
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
@@ -92,10 +96,13 @@ def colored_errors(
     )
 
 
-def independent_numbers(measured: int, initial_states: int, parameters: int, factor: float) -> float:
+def independent_numbers(
+    measured: int, initial_states: int, parameters: int, factor: float
+) -> float:
     """Return as how many independent numbers the measured ones count.
 
-    `factor` is how many times more of the residuals the parameters take than they would of white ones.
+    `factor` is how many times more of the residuals the parameters take than they would of white
+    ones.
     """
     most = measured / (initial_states + parameters + FEWEST)
     return max(measured / min(factor, max(most, 1.0)), initial_states + 0.5)

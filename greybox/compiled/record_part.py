@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from greybox.compiled.condensing import forget_long_chain, solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
-from greybox.compiled.part import TIME_BINS, ColoredErrors, Condensed, Information, Part, Program, Trajectory
+from greybox.compiled.part import (
+    TIME_BINS,
+    ColoredErrors,
+    Condensed,
+    Information,
+    Part,
+    Program,
+    Trajectory,
+)
 from greybox.compiled.record_information import colored_errors, independent_numbers
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
@@ -50,15 +58,15 @@ Array = NDArray[np.float64]
 # Share of records whose white residuals are not taken as such.
 WHITE = 0.01
 
-# Share of the samples at which all outputs are measured, from which a filter may be taken as steady: gaps of a tenth
-# leave it so nearly everywhere.
+# Share of the samples at which all outputs are measured, from which a filter may be taken as
+# steady: gaps of a tenth leave it so nearly everywhere.
 COMPLETE = 0.9
 
 # Relative variance of a direction of initial states below which it counts as known.
 DIRECTIONS = 1e-12
 
-# Power of a response in its last quarter over that of the whole, beyond which it grows without end: of two integrators
-# it is 2.3, of an unstable mode over three time constants 3.8.
+# Power of a response in its last quarter over that of the whole, beyond which it grows without end:
+# of two integrators it is 2.3, of an unstable mode over three time constants 3.8.
 GROWS = 2.5
 
 
@@ -69,13 +77,15 @@ class Placed:
     Attributes
     ----------
     q : (declared,) array
-        Values of all declared parameters; (declared, s), for every segment, where several records have their own.
+        Values of all declared parameters; (declared, s), for every segment, where several records
+        have their own.
     slope : (active, p) or (records, active, p) array
         Derivatives of the estimated ones by z.
     data : (width, columns) array
         The data, with the inputs placed for these delays.
     initial, initial_slope : (n,) and (n, active) arrays, with `records` before where they have their own
-        Known initial states and their derivatives by the active parameters; NaN where a state is unknown.
+        Known initial states and their derivatives by the active parameters; NaN where a state is
+        unknown.
     filter : SteadyFilter or None
         That of the process noise, where it is estimated; its gain is in `q` and `slope`.
     """
@@ -100,7 +110,8 @@ class Along:
 class RecordModel:
     """What a record and its model are, whatever the cut into segments and the substeps.
 
-    Problem, record and criterion stay where they were compiled when this is pickled: solvers need the rest alone.
+    Problem, record and criterion stay where they were compiled when this is pickled: solvers need
+    the rest alone.
 
     Attributes
     ----------
@@ -109,9 +120,11 @@ class RecordModel:
     between : tuple of Intersample
         How each input runs between its samples.
     parameters, outside_names : tuple of str
-        The declared parameters, by the model's names and the problem's; then the gains that follow from process noise.
+        The declared parameters, by the model's names and the problem's; then the gains that follow
+        from process noise.
     gains : tuple of (str, str)
-        State and output of every entry of the Kalman gain that is estimated, or follows from process noise.
+        State and output of every entry of the Kalman gain that is estimated, or follows from
+        process noise.
     driven : tuple of str
         States whose process noise is estimated.
     begin : (m,) array
@@ -127,10 +140,12 @@ class RecordModel:
     locate : casadi.Function
         (z) -> values of the declared parameters, derivatives of the active ones by z, delays.
     initial : casadi.Function
-        (declared parameters) -> known initial states, and their derivatives by the active parameters.
+        (declared parameters) -> known initial states, and their derivatives by the active
+        parameters.
     known_states : (n,) bool array
     steps : dict
-        The samples compiled so far, by integrator and substeps; models that differ in their data alone share it.
+        The samples compiled so far, by integrator and substeps; models that differ in their data
+        alone share it.
     expressions : tuple of int
         Of every declared parameter a number for its expression of z, the same for the same one.
     """
@@ -187,7 +202,13 @@ class RecordModel:
         if key not in self.steps:
             held = tuple(between.held for between in self.between)
             self.steps[key] = sample_step(
-                self.system, held, self.criterion, self.outputs, self.parameters, integrator, substeps
+                self.system,
+                held,
+                self.criterion,
+                self.outputs,
+                self.parameters,
+                integrator,
+                substeps,
             )
         return self.steps[key]
 
@@ -224,7 +245,9 @@ class RecordPart(Part):
             self.step, data.segments, data.segment_length, model.active, compile_linearization
         )
         self._placed_data: tuple[Array, Array] | None = None
-        self.covariance = covariance or residual_covariance_of(model.criterion, model.outputs, data.measured)
+        self.covariance = covariance or residual_covariance_of(
+            model.criterion, model.outputs, data.measured
+        )
         self.system: Dynamics = model.system
         self.outputs = model.outputs
         self.states = len(model.system.states)
@@ -242,14 +265,20 @@ class RecordPart(Part):
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
         data = self.data.excerpts(samples)
-        covariance = self.covariance.along(data.measured)  # the criterion stays behind when a part is sent to a worker
-        return RecordPart(self.model, data, self.substeps, step=self.step, covariance=covariance, like=self)
+        covariance = self.covariance.along(
+            data.measured
+        )  # the criterion stays behind when a part is sent to a worker
+        return RecordPart(
+            self.model, data, self.substeps, step=self.step, covariance=covariance, like=self
+        )
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN where there are none."""
         part = copy(self)
         each = zip(self.data.stretches, outputs, strict=True)
-        part.data = replace(self.data, stretches=tuple(replace(stretch, outputs=values) for stretch, values in each))
+        part.data = replace(
+            self.data, stretches=tuple(replace(stretch, outputs=values) for stretch, values in each)
+        )
         counts = np.isfinite(part.data.measured).sum(axis=1)
         part.covariance = replace(self.covariance, counts=counts)
         part._placed_data = None
@@ -280,7 +309,7 @@ class RecordPart(Part):
             compile_linearization=compile_linearization,
         )
 
-    # --- facts --------------------------------------------------------------------------------------------------------
+    # --- facts
 
     @property
     def has_nodes(self) -> bool:
@@ -331,11 +360,17 @@ class RecordPart(Part):
         held = [between.held for between in self.model.between]
         if not any(held) or not system.delayed:
             return result
-        x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
+        x, u, p = (
+            ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters)
+        )
         feedthrough = ca.jacobian(system.output(x, u, p), u)
         delay = system.delay(p)
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
-            reached = [n for k, n in enumerate(system.outputs) if feedthrough.has_nz(k, i) and n in self.outputs]
+            reached = [
+                n
+                for k, n in enumerate(system.outputs)
+                if feedthrough.has_nz(k, i) and n in self.outputs
+            ]
             if held[i] and reached and ca.depends_on(delay[i], p[j]):
                 name = self.model.outside_names[self.model.parameters.index(system.parameters[j])]
                 result[name] = (system.inputs[i], reached[0])
@@ -346,7 +381,7 @@ class RecordPart(Part):
         """The method, with the segments and steps that were chosen."""
         return self.model.method.described(self.data.segment_length, self.substeps)
 
-    # --- trajectories -------------------------------------------------------------------------------------------------
+    # --- trajectories
 
     def place(self, z: Array) -> Placed:
         """Return the parameters and the data at z (p,)."""
@@ -359,7 +394,9 @@ class RecordPart(Part):
             own = len(slope) - count
             q[len(q) - count :] = steady.gain.ravel()
             slope[own:] = steady.gain_slope.reshape(count, own) @ slope[:own]
-        return Placed(q, slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope, steady)
+        return Placed(
+            q, slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope, steady
+        )
 
     @cached_property
     def noise_model(self) -> NoiseModel | None:
@@ -368,16 +405,25 @@ class RecordPart(Part):
         if not model.driven:
             return None
         counts = [np.isfinite(stretch.outputs).all(axis=0).sum() for stretch in self.data.stretches]
-        if sum(counts) < COMPLETE * sum(len(stretch) - stretch.masked for stretch in self.data.stretches):
+        if sum(counts) < COMPLETE * sum(
+            len(stretch) - stretch.masked for stretch in self.data.stretches
+        ):
             raise ValueError(
                 f"{self.name!r} has all of {', '.join(self.outputs)} at too few samples for process_noise, "
                 "whose filter is steady: resample the outputs to one rate, or leave process_noise out."
             )
         nodes = model.initial_states.at(*self.at_nodes, model.begin, np.full(self.states, np.nan))
-        data = np.vstack([*self.data.delayed_inputs(np.zeros(len(self.system.inputs))), _measured_rows(self.data)])
+        data = np.vstack(
+            [
+                *self.data.delayed_inputs(np.zeros(len(self.system.inputs))),
+                _measured_rows(self.data),
+            ]
+        )
         reference = nodes.mean(axis=1), data.mean(axis=1)
         step = max(self.data.stretches, key=len).step
-        return noise_model(self.step, step, reference, model.parameters, model.active, model.driven, self.outputs)
+        return noise_model(
+            self.step, step, reference, model.parameters, model.active, model.driven, self.outputs
+        )
 
     def _data_at(self, delays: Array) -> Array:
         """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
@@ -398,12 +444,16 @@ class RecordPart(Part):
 
     def nodes_from_data(self, q: Array, known: Array) -> Array:
         """Return nodes (s, n) from the data, at the declared parameters and the known initial states (n,), else NaN."""
-        return self.model.initial_states.at(*self.at_nodes, q[: len(self.system.parameters)], known).T
+        return self.model.initial_states.at(
+            *self.at_nodes, q[: len(self.system.parameters)], known
+        ).T
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the trajectory at z (p,) from nodes (s, n); `simulated` from the first one of every stretch alone."""
         placed = self.place(z)
-        return self._simulated(z, nodes, placed) if simulated else self._trajectory(z, nodes, placed)
+        return (
+            self._simulated(z, nodes, placed) if simulated else self._trajectory(z, nodes, placed)
+        )
 
     def _trajectory(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
         nodes = self._with_known_states(nodes, placed)
@@ -413,7 +463,9 @@ class RecordPart(Part):
         gaps[~self.data.coupled] = 0
         residuals = self.segments.residuals(states, placed.q, placed.data)
         products = self._products(self.segments.products(residuals))
-        return Trajectory(z, nodes, ends, gaps, products, simulated=False, detail=Along(placed, states))
+        return Trajectory(
+            z, nodes, ends, gaps, products, simulated=False, detail=Along(placed, states)
+        )
 
     def _simulated(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
         nodes = self._with_known_states(nodes, placed)
@@ -422,7 +474,9 @@ class RecordPart(Part):
         )
         gaps = np.zeros_like(ends)
         products = self._products(products)
-        return Trajectory(z, nodes, ends, gaps, products, simulated=True, detail=Along(placed, states))
+        return Trajectory(
+            z, nodes, ends, gaps, products, simulated=True, detail=Along(placed, states)
+        )
 
     def _products(self, of_records: Array) -> Array:
         """Return the products of the residuals as a trajectory has them, given those of every record (r, k, k)."""
@@ -434,19 +488,27 @@ class RecordPart(Part):
         if not known.any():
             return nodes
         nodes, begin = nodes.copy(), self.data.begins_record
-        initial = placed.initial if placed.initial.ndim == 1 else placed.initial[self.segments.records[begin]]
+        initial = (
+            placed.initial
+            if placed.initial.ndim == 1
+            else placed.initial[self.segments.records[begin]]
+        )
         nodes[np.ix_(begin, known)] = initial[..., known]
         return nodes
 
     def residuals(self, trajectory: Trajectory) -> Array:
         """Return measured less simulated outputs (k, samples) in the order of the samples, zero where missing."""
         along = trajectory.detail
-        return self.segments.in_order(self.segments.residuals(along.states, along.placed.q, along.placed.data))
+        return self.segments.in_order(
+            self.segments.residuals(along.states, along.placed.q, along.placed.data)
+        )
 
     def simulated_outputs(self, trajectory: Trajectory) -> Array:
         """Return the outputs (k, samples) along a trajectory, in the order of the samples."""
         along = trajectory.detail
-        return self.segments.in_order(self.segments.outputs(along.states, along.placed.q, along.placed.data))
+        return self.segments.in_order(
+            self.segments.outputs(along.states, along.placed.q, along.placed.data)
+        )
 
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
         """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
@@ -470,10 +532,12 @@ class RecordPart(Part):
         """Return up to some 500 simulated samples of every output, in units of the measured signal's spread."""
         along = trajectory.detail
         columns = slice(None, None, max(along.placed.data.shape[1] // 500, 1))
-        outputs = self.segments.outputs(along.states[:, columns], along.placed.q, along.placed.data[:, columns])
+        outputs = self.segments.outputs(
+            along.states[:, columns], along.placed.q, along.placed.data[:, columns]
+        )
         return (outputs / self.covariance.spread[:, None]).ravel()
 
-    # --- cost ---------------------------------------------------------------------------------------------------------
+    # --- cost
 
     def cost(self, trajectory: Trajectory, smoothing: float = 0.0) -> float:
         """Return the negative log-likelihood of the residuals along a trajectory."""
@@ -482,7 +546,11 @@ class RecordPart(Part):
     def covariance_along(self, trajectory: Trajectory) -> ResidualCovariance:
         """Return how residuals become a cost: by the covariance of the steady filter along a trajectory, if any."""
         steady = trajectory.detail.placed.filter
-        return self.covariance if steady is None else replace(self.covariance, predicted=steady.covariance)
+        return (
+            self.covariance
+            if steady is None
+            else replace(self.covariance, predicted=steady.covariance)
+        )
 
     def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
         """Return half the sum of squares of the residuals times `weight`."""
@@ -496,25 +564,34 @@ class RecordPart(Part):
         """Return W (k, k) for residuals of a `share` of each signal's spread."""
         return diagonal(1 / (share * self.covariance.spread))
 
-    # --- linearization ------------------------------------------------------------------------------------------------
+    # --- linearization
 
-    def linearize(self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False) -> Linearization:
+    def linearize(
+        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
+    ) -> Linearization:
         """Linearize along a trajectory, known initial states eliminated."""
         placed = trajectory.detail.placed
         follows = covariance_curvature and self.covariance.known is None and len(self.outputs) > 1
         moments = follows and placed.filter is None
-        result = self.segments.linearize(trajectory.detail.states, placed.q, weight, placed.data, moments=moments)
+        result = self.segments.linearize(
+            trajectory.detail.states, placed.q, weight, placed.data, moments=moments
+        )
         if result.moments is not None:
             result = self._with_covariance(result)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
             rows = self._covariance_rows(placed.filter, weight)
-            excess = (np.eye(len(weight)) - weight @ trajectory.products @ weight.T / self._count).ravel()
+            excess = (
+                np.eye(len(weight)) - weight @ trajectory.products @ weight.T / self._count
+            ).ravel()
             result = replace(
                 result,
                 parameter_hessian=result.parameter_hessian + rows.T @ rows,
-                parameter_gradient=result.parameter_gradient + math.sqrt(self._count / 2) * rows.T @ excess,
+                parameter_gradient=result.parameter_gradient
+                + math.sqrt(self._count / 2) * rows.T @ excess,
             )
-        return self._without_known_states(result, placed) if self.model.known_states.any() else result
+        return (
+            self._without_known_states(result, placed) if self.model.known_states.any() else result
+        )
 
     @property
     def _count(self) -> int:
@@ -537,7 +614,9 @@ class RecordPart(Part):
         of_parameters = self.covariance.curvature_of_covariance(b.moments[1])
         r = of_parameters.shape[2]
         own = np.broadcast_to(np.eye(r), (len(of_parameters), r, r))
-        hessian = np.block([[b.parameter_hessian, -of_parameters], [-of_parameters.transpose(0, 2, 1), own]])
+        hessian = np.block(
+            [[b.parameter_hessian, -of_parameters], [-of_parameters.transpose(0, 2, 1), own]]
+        )
         without = np.zeros((*b.parameter_sensitivity.shape[:2], r))
         return replace(
             b,
@@ -550,7 +629,9 @@ class RecordPart(Part):
     def _without_known_states(self, b: Linearization, placed: Placed) -> Linearization:
         """Let known initial states follow the parameters: x = x' + (dx/dq) dq, of which x' does not move."""
         known = self.model.known_states
-        slopes = np.where(known[:, None], placed.initial_slope, 0.0).reshape(-1, *placed.initial_slope.shape[-2:])
+        slopes = np.where(known[:, None], placed.initial_slope, 0.0).reshape(
+            -1, *placed.initial_slope.shape[-2:]
+        )
         slopes = np.pad(slopes, ((0, 0), (0, 0), (0, b.cross_hessian.shape[2] - slopes.shape[2])))
         node_hessian = b.node_hessian.copy()
         cross_hessian = b.cross_hessian.copy()
@@ -588,15 +669,21 @@ class RecordPart(Part):
 
         `spread` is in units of the residuals that the linearization was weighted with.
         """
-        curvature = np.nan_to_num(np.mean(linearization.node_hessian.diagonal(axis1=1, axis2=2), axis=0))
+        curvature = np.nan_to_num(
+            np.mean(linearization.node_hessian.diagonal(axis1=1, axis2=2), axis=0)
+        )
         signal = spread**2 * self.data.segment_length * len(self.outputs)
         # A state that no output shows has no such scale: any will do.
         return np.where(curvature > 1e-200, signal / np.maximum(curvature, 1e-200), 1.0)
 
-    # --- condensing ---------------------------------------------------------------------------------------------------
+    # --- condensing
 
     def condense(
-        self, linearization: Linearization, trajectory: Trajectory, continuity_variance: Array, damping: float = 0.0
+        self,
+        linearization: Linearization,
+        trajectory: Trajectory,
+        continuity_variance: Array,
+        damping: float = 0.0,
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`.
 
@@ -608,7 +695,9 @@ class RecordPart(Part):
         node_damping = np.zeros_like(gaps)
         if damping:
             node_damping = damping * self._node_curvature(b, continuity_variance)
-            b = replace(b, node_hessian=b.node_hessian + node_damping[:, :, None] * np.eye(self.states))
+            b = replace(
+                b, node_hessian=b.node_hessian + node_damping[:, :, None] * np.eye(self.states)
+            )
 
         stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
         continuity = -np.concatenate([gaps[:, :, None], b.parameter_sensitivity], axis=2)
@@ -622,19 +711,32 @@ class RecordPart(Part):
             hessian[record] += change[:, 1:]
             gradient[record] += change[:, 0]
         if gradient.shape[1] > q:  # the variables of the covariance, see `_with_covariance`
-            hessian, gradient, x, multiplier = self._with_covariance_reduced(hessian, gradient, x, multiplier, q)
+            hessian, gradient, x, multiplier = self._with_covariance_reduced(
+                hessian, gradient, x, multiplier, q
+            )
 
         node_step, by_active, multiplier_by_active = x[:, :, 0], x[:, :, 1:], multiplier[:, :, 1:]
         hessian = (hessian + hessian.transpose(0, 2, 1)) / 2
         if slope.ndim == 2:
-            hessian, gradient = slope.T @ hessian.sum(axis=0) @ slope, slope.T @ gradient.sum(axis=0)
-            node_sensitivity, multiplier_sensitivity = by_active @ slope, multiplier_by_active @ slope
+            hessian, gradient = (
+                slope.T @ hessian.sum(axis=0) @ slope,
+                slope.T @ gradient.sum(axis=0),
+            )
+            node_sensitivity, multiplier_sensitivity = (
+                by_active @ slope,
+                multiplier_by_active @ slope,
+            )
         else:
             by_z = slope.reshape(-1, slope.shape[2])
-            hessian, gradient = by_z.T @ (hessian @ slope).reshape(by_z.shape), by_z.T @ gradient.ravel()
+            hessian, gradient = (
+                by_z.T @ (hessian @ slope).reshape(by_z.shape),
+                by_z.T @ gradient.ravel(),
+            )
             each = list(zip(self._rows_of_records, slope, strict=True))
             node_sensitivity = np.concatenate([by_active[rows] @ own for rows, own in each])
-            multiplier_sensitivity = np.concatenate([multiplier_by_active[rows] @ own for rows, own in each])
+            multiplier_sensitivity = np.concatenate(
+                [multiplier_by_active[rows] @ own for rows, own in each]
+            )
         return Condensed(
             hessian=hessian,
             gradient=gradient,
@@ -651,7 +753,9 @@ class RecordPart(Part):
     @cached_property
     def _rows_of_records(self) -> list[slice]:
         """The segments of every record."""
-        ends = np.cumsum(np.bincount(self.segments.records, minlength=self.segments.number)).tolist()
+        ends = np.cumsum(
+            np.bincount(self.segments.records, minlength=self.segments.number)
+        ).tolist()
         return [slice(first, end) for first, end in itertools.pairwise([0, *ends])]
 
     def _with_covariance_reduced(
@@ -672,12 +776,22 @@ class RecordPart(Part):
         return hessians, gradients, nodes, multipliers
 
     def _predicted_decrease(
-        self, b: Linearization, step: Array, multiplier: Array, gaps: Array, continuity_variance: Array, q: int
+        self,
+        b: Linearization,
+        step: Array,
+        multiplier: Array,
+        gaps: Array,
+        continuity_variance: Array,
+        q: int,
     ) -> float:
         """Return the decrease of the merit that the quadratic model predicts for the step of the nodes alone."""
         curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
-        by_covariance = self.segments.by_record((b.cross_hessian[:, :, q:] * step[:, :, None]).sum(axis=1))
-        change = float((b.node_gradient * step).sum()) + 0.5 * (curved - float((by_covariance**2).sum()))
+        by_covariance = self.segments.by_record(
+            (b.cross_hessian[:, :, q:] * step[:, :, None]).sum(axis=1)
+        )
+        change = float((b.node_gradient * step).sum()) + 0.5 * (
+            curved - float((by_covariance**2).sum())
+        )
         if np.all(continuity_variance > 0):
             gaps_after = continuity_variance * multiplier
             change += 0.5 * float(((gaps_after**2 - gaps**2) / continuity_variance).sum())
@@ -690,30 +804,42 @@ class RecordPart(Part):
         """
         coupled = self.data.coupled
         if not np.all(continuity_variance > 0):
-            return np.where(self.data.begins_stretch[:, None], b.node_hessian.diagonal(axis1=1, axis2=2), 0.0)
-        penalty = np.where(coupled[:, None], (b.transition**2 / continuity_variance[:, None]).sum(axis=1), 0.0)
+            return np.where(
+                self.data.begins_stretch[:, None], b.node_hessian.diagonal(axis1=1, axis2=2), 0.0
+            )
+        penalty = np.where(
+            coupled[:, None], (b.transition**2 / continuity_variance[:, None]).sum(axis=1), 0.0
+        )
         penalty[1:] += np.where(coupled[:-1, None], 1 / continuity_variance, 0.0)
         return b.node_hessian.diagonal(axis1=1, axis2=2) + penalty
 
     def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
-        columns = 1 + linearization.cross_hessian.shape[2]  # as in `condense`, whose factorization then serves
+        columns = (
+            1 + linearization.cross_hessian.shape[2]
+        )  # as in `condense`, whose factorization then serves
         stationarity = np.zeros((*trajectory.gaps.shape, columns))
         continuity = np.zeros_like(stationarity)
         continuity[:, :, 0] = -trajectory.gaps
         exact = np.zeros(self.states)
-        return trajectory.nodes + self._solve_continuity(linearization, stationarity, continuity, exact)[0][:, :, 0]
+        return (
+            trajectory.nodes
+            + self._solve_continuity(linearization, stationarity, continuity, exact)[0][:, :, 0]
+        )
 
     def _solve_continuity(
         self, b: Linearization, stationarity: Array, continuity: Array, variance: Array
     ) -> tuple[Array, Array]:
         """Solve in units in which the curvature is one: nodes and multipliers are then of one size."""
         curvature = np.mean(b.node_hessian.diagonal(axis1=1, axis2=2), axis=0)
-        visible = curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300  # above what rounding makes of zero
+        visible = (
+            curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300
+        )  # above what rounding makes of zero
         unit = 1 / np.sqrt(np.where(visible, curvature, 1.0))
         column = unit[:, None]
         x, multiplier = solve_continuity(
-            b.node_hessian * unit * column + self.model.strategies.state_ridge * np.eye(self.states),
+            b.node_hessian * unit * column
+            + self.model.strategies.state_ridge * np.eye(self.states),
             b.transition * unit / column,
             self.data.coupled,
             stationarity * column,
@@ -722,7 +848,7 @@ class RecordPart(Part):
         )
         return x * column, multiplier / column
 
-    # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
+    # --- for IPOPT and for the covariance of the estimate
 
     def program(self, z: ca.MX) -> "RecordProgram":
         """Return the record as its method transcribes it, at z (p,)."""
@@ -738,20 +864,26 @@ class RecordPart(Part):
     ) -> Information:
         """Return what the record says about the values (k,), the initial states fitted along.
 
-        For errors with the autocorrelation of the residuals, or white ones where the criterion takes them so.
+        For errors with the autocorrelation of the residuals, or white ones where the criterion
+        takes them so.
         """
         assert trajectory is not None
         columns = tuple(range(trajectory.z.size))
         part: RecordPart = self
         if uncertain:
-            # Constants with a covariance of their own join the unknowns, all of them without scaling.
+            # Constants with a covariance of their own join the unknowns, all of them without
+            # scaling.
             columns = (*columns, *uncertain)
             point = ca.SX.sym("x", len(columns))
             named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
             named |= {names[column]: point[i] for i, column in enumerate(columns)}
             q = ca.vertcat(ca.SX(0, 1), *self.problem.local_values(named).values())
-            part = RecordPart(record_model(self.problem, q, point, self.model.method), self.data, self.substeps)
-            trajectory = part.trajectory(values[list(columns)], trajectory.nodes, simulated=trajectory.simulated)
+            part = RecordPart(
+                record_model(self.problem, q, point, self.model.method), self.data, self.substeps
+            )
+            trajectory = part.trajectory(
+                values[list(columns)], trajectory.nodes, simulated=trajectory.simulated
+            )
             dz_dx = np.ones(len(columns))
 
         weight = part.residual_weight(trajectory)
@@ -759,9 +891,13 @@ class RecordPart(Part):
         white, weighted = told.white, told.weighted
         score = white
         is_prior = self.model.is_prior
-        if part.covariance.known is not None and not is_prior:  # what was given is not what the residuals show
+        if (
+            part.covariance.known is not None and not is_prior
+        ):  # what was given is not what the residuals show
             variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
-            score = sum((v * J @ J.T for v, J in zip(variance, weighted, strict=True)), np.zeros_like(white))
+            score = sum(
+                (v * J @ J.T for v, J in zip(variance, weighted, strict=True)), np.zeros_like(white)
+            )
         initial = self.unknown_initial_states
         independent = independent_numbers(self.numbers, initial, len(white), 1.0)
 
@@ -776,7 +912,9 @@ class RecordPart(Part):
             return result
 
         def in_columns(directions: Array) -> Array:
-            return np.pad(directions, ((0, len(columns) - len(directions)), (0, 0))) * dz_dx[:, None]
+            return (
+                np.pad(directions, ((0, len(columns) - len(directions)), (0, 0))) * dz_dx[:, None]
+            )
 
         def scaled(covariance: Array) -> Array:
             return covariance[np.ix_(columns, columns)] * dz_dx * dz_dx[:, None]
@@ -811,7 +949,9 @@ class RecordPart(Part):
             initial={name: of_all_columns(rows) for name, rows in told.initial.items()},
             colored=colored if by_output else None,
             told=lambda directions: self._told(weighted, noise, in_columns(directions)),
-            output_errors=lambda covariance, colored: self._output_errors(told, noise, scaled(covariance), colored),
+            output_errors=lambda covariance, colored: self._output_errors(
+                told, noise, scaled(covariance), colored
+            ),
         )
 
     def _told(self, weighted: Array, noise: Array, directions: Array) -> Array:
@@ -821,7 +961,9 @@ class RecordPart(Part):
         for stretch, J in zip(self.data.stretches, self.data.unpadded(weighted), strict=True):
             place = np.arange(rows)[stretch.rows] * TIME_BINS // rows
             begins = np.flatnonzero(np.diff(place, prepend=-1))
-            for total, direction in zip(found, directions.T, strict=True):  # all at once would fill the memory
+            for total, direction in zip(
+                found, directions.T, strict=True
+            ):  # all at once would fill the memory
                 along = np.tensordot(J, direction, (1, 0))
                 total[:, place[begins]] += np.add.reduceat(along * (noise @ along), begins, axis=-1)
         return found.reshape(len(found), -1)
@@ -838,9 +980,12 @@ class RecordPart(Part):
         if m:
             meat = np.eye(m)
             if colored is not None:
-                # Of directions of unit variance, the mean over the stretches that have them: known states take some.
+                # Of directions of unit variance, the mean over the stretches that have them: known
+                # states take some.
                 pieces = self.data.unpadded(told.by_initial)
-                scale = 1 / np.sqrt(np.maximum(sum(piece.any(axis=(0, 2)).astype(int) for piece in pieces), 1))
+                scale = 1 / np.sqrt(
+                    np.maximum(sum(piece.any(axis=(0, 2)).astype(int) for piece in pieces), 1)
+                )
                 meat = score_covariance(pieces, colored.spectrum) * scale * scale[:, None]
             variance += _variances(told.by_initial, noise, meat)
 
@@ -853,17 +998,28 @@ class RecordPart(Part):
     def _jacobian(self, trajectory: Trajectory, weight: Array) -> "_Sensitivity":
         """Return how the residuals times `weight` follow the parameters, the initial states fitted along."""
         linearization = self.linearize(trajectory, weight)
-        sensitivity = self.condense(linearization, trajectory, np.zeros(self.states)).node_sensitivity.copy()
+        sensitivity = self.condense(
+            linearization, trajectory, np.zeros(self.states)
+        ).node_sensitivity.copy()
         initial_directions = self._initial_directions(linearization)
-        noticed = np.sqrt(np.maximum(linearization.node_hessian.diagonal(axis1=1, axis2=2), 0.0).sum(axis=0))
+        noticed = np.sqrt(
+            np.maximum(linearization.node_hessian.diagonal(axis1=1, axis2=2), 0.0).sum(axis=0)
+        )
         del linearization  # of a long record, a tenth of what fits into memory
         forget_long_chain(self.data.segments)
         placed = trajectory.detail.placed
         known = self.model.known_states
         if known.any():
-            sensitivity[np.ix_(self.data.begins_record, known)] = placed.initial_slope[known] @ placed.slope
+            sensitivity[np.ix_(self.data.begins_record, known)] = (
+                placed.initial_slope[known] @ placed.slope
+            )
 
-        s, length, k, n = self.data.segments, self.data.segment_length, len(self.outputs), self.states
+        s, length, k, n = (
+            self.data.segments,
+            self.data.segment_length,
+            len(self.outputs),
+            self.states,
+        )
         m = initial_directions.shape[2]
         by_initial = np.empty((k, m, s, length))
         p = trajectory.z.size
@@ -872,7 +1028,9 @@ class RecordPart(Part):
         white = np.zeros((p, p))
         squares = np.zeros(p)
         for batch in self.segments.batches(s):
-            _, J, _ = self.segments.sensitivities(trajectory.detail.states, placed.q, placed.data, batch)
+            _, J, _ = self.segments.sensitivities(
+                trajectory.detail.states, placed.q, placed.data, batch
+            )
             J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
             by_states = np.einsum("lknc,cnp->lkpc", J[:, :, :n], sensitivity[batch])
             by_parameters = placed.slope.T @ J[:, :, n:]
@@ -899,15 +1057,18 @@ class RecordPart(Part):
             by_initial=of_initial,
             shocks=partial(self._shocks, initial_directions, of_initial, weight),
             reach=np.sqrt(squares),
-            initial={name: first[:, i] for i, name in enumerate(self.system.states) if not known[i]},
+            initial={
+                name: first[:, i] for i, name in enumerate(self.system.states) if not known[i]
+            },
         )
 
     def _initial_directions(self, b: Linearization) -> Array:
         """Return how the nodes (s, n, m) move in the m directions of the initial states of every stretch.
 
-        The directions are those of unit variance, for white errors and known parameters. The covariance K⁻¹ of the
-        nodes of a stretch has the rank of its initial states, so that a few columns X = K⁻¹ R say all of it: it is
-        X (Rᵀ X)⁻¹ Xᵀ. That holds for unstable models too, whose nodes do not follow from the first one.
+        The directions are those of unit variance, for white errors and known parameters. The
+        covariance K⁻¹ of the nodes of a stretch has the rank of its initial states, so that a few
+        columns X = K⁻¹ R say all of it: it is X (Rᵀ X)⁻¹ Xᵀ. That holds for unstable models too,
+        whose nodes do not follow from the first one.
         """
         s, n = self.data.segments, self.states
         if not n:
@@ -917,7 +1078,9 @@ class RecordPart(Part):
         columns = 1 + b.cross_hessian.shape[2]  # as in `condense`, whose factorization then serves
         each = np.split(np.pad(R, ((0, 0), (0, 0), (0, -n % columns))), -(-n // columns), axis=2)
         exact = np.zeros(n)
-        X = np.concatenate([self._solve_continuity(b, own, np.zeros_like(own), exact)[0] for own in each], axis=2)
+        X = np.concatenate(
+            [self._solve_continuity(b, own, np.zeros_like(own), exact)[0] for own in each], axis=2
+        )
         X = X[:, :, :n]
         X[np.ix_(self.data.begins_record, self.model.known_states)] = 0
         result = np.zeros_like(X)
@@ -931,9 +1094,9 @@ class RecordPart(Part):
     def _shocks(self, directions: Array, by_initial: Array, weight: Array) -> Array:
         """Return how the residuals of the longest stretch follow (k, n, samples) after unit jumps of the states.
 
-        From the `directions` (s, n, m) of the initial states and what follows from these, WᵀW dy (k, m, samples).
-        States whose jumps no output shows are left out, and those after which the outputs grow without end: then
-        process noise has no spectrum.
+        From the `directions` (s, n, m) of the initial states and what follows from these, WᵀW dy
+        (k, m, samples). States whose jumps no output shows are left out, and those after which the
+        outputs grow without end: then process noise has no spectrum.
         """
         longest = int(np.argmax([len(stretch) for stretch in self.data.stretches]))
         begins = directions[np.flatnonzero(self.data.begins_stretch)[longest]]
@@ -947,7 +1110,9 @@ class RecordPart(Part):
         samples = np.arange(shocks.shape[2])
         for response, measured in zip(shocks, self.data.stretches[longest].outputs, strict=True):
             there = np.isfinite(measured)
-            for row in response if there.any() and not there.all() else ():  # what is missing has no sensitivity
+            for row in (
+                response if there.any() and not there.all() else ()
+            ):  # what is missing has no sensitivity
                 row[:] = np.interp(samples, samples[there], row[there])
         power = (shocks**2).sum(axis=0)
         last = power[:, 3 * len(samples) // 4 :].mean(axis=1)
@@ -965,7 +1130,8 @@ class _Sensitivity:
     weighted : (k, p, samples) array
         WᵀJ.
     by_initial : (k, m, samples) array
-        The same by m directions of unit variance of the initial states of every stretch, at known parameters.
+        The same by m directions of unit variance of the initial states of every stretch, at known
+        parameters.
     shocks : function
         How the residuals of the longest stretch follow after unit jumps of s states.
     reach : (p,) array
@@ -986,8 +1152,8 @@ class _Sensitivity:
 class RecordProgram(Program):
     """A record transcribed: states as unknowns, weighted residuals, continuity and known initial states as equations.
 
-    Its parameters are the square root of the inverse residual covariance (k, k), then the data (width, samples), both
-    column by column.
+    Its parameters are the square root of the inverse residual covariance (k, k), then the data
+    (width, samples), both column by column.
     """
 
     def __init__(self, part: RecordPart, z: ca.MX) -> None:
@@ -1008,7 +1174,9 @@ class RecordProgram(Program):
         self.error = ca.vec(weight @ residuals)
         self.cost = ca.MX(0.0)
         self.equations = ca.vertcat(self._transcribed.equations, self._known_states(q))
-        self._products = ca.Function("products", [z, self.unknowns, self.parameters], [residuals @ residuals.T])
+        self._products = ca.Function(
+            "products", [z, self.unknowns, self.parameters], [residuals @ residuals.T]
+        )
 
     def _known_states(self, q: ca.MX) -> ca.MX:
         """Return known states at the first sample of the record less what they must be."""
@@ -1037,7 +1205,9 @@ class RecordProgram(Program):
         return covariance.cost(products), following, np.array_equal(following[size:], w[size:])
 
     def _joined(self, weight: Array, data: Array) -> Array:
-        return np.concatenate([weight.ravel(order="F"), self._part.segments.in_order(data).ravel(order="F")])
+        return np.concatenate(
+            [weight.ravel(order="F"), self._part.segments.in_order(data).ravel(order="F")]
+        )
 
 
 def _variances(weighted: Array, noise: Array, covariance: Array) -> Array:
@@ -1060,15 +1230,20 @@ def compile_records(
 ) -> list[RecordPart]:
     """Compile records for the point z, of which `expressions` gives every parameter of a problem by outside name.
 
-    Records of one model have one compiled sample, and one choice of substeps and segments where they are sampled alike.
+    Records of one model have one compiled sample, and one choice of substeps and segments where
+    they are sampled alike.
     """
     models: list[RecordModel] = []
-    local = [ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values()) for problem in problems]
+    local = [
+        ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values()) for problem in problems
+    ]
     for problem, q in zip(problems, local, strict=True):
         models.append(record_model(problem, q, z, method, models))
     numbers: dict[int, int] = {}  # small ones: the same in every process, as hashes are not
     models = [
-        replace(model, expressions=tuple(numbers.setdefault(e, len(numbers)) for e in model.expressions))
+        replace(
+            model, expressions=tuple(numbers.setdefault(e, len(numbers)) for e in model.expressions)
+        )
         for model in models
     ]
     data = [
@@ -1090,7 +1265,9 @@ def compile_records(
     drawn = [drawn_parameters(problem) for problem in problems]
     for k, (model, points) in enumerate(zip(models, drawn, strict=True)):
         # Steps of a log are known to a thousandth, see `sampled_data`.
-        lots.setdefault((id(model.steps), f"{model.record.step:.3g}", points.tobytes()), []).append(k)
+        lots.setdefault((id(model.steps), f"{model.record.step:.3g}", points.tobytes()), []).append(
+            k
+        )
     parts: dict[int, RecordPart] = {}
     for lot in lots.values():
         model, every = models[lot[0]], joined([data[k] for k in lot])
@@ -1100,7 +1277,13 @@ def compile_records(
             return model.initial(np.pad(q, (0, len(model.parameters) - len(q))))[0].full().ravel()
 
         substeps, segment_length = substeps_and_segment(
-            model.problem, drawn[lot[0]], method, model.system, model.initial_states, looks, known_initial
+            model.problem,
+            drawn[lot[0]],
+            method,
+            model.system,
+            model.initial_states,
+            looks,
+            known_initial,
         )
         for k in lot:
             cut = replace(data[k], segment_length=segment_length)
@@ -1119,7 +1302,11 @@ def record_model(
     q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
     expressions = tuple(q[i].element_hash() for i in range(q.numel()))
     kin = next((other for other in others if _is_of_one_kind(problem, other)), None)
-    twins = (other for other in others if kin and other.steps is kin.steps and other.expressions == expressions)
+    twins = (
+        other
+        for other in others
+        if kin and other.steps is kin.steps and other.expressions == expressions
+    )
     twin = next(twins, None)
     if twin is not None:
         return replace(
@@ -1165,8 +1352,12 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
     outputs = criterion.compared(problem.model, problem.data)
     parameters = _parameters(problem)
     symbol = ca.SX.sym("q", len(parameters))
-    local = Names(dict(zip(problem.declared, ca.vertsplit(symbol), strict=False)), problem.model.label)
-    states = [_called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in system.states]
+    local = Names(
+        dict(zip(problem.declared, ca.vertsplit(symbol), strict=False)), problem.model.label
+    )
+    states = [
+        _called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in system.states
+    ]
     return RecordModel(
         problem=problem,
         record=problem.data,
@@ -1195,7 +1386,9 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
 
 def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
     """Tell whether a record has the equations, the criterion, the outputs and the kind of inputs of another."""
-    if problem.delay != other.problem.delay or not _is_same_model(problem.model, other.problem.model):
+    if problem.delay != other.problem.delay or not _is_same_model(
+        problem.model, other.problem.model
+    ):
         return False
     if not (problem.criterion is other.criterion or problem.criterion == other.criterion):
         return False
@@ -1203,7 +1396,11 @@ def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
     assert isinstance(problem.criterion, TimeCriterion)
     between = between_samples(problem.criterion.inputs, other.system.inputs, problem.data)
     compared = problem.criterion.compared(problem.model, problem.data)
-    return _parameters(problem) == other.parameters and compared == other.outputs and between == other.between
+    return (
+        _parameters(problem) == other.parameters
+        and compared == other.outputs
+        and between == other.between
+    )
 
 
 def _is_same_model(a: Model, b: Model) -> bool:
@@ -1214,9 +1411,15 @@ def _is_same_model(a: Model, b: Model) -> bool:
     if vars(a) == plain == vars(b):
         return True
     first, second = (dynamics(model) for model in (a, b))
-    same = (first.states, first.inputs, first.outputs) == (second.states, second.inputs, second.outputs)
+    same = (first.states, first.inputs, first.outputs) == (
+        second.states,
+        second.inputs,
+        second.outputs,
+    )
     functions = ("derivative", "output", "delay")
-    return same and all(getattr(first, f).serialize() == getattr(second, f).serialize() for f in functions)
+    return same and all(
+        getattr(first, f).serialize() == getattr(second, f).serialize() for f in functions
+    )
 
 
 def _parameters(problem: Problem) -> tuple[str, ...]:
@@ -1231,7 +1434,9 @@ def _parameters(problem: Problem) -> tuple[str, ...]:
 
 
 def _outside_names(problem: Problem) -> tuple[str, ...]:
-    return tuple(problem.outside(name) if name in problem.declared else name for name in _parameters(problem))
+    return tuple(
+        problem.outside(name) if name in problem.declared else name for name in _parameters(problem)
+    )
 
 
 def _called(what: str, value: Any, local: Names) -> Any:

@@ -12,14 +12,16 @@ from greybox.formulation.time_criteria import TimeCriterion
 
 Array = NDArray[np.float64]
 
-# Of a signal's own spread: residuals below are rounding, and their variance is not taken for smaller.
+# Of a signal's own spread: residuals below are rounding, and their variance is not taken for
+# smaller.
 ROUNDING = 1e-9
 
 # Of the curvature, added in every direction for the factorization where the data do not see one.
 RIDGE = 1e-10
 
 
-# Of the spread of signals, below which a combination of them is constant: single precision, in which logs are.
+# Of the spread of signals, below which a combination of them is constant: single precision, in
+# which logs are.
 DEPENDENT = 1e-6
 
 # Share of the largest coefficient from which a signal takes part in such a combination.
@@ -43,7 +45,9 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
     moving = np.flatnonzero(spread > 0)
     if moving.size < 2:
         return
-    directions, singular, _ = np.linalg.svd(centered[moving] / spread[moving, None], full_matrices=False)
+    directions, singular, _ = np.linalg.svd(
+        centered[moving] / spread[moving, None], full_matrices=False
+    )
     if singular[-1] > DEPENDENT * math.sqrt(count):
         return
     share = np.abs(directions[:, -1])
@@ -59,9 +63,10 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
 class ResidualCovariance:
     """How residual products (..., k, k), summed over `counts` (..., k) samples, become a cost and weights.
 
-    Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood of normal errors.
-    With an estimated covariance it is that of the concentrated likelihood, n/2 log det R + constant, R the covariance
-    of the residuals. One that is `predicted` (k, k), by a filter, is that of a single record.
+    Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood
+    of normal errors. With an estimated covariance it is that of the concentrated likelihood, n/2
+    log det R + constant, R the covariance of the residuals. One that is `predicted` (k, k), by a
+    filter, is that of a single record.
     """
 
     counts: NDArray[np.integer]
@@ -91,7 +96,9 @@ class ResidualCovariance:
             logarithm = float(np.linalg.slogdet(2 * math.pi * covariance)[1] * self.counts.max())
             return (logarithm + float(np.trace(np.linalg.solve(covariance, products)))) / 2
         if self.full and self.known is None:
-            logarithm = float(np.sum(np.linalg.slogdet(covariance)[1] * self.counts.max(axis=-1))) / 2
+            logarithm = (
+                float(np.sum(np.linalg.slogdet(covariance)[1] * self.counts.max(axis=-1))) / 2
+            )
             return logarithm + self.counts.sum() / 2 * (math.log(2 * math.pi) + 1)
         variance = of_diagonal(covariance)
         squares = of_diagonal(products) / variance if self.known is not None else self.counts
@@ -104,8 +111,9 @@ class ResidualCovariance:
     def curvature_of_covariance(self, moments: Array) -> Array:
         """Return vectors u (..., v, r) whose squares uuᵀ an estimated covariance takes from the Hessian of a known one.
 
-        `moments` (..., k, k, v) are sums of e_a · de_b, of weighted residuals e. The covariance follows the parameters:
-        d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), of which Gauss-Newton takes the first term alone.
+        `moments` (..., k, k, v) are sums of e_a · de_b, of weighted residuals e. The covariance
+        follows the parameters: d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), of
+        which Gauss-Newton takes the first term alone.
         """
         counts = np.maximum(self.counts, 1)
         own = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)[..., None, :]
@@ -159,7 +167,9 @@ def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
     return hessian - (axes * np.minimum(values, 1 - least)) @ axes.T
 
 
-def residual_covariance_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> ResidualCovariance:
+def residual_covariance_of(
+    criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
+) -> ResidualCovariance:
     """Read the criterion's option for the outputs (k, samples) that are compared."""
     known = None
     if isinstance(criterion.noise, Mapping):

@@ -1,9 +1,10 @@
 """Large frequency responses: one small function of the frequency, mapped over all frequencies.
 
-The expressions of a response at all frequencies at once grow with their number, and those of the Hessian of a cost with
-that times the number of parameters: 300 frequencies and 200 parameters took 3.3 GB and 70 s before the first iteration.
-Here the formula is one function of parameters and frequency. With r the real and imaginary parts at all frequencies, J
-their Jacobian and φ the criterion, the Hessian of φ(r(z)) is composed as
+The expressions of a response at all frequencies at once grow with their number, and those of the
+Hessian of a cost with that times the number of parameters: 300 frequencies and 200 parameters took
+3.3 GB and 70 s before the first iteration. Here the formula is one function of parameters and
+frequency. With r the real and imaginary parts at all frequencies, J their Jacobian and φ the
+criterion, the Hessian of φ(r(z)) is composed as
 
     Jᵀ φ'' J + Σ φ'_k r_k'',
 
@@ -19,12 +20,12 @@ from numpy.typing import NDArray
 
 from greybox.modeling.complex_arithmetic import Complex
 
-# Instructions of the formula, times frequencies, times parameters, from which responses are mapped: below, one
-# expression is built in half a second at most, and it is evaluated faster.
+# Instructions of the formula, times frequencies, times parameters, from which responses are mapped:
+# below, one expression is built in half a second at most, and it is evaluated faster.
 LARGE = 300_000
 
-# Rows of φ'' in the column of one number: two where a cost is a sum over the frequencies, real and imaginary part of
-# one; all where it is a function of such sums, as a logarithm.
+# Rows of φ'' in the column of one number: two where a cost is a sum over the frequencies, real and
+# imaginary part of one; all where it is a function of such sums, as a logarithm.
 SPARSE = 4
 
 Array = NDArray[np.float64]
@@ -39,7 +40,9 @@ class Mapped(NamedTuple):
     @property
     def work(self) -> float:
         """What a Hessian costs, about."""
-        return float(self.formula.n_instructions()) * self.omega.size * (self.formula.numel_in(0) + 1)
+        return (
+            float(self.formula.n_instructions()) * self.omega.size * (self.formula.numel_in(0) + 1)
+        )
 
     def function(self) -> ca.Function:
         """Return the CasADi function from the parameters to real and imaginary part (n,), with its Jacobian."""
@@ -52,14 +55,21 @@ class Mapped(NamedTuple):
             ["p", "out_rows"],
             ["jac_rows_p"],
         )
-        options = {"custom_jacobian": jacobian, "enable_forward": False, "enable_reverse": False, "never_inline": True}
+        options = {
+            "custom_jacobian": jacobian,
+            "enable_forward": False,
+            "enable_reverse": False,
+            "never_inline": True,
+        }
         all_rows = ca.vec(_over(rows, self.omega)(p, self.omega[None]))
         stacked: Any = ca.Function("rows", [p], [all_rows], ["p"], ["rows"], options)(p)
         return ca.Function("response", [p], [stacked[0::2], stacked[1::2]])
 
 
 def lagrangian_hessian(
-    parts: Sequence[tuple[Mapped, ca.SX, Callable[[Complex, Any], Any], float]], z: ca.SX, limits: ca.SX
+    parts: Sequence[tuple[Mapped, ca.SX, Callable[[Complex, Any], Any], float]],
+    z: ca.SX,
+    limits: ca.SX,
 ) -> ca.Function:
     """Return the Hessian of a weighted sum of costs and constraints, as the option ``hess_lag`` of `casadi.nlpsol`.
 
@@ -88,10 +98,14 @@ def lagrangian_hessian(
         curvature = _curvature(rows)
         if curvature.nnz_out(0):
             summed = curvature.map("curvatures", "serial", mapped.omega.size, [0], [0])
-            total += weight * summed(point, mapped.omega[None], ca.reshape(pull, 2, mapped.omega.size))
+            total += weight * summed(
+                point, mapped.omega[None], ca.reshape(pull, 2, mapped.omega.size)
+            )
 
     multipliers = ca.SX.sym("multipliers", limits.numel())
-    of_limits = ca.Function("limits", [z, multipliers], [ca.hessian(ca.dot(multipliers, limits), z)[0]])
+    of_limits = ca.Function(
+        "limits", [z, multipliers], [ca.hessian(ca.dot(multipliers, limits), z)[0]]
+    )
     factor, given = ca.MX.sym("factor"), ca.MX.sym("multipliers", limits.numel())
     return ca.Function(
         "nlp_hess_l",
@@ -115,8 +129,14 @@ def _transposed_jacobian(rows: ca.Function) -> ca.Function:
 
 def _curvature(rows: ca.Function) -> ca.Function:
     """Return (p, omega, factors of both rows) -> the sum of their Hessians."""
-    p, omega, factors = ca.SX.sym("p", rows.numel_in(0)), ca.SX.sym("omega"), ca.SX.sym("factors", 2)
-    return ca.Function("curvature", [p, omega, factors], [ca.hessian(ca.dot(factors, rows(p, omega)), p)[0]])
+    p, omega, factors = (
+        ca.SX.sym("p", rows.numel_in(0)),
+        ca.SX.sym("omega"),
+        ca.SX.sym("factors", 2),
+    )
+    return ca.Function(
+        "curvature", [p, omega, factors], [ca.hessian(ca.dot(factors, rows(p, omega)), p)[0]]
+    )
 
 
 def _over(function: ca.Function, omega: Array) -> ca.Function:

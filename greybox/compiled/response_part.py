@@ -13,13 +13,17 @@ from greybox.compiled.part_without_nodes import NO_NODES, PartWithoutNodes
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
-from greybox.statistics.neighbor_correlation import NeighborCorrelation, averaged_meat, neighbor_correlation
+from greybox.statistics.neighbor_correlation import (
+    NeighborCorrelation,
+    averaged_meat,
+    neighbor_correlation,
+)
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-# Under the root of |e|² while a solver is at work, see `Criterion.cost`: 1e-14 takes about twice the time, and 1e-8
-# moves the cost by 6e-5 at most.
+# Under the root of |e|² while a solver is at work, see `Criterion.cost`: 1e-14 takes about twice
+# the time, and 1e-8 moves the cost by 6e-5 at most.
 SMOOTHING = 1e-8
 
 # Of the largest measured magnitude: points below, which may be zero, tell no two runs apart.
@@ -44,7 +48,11 @@ class ResponsePart(PartWithoutNodes):
     """
 
     def __init__(
-        self, problem: Problem, objective: ca.Function, model_response: ca.Function, scaled_response: ca.Function
+        self,
+        problem: Problem,
+        objective: ca.Function,
+        model_response: ca.Function,
+        scaled_response: ca.Function,
     ) -> None:
         """Keep the functions."""
         super().__init__(problem)
@@ -60,7 +68,11 @@ class ResponsePart(PartWithoutNodes):
     def __getstate__(self) -> dict[str, Any]:
         """Leave a criterion of the user's behind too: its cost is compiled."""
         state = super().__getstate__()
-        return state if self.travels_whole else {name: each for name, each in state.items() if name != "criterion"}
+        return (
+            state
+            if self.travels_whole
+            else {name: each for name, each in state.items() if name != "criterion"}
+        )
 
     @property
     def travels_whole(self) -> bool:
@@ -101,7 +113,7 @@ class ResponsePart(PartWithoutNodes):
         re, im = np.asarray(self.scaled_response(trajectory.z)).reshape(2, -1)
         return self.criterion.noise_ratio(re + 1j * im, self.data)
 
-    # --- for Gauss-Newton ---------------------------------------------------------------------------------------------
+    # --- for Gauss-Newton
 
     @cached_property
     def _derivatives(self) -> ca.Function:
@@ -133,7 +145,7 @@ class ResponsePart(PartWithoutNodes):
         """Return real and imaginary parts of the model's response over the magnitude of the measured one, (2 n,)."""
         return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(self.magnitude, 2)
 
-    # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
+    # --- for IPOPT and for the covariance of the estimate
 
     def program(self, z: ca.MX) -> "ResponseProgram":
         """Return the cost at z (p,): there is nothing hidden."""
@@ -155,7 +167,8 @@ class ResponsePart(PartWithoutNodes):
         common = np.zeros((len(jacobian), 0))
         if data.common_errors is not None:
             common = criterion.jacobian(response, data.common_errors.T, data)
-        # A given variance has the common errors inside; what residuals say of the noise has not: the fit follows them.
+        # A given variance has the common errors inside; what residuals say of the noise has not:
+        # the fit follows them.
         own = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
 
         def shared(bread: float) -> Array:
@@ -174,12 +187,15 @@ class ResponsePart(PartWithoutNodes):
             bread, meat = criterion.spread(response, data, correction)
             scores = _complex(np.sqrt(own * meat)[:, None] * jacobian)[order]
             every = np.vstack([root, np.zeros((jacobian.shape[1] - len(root), root.shape[1]))])
-            middle, left, scale = averaged_meat(scores, every, known, criterion.score_correlation, dof)
+            middle, left, scale = averaged_meat(
+                scores, every, known, criterion.score_correlation, dof
+            )
             return CorrelatedPoints(middle + shared(bread), left, known.mean, scale, known.lengths)
 
         nonzero = data.response != 0
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)
-        # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
+        # Of isotropic normal errors of deviation s in each component, the mean magnitude is s
+        # sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
         bread = spread(1.0)[0]
 
@@ -193,14 +209,24 @@ class ResponsePart(PartWithoutNodes):
 
         reach = np.linalg.norm(jacobian, axis=0)
         return Information(
-            self, jacobian, len(jacobian), spread, noise, reach, correlated=correlated, offset=offset, told=told
+            self,
+            jacobian,
+            len(jacobian),
+            spread,
+            noise,
+            reach,
+            correlated=correlated,
+            offset=offset,
+            told=told,
         )
 
-    def neighbors(self, values: Array, root: Array, correction: float) -> NeighborCorrelation | None:
+    def neighbors(
+        self, values: Array, root: Array, correction: float
+    ) -> NeighborCorrelation | None:
         """Return how the errors of neighboring points are correlated, at all values (k,); None where independent.
 
-        The fit moved along the columns of `root` (p, r), directions of the first values. `correction` scales the noise
-        for the parameters estimated.
+        The fit moved along the columns of `root` (p, r), directions of the first values.
+        `correction` scales the noise for the parameters estimated.
         """
         criterion, data = self.criterion, self.data
         response = self.response(values)
@@ -213,7 +239,9 @@ class ResponsePart(PartWithoutNodes):
         if data.common_errors is not None:  # these are known, and accounted for
             moved = np.column_stack([moved, data.common_errors.T])
         design = turned[:, None] * moved[order]
-        inflation = criterion.noise_ratio(response, data) * correction**2 if criterion.known_noise else None
+        inflation = (
+            criterion.noise_ratio(response, data) * correction**2 if criterion.known_noise else None
+        )
         errors = turned * (data.response - response)[order]
         return neighbor_correlation(errors, np.vstack([design.real, design.imag]), inflation)
 

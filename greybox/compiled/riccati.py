@@ -1,10 +1,11 @@
 """The steady Kalman filter of a record whose process noise is estimated: its gain, and how it follows the parameters.
 
-The model is x[k+1] = F x[k] + w, y = C x + v, with w of the covariance Q that noise on the derivatives of some states
-makes over a sample, and v of that of the sensors, V. The prediction errors of its steady filter have the covariance
-S = C P Cᵀ + V, and the gain is K = P Cᵀ S⁻¹, where P = F (P - K C P) Fᵀ + Q: Riccati's equation. Its derivatives follow
-from the equation itself: dP = A dP Aᵀ + ..., A = F (I - K C), which is linear.
-Source: Maine and Iliff (1981), SIAM Journal on Applied Mathematics 41(3); Simon (2006), Optimal State Estimation.
+The model is x[k+1] = F x[k] + w, y = C x + v, with w of the covariance Q that noise on the
+derivatives of some states makes over a sample, and v of that of the sensors, V. The prediction
+errors of its steady filter have the covariance S = C P Cᵀ + V, and the gain is K = P Cᵀ S⁻¹, where
+P = F (P - K C P) Fᵀ + Q: Riccati's equation. Its derivatives follow from the equation itself: dP =
+A dP Aᵀ + ..., A = F (I - K C), which is linear. Source: Maine and Iliff (1981), SIAM Journal on
+Applied Mathematics 41(3); Simon (2006), Optimal State Estimation.
 """
 
 from collections.abc import Sequence
@@ -30,8 +31,9 @@ def steady_covariance(F: Array, C: Array, process: Array) -> Array:
     """Return the covariance P (n, n) of the predicted states of a steady Kalman filter; NaN without one.
 
     `process` (n, n) is the covariance of the process noise; the sensors have unit variances. By the
-    structure-preserving doubling algorithm, which needs as many iterations as the filter takes doublings of the sample
-    to settle. Source: Chu, Fan, Lin, Wang (2004), International Journal of Control 77(8).
+    structure-preserving doubling algorithm, which needs as many iterations as the filter takes
+    doublings of the sample to settle. Source: Chu, Fan, Lin, Wang (2004), International Journal of
+    Control 77(8).
     """
     n = len(F)
     variance = np.diag(process)
@@ -94,14 +96,15 @@ class NoiseModel:
     Attributes
     ----------
     linear : casadi.Function
-        (q) -> F, F over half a sample, C, and the derivatives of each, column by column, by the estimated parameters.
+        (q) -> F, F over half a sample, C, and the derivatives of each, column by column, by the
+        estimated parameters.
     step : float
         Of a sample, s.
     driven : (d,) array
         States with process noise.
     intensities, deviations : (d,) and (k,) arrays
-        Places in q of the intensities of the process noise, in units of the state per √s, and of the standard
-        deviations of the sensors.
+        Places in q of the intensities of the process noise, in units of the state per √s, and of
+        the standard deviations of the sensors.
     columns : (places,) bool array
         Which places of q are estimated.
     """
@@ -125,12 +128,20 @@ class NoiseModel:
             W, dW = _diagonal(q, self.driven, self.intensities, self.columns, n)
             # The integral over a sample by Simpson's rule: exact for two integrators in a row.
             Q = self.step / 6 * (W + 4 * half @ W @ half.T + F @ W @ F.T)
-            dQ = self.step / 6 * (dW + 4 * _congruence(half, dhalf, W, dW) + _congruence(F, dF, W, dW))
-            # Noise does not come to the other states, which may be integrators that no filter settles.
+            dQ = (
+                self.step
+                / 6
+                * (dW + 4 * _congruence(half, dhalf, W, dW) + _congruence(F, dF, W, dW))
+            )
+            # Noise does not come to the other states, which may be integrators that no filter
+            # settles.
             r = np.flatnonzero(reached(F, self.driven))
             both = np.ix_(r, r)
             K[r], dK[:, r], S, dS = _filter(
-                (F[both], dF[:, r][:, :, r]), (C[:, r], dC[:, :, r]), (Q[both], dQ[:, r][:, :, r]), (V, dV)
+                (F[both], dF[:, r][:, :, r]),
+                (C[:, r], dC[:, :, r]),
+                (Q[both], dQ[:, r][:, :, r]),
+                (V, dV),
             )
         return SteadyFilter(K, np.moveaxis(dK, 0, -1), S, np.moveaxis(dS, 0, -1))
 
@@ -154,11 +165,14 @@ def noise_model(
 ) -> NoiseModel:
     """Compile the linearization of a `sample` of `step` s about a `reference`, its state and its data.
 
-    `names` are those of the parameters q, of which the `active` are estimated; gains among them are taken as zero.
+    `names` are those of the parameters q, of which the `active` are estimated; gains among them are
+    taken as zero.
     """
     x, q, d = sample.symbols()
     after, _, y = sample.function(x, q, d)
-    by_state = ca.Function("by_state", [x, q, d], [ca.densify(ca.jacobian(value, x)) for value in (after, y)])
+    by_state = ca.Function(
+        "by_state", [x, q, d], [ca.densify(ca.jacobian(value, x)) for value in (after, y)]
+    )
     gains = [f"K_{state}_{output}" for state in sample.system.states for output in outputs]
     is_gain = np.isin(names, gains)
     without = ca.vertcat(*[0 if off else q[k] for k, off in enumerate(is_gain)])
@@ -205,7 +219,8 @@ def _filter(
     rest = np.eye(n) - K @ C
     updated = P - K @ C @ P
 
-    # Of the update in Joseph's form, (I - K C) P (I - K C)ᵀ + K V Kᵀ, which does not change with K to first order.
+    # Of the update in Joseph's form, (I - K C) P (I - K C)ᵀ + K V Kᵀ, which does not change with K
+    # to first order.
     mixed = K @ dC @ P @ rest.T
     forced = K @ dV @ K.T - mixed - mixed.transpose(0, 2, 1)
     forced = F @ forced @ F.T + dQ
@@ -232,7 +247,11 @@ def _congruence(F: Array, dF: Array, W: Array, dW: Array) -> Array:
 
 
 def _diagonal(
-    q: Array, rows: NDArray[np.integer], places: NDArray[np.integer], columns: NDArray[np.bool_], size: int
+    q: Array,
+    rows: NDArray[np.integer],
+    places: NDArray[np.integer],
+    columns: NDArray[np.bool_],
+    size: int,
 ) -> tuple[Array, Array]:
     """Return the diagonal matrix (size, size) of squares of q at `places`, and its derivatives (free, size, size)."""
     matrix = np.zeros((size, size))

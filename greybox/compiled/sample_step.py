@@ -1,7 +1,8 @@
 """What happens at one sample of a record: delayed inputs, residuals, innovations, and the step to the next sample.
 
-This is the one function that simulation, linearization, transcription and prediction share; `SampleStep.folded` repeats
-it over samples for CasADi, `SampleStep.simulate` and `greybox.compiled.segments` do so in numpy.
+This is the one function that simulation, linearization, transcription and prediction share;
+`SampleStep.folded` repeats it over samples for CasADi, `SampleStep.simulate` and
+`greybox.compiled.segments` do so in numpy.
 """
 
 from collections.abc import Sequence
@@ -30,13 +31,15 @@ class SampleStep:
     Attributes
     ----------
     function : casadi.Function
-        (x, q, d) -> x one sample later, residuals of the measured outputs (zero where missing), simulated outputs.
+        (x, q, d) -> x one sample later, residuals of the measured outputs (zero where missing),
+        simulated outputs.
     measurement : casadi.Function
-        (x, q, d) -> x corrected by the innovations, mean of the delayed inputs over the step and their change,
-        residuals, simulated outputs.
+        (x, q, d) -> x corrected by the innovations, mean of the delayed inputs over the step and
+        their change, residuals, simulated outputs.
     system : Dynamics
     width : int
-        Length of d: whole samples of delay (m), windows of the inputs (3 m), outputs (k), present (k), step.
+        Length of d: whole samples of delay (m), windows of the inputs (3 m), outputs (k), present
+        (k), step.
     """
 
     function: ca.Function
@@ -80,7 +83,9 @@ class SampleStep:
         residuals = np.empty((size, self.function.numel_out(1)))
         states[0] = x
         last = data[size - RUN :]
-        last = np.concatenate([last, np.repeat(data[-1:], size - m, axis=0)])  # a call takes RUN samples
+        last = np.concatenate(
+            [last, np.repeat(data[-1:], size - m, axis=0)]
+        )  # a call takes RUN samples
 
         function: Any = self.folded(RUN)
         buffer, evaluate = function.buffer()
@@ -106,7 +111,8 @@ def sample_step(
 ) -> SampleStep:
     """Compile one sample of the declared parameters `names`: the model's first, then the criterion's.
 
-    `held` (m,) says which inputs keep their values until the next sample; the others are interpolated.
+    `held` (m,) says which inputs keep their values until the next sample; the others are
+    interpolated.
     """
     measurement = _measurement(system, held, criterion, outputs, names)
     step = step_function(system, integrator, substeps)
@@ -119,7 +125,11 @@ def sample_step(
 
 
 def _measurement(
-    system: Dynamics, held: Sequence[bool], criterion: TimeCriterion, outputs: tuple[str, ...], names: tuple[str, ...]
+    system: Dynamics,
+    held: Sequence[bool],
+    criterion: TimeCriterion,
+    outputs: tuple[str, ...],
+    names: tuple[str, ...],
 ) -> ca.Function:
     """Return what a sample knows before the step: inputs with delay and bias, residuals, corrected states."""
     n, m, k = len(system.states), len(system.inputs), len(outputs)
@@ -140,7 +150,9 @@ def _measurement(
     mean, change, now = (ca.vertcat(ca.SX(0, 1), *values) for values in (means, changes, nows))
 
     rows = [system.outputs.index(name) for name in outputs]
-    simulated = system.output(x, now, p)[rows] + ca.vertcat(*[bias.get(name, 0) for name in outputs])
+    simulated = system.output(x, now, p)[rows] + ca.vertcat(
+        *[bias.get(name, 0) for name in outputs]
+    )
     residual = present * (measured - simulated)
 
     corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol

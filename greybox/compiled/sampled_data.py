@@ -1,9 +1,10 @@
 """A record as the estimators in time see it: gapless stretches of samples, cut into segments of equal length.
 
-Every sample carries its input over the coming step as three neighboring samples (windows) of the measured input, from
-which `input_over_step` makes mean and slope of the delayed input: polynomials of the fraction of the delay, so that
-the cost is continuously differentiable in a delay that is estimated, for interpolated inputs. For held inputs it is so
-between whole samples; where a held input reaches an output directly, what is sampled jumps there, and so does the cost.
+Every sample carries its input over the coming step as three neighboring samples (windows) of the
+measured input, from which `input_over_step` makes mean and slope of the delayed input: polynomials
+of the fraction of the delay, so that the cost is continuously differentiable in a delay that is
+estimated, for interpolated inputs. For held inputs it is so between whole samples; where a held
+input reaches an output directly, what is sampled jumps there, and so does the cost.
 """
 
 import math
@@ -20,24 +21,28 @@ from greybox.statistics.noise_ratio import noise_ratio
 
 Array = NDArray[np.float64]
 
-# Of a step: how far samples may lie from uniform ones. A quarter keeps every sample nearest to its own place.
+# Of a step: how far samples may lie from uniform ones. A quarter keeps every sample nearest to its
+# own place.
 JITTER = 0.25
 
-# Of a step, by which a delay may exceed whole samples and be taken as these: the steps of a log are known no better.
+# Of a step, by which a delay may exceed whole samples and be taken as these: the steps of a log are
+# known no better.
 WHOLE = 1e-3
 
-# Steps between two samples from which one is missing between them, which ends a stretch; halfway between one and two.
+# Steps between two samples from which one is missing between them, which ends a stretch; halfway
+# between one and two.
 MISSING = 1.5
 
-# Samples of a stretch that says something of a model with states: with two, an initial state and a slope fit anything.
+# Samples of a stretch that says something of a model with states: with two, an initial state and a
+# slope fit anything.
 SHORTEST = 3
 
-# Samples at the beginning of a stretch over which an input must be constant to count as at rest before it: longer than
-# a command at a quarter of the logging rate is held.
+# Samples at the beginning of a stretch over which an input must be constant to count as at rest
+# before it: longer than a command at a quarter of the logging rate is held.
 REST = 5
 
-# An input that returns to where it began after at most so many holds had rested there; and it must hold its first
-# value so many times longer than the median of its later holds where there are more.
+# An input that returns to where it began after at most so many holds had rested there; and it must
+# hold its first value so many times longer than the median of its later holds where there are more.
 FEW_HOLDS = 3
 LONGER = 2.0
 
@@ -46,9 +51,9 @@ LONGER = 2.0
 class Stretch:
     """Uniform samples without a gap: inputs (m, n), outputs (k, n) with NaN where missing, step in s.
 
-    `rows` (n,) are the indices of its samples in the record; the first `masked` samples are not compared, since an
-    input that moves at the beginning reaches them from before it. Of a record without a time all rows that have their
-    inputs are one stretch.
+    `rows` (n,) are the indices of its samples in the record; the first `masked` samples are not
+    compared, since an input that moves at the beginning reaches them from before it. Of a record
+    without a time all rows that have their inputs are one stretch.
     """
 
     inputs: Array
@@ -65,8 +70,9 @@ class Stretch:
 class SampledData:
     """All stretches of a record, samples one after the other, in segments of `segment_length` samples.
 
-    The last segment of a stretch is filled up with samples without outputs. `masked` samples of the record with a
-    measured output are not compared, see `Stretch`; `constant_inputs` tells that no input ever changes.
+    The last segment of a stretch is filled up with samples without outputs. `masked` samples of the
+    record with a measured output are not compared, see `Stretch`; `constant_inputs` tells that no
+    input ever changes.
     """
 
     stretches: tuple[Stretch, ...]
@@ -99,7 +105,9 @@ class SampledData:
     def begins_record(self) -> NDArray[np.bool_]:
         """Which segment (s,), if any, begins with the first sample of the record."""
         counts = zip(self.segment_counts, self.stretches, strict=True)
-        return np.concatenate([np.arange(count) + stretch.rows[0] == 0 for count, stretch in counts])
+        return np.concatenate(
+            [np.arange(count) + stretch.rows[0] == 0 for count, stretch in counts]
+        )
 
     @property
     def coupled(self) -> NDArray[np.bool_]:
@@ -125,7 +133,8 @@ class SampledData:
     def padded(self, values: list[Array], fill: float | None) -> Array:
         """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples).
 
-        None repeats the last value: inputs of zero may lie outside of what a model allows, an airspeed for one.
+        None repeats the last value: inputs of zero may lie outside of what a model allows, an
+        airspeed for one.
         """
         joined = []
         for value, count in zip(values, self.segment_counts, strict=True):
@@ -138,7 +147,9 @@ class SampledData:
         """Cut (r, samples) into the samples of every stretch."""
         ends = np.cumsum([count * self.segment_length for count in self.segment_counts])[:-1]
         parts = np.split(values, ends, axis=-1)
-        return [part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)]
+        return [
+            part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)
+        ]
 
     @property
     def measured(self) -> Array:
@@ -148,7 +159,9 @@ class SampledData:
     @property
     def steps(self) -> Array:
         """The step of every sample, (1, samples), s."""
-        return np.repeat([s.step for s in self.stretches], [c * self.segment_length for c in self.segment_counts])[None]
+        return np.repeat(
+            [s.step for s in self.stretches], [c * self.segment_length for c in self.segment_counts]
+        )[None]
 
     def by_stretch(self, delays: Array) -> Array:
         """Return the delays (stretches, m) of every stretch, where (m,) are those of all."""
@@ -157,8 +170,8 @@ class SampledData:
     def delayed_inputs(self, delays: Array) -> tuple[Array, Array]:
         """Return the whole samples of the delays (m, samples), and the inputs around them (3 m, samples).
 
-        Before its first sample an input is taken to have had that value, after its last one to keep it. The delays
-        are those of all stretches, (m,), or of every one of them, (m, stretches).
+        Before its first sample an input is taken to have had that value, after its last one to keep
+        it. The delays are those of all stretches, (m,), or of every one of them, (m, stretches).
         """
         whole, around = [], []
         for stretch, delay in zip(self.stretches, self.by_stretch(delays), strict=True):
@@ -190,9 +203,9 @@ def sampled_data(
 ) -> SampledData:
     """Cut a record into stretches and these into segments.
 
-    The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not compared, see `gapless`.
-    With `complete`, a sample counts only where all outputs are there. For a `static` model every sample counts by
-    itself, and nothing needs to move.
+    The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not
+    compared, see `gapless`. With `complete`, a sample counts only where all outputs are there. For
+    a `static` model every sample counts by itself, and nothing needs to move.
 
     Raises
     ------
@@ -207,12 +220,16 @@ def sampled_data(
             "every sample is missing."
         )
     shortest = 1 if static else SHORTEST
-    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2))
+    stretches = gapless(
+        record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
+    )
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
     if (
         constant
         and not static
-        and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs)))
+        and not any(
+            noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))
+        )
     ):
         raise ValueError(
             f"the inputs of the record never change ({names}) and {listed(outputs)} "
@@ -222,9 +239,14 @@ def sampled_data(
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
     if not usable and static:
         what = "sample" if record.has_time else "row"
-        raise ValueError(f"{_called(record)} has no {what} with all inputs and an output ({names}; {listed(outputs)}).")
+        raise ValueError(
+            f"{_called(record)} has no {what} with all inputs and an output ({names}; {listed(outputs)})."
+        )
     if not usable:
-        longest, taken = max((len(s) * s.step for s in stretches), default=0.0), float(np.max(lead, initial=0.0))
+        longest, taken = (
+            max((len(s) * s.step for s in stretches), default=0.0),
+            float(np.max(lead, initial=0.0)),
+        )
         taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""
         raise ValueError(
             f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs lasts "
@@ -250,11 +272,13 @@ def gapless(
 ) -> list[Stretch]:
     """Return the stretches of a record in which all inputs are there, the first, unexplained outputs left out.
 
-    Of samples in time, those of at least the `shortest` samples; rows without a time are one, whatever is between them.
+    Of samples in time, those of at least the `shortest` samples; rows without a time are one,
+    whatever is between them.
 
-    What an input did before a stretch is not known, so outputs of its first seconds, as many as its entry of `lead`
-    (m,), the longest delay that it may have, are left out: unless it rests, exactly constant, over the first 5 samples
-    and clearly longer than it holds its values later. Then it is taken to have rested before.
+    What an input did before a stretch is not known, so outputs of its first seconds, as many as its
+    entry of `lead` (m,), the longest delay that it may have, are left out: unless it rests, exactly
+    constant, over the first 5 samples and clearly longer than it holds its values later. Then it is
+    taken to have rested before.
 
     Raises
     ------
@@ -275,7 +299,9 @@ def gapless(
         for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
             if whole[rows[0]] and rows.size >= shortest:
                 step = record.step if rows.size == 1 else math.nan
-                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + rows, leads, step))
+                stretches.append(
+                    _stretch(piece.time[rows], u[:, rows], y[:, rows], before + rows, leads, step)
+                )
         before += len(piece)
     return stretches
 
@@ -290,7 +316,12 @@ def _is_constant(values: Array) -> bool:
 
 
 def _stretch(
-    time: Array, inputs: Array, outputs: Array, rows: NDArray[np.integer], leads: Array, alone: float
+    time: Array,
+    inputs: Array,
+    outputs: Array,
+    rows: NDArray[np.integer],
+    leads: Array,
+    alone: float,
 ) -> Stretch:
     """Return a stretch; `alone` is the step of a single sample, s."""
     if time.size == 1:
@@ -304,7 +335,10 @@ def _stretch(
             "nothing was measured."
         )
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
-    masked, compared = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size), outputs.copy()
+    masked, compared = (
+        min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size),
+        outputs.copy(),
+    )
     compared[:, :masked] = np.nan
     return Stretch(inputs, compared, rows, step, masked)
 
@@ -314,8 +348,9 @@ def _rests(values: Array) -> bool:
     if values.size < REST or not _is_constant(values[:REST]):
         return False
     runs = np.diff(np.flatnonzero(np.diff(values)), prepend=-1)
-    # Commands at a lower rate, or of random length, are constant for some samples in the middle of their movement too.
-    # One that returns to where it began had rested there; of a single step, nobody can tell.
+    # Commands at a lower rate, or of random length, are constant for some samples in the middle of
+    # their movement too. One that returns to where it began had rested there; of a single step,
+    # nobody can tell.
     few = runs.size < 2 or (runs.size <= FEW_HOLDS and values[0] == values[-1])
     return few or bool(runs[0] > LONGER * sorted(runs[1:])[len(runs) // 2 - 1])
 
@@ -323,13 +358,14 @@ def _rests(values: Array) -> bool:
 def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, Any]:
     """Return mean and change over the coming step, and the value at the sample, of inputs delayed by a fraction.
 
-    `window` (3,) holds the samples before, at and after the delayed sample; `fraction` of a step is what the delay
-    exceeds whole samples by. Mean and change (the slope of the best line) match the moments of the delayed
-    input over the step.
+    `window` (3,) holds the samples before, at and after the delayed sample; `fraction` of a step is
+    what the delay exceeds whole samples by. Mean and change (the slope of the best line) match the
+    moments of the delayed input over the step.
 
-    The value at the sample is exact. A held input changes a fraction of a step later, so it is still the one before:
-    no function of the fraction. The mean in its place would be differentiable, but with an input that reaches an
-    output directly it draws the delay to the next whole sample.
+    The value at the sample is exact. A held input changes a fraction of a step later, so it is
+    still the one before: no function of the fraction. The mean in its place would be
+    differentiable, but with an input that reaches an output directly it draws the delay to the next
+    whole sample.
     """
     a, b, c = window[0], window[1], window[2]
     f, r = fraction, 1 - fraction
@@ -339,4 +375,8 @@ def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, A
     now = f * a + r * b
     before, after = f**2 / 2, r**2 / 2
     early, late = 2 * f**3 - 3 * f**2, 3 * r**2 - 2 * r**3
-    return before * a + (1 - before - after) * b + after * c, early * a - (early + late) * b + late * c, now
+    return (
+        before * a + (1 - before - after) * b + after * c,
+        early * a - (early + late) * b + late * c,
+        now,
+    )

@@ -24,11 +24,15 @@ class Scaling:
     def to_solver(self, x: Array) -> Array:
         """Return z for x, along the last axis."""
         with np.errstate(divide="ignore"):
-            return np.where(self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor)
+            return np.where(
+                self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor
+            )
 
     def to_parameters(self, z: Array) -> Array:
         """Return x for z, along the last axis."""
-        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z * self.factor)
+        return np.where(
+            self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z * self.factor
+        )
 
     def slope(self, x: Array) -> Array:
         """Return dz/dx (p,)."""
@@ -53,7 +57,8 @@ def scaling_of(parameters: Sequence[Parameter]) -> Scaling:
 def _size(parameter: Parameter) -> float:
     """Return the larger end of the start box: IPOPT then needs about half the time that it takes unscaled.
 
-    Not that of wider bounds, from which IPOPT would push the starts away by a share of their distance.
+    Not that of wider bounds, from which IPOPT would push the starts away by a share of their
+    distance.
     """
     for pair in (parameter.box, parameter.bounds, (parameter.start, parameter.start)):
         finite = [abs(v) for v in pair if math.isfinite(v) and v != 0]

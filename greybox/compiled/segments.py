@@ -1,8 +1,9 @@
 """All segments of a record, evaluated at once: simulated from their nodes, and linearized along the simulation.
 
-The data are cut into segments of equal length; the state at the beginning of each, its node, is an unknown, and
-continuity from one to the next a constraint (Bock 1983, Recent advances in parameter identification techniques for
-ODE). One step of the model is evaluated for all segments in one call, sample by sample.
+The data are cut into segments of equal length; the state at the beginning of each, its node, is an
+unknown, and continuity from one to the next a constraint (Bock 1983, Recent advances in parameter
+identification techniques for ODE). One step of the model is evaluated for all segments in one call,
+sample by sample.
 
 Columns run over segments, sample by sample: column i · s + j is sample i of segment j.
 """
@@ -23,19 +24,21 @@ from greybox.compiled.vectorized import Columns
 
 Array = NDArray[np.float64]
 
-# Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take 25 MB, and a longer
-# batch is no faster.
+# Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
+# 25 MB, and a longer batch is no faster.
 BATCH = 20_000
 
-# Ratio of a segment's samples to the number of segments from which they are simulated one after the other: a call from
-# Python costs 12 µs, which s segments share, and a column in CasADi's own loop 0.9 µs.
+# Ratio of a segment's samples to the number of segments from which they are simulated one after the
+# other: a call from Python costs 12 µs, which s segments share, and a column in CasADi's own loop
+# 0.9 µs.
 LONG = 10
 
-# Samples that make the mean transition of a record, evenly over it: an evaluation of them costs a twelfth of one of
-# 6000.
+# Samples that make the mean transition of a record, evenly over it: an evaluation of them costs a
+# twelfth of one of 6000.
 MEAN_SAMPLES = 500
 
-# Relative step of a central difference with as much truncation as rounding: the cube root of the machine's precision.
+# Relative step of a central difference with as much truncation as rounding: the cube root of the
+# machine's precision.
 DIFFERENCE = float(np.finfo(float).eps) ** (1 / 3)
 
 
@@ -52,7 +55,8 @@ class Linearization:
     parameter_hessian, parameter_gradient : (r, q, q) and (r, q) arrays
         JᵀJ and Jᵀe of the parameters, of all segments of each of the r records together.
     moments : (s, k, k, n) and (r, k, k, q) arrays, or None
-        Sums over samples of e_a · de_b by every node and by the parameters, where they were asked for.
+        Sums over samples of e_a · de_b by every node and by the parameters, where they were asked
+        for.
     """
 
     transition: Array
@@ -68,9 +72,9 @@ class Linearization:
 class Segments:
     """So many segments of one length, each simulated from its own state.
 
-    Derivatives are by that state and by the parameters that `active` names. Segments of several records follow one
-    another, `records` (s,) tells of which each is; the parameters `own` differ between these records, and q is then
-    (p, s), for every segment, instead of (p,).
+    Derivatives are by that state and by the parameters that `active` names. Segments of several
+    records follow one another, `records` (s,) tells of which each is; the parameters `own` differ
+    between these records, and q is then (p, s), for every segment, instead of (p,).
     """
 
     def __init__(
@@ -100,13 +104,15 @@ class Segments:
         self._last: tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]] | None = None
         self._compiled = None
         if compile_linearization:
-            self._compiled = CompiledLinearization(step.function, active.tolist(), count, length, each=self.number > 1)
+            self._compiled = CompiledLinearization(
+                step.function, active.tolist(), count, length, each=self.number > 1
+            )
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what was evaluated last."""
         return vars(self) | {"_array": None, "_last": None}
 
-    # --- compiled functions, built when they are first asked for -----------------------------------------------------
+    # --- compiled functions, built when they are first asked for
 
     @cached_property
     def _advance(self) -> Columns:
@@ -140,10 +146,14 @@ class Segments:
 
     def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
         active = self.active.tolist()
-        if isinstance(x, ca.SX):  # whose entries are symbols: derivatives by the others need not be formed
+        if isinstance(
+            x, ca.SX
+        ):  # whose entries are symbols: derivatives by the others need not be formed
             free = ca.vertcat(x, *(q[i] for i in active))  # q[[]] of one parameter adds a row
             return [ca.densify(ca.jacobian(r, free)) for r in results]
-        return [ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results]
+        return [
+            ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results
+        ]
 
     @cached_property
     def _by_state(self) -> Columns:
@@ -171,9 +181,13 @@ class Segments:
             return function
         x, q, d = self._step.symbols()
         common, own = type(q).sym("common", len(self._common)), type(q).sym("own", len(self._own))
-        place = {k: common[i] for i, k in enumerate(self._common)} | {k: own[i] for i, k in enumerate(self._own)}
+        place = {k: common[i] for i, k in enumerate(self._common)} | {
+            k: own[i] for i, k in enumerate(self._own)
+        }
         joined = ca.vertcat(*(place[k] for k in range(q.numel())))
-        return ca.Function(function.name(), [x, common, own, d], function.call([x, joined, d]), {"cse": True})
+        return ca.Function(
+            function.name(), [x, common, own, d], function.call([x, joined, d]), {"cse": True}
+        )
 
     def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> list[Array]:
         """Evaluate for columns of the segments, or of some of them for which q stands."""
@@ -182,7 +196,7 @@ class Segments:
         own = np.tile(q[list(self._own)], data.shape[1] // q.shape[1])
         return columns(states, q[self._common, 0], own, data)
 
-    # --- the order of samples -----------------------------------------------------------------------------------------
+    # --- the order of samples
 
     def rows(self, data: Array) -> Array:
         """Return the data of all samples in their order, (samples, width)."""
@@ -204,7 +218,7 @@ class Segments:
         """Return columns (r, columns) as (segments, length, r)."""
         return values.reshape(len(values), self.length, self.count).transpose(2, 1, 0)
 
-    # --- simulation ---------------------------------------------------------------------------------------------------
+    # --- simulation
 
     def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the states at all samples (n, columns), and at the ends of the segments (s, n), from nodes (s, n)."""
@@ -235,8 +249,8 @@ class Segments:
     ) -> tuple[Array, Array, Array, Array]:
         """Simulate stretches of so many segments each, from the first node of each to its end.
 
-        Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and for every record the sums of the
-        products of the residuals of two outputs, (r, k, k).
+        Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and for every record
+        the sums of the products of the residuals of two outputs, (r, k, k).
         """
         rows = self.rows(data)
         states = np.empty((len(rows), self.n))
@@ -278,9 +292,11 @@ class Segments:
         """Return simulated outputs (k, columns)."""
         return self._evaluate(self._output, states, q, data)[1]
 
-    # --- linearization ------------------------------------------------------------------------------------------------
+    # --- linearization
 
-    def linearize(self, states: Array, q: Array, weight: Array, data: Array, *, moments: bool = False) -> Linearization:
+    def linearize(
+        self, states: Array, q: Array, weight: Array, data: Array, *, moments: bool = False
+    ) -> Linearization:
         """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance.
 
         It is one (k, k) for all segments, or one for every record (r, k, k).
@@ -336,7 +352,9 @@ class Segments:
             moments=(node_moments, parameter_moments) if moments else None,
         )
 
-    def _linearize_in_c(self, states: Array, q: Array, weight: Array, data: Array) -> Linearization | None:
+    def _linearize_in_c(
+        self, states: Array, q: Array, weight: Array, data: Array
+    ) -> Linearization | None:
         """Return the linearization by the compiled function, None where a derivative is not finite."""
         assert self._compiled is not None
         n, s = self.n, self.count
@@ -363,11 +381,14 @@ class Segments:
             parameter_gradient=self.by_record(gradient[:, n:]),
         )
 
-    def sensitivities(self, states: Array, q: Array, data: Array, batch: slice) -> tuple[Array, Array, Array]:
+    def sensitivities(
+        self, states: Array, q: Array, data: Array, batch: slice
+    ) -> tuple[Array, Array, Array]:
         """Return derivatives of the ends (n, v, c) and residuals (length, k, v, c), and the residuals (length, k, c).
 
-        Of the c segments of a `batch`, by node and active parameters. The second array is overwritten by the next call.
-        What was found last for all segments is returned again for the same arrays.
+        Of the c segments of a `batch`, by node and active parameters. The second array is
+        overwritten by the next call. What was found last for all segments is returned again for the
+        same arrays.
         """
         length = self.length
         count = len(range(self.count)[batch])
@@ -377,7 +398,9 @@ class Segments:
                 return found
 
         def chosen(values: Array) -> Array:
-            return values.reshape(len(values), length, self.count)[:, :, batch].reshape(len(values), length * count)
+            return values.reshape(len(values), length, self.count)[:, :, batch].reshape(
+                len(values), length * count
+            )
 
         all_parameters, q = q, q[:, batch] if self._own else q
         A, C, e = _finite(self._evaluate(self._derivatives, chosen(states), q, chosen(data)))
@@ -394,15 +417,19 @@ class Segments:
         """
         A, C = self._evaluate(self._output_derivatives, states, q, data)
         if not math.isfinite(A.sum() + C.sum()):
-            lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(states).all(axis=0)
+            lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(
+                states
+            ).all(axis=0)
             A[:, lost], C[:, lost] = self._differences(states, q, data, np.flatnonzero(lost))
         return np.ascontiguousarray(self._propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
-    def _differences(self, states: Array, q: Array, data: Array, columns: NDArray[np.integer]) -> tuple[Array, Array]:
+    def _differences(
+        self, states: Array, q: Array, data: Array, columns: NDArray[np.integer]
+    ) -> tuple[Array, Array]:
         """Return what `_output_derivatives` gives of some columns, by central differences.
 
-        Of a guarded root, sqrt(max(h, 0)), below zero the chain rule multiplies zero by infinity, though the step is
-        smooth there.
+        Of a guarded root, sqrt(max(h, 0)), below zero the chain rule multiplies zero by infinity,
+        though the step is smooth there.
         """
         size = np.max(np.abs(states), axis=1, initial=0.0, where=np.isfinite(states))
         x, d = states[:, columns], data[:, columns]
@@ -419,14 +446,19 @@ class Segments:
                 after = self._evaluate(self._advance, there, values, d)[0] if self.n else there
                 moved.append([after, self._evaluate(self._output, there, values, d)[1]])
             slopes.append([(more - less) / (2 * h) for more, less in zip(*moved, strict=True)])
-        A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True)) if slopes else (x[:0], x[:0])
+        A, C = (
+            (np.concatenate(parts) for parts in zip(*slopes, strict=True))
+            if slopes
+            else (x[:0], x[:0])
+        )
         return A, C
 
     def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through the segments: of ends (n, v, count), of rows (length, k, v, c).
 
-        A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks matrices, column by
-        column. Segments come last: products of small matrices one after the other cost more than their arithmetic.
+        A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks
+        matrices, column by column. Segments come last: products of small matrices one after the
+        other cost more than their arithmetic.
         """
         self._last = None  # the workspace is overwritten
         n, k, length = self.n, self.k, self.length
@@ -445,8 +477,8 @@ class Segments:
     def _workspace(self, count: int) -> Array:
         """Return an array for the derivatives of so many segments, the same as the last time for as many.
 
-        Memory that is asked for anew at every iteration costs more than the arithmetic in it: its pages are zeroed by
-        the system each time.
+        Memory that is asked for anew at every iteration costs more than the arithmetic in it: its
+        pages are zeroed by the system each time.
         """
         if self._array is None or self._array.shape[-1] != count:
             self._array = np.empty((self.length, self.k, self.n + len(self.active), count))
@@ -473,4 +505,7 @@ def _of(q: Array, segment: int) -> Array:
 
 def _finite(values: list[Array]) -> list[Array]:
     """Return derivatives with zeros for what is not finite: that of a guarded root, sqrt(max(h, 0)), is 0 · inf."""
-    return [v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0) for v in values]
+    return [
+        v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0)
+        for v in values
+    ]

@@ -1,7 +1,8 @@
 """Substeps of a sample and samples of a segment, which a record needs before it is transcribed.
 
-The rule for substeps is that of `greybox.modeling.step_size`. Here it is asked with the model along the measured data,
-at the declared parameters and at others drawn from the start boxes, since the search will go there.
+The rule for substeps is that of `greybox.modeling.step_size`. Here it is asked with the model along
+the measured data, at the declared parameters and at others drawn from the start boxes, since the
+search will go there.
 """
 
 import math
@@ -20,15 +21,22 @@ from greybox.compiled.vectorized import Columns
 from greybox.formulation.problem import Problem
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.realization import Dynamics
-from greybox.modeling.step_size import MOST_SUBSTEPS, accurate_substeps, relative_change, stable_substeps
+from greybox.modeling.step_size import (
+    MOST_SUBSTEPS,
+    accurate_substeps,
+    relative_change,
+    stable_substeps,
+)
 
 Array = NDArray[np.float64]
 
-# Parameter vectors, the declared one first: with 17 a quartile is one of them, and a few odd draws do not move it.
+# Parameter vectors, the declared one first: with 17 a quartile is one of them, and a few odd draws
+# do not move it.
 DRAWS = 17
 INTEGRATED = 3  # of these, along which the model is also integrated: the fewest that have a median
 EVERY = 5  # every n-th sample serves for the poles: an eigenvalue problem each, and neighbors have nearly the same
-# Samples. On the unstable tilt plant segments of 5 to 20 samples converged from 14 of 14 random starts, 50 failed.
+# Samples. On the unstable tilt plant segments of 5 to 20 samples converged from 14 of 14 random
+# starts, 50 failed.
 SHORTEST_SEGMENT = 5
 LONGEST_SEGMENT = 10
 SEGMENT_GROWTH = 2.0  # an unstable mode may grow by exp(2), sevenfold, over a segment
@@ -45,8 +53,9 @@ def substeps_and_segment(
 ) -> tuple[int, int]:
     """Return substeps a sample and samples a segment: what the method says, or what the model asks for.
 
-    Substeps are what the poles along the data ask for, the upper quartile over the draws, or what accuracy asks for,
-    the median over some of them, whichever is more; and no less than the declared parameters ask for.
+    Substeps are what the poles along the data ask for, the upper quartile over the draws, or what
+    accuracy asks for, the median over some of them, whichever is more; and no less than the
+    declared parameters ask for.
 
     Parameters
     ----------
@@ -73,7 +82,9 @@ def substeps_and_segment(
         integrated = k < INTEGRATED
         stride = 1 if integrated else EVERY
         p = declared[: len(problem.model.parameters)]
-        states = initial_states.at(outputs[:, ::stride], inputs[:, ::stride], p, known_initial(declared))
+        states = initial_states.at(
+            outputs[:, ::stride], inputs[:, ::stride], p, known_initial(declared)
+        )
 
         poles = initial_states.poles(states[:, :: EVERY // stride], inputs[:, ::EVERY], p)
         if not poles.size:
@@ -89,7 +100,9 @@ def substeps_and_segment(
     growth_rate = _quantile(growth_rates, 3 / 4)
     longest = SEGMENT_GROWTH / max(growth_rate * step, 1e-12)
     segment = method.segment or int(np.clip(longest, SHORTEST_SEGMENT, LONGEST_SEGMENT))
-    substeps = max([1, *stable[:1], *accurate[:1], _quantile(stable, 3 / 4), _quantile(accurate, 1 / 2)])
+    substeps = max(
+        [1, *stable[:1], *accurate[:1], _quantile(stable, 3 / 4), _quantile(accurate, 1 / 2)]
+    )
     return integrator.substeps or int(substeps), segment
 
 
@@ -98,7 +111,10 @@ def drawn_parameters(problem: Problem) -> Array:
     random = np.random.default_rng(0)
     drawn = []
     for k in range(DRAWS):
-        outside = {name: p.start if k == 0 or p.fixed else p.draw(random) for name, p in problem.parameters.items()}
+        outside = {
+            name: p.start if k == 0 or p.fixed else p.draw(random)
+            for name, p in problem.parameters.items()
+        }
         drawn.append([float(value) for value in problem.local_values(outside).values()])
     return np.array(drawn).reshape(DRAWS, -1)
 
@@ -113,7 +129,9 @@ class _AccuracyJudge:
     samples: int
 
     @classmethod
-    def of(cls, system: Dynamics, integrator: Integrator, strategies: Strategies) -> "_AccuracyJudge":
+    def of(
+        cls, system: Dynamics, integrator: Integrator, strategies: Strategies
+    ) -> "_AccuracyJudge":
         """Compile the step as a function of x, u and (p, h)."""
         kind: Any = ca.MX if integrator.implicit else ca.SX
         x = kind.sym("x", len(system.states))
@@ -124,8 +142,15 @@ class _AccuracyJudge:
         after = integrator.advance(system, x, u, held, p, h)
         constants = kind.sym("constants", len(system.parameters) + 1)
         named = [x, u, constants[:-1], constants[-1]]
-        step = ca.Function("advance", [x, u, constants], [ca.Function("one", [x, u, p, h], [after])(*named)])
-        return cls(Columns(step, shared=(2,)), integrator.order, strategies.local_accuracy, strategies.local_span)
+        step = ca.Function(
+            "advance", [x, u, constants], [ca.Function("one", [x, u, p, h], [after])(*named)]
+        )
+        return cls(
+            Columns(step, shared=(2,)),
+            integrator.order,
+            strategies.local_accuracy,
+            strategies.local_span,
+        )
 
     def substeps(self, count: int, states: Array, inputs: Array, p: Array, step: float) -> int:
         """Return the substeps that make the error over a longest segment small, from `count` that are stable."""
@@ -140,13 +165,16 @@ class _AccuracyJudge:
 
         coarse = coarse[:, finite]
         fine = fine[:, finite]
-        # A state that is nearly constant over the data still counts by how far it moves within a segment.
+        # A state that is nearly constant over the data still counts by how far it moves within a
+        # segment.
         spread = np.abs(fine - fine.mean(axis=1, keepdims=True)).mean(axis=1)
         moved = np.abs(fine - states[:, finite]).max(axis=1)
         error = relative_change(fine - coarse, spread + moved)
         return accurate_substeps(count, error, self.tolerance, self.order)
 
-    def _after_segment(self, count: int, states: Array, inputs: Array, p: Array, step: float) -> Array:
+    def _after_segment(
+        self, count: int, states: Array, inputs: Array, p: Array, step: float
+    ) -> Array:
         x = states
         constants = np.append(p, step / count)
         for _ in range(self.samples * count):

@@ -9,14 +9,15 @@ from typing import Any
 class Strategies:
     """What the solver for records may do beyond plain Gauss-Newton steps, and the constants that steer it.
 
-    `MultipleShooting(strategies=Strategies(second_order_correction=False))` switches one off. What each buys is
-    measured by `benchmarks/ablation.py` on 29 hard problems and stands below it; the kept output is
-    `benchmarks/results/ablation.txt` (20 November 2026, one seed, for some problems two: 156 to 209 runs). Constants of
-    which nothing is said were varied there to about a tenth and ten times without a significant change of the success,
-    some of them on 17 of these problems or on those alone that consult them.
+    `MultipleShooting(strategies=Strategies(second_order_correction=False))` switches one off. What
+    each buys is measured by `benchmarks/ablation.py` on 29 hard problems and stands below it; the
+    kept output is `benchmarks/results/ablation.txt` (20 November 2026, one seed, for some problems
+    two: 156 to 209 runs). Constants of which nothing is said were varied there to about a tenth and
+    ten times without a significant change of the success, some of them on 17 of these problems or
+    on those alone that consult them.
     """
 
-    # --- before the first iteration -----------------------------------------------------------------------------------
+    # --- before the first iteration
 
     moved_starts: bool = True
     """Drawn starts at which the model is not finite move toward one at which it is.
@@ -52,7 +53,7 @@ class Strategies:
     `short_record`, 124 end at the best minimum with it and 106 without (`benchmarks/shared_runs.py`).
     """
 
-    # --- within an iteration ------------------------------------------------------------------------------------------
+    # --- within an iteration
 
     states_first: bool = True
     """The first iterations move the node states alone, at held parameters.
@@ -110,7 +111,7 @@ class Strategies:
     Saves one linearization at the end of every run, 5 % of the time on the tilt plant.
     """
 
-    # --- predictors ---------------------------------------------------------------------------------------------------
+    # --- predictors
 
     riccati_gains: bool = True
     """The gain begins with that of the best of several steady-state Kalman filters.
@@ -134,7 +135,7 @@ class Strategies:
     (`tests/compiled/test_kalman_gain.py`).
     """
 
-    # --- around the starts --------------------------------------------------------------------------------------------
+    # --- around the starts
 
     scaled_neighbors: bool = True
     """The best end is left again with every parameter with a positive lower bound a factor smaller and larger.
@@ -162,7 +163,7 @@ class Strategies:
     One of eleven problems, the swing, is biased without it.
     """
 
-    # --- constants: the penalty on gaps -------------------------------------------------------------------------------
+    # --- constants: the penalty on gaps
 
     assumed_error: float = 0.1
     """Output error assumed as long as continuity is a penalty, as a share of a signal's standard deviation."""
@@ -180,7 +181,7 @@ class Strategies:
     state_iterations: int = 3
     """Iterations of the node states alone, at most."""
 
-    # --- constants: steps and damping ---------------------------------------------------------------------------------
+    # --- constants: steps and damping
 
     max_iterations: int = 100
     """Iterations of a run.
@@ -214,7 +215,7 @@ class Strategies:
     covariance_decrease: float = 1.0
     """Predicted decrease of the cost below which the Hessian accounts for the estimated covariance."""
 
-    # --- constants: rescues -------------------------------------------------------------------------------------------
+    # --- constants: rescues
 
     gap_closings: int = 5
     """Iterations of the second-order correction."""
@@ -225,7 +226,7 @@ class Strategies:
     short_record: int = 2000
     """Samples up to which runs from many starts are made on whole records, each by itself."""
 
-    # --- constants: convergence ---------------------------------------------------------------------------------------
+    # --- constants: convergence
 
     tolerance: float = 1e-8
     """Of half the squared length of a step in standard errors, and of the decrease of the cost."""
@@ -234,7 +235,7 @@ class Strategies:
     gap_rounding: float = 1e-9
     """Gap, relative to the largest value of a state, that counts as rounding."""
 
-    # --- constants: predictors ----------------------------------------------------------------------------------------
+    # --- constants: predictors
 
     prediction_gap: float = 0.5
     """As `last_gap`, for problems of predictors alone."""
@@ -251,7 +252,7 @@ class Strategies:
     gain_samples: int = 3000
     """Samples on which the steady-state filters are compared."""
 
-    # --- constants: around the starts ---------------------------------------------------------------------------------
+    # --- constants: around the starts
 
     neighbor_factor: float = 4.0
     """Factor by which a parameter is made smaller and larger around the best end."""
@@ -260,7 +261,7 @@ class Strategies:
     continued_samples: int = 3_000_000
     """Samples times iterations of a run that is continued; at most 2000 iterations, at least those of a run."""
 
-    # --- constants: discretization and initial states -----------------------------------------------------------------
+    # --- constants: discretization and initial states
 
     looks: int = 100
     """Samples at which the model is evaluated to choose substeps and segments."""

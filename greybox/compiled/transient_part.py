@@ -1,16 +1,18 @@
 """The Fourier integrals of a manoeuvre with their model, compiled: errors, their derivatives, and end terms.
 
-With X, Y, U the integrals of the states, outputs and inputs over a manoeuvre of duration T, and exp(-jωT) = 1,
+With X, Y, U the integrals of the states, outputs and inputs over a manoeuvre of duration T, and
+exp(-jωT) = 1,
 
     jωX + x(T) - x(0) = A X + B U,    so    Y = [C (jωI - A)⁻¹ B + D] U + C (jωI - A)⁻¹ b,    b = x(0) - x(T).
 
-A manoeuvre that ends elsewhere than it began has b ≠ 0, which biases a ratio Y/U. Here b is estimated along, linearly:
-for given parameters it follows by least squares, and what remains of the errors depends on the parameters alone
-(variable projection: Golub and Pereyra 2003, Inverse Problems 19, R1). The end term: Pintelon and Schoukens, System
-Identification, 2nd ed., section 6.3.
+A manoeuvre that ends elsewhere than it began has b ≠ 0, which biases a ratio Y/U. Here b is
+estimated along, linearly: for given parameters it follows by least squares, and what remains of the
+errors depends on the parameters alone (variable projection: Golub and Pereyra 2003, Inverse
+Problems 19, R1). The end term: Pintelon and Schoukens, System Identification, 2nd ed., section 6.3.
 
-Output error compares the outputs. Equation error compares T Y, where T (jω) makes of the outputs what drives the
-differential equation; then the outputs have the covariance of T⁻¹ times the errors, which depends on the parameters.
+Output error compares the outputs. Equation error compares T Y, where T (jω) makes of the outputs
+what drives the differential equation; then the outputs have the covariance of T⁻¹ times the errors,
+which depends on the parameters.
 """
 
 import math
@@ -39,12 +41,13 @@ from greybox.modeling.trim import trim_of
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-# Weights and end terms follow each other: the change of the cost at which they have, and how often at most. Each time
-# the change falls to the share of the numbers that end terms take up, a tenth or less.
+# Weights and end terms follow each other: the change of the cost at which they have, and how often
+# at most. Each time the change falls to the share of the numbers that end terms take up, a tenth or
+# less.
 SETTLED = 1e-11
 REWEIGHTINGS = 50
-# Singular value of the end terms' basis, with columns of length one, over the largest: what is below cannot be told
-# from rounding, as of a state that no output sees.
+# Singular value of the end terms' basis, with columns of length one, over the largest: what is
+# below cannot be told from rounding, as of a state that no output sees.
 UNSEEN = 1e-10
 
 
@@ -122,7 +125,9 @@ class TransientPart(PartWithoutNodes):
         self.outputs = outputs_in_spectrum(problem.criterion, problem.model, problem.data)
         system = dynamics(problem.model, delay_order(problem.delay))
         self.states, self.inputs = system.states, system.inputs
-        self._entries, self._slopes = _matrix_functions(problem.model, system, problem.at, self.outputs)
+        self._entries, self._slopes = _matrix_functions(
+            problem.model, system, problem.at, self.outputs
+        )
         self._is_equation_error = isinstance(problem.criterion, EquationError)
         self._noise = problem.criterion.noise
         # White noise of deviation one in a sample gives each component of an integral this one.
@@ -153,7 +158,7 @@ class TransientPart(PartWithoutNodes):
         """Return complex rows (..., lines) as real ones (..., 2 lines), in units of the deviation of one sample."""
         return np.concatenate([values.real, values.imag], axis=-1) / self._unit
 
-    # --- the errors at given parameters -------------------------------------------------------------------------------
+    # --- the errors at given parameters
 
     def along(self, q: Array) -> Along | None:
         """Return what follows from the parameters q of the model; None where it is not finite."""
@@ -176,8 +181,13 @@ class TransientPart(PartWithoutNodes):
         if transform is not None:
             errors, basis = np.einsum("lab,bl->al", transform, errors), transform @ by_ends
             logarithms = float(np.linalg.slogdet(transform)[1].sum())
-        errors, basis = self._real(errors), np.moveaxis(self._real(np.moveaxis(basis, 0, -1)), -1, 1)
-        if not (np.all(np.isfinite(errors)) and np.all(np.isfinite(basis)) and math.isfinite(logarithms)):
+        errors, basis = (
+            self._real(errors),
+            np.moveaxis(self._real(np.moveaxis(basis, 0, -1)), -1, 1),
+        )
+        if not (
+            np.all(np.isfinite(errors)) and np.all(np.isfinite(basis)) and math.isfinite(logarithms)
+        ):
             return None
         covariance = self._covariance(transform)
         errors, ends = _without_ends(errors, basis, covariance)
@@ -200,7 +210,9 @@ class TransientPart(PartWithoutNodes):
         n, m, k = len(self.states), len(self.inputs), len(self.outputs)
         blocks, begin = [], 0
         for rows, columns in ((n, n), (n, m), (k, n), (k, m), (m, 1)):
-            block = entries[begin : begin + rows * columns].reshape(columns, rows, *entries.shape[1:])
+            block = entries[begin : begin + rows * columns].reshape(
+                columns, rows, *entries.shape[1:]
+            )
             blocks.append(block.swapaxes(0, 1))
             begin += rows * columns
         return Matrices(*blocks[:4], delays=blocks[4][:, 0])
@@ -215,13 +227,19 @@ class TransientPart(PartWithoutNodes):
 
     def _covariance(self, transform: Complexes | None) -> ResidualCovariance:
         """Return how products of errors become a cost; what never changes has its size for a scale."""
-        measured = self._measured if transform is None else np.einsum("lab,bl->al", transform, self._measured)
+        measured = (
+            self._measured
+            if transform is None
+            else np.einsum("lab,bl->al", transform, self._measured)
+        )
         spread = np.sqrt(np.mean(self._real(measured) ** 2, axis=1))
         known = None
         if isinstance(self._noise, Mapping):
             known = np.array([float(self._noise[name]) for name in self.outputs])
         counts = np.full(len(self.outputs), 2 * len(self.data))
-        return ResidualCovariance(counts, np.where(spread > 0, spread, 1.0), known, self._noise == "full")
+        return ResidualCovariance(
+            counts, np.where(spread > 0, spread, 1.0), known, self._noise == "full"
+        )
 
     def derivatives(self, at: Along) -> tuple[Array, Array, Array]:
         """Return how the errors follow the parameters q, the end term held.
@@ -238,7 +256,8 @@ class TransientPart(PartWithoutNodes):
         m, d, omega = at.matrices, self._as_matrices(self._slopes(at.q).full()), self.data.omega
         late = np.array(
             [
-                -np.exp(-1j * omega * tau) * (1j * omega * self.data.inputs[name] + self.data.change(name))
+                -np.exp(-1j * omega * tau)
+                * (1j * omega * self.data.inputs[name] + self.data.change(name))
                 for name, tau in zip(self.inputs, m.delays, strict=True)
             ]
         )
@@ -247,7 +266,11 @@ class TransientPart(PartWithoutNodes):
         driven = driven + np.einsum("ij,jlq->liq", m.B, later)
         states = at.inverse @ driven
         modelled = np.einsum("kjq,lj->klq", d.C, at.states) + np.einsum("kj,ljq->klq", m.C, states)
-        modelled = modelled + np.einsum("kjq,jl->klq", d.D, at.inputs) + np.einsum("kj,jlq->klq", m.D, later)
+        modelled = (
+            modelled
+            + np.einsum("kjq,jl->klq", d.D, at.inputs)
+            + np.einsum("kj,jlq->klq", m.D, later)
+        )
         if not self._is_equation_error:
             mean = self._stacked(-modelled)
             return mean, mean, np.zeros((len(omega), *m.C.shape[:1] * 2, len(at.q)), complex)
@@ -277,14 +300,17 @@ class TransientPart(PartWithoutNodes):
         mean : (k, 2 lines, x) array
             Of the weighted errors, the end term fitted along.
         variance : (r, x) array
-            What the outputs' variances say of x where they depend on it, with the size of the noise fitted along.
+            What the outputs' variances say of x where they depend on it, with the size of the noise
+            fitted along.
         reach : (x,) array
             Lengths of the columns before the end term was fitted along.
         """
         weight = at.covariance.weight(at.errors @ at.errors.T)
         weighted = np.einsum("ka,alx->klx", weight, mean)
         rows = weighted.reshape(-1, mean.shape[-1])
-        directions = _directions(np.einsum("ka,aln->kln", weight, at.basis).reshape(rows.shape[0], -1))
+        directions = _directions(
+            np.einsum("ka,aln->kln", weight, at.basis).reshape(rows.shape[0], -1)
+        )
         left = rows - directions @ (directions.T @ rows)
         turned = np.einsum("ka,labx,bc->lkcx", weight, change, np.linalg.inv(weight))
         variance = _hermitian_rows(turned)
@@ -295,8 +321,8 @@ class TransientPart(PartWithoutNodes):
     def errors_by_output(self, z: Array) -> Iterator[tuple[str, Complexes, Complexes]]:
         """Return of every output its errors (lines,) at the point z, and their derivatives by z and the end term.
 
-        They are turned by the phase of the modelled output, as those of a response are: what a model leaves out is
-        smooth only then.
+        They are turned by the phase of the modelled output, as those of a response are: what a
+        model leaves out is smooth only then.
         """
         at = self.along(self.locate(z)[0].full().ravel())
         if at is None:
@@ -308,7 +334,7 @@ class TransientPart(PartWithoutNodes):
             values = turn[:, None] * (own[: len(turn)] + 1j * own[len(turn) :])
             yield name, values[:, 0], values[:, 1:]
 
-    # --- for Gauss-Newton ---------------------------------------------------------------------------------------------
+    # --- for Gauss-Newton
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the point z, with the best end term; not finite where the model is not."""
@@ -319,14 +345,18 @@ class TransientPart(PartWithoutNodes):
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the negative log-likelihood of the outputs, with the best end term and noise."""
         at: Along | None = trajectory.detail
-        return math.inf if at is None else at.covariance.cost(trajectory.products) - 2 * at.logarithms
+        return (
+            math.inf if at is None else at.covariance.cost(trajectory.products) - 2 * at.logarithms
+        )
 
     def linearize(
         self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
     ) -> tuple[Array, Array]:
         """Return gradient (p,) and Fisher information (p, p): end term and noise are at their best, and follow."""
         at: Along = trajectory.detail
-        by_z: Any = [np.tensordot(d, self.locate(trajectory.z)[1].full(), 1) for d in self.derivatives(at)]
+        by_z: Any = [
+            np.tensordot(d, self.locate(trajectory.z)[1].full(), 1) for d in self.derivatives(at)
+        ]
         mean, whole, change = by_z
         root = at.covariance.weight(trajectory.products)
         by_errors = np.einsum("kl,klz->z", root.T @ root @ at.errors, whole)
@@ -340,7 +370,7 @@ class TransientPart(PartWithoutNodes):
         values = trajectory.detail.modelled / np.where(size > 0, size, 1.0)
         return np.concatenate([values.real.ravel(), values.imag.ravel()])
 
-    # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
+    # --- for IPOPT and for the covariance of the estimate
 
     def program(self, z: ca.MX) -> Program:
         """Refuse: end terms are eliminated, and what remains is no expression for IPOPT."""
@@ -381,8 +411,12 @@ class TransientPart(PartWithoutNodes):
 
         def told(directions: Array) -> Array:
             free = len(directions)
-            by_errors = (mean[..., :free] @ directions).reshape(len(self.outputs), 2, len(self.data), -1)
-            by_variance = (variance[:, :free] @ directions).reshape(len(self.data), -1, directions.shape[1])
+            by_errors = (mean[..., :free] @ directions).reshape(
+                len(self.outputs), 2, len(self.data), -1
+            )
+            by_variance = (variance[:, :free] @ directions).reshape(
+                len(self.data), -1, directions.shape[1]
+            )
             # What a variance tells is of all outputs together.
             shared = (by_variance**2).sum(axis=1) / len(self.outputs)
             return ((by_errors**2).sum(axis=1) + shared).reshape(-1, directions.shape[1]).T
@@ -402,27 +436,36 @@ def _matrix_functions(
 ) -> tuple[ca.Function, ca.Function]:
     """Return the functions from all parameters to the entries of A, B, C, D and the delays, and their derivatives."""
     p: Any = ca.MX.sym("p", len(model.parameters))
-    x, u, q = (ca.SX.sym("v", len(names)) for names in (system.states, system.inputs, system.parameters))
+    x, u, q = (
+        ca.SX.sym("v", len(names)) for names in (system.states, system.inputs, system.parameters)
+    )
     f, h = system.derivative(x, u, q), system.output(x, u, q)
     h = h[[system.outputs.index(name) for name in outputs]]
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
-    linear = ca.Function("linear", [q, x, u], [*map(ca.densify, blocks), ca.densify(system.delay(q))])
+    linear = ca.Function(
+        "linear", [q, x, u], [*map(ca.densify, blocks), ca.densify(system.delay(q))]
+    )
     point: Any = ca.DM.zeros(len(system.states)), ca.DM.zeros(len(system.inputs))
     scalar = True
     if isinstance(model, StateSpace):
         trim = trim_of(model, at).closed()
         scalar = trim.is_a("SXFunction")
         states, inputs = trim(p)
-        # The states of a Padé delay follow those of the model, and the linear delay has no operating point.
+        # The states of a Padé delay follow those of the model, and the linear delay has no
+        # operating point.
         point = ca.vertcat(states, ca.DM.zeros(len(system.states) - len(model.states))), inputs
     entries: Any = ca.vertcat(*[ca.vec(block) for block in linear(p, *point)])
     if scalar:  # which are evaluated faster than matrices
         scalars = ca.SX.sym("p", len(model.parameters))
         entries, p = ca.Function("entries", [p], [entries]).expand()(scalars), scalars
-    return ca.Function("entries", [p], [entries]), ca.Function("slopes", [p], [ca.densify(ca.jacobian(entries, p))])
+    return ca.Function("entries", [p], [entries]), ca.Function(
+        "slopes", [p], [ca.densify(ca.jacobian(entries, p))]
+    )
 
 
-def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -> tuple[Array, Array]:
+def _without_ends(
+    errors: Array, basis: Array, covariance: ResidualCovariance
+) -> tuple[Array, Array]:
     """Return errors (k, 2 lines) less the best combination of the basis (k, 2 lines, n), and that, (n,)."""
     ends = np.zeros(basis.shape[-1])
     if not ends.size:

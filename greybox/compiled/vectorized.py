@@ -1,7 +1,8 @@
 """A CasADi function evaluated in numpy over many columns at once: one ufunc call per operation, not one per column.
 
-CasADi's own interpreter takes about 1.5 to 4 ns per operation and column; over some thousand columns a ufunc takes a
-fifth of that. Operations on what is the same in all columns (the parameters) are done once.
+CasADi's own interpreter takes about 1.5 to 4 ns per operation and column; over some thousand
+columns a ufunc takes a fifth of that. Operations on what is the same in all columns (the
+parameters) are done once.
 """
 
 from collections.abc import Callable
@@ -82,11 +83,14 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 class Columns:
     """A function of dense inputs, evaluated for many columns; `shared` inputs (by position) are the same in all.
 
-    Fewer columns than `fewest` are left to CasADi: registers for another number of columns take some milliseconds.
-    Without an entry for one of its operations, or where it is no SX function (compiled, say), CasADi evaluates it.
+    Fewer columns than `fewest` are left to CasADi: registers for another number of columns take
+    some milliseconds. Without an entry for one of its operations, or where it is no SX function
+    (compiled, say), CasADi evaluates it.
     """
 
-    def __init__(self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = 1) -> None:
+    def __init__(
+        self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = 1
+    ) -> None:
         function = _dense(function)
         self._function, self._shared, self._fewest = function, shared, fewest
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
@@ -105,7 +109,9 @@ class Columns:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
         outputs = [np.empty((size, m)) for size in self._sizes]
-        size = -(-m // -(-m // CHUNK)) if m else 1  # equal shares, so that one layout of the registers serves
+        size = (
+            -(-m // -(-m // CHUNK)) if m else 1
+        )  # equal shares, so that one layout of the registers serves
         for at in range(0, m, size):
             some = slice(at, min(at + size, m))
             part = [v if k in self._shared else v[:, some] for k, v in enumerate(inputs)]
@@ -135,11 +141,15 @@ class Columns:
 def _dense(function: ca.Function) -> ca.Function:
     """Return the function with zeros in place of what inputs and outputs leave out."""
     is_dense = all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
-    if is_dense and all(function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())):
+    if is_dense and all(
+        function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())
+    ):
         return function
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     inputs = [kind.sym("v", *function.size_in(k)) for k in range(function.n_in())]
-    return ca.Function(function.name(), inputs, [ca.densify(value) for value in function.call(inputs)])
+    return ca.Function(
+        function.name(), inputs, [ca.densify(value) for value in function.call(inputs)]
+    )
 
 
 class _Mapped:
@@ -172,18 +182,27 @@ def _read(function: ca.Function) -> list[tuple[int, list[int], list[int], float]
     program = []
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
-        known = operation in _OPERATIONS or operation in (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER)
+        known = operation in _OPERATIONS or operation in (
+            ca.OP_INPUT,
+            ca.OP_OUTPUT,
+            ca.OP_CONST,
+            ca.OP_PARAMETER,
+        )
         if not known:
             return None
         value = function.instruction_constant(k) if operation == ca.OP_CONST else 0.0
-        program.append((operation, function.instruction_input(k), function.instruction_output(k), value))
+        program.append(
+            (operation, function.instruction_input(k), function.instruction_output(k), value)
+        )
     return program
 
 
 class _Bound:
     """A program with its registers laid out for m columns."""
 
-    def __init__(self, program: list[Any], function: ca.Function, shared: tuple[int, ...], m: int) -> None:
+    def __init__(
+        self, program: list[Any], function: ca.Function, shared: tuple[int, ...], m: int
+    ) -> None:
         self._reads: list[tuple[int, int, Array]] = []
         self._writes: list[tuple[int, int, Array]] = []
         self._calls: list[tuple[Callable[..., Any], tuple[Array, ...]]] = []
@@ -211,7 +230,8 @@ class _Bound:
             if operation not in _TAKING_FLAGS:
                 arguments = tuple(self._number(argument) for argument in arguments)
             if all(a.ndim == 0 for a in arguments):
-                # Kept apart from the registers of columns, and from one another: results may be read much later.
+                # Kept apart from the registers of columns, and from one another: results may be
+                # read much later.
                 out = narrow.setdefault(len(narrow), np.empty(()))
             elif operation in _GIVING_FLAGS:
                 out = flags.setdefault(target, np.empty(m, bool))
@@ -265,6 +285,7 @@ _BINARY = {
     ca.OP_HYPOT,
 }
 
-# What is true or false is kept as such: as numbers, comparisons of many columns take three times as long.
+# What is true or false is kept as such: as numbers, comparisons of many columns take three times as
+# long.
 _GIVING_FLAGS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
 _TAKING_FLAGS = {ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO}

@@ -31,7 +31,9 @@ class Stretch:
     def __post_init__(self) -> None:
         """Check the times, and write out control characters."""
         if not (math.isfinite(self.start) and math.isfinite(self.end) and self.start <= self.end):
-            raise ValueError(f"a stretch runs from {self.start:g} to {self.end:g} s: give its first and its last time.")
+            raise ValueError(
+                f"a stretch runs from {self.start:g} to {self.end:g} s: give its first and its last time."
+            )
         object.__setattr__(self, "checksum", printable(str(self.checksum)))
         object.__setattr__(self, "start", float(self.start))
         object.__setattr__(self, "end", float(self.end))
@@ -60,22 +62,23 @@ class FrequencyResponse:
     source : str
         Where the numbers come from.
     stretches : sequence of Stretch
-        The stretches of records that it was estimated from, as far as known: a fit to these and to the response would
-        use the same data twice.
+        The stretches of records that it was estimated from, as far as known: a fit to these and to
+        the response would use the same data twice.
     units : mapping of signal name to str
         Those of input and output, as far as known.
     about : mapping of str to str
-        How it was measured, in words: excitation, instrument, points that were dropped, filters in the path, and the
-        like. It takes no part in the checksum.
+        How it was measured, in words: excitation, instrument, points that were dropped, filters in
+        the path, and the like. It takes no part in the checksum.
     common_errors : (m, n) complex array, optional
-        Errors that all points have in common, as of a sensor's gain: row j is what one standard deviation of the j-th
-        adds to the response. They are a part of `variance`; the standard errors of a fit contain them whole.
+        Errors that all points have in common, as of a sensor's gain: row j is what one standard
+        deviation of the j-th adds to the response. They are a part of `variance`; the standard
+        errors of a fit contain them whole.
 
     Raises
     ------
     ValueError
-        For empty data, lengths that differ, NaN or infinite values, values beyond 1e75 or below 1e-75 (but zero),
-        non-positive or repeated frequencies.
+        For empty data, lengths that differ, NaN or infinite values, values beyond 1e75 or below
+        1e-75 (but zero), non-positive or repeated frequencies.
     """
 
     omega: NDArray[np.float64]
@@ -113,7 +116,10 @@ class FrequencyResponse:
             self._set_common_errors(self.common_errors)
         object.__setattr__(self, "stretches", tuple(self.stretches))
         for name in ("units", "about"):
-            texts = {printable(str(key)): printable(str(text)) for key, text in getattr(self, name).items()}
+            texts = {
+                printable(str(key)): printable(str(text))
+                for key, text in getattr(self, name).items()
+            }
             object.__setattr__(self, name, texts)
 
     @classmethod
@@ -138,12 +144,14 @@ class FrequencyResponse:
             Decibels are 20 log10.
         phase_unit : "deg" or "rad"
         others
-            `input`, `output`, `coherence`, `name` and the rest of a `FrequencyResponse`; a `variance` is absolute.
+            `input`, `output`, `coherence`, `name` and the rest of a `FrequencyResponse`; a
+            `variance` is absolute.
 
         Raises
         ------
         ValueError
-            For other units, a negative absolute magnitude, and whatever a `FrequencyResponse` refuses.
+            For other units, a negative absolute magnitude, and whatever a `FrequencyResponse`
+            refuses.
 
         Examples
         --------
@@ -159,7 +167,9 @@ class FrequencyResponse:
         try:
             array = np.array(value, dtype=kind)
         except (TypeError, ValueError):
-            raise ValueError(f"{name} must be a one-dimensional array of numbers, not {value!r:.60}.") from None
+            raise ValueError(
+                f"{name} must be a one-dimensional array of numbers, not {value!r:.60}."
+            ) from None
         if array.ndim != 1:
             raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
         array.setflags(write=False)
@@ -170,7 +180,9 @@ class FrequencyResponse:
         if values is None:
             return
         if values.size != self.omega.size:
-            raise ValueError(f"omega has {self.omega.size} values but {name} has {values.size}: they must match.")
+            raise ValueError(
+                f"omega has {self.omega.size} values but {name} has {values.size}: they must match."
+            )
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise ValueError(
@@ -209,7 +221,9 @@ class FrequencyResponse:
             bad = np.flatnonzero(~((values > low) & (values <= high)))
             if bad.size:
                 limit = f"above 0 and at most {high:g}" if np.isfinite(high) else "above 0"
-                raise ValueError(f"{name} is {values[bad[0]]:g} at index {bad[0]}: it must be {limit}.")
+                raise ValueError(
+                    f"{name} is {values[bad[0]]:g} at index {bad[0]}: it must be {limit}."
+                )
 
     def _set_common_errors(self, value: ArrayLike) -> None:
         errors = np.atleast_2d(np.array(value, dtype=np.complex128))
@@ -218,7 +232,9 @@ class FrequencyResponse:
                 f"common_errors has shape {np.shape(value)}: give finite numbers, a row of {self.omega.size} for each."
             )
         if self.variance is not None:
-            above = np.flatnonzero((np.abs(errors) ** 2).sum(axis=0) > (1 + ROUNDING) * self.variance)
+            above = np.flatnonzero(
+                (np.abs(errors) ** 2).sum(axis=0) > (1 + ROUNDING) * self.variance
+            )
             if above.size:
                 raise ValueError(
                     f"common_errors exceed the variance at omega = {self.omega[above[0]]:g} rad/s, of which they are a "
@@ -251,11 +267,15 @@ class FrequencyResponse:
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """What is known at each frequency as real numbers, (n,) arrays by name, as tables and files have them.
 
-        ``alpha, beta``, then as far as known ``coherence, variance, dof``, and ``alpha_common1, beta_common1`` and so
-        on for the common errors.
+        ``alpha, beta``, then as far as known ``coherence, variance, dof``, and ``alpha_common1,
+        beta_common1`` and so on for the common errors.
         """
-        known = {name: getattr(self, name) for name in ("alpha", "beta", "coherence", "variance", "dof")}
-        for j, errors in enumerate(() if self.common_errors is None else self.common_errors, start=1):
+        known = {
+            name: getattr(self, name) for name in ("alpha", "beta", "coherence", "variance", "dof")
+        }
+        for j, errors in enumerate(
+            () if self.common_errors is None else self.common_errors, start=1
+        ):
             known |= {f"alpha_common{j}": errors.real, f"beta_common{j}": errors.imag}
         return {name: values for name, values in known.items() if values is not None}
 
@@ -272,7 +292,9 @@ class FrequencyResponse:
     def where(self, kept: NDArray[np.bool_]) -> "FrequencyResponse":
         """Return the points for which `kept` (n,) is true."""
         columns = ("omega", "response", "coherence", "variance", "dof")
-        arrays = {name: values[kept] for name in columns if (values := getattr(self, name)) is not None}
+        arrays = {
+            name: values[kept] for name in columns if (values := getattr(self, name)) is not None
+        }
         common = None if self.common_errors is None else self.common_errors[:, kept]
         return replace(self, **arrays, common_errors=common)
 
@@ -284,7 +306,9 @@ class FrequencyResponse:
         """Divide by jω, e.g. from a rate to its angle; `output` names the new signal."""
         return self._scaled(1 / (1j * self.omega), output, "*s")
 
-    def _scaled(self, factor: NDArray[np.complexfloating], output: str, unit: str) -> "FrequencyResponse":
+    def _scaled(
+        self, factor: NDArray[np.complexfloating], output: str, unit: str
+    ) -> "FrequencyResponse":
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
         common = None if self.common_errors is None else self.common_errors * factor
         name = output or self.output
@@ -293,11 +317,21 @@ class FrequencyResponse:
             if self.units.get(self.output):
                 units[name] = to_si(self.units[self.output] + unit).si
         response = self.response * factor
-        return replace(self, response=response, variance=variance, output=name, units=units, common_errors=common)
+        return replace(
+            self,
+            response=response,
+            variance=variance,
+            output=name,
+            units=units,
+            common_errors=common,
+        )
 
     def __repr__(self) -> str:
         return one_line(
-            self, repr(self.name), f"{self.input} -> {self.output}", counted(len(self), "frequency", "frequencies")
+            self,
+            repr(self.name),
+            f"{self.input} -> {self.output}",
+            counted(len(self), "frequency", "frequencies"),
         )
 
     @property
@@ -317,7 +351,8 @@ class FrequencyResponse:
     def to_pandas(self) -> Frame:
         """Return a pandas data frame with the angular frequency in rad/s as index.
 
-        Its other columns are `columns`; names, units and what the response says about itself stand in ``frame.attrs``.
+        Its other columns are `columns`; names, units and what the response says about itself stand
+        in ``frame.attrs``.
 
         Raises
         ------
@@ -326,13 +361,23 @@ class FrequencyResponse:
         """
         about = {name: getattr(self, name) for name in ("input", "output", "name", "source")}
         return frame_of(
-            self.columns, self.omega, "omega_rad_s", {**about, "units": dict(self.units), "about": dict(self.about)}
+            self.columns,
+            self.omega,
+            "omega_rad_s",
+            {**about, "units": dict(self.units), "about": dict(self.about)},
         )
 
     def _repr_html_(self) -> str:
-        columns: dict[str, NDArray[np.float64]] = {"rad/s": self.omega, "dB": self.decibels, "degrees": self.degrees}
+        columns: dict[str, NDArray[np.float64]] = {
+            "rad/s": self.omega,
+            "dB": self.decibels,
+            "degrees": self.degrees,
+        }
         columns |= {"coherence": self.coherence} if self.coherence is not None else {}
-        rows = [[number(float(value), 4) for value in row] for row in zip(*columns.values(), strict=True)]
+        rows = [
+            [number(float(value), 4) for value in row]
+            for row in zip(*columns.values(), strict=True)
+        ]
         said = [f"{key}: {text}" for key, text in self.about.items()]
         return html_text(str(self)) + html_table(list(columns), rows, ()) + html_list(said)
 
@@ -342,5 +387,6 @@ class FrequencyResponse:
         extras = [name.replace("_", " ") for name, values in known.items() if values is not None]
         return (
             f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
-            f"{self.omega.min():g} to {self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
+            f"{self.omega.min():g} to {self.omega.max():g} rad/s"
+            + (f", with {', '.join(extras)}" if extras else "")
         )

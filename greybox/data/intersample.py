@@ -1,13 +1,13 @@
 """How a signal runs between its samples: held, as the output of a controller, or sampled from a continuous one.
 
-The samples alone do not tell: a control that is held acts half a sample later than one that is interpolated, which a
-delay or a lag of the model takes up without a trace in the residuals. So a record states it for its signals, by the
-time for which each value lasts. Between both extremes lies a log at a lower rate than that of the controller: the
-values between its samples are not known, but lasted for less than a step of the log. Such a signal is interpolated, and
-half of that time later.
+The samples alone do not tell: a control that is held acts half a sample later than one that is
+interpolated, which a delay or a lag of the model takes up without a trace in the residuals. So a
+record states it for its signals, by the time for which each value lasts. Between both extremes lies
+a log at a lower rate than that of the controller: the values between its samples are not known, but
+lasted for less than a step of the log. Such a signal is interpolated, and half of that time later.
 
-Source: Åström and Wittenmark, Computer-Controlled Systems, 3rd ed., chapter 2 (sampling of a system with a zero-order
-hold); Ljung, System Identification, 2nd ed., section 13.3 (intersample behavior).
+Source: Åström and Wittenmark, Computer-Controlled Systems, 3rd ed., chapter 2 (sampling of a system
+with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (intersample behavior).
 """
 
 import math
@@ -19,8 +19,9 @@ import numpy as np
 HELD = math.inf
 CONTINUOUS = 0.0
 
-# Of a step, from which a value lasts until the next sample. A log has every value of the controller, or every second,
-# third ...: holds are whole steps or at most half a one, but for the jitter of time stamps.
+# Of a step, from which a value lasts until the next sample. A log has every value of the
+# controller, or every second, third ...: holds are whole steps or at most half a one, but for the
+# jitter of time stamps.
 WHOLE = 0.75
 
 
@@ -44,7 +45,11 @@ def intersample(hold: float, step: float) -> Intersample:
 
 def checked_hold(name: str, seconds: Any) -> float:
     """Return how long each value of a signal lasted; raise ValueError for what is no time."""
-    if isinstance(seconds, (int, float, np.number)) and not isinstance(seconds, bool) and seconds >= 0:
+    if (
+        isinstance(seconds, (int, float, np.number))
+        and not isinstance(seconds, bool)
+        and seconds >= 0
+    ):
         return float(seconds)
     raise ValueError(
         f"hold gives {name!r} the value {seconds!r:.40}: give math.inf for a signal that is held until its next "

@@ -40,14 +40,20 @@ def complex_response(
     """
     size, angle = _numbers(magnitude, "magnitude"), _numbers(phase, "phase")
     if size.shape != angle.shape:
-        raise ValueError(f"magnitude has {size.size} values but phase has {angle.size}: they must match.")
+        raise ValueError(
+            f"magnitude has {size.size} values but phase has {angle.size}: they must match."
+        )
     if _known(phase_unit) != "rad":
         raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
     if str(magnitude_unit).lower() == DECIBELS:
-        with np.errstate(over="ignore"):  # what is too large is refused as a response, in a sentence of its own
+        with np.errstate(
+            over="ignore"
+        ):  # what is too large is refused as a response, in a sentence of its own
             size = np.minimum(10 ** (size / 20), np.finfo(float).max)
     elif magnitude_unit not in ABSOLUTE:
-        raise ValueError(f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'.")
+        raise ValueError(
+            f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'."
+        )
     negative = np.flatnonzero(size < 0)
     if negative.size:
         raise ValueError(
@@ -69,4 +75,6 @@ def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
     try:
         return np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} must be a one-dimensional array of numbers, not {values!r:.60}.") from None
+        raise ValueError(
+            f"{what} must be a one-dimensional array of numbers, not {values!r:.60}."
+        ) from None

@@ -15,7 +15,9 @@ def within_range(values: NDArray[np.float64]) -> NDArray[np.float64]:
     if not out_of_range(values).any():
         return values
     size = np.abs(values)
-    inside = np.where(size > LARGEST, np.copysign(np.inf, values), np.where(size < SMALLEST, 0.0, values))
+    inside = np.where(
+        size > LARGEST, np.copysign(np.inf, values), np.where(size < SMALLEST, 0.0, values)
+    )
     inside.setflags(write=False)
     return inside
 

@@ -20,7 +20,10 @@ def pandas(what: str) -> Any:
 
 
 def frame_of(
-    columns: Mapping[str, Sequence[Any] | NDArray[Any]], index: Any, index_name: str, attributes: Mapping[str, Any]
+    columns: Mapping[str, Sequence[Any] | NDArray[Any]],
+    index: Any,
+    index_name: str,
+    attributes: Mapping[str, Any],
 ) -> Frame:
     """Return a data frame with an index of this name; what pandas has no place for stands in its `attrs`."""
     pd = pandas("to_pandas()")
@@ -72,4 +75,6 @@ def seconds_of(index: Any, name: str) -> NDArray[np.float64]:
     try:
         return values.astype(float)
     except (TypeError, ValueError):
-        raise ValueError(f"the {name} of the data frame holds no times: give seconds, or dates.") from None
+        raise ValueError(
+            f"the {name} of the data frame holds no times: give seconds, or dates."
+        ) from None

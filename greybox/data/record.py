@@ -16,11 +16,11 @@ from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, one_line, printable
 
-# Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
-# is none; the half is for jitter.
+# Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a
+# step of two, which is none; the half is for jitter.
 GAP = 2.5
-# Share of the samples at common times that are equal in all common signals, above which two records are of one
-# measurement.
+# Share of the samples at common times that are equal in all common signals, above which two records
+# are of one measurement.
 SAME_MEASUREMENT = 0.5
 
 
@@ -31,11 +31,12 @@ class Record:
     Parameters
     ----------
     time : (n,) array, s, or None
-        Strictly increasing. None for rows that have no order in time, as in a table of independent measurements: `time`
-        is then the number of each row, `has_time` is False, and static models alone can be fitted.
+        Strictly increasing. None for rows that have no order in time, as in a table of independent
+        measurements: `time` is then the number of each row, `has_time` is False, and static models
+        alone can be fitted.
     signals : mapping of name to (n,) array
-        NaN marks a sample that is missing. Beyond ±1e75 values become infinite, which is missing too, and below 1e-75
-        zero: sums of squares could not hold them.
+        NaN marks a sample that is missing. Beyond ±1e75 values become infinite, which is missing
+        too, and below 1e-75 zero: sums of squares could not hold them.
     units : mapping of name to str
         SI after `prepare`; those of the log before.
     name, source : str
@@ -47,9 +48,10 @@ class Record:
     filters : mapping of signal name to tuple
         Known filters that a signal has passed before it was logged, for a model to include.
     hold : mapping of signal name to float, s
-        For how long each value lasted, as far as that is known, see `greybox.data.intersample`: infinity for a signal
-        that keeps its value until the next sample, as the output of a controller does; 0 for samples of a continuous
-        one, such as an attitude; seconds where values lasted for less than a step of the log.
+        For how long each value lasted, as far as that is known, see `greybox.data.intersample`:
+        infinity for a signal that keeps its value until the next sample, as the output of a
+        controller does; 0 for samples of a continuous one, such as an attitude; seconds where
+        values lasted for less than a step of the log.
     findings : tuple of str
         Problems found in it, in words.
     has_time : bool
@@ -82,22 +84,33 @@ class Record:
         if time.size == 0:
             raise ValueError("the record is empty: give at least one sample.")
         if not np.all(np.isfinite(time)):
-            raise ValueError(f"time is {time[np.argmin(np.isfinite(time))]} at index {np.argmin(np.isfinite(time))}.")
+            raise ValueError(
+                f"time is {time[np.argmin(np.isfinite(time))]} at index {np.argmin(np.isfinite(time))}."
+            )
         back = np.flatnonzero(np.diff(time) <= 0)
         if back.size and self.has_time:
             raise ValueError(
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
             )
-        signals = {_printable(name): within_range(_read_only(values, name)) for name, values in self.signals.items()}
+        signals = {
+            _printable(name): within_range(_read_only(values, name))
+            for name, values in self.signals.items()
+        }
         for name, values in signals.items():
             if values.size != time.size:
                 other = "time" if self.has_time else next(iter(signals))
-                raise ValueError(f"{other} has {time.size} samples but {name} has {values.size}: they must match.")
+                raise ValueError(
+                    f"{other} has {time.size} samples but {name} has {values.size}: they must match."
+                )
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
-        hold = {_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()}
-        object.__setattr__(self, "hold", {name: seconds for name, seconds in hold.items() if name in signals})
+        hold = {
+            _printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
+        }
+        object.__setattr__(
+            self, "hold", {name: seconds for name, seconds in hold.items() if name in signals}
+        )
         for name in ("name", "source", "units", "findings"):
             object.__setattr__(self, name, _printable(getattr(self, name)))
         if not self.checksum:
@@ -108,7 +121,9 @@ class Record:
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         if name not in self.signals:
-            raise KeyError(f"the record has no signal {name!r}; it has {', '.join(self.signals) or 'none'}.")
+            raise KeyError(
+                f"the record has no signal {name!r}; it has {', '.join(self.signals) or 'none'}."
+            )
         return self.signals[name]
 
     @property
@@ -118,7 +133,9 @@ class Record:
             return 1.0
         if len(self) < 2:
             return math.nan
-        steps = np.sort(np.diff(self.time))  # np.median imports masked arrays, which takes a hundredth of a second
+        steps = np.sort(
+            np.diff(self.time)
+        )  # np.median imports masked arrays, which takes a hundredth of a second
         return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
 
     @property
@@ -142,7 +159,11 @@ class Record:
     @property
     def independent_pieces(self) -> list[NDArray[np.integer]]:
         """The rows of each stretch between gaps, across which errors are not correlated; each row without a time."""
-        cuts = np.cumsum([len(piece) for piece in self.pieces])[:-1] if self.has_time else np.arange(1, len(self))
+        cuts = (
+            np.cumsum([len(piece) for piece in self.pieces])[:-1]
+            if self.has_time
+            else np.arange(1, len(self))
+        )
         return np.split(np.arange(len(self)), cuts)
 
     def between(self, start: float, end: float) -> "Record":
@@ -156,21 +177,34 @@ class Record:
             )
         return self.rows(rows)
 
-    def with_signals(self, units: Mapping[str, str] | None = None, **signals: ArrayLike) -> "Record":
+    def with_signals(
+        self, units: Mapping[str, str] | None = None, **signals: ArrayLike
+    ) -> "Record":
         """Return the record with signals added or replaced."""
         new = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
-        return replace(self, signals={**self.signals, **new}, units={**self.units, **(units or {})}, checksum="")
+        return replace(
+            self,
+            signals={**self.signals, **new},
+            units={**self.units, **(units or {})},
+            checksum="",
+        )
 
     @classmethod
     def from_pandas(
-        cls, frame: Frame, *, time: str | None = None, units: Mapping[str, str] | None = None, **others: Any
+        cls,
+        frame: Frame,
+        *,
+        time: str | None = None,
+        units: Mapping[str, str] | None = None,
+        **others: Any,
     ) -> Self:
         """Return the columns of a pandas data frame as signals.
 
         Parameters
         ----------
         frame : pandas.DataFrame
-            Its index is the time in s; dates and time differences count from the first. Missing values are NaN.
+            Its index is the time in s; dates and time differences count from the first. Missing
+            values are NaN.
         time : str, optional
             The column that is the time instead of the index.
         units : mapping of name to str, optional
@@ -184,7 +218,11 @@ class Record:
             For what is no data frame, no table of numbers, or no record.
         """
         columns = columns_of(frame)
-        stated = {name: frame.attrs[name] for name in ("units", "hold", "name", "source") if name in frame.attrs}
+        stated = {
+            name: frame.attrs[name]
+            for name in ("units", "hold", "name", "source")
+            if name in frame.attrs
+        }
         if time is not None and time not in columns:
             raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(columns)}.")
         if not others.pop("has_time", True):
@@ -207,7 +245,12 @@ class Record:
         ModuleNotFoundError
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
-        about = {"units": dict(self.units), "hold": dict(self.hold), "name": self.name, "source": self.source}
+        about = {
+            "units": dict(self.units),
+            "hold": dict(self.hold),
+            "name": self.name,
+            "source": self.source,
+        }
         return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
 
     def rows(self, rows: NDArray[np.integer] | slice) -> "Record":
@@ -217,17 +260,26 @@ class Record:
 
     def __repr__(self) -> str:
         size = (
-            [counted(len(self), "sample"), f"{self.duration:.4g} s"] if self.has_time else [counted(len(self), "row")]
+            [counted(len(self), "sample"), f"{self.duration:.4g} s"]
+            if self.has_time
+            else [counted(len(self), "row")]
         )
         return one_line(self, repr(self.name), *size, ", ".join(self.signals))
 
     def _repr_html_(self) -> str:
-        rows = [[name, self.units.get(name, ""), *_range(values)] for name, values in self.signals.items()]
+        rows = [
+            [name, self.units.get(name, ""), *_range(values)]
+            for name, values in self.signals.items()
+        ]
         head = f"{self.name or 'record'}: {self._extent()}"
-        return html_text(head) + html_table(["signal", "unit", "lowest", "highest", "missing"], rows, (0, 1))
+        return html_text(head) + html_table(
+            ["signal", "unit", "lowest", "highest", "missing"], rows, (0, 1)
+        )
 
     def __str__(self) -> str:
-        signals = ", ".join(f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals)
+        signals = ", ".join(
+            f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals
+        )
         return f"{self.name or 'record'}: {self._extent()}: {signals}"
 
     def _extent(self) -> str:
@@ -245,8 +297,9 @@ class Record:
 class Recording(Mapping[str, Record]):
     """What one log file holds: a `Record` for every kind of message, each on its own time base.
 
-    It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages that come in several instances
-    (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the first of them.
+    It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages that come
+    in several instances (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the
+    first of them.
 
     Attributes
     ----------
@@ -254,9 +307,9 @@ class Recording(Mapping[str, Record]):
     source, checksum : str
         File name and SHA-256 of the file.
     metadata : mapping
-        As far as known: ``vehicle, firmware, frame, board`` (str), ``parameters`` (name to value, the last set),
-        ``defaults``, ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)), ``armed`` (tuple of (start,
-        end), s).
+        As far as known: ``vehicle, firmware, frame, board`` (str), ``parameters`` (name to value,
+        the last set), ``defaults``, ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time,
+        name)), ``armed`` (tuple of (start, end), s).
     findings : tuple of str
         Problems and omissions of the file, in words.
     """
@@ -303,16 +356,29 @@ class Recording(Mapping[str, Record]):
             return record, name
         holders = [key for key, record in self.records.items() if signal in record.signals]
         if len(holders) != 1:
-            reason = f"several messages have it: {', '.join(holders)}" if holders else "no message has it"
-            raise KeyError(f"the signal {signal!r} is ambiguous or unknown, {reason}; write MESSAGE.{signal}.")
+            reason = (
+                f"several messages have it: {', '.join(holders)}"
+                if holders
+                else "no message has it"
+            )
+            raise KeyError(
+                f"the signal {signal!r} is ambiguous or unknown, {reason}; write MESSAGE.{signal}."
+            )
         return self.records[holders[0]], signal
 
     def __repr__(self) -> str:
-        return one_line(self, repr(self.source), counted(len(self), "message"), ", ".join(self.records))
+        return one_line(
+            self, repr(self.source), counted(len(self), "message"), ", ".join(self.records)
+        )
 
     def _repr_html_(self) -> str:
         rows = [
-            [name, str(len(record)), number(record.rate, 4) if record.has_time else "-", ", ".join(record.signals)]
+            [
+                name,
+                str(len(record)),
+                number(record.rate, 4) if record.has_time else "-",
+                ", ".join(record.signals),
+            ]
             for name, record in self.records.items()
         ]
         head = f"{self.source or 'recording'}: {counted(len(self), 'message')}"
@@ -335,8 +401,9 @@ def require_time(record: Record, what: str) -> None:
 def share_samples(a: Record, b: Record) -> bool:
     """Tell whether two records hold some of the same measured samples.
 
-    Of one file they do where their times overlap outside of gaps, or where they have a row in common; others where they
-    have the same values at the same times, as after `Record.with_signals`.
+    Of one file they do where their times overlap outside of gaps, or where they have a row in
+    common; others where they have the same values at the same times, as after
+    `Record.with_signals`.
     """
     if a.has_time != b.has_time:
         return False
@@ -344,7 +411,9 @@ def share_samples(a: Record, b: Record) -> bool:
         return bool(np.intersect1d(a.time, b.time).size)
     if a.checksum == b.checksum:
         return any(
-            one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1] for one in a.pieces for other in b.pieces
+            one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1]
+            for one in a.pieces
+            for other in b.pieces
         )
     _, rows, others = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
     alike = [
@@ -353,25 +422,34 @@ def share_samples(a: Record, b: Record) -> bool:
         if name in b.signals
     ]
     # Of quantized signals a few samples are the same by chance.
-    return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
+    return (
+        bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
+    )
 
 
 def _range(values: NDArray[np.float64]) -> tuple[str, str, str]:
     """Return the lowest and the highest value, and how many are missing, as text."""
     known = values[np.isfinite(values)]
-    low, high = (number(float(known.min())), number(float(known.max()))) if known.size else ("-", "-")
+    low, high = (
+        (number(float(known.min())), number(float(known.max()))) if known.size else ("-", "-")
+    )
     return low, high, str(values.size - known.size)
 
 
 def _row_numbers(signals: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
     """Return the number of every row; as many as the first signal has."""
-    return np.arange(next((np.size(np.asarray(values)) for values in signals.values()), 0), dtype=float)
+    return np.arange(
+        next((np.size(np.asarray(values)) for values in signals.values()), 0), dtype=float
+    )
 
 
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    # An array that nobody can write to is kept, or a part of one: records of long logs are made without a copy.
+    # An array that nobody can write to is kept, or a part of one: records of long logs are made
+    # without a copy.
     owner = values.base if isinstance(values, np.ndarray) and values.base is not None else values
-    frozen = all(isinstance(each, np.ndarray) and not each.flags.writeable for each in (values, owner))
+    frozen = all(
+        isinstance(each, np.ndarray) and not each.flags.writeable for each in (values, owner)
+    )
     array = np.asarray(values, dtype=float) if frozen else np.array(values, dtype=float)
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")

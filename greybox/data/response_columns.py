@@ -13,7 +13,9 @@ from greybox.files.heading import heading
 from greybox.files.text_table import alternatives
 
 EXTRAS = ("coherence", "variance", "dof")
-COMMON = re.compile(r"(alpha|beta)_common(\d+)")  # of common errors, see `FrequencyResponse.columns`
+COMMON = re.compile(
+    r"(alpha|beta)_common(\d+)"
+)  # of common errors, see `FrequencyResponse.columns`
 RECTANGULAR, POLAR = ("alpha", "beta"), ("magnitude", "phase")
 ROLES = ("frequency", *RECTANGULAR, *POLAR, *EXTRAS)
 UNITS = {"frequency": "rad/s or Hz", "magnitude": "absolute or dB", "phase": "deg or rad"}
@@ -29,14 +31,14 @@ class Column(NamedTuple):
 def stated_columns(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
     """Return the column of every role, of ``{"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg"}``.
 
-    Names are those in the header, with or without the unit that stands there in brackets; one that is given behind a
-    colon goes before it.
+    Names are those in the header, with or without the unit that stands there in brackets; one that
+    is given behind a colon goes before it.
 
     Raises
     ------
     ValueError
-        For a role or column that is not there, a pair that is not complete, or a unit that nobody states; the sentence
-        goes on from the name of the file.
+        For a role or column that is not there, a pair that is not complete, or a unit that nobody
+        states; the sentence goes on from the name of the file.
     """
     for role in columns:
         if role not in ROLES:
@@ -54,7 +56,9 @@ def stated_columns(columns: Mapping[str, str], header: Sequence[str]) -> dict[st
         place, unit = find_column(text, header)
         if role in UNITS and not unit:
             example = f"{text}:{UNITS[role].split()[-1]}"
-            raise ValueError(f"has the column {text!r} without a unit: say whether it is {UNITS[role]}, {example}.")
+            raise ValueError(
+                f"has the column {text!r} without a unit: say whether it is {UNITS[role]}, {example}."
+            )
         found[role] = Column(place, unit)
     return found
 
@@ -88,9 +92,16 @@ def extras(values: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]:
     """
     known = {name: values[name] for name in EXTRAS if name in values}
     numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
-    half = [f"{part}_common{j}" for j in numbers for part in RECTANGULAR if f"{part}_common{j}" not in values]
+    half = [
+        f"{part}_common{j}"
+        for j in numbers
+        for part in RECTANGULAR
+        if f"{part}_common{j}" not in values
+    ]
     if half:
-        raise ValueError(f"there is no column {half[0]!r}: give both parts of a common error, or none.")
+        raise ValueError(
+            f"there is no column {half[0]!r}: give both parts of a common error, or none."
+        )
     errors = [values[f"alpha_common{j}"] + 1j * values[f"beta_common{j}"] for j in numbers]
     return known | ({"common_errors": np.array(errors)} if errors else {})
 

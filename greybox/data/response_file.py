@@ -19,7 +19,9 @@ COLUMNS = ("omega_rad_s", "alpha", "beta", *EXTRAS)
 OWN_UNITS = {"frequency": "rad/s"}
 KIND = "frequency response"
 HDF5 = (".h5", ".hdf5")
-HEADER = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")  # a comment line of a CSV file: a key and its value
+HEADER = re.compile(
+    r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*"
+)  # a comment line of a CSV file: a key and its value
 UNIT = "unit of "  # begins the key of a unit
 NAMES = ("input", "output", "name", "source")
 STRETCH = "# stretch"  # begins a comment line of a CSV file: checksum, start and end
@@ -37,20 +39,22 @@ def read_response(
 ) -> FrequencyResponse:
     """Read a `FrequencyResponse` from a CSV file, or from an HDF5 file that `write_response` wrote.
 
-    The columns of a CSV file are ``omega_rad_s`` and those of `FrequencyResponse.columns`; their order and further
-    columns do not matter. A table of several responses names them ``<prefix>alpha`` and so on, with one
-    common ``omega_rad_s``; rows in which the chosen response is blank are left out. `input` and `output` choose one of
-    a matrix that `write_responses` wrote. Tables with other columns are read
-    with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg", "coherence": "coh"}``: the name
-    of each in the header and, unless it stands there, its unit; ``alpha`` and ``beta`` may stand for magnitude and
-    phase, rad/s, rad and ``absolute`` for the units. Cells are separated by commas,
-    semicolons or tabs, numbers may have decimal commas, and lines that start with ``#`` or ``%`` are comments.
+    The columns of a CSV file are ``omega_rad_s`` and those of `FrequencyResponse.columns`; their
+    order and further columns do not matter. A table of several responses names them
+    ``<prefix>alpha`` and so on, with one common ``omega_rad_s``; rows in which the chosen response
+    is blank are left out. `input` and `output` choose one of a matrix that `write_responses` wrote.
+    Tables with other columns are read with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB",
+    "phase": "ph:deg", "coherence": "coh"}``: the name of each in the header and, unless it stands
+    there, its unit; ``alpha`` and ``beta`` may stand for magnitude and phase, rad/s, rad and
+    ``absolute`` for the units. Cells are separated by commas, semicolons or tabs, numbers may have
+    decimal commas, and lines that start with ``#`` or ``%`` are comments.
 
     Raises
     ------
     ValueError
-        If the HDF5 file is damaged or something else; or a column of the CSV file is missing, a line has more cells
-        than the header, or a cell is not a number, or might be two. The sentence names file, line and cell.
+        If the HDF5 file is damaged or something else; or a column of the CSV file is missing, a
+        line has more cells than the header, or a cell is not a number, or might be two. The
+        sentence names file, line and cell.
     FileNotFoundError
         If there is no such file.
     """
@@ -71,8 +75,15 @@ def read_response(
         raise ValueError(f"{path} {error}") from None
     wanted = {role: column.place for role, column in found.items()}
 
-    rows = [(number, _wanted_cells(path, number, row, wanted, len(header))) for number, row in table.rows()]
-    rows = [(number, cells) for number, cells in rows if any(cells[c] for c in cells if c != "frequency")]
+    rows = [
+        (number, _wanted_cells(path, number, row, wanted, len(header)))
+        for number, row in table.rows()
+    ]
+    rows = [
+        (number, cells)
+        for number, cells in rows
+        if any(cells[c] for c in cells if c != "frequency")
+    ]
     mark = DecimalMark(path, ((number, cells.values()) for number, cells in rows))
     labels = {role: header[place] for role, place in wanted.items()}
     numbers = [_numbers(path, number, cells, mark, labels) for number, cells in rows]
@@ -110,18 +121,27 @@ def _own_columns(header: Sequence[str], prefix: str) -> dict[str, Column]:
         raise ValueError(f"has two columns {twice[0]!r}: rename or remove one.")
     common = {name.removeprefix(prefix): name for name in header if name.startswith(prefix)}
     common = {role: name for role, name in common.items() if COMMON.fullmatch(role)}
-    roles = {"frequency": names["omega_rad_s"], **{name: names[name] for name in COLUMNS[1:]}, **common}
-    return {role: Column(header.index(name), OWN_UNITS.get(role, "")) for role, name in roles.items() if name in header}
+    roles = {
+        "frequency": names["omega_rad_s"],
+        **{name: names[name] for name in COLUMNS[1:]},
+        **common,
+    }
+    return {
+        role: Column(header.index(name), OWN_UNITS.get(role, ""))
+        for role, name in roles.items()
+        if name in header
+    }
 
 
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
     """Write `response` to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_response` reads back exactly.
 
-    CSV holds the numbers; before them, in comments ``# key: value``, the names and units of the signals and what the
-    response says about itself; after them the stretches of records that they come from. HDF5 also has the names of
-    response and source, and a checksum (see `greybox.files.sealed_files`): attributes ``input, output, name, source``
-    and datasets ``omega``, those of `FrequencyResponse.columns`, ``stretches`` (a text for each: checksum, start and
-    end) and ``about`` (texts ``key: value``).
+    CSV holds the numbers; before them, in comments ``# key: value``, the names and units of the
+    signals and what the response says about itself; after them the stretches of records that they
+    come from. HDF5 also has the names of response and source, and a checksum (see
+    `greybox.files.sealed_files`): attributes ``input, output, name, source`` and datasets
+    ``omega``, those of `FrequencyResponse.columns`, ``stretches`` (a text for each: checksum, start
+    and end) and ``about`` (texts ``key: value``).
     """
     path = Path(path)
     if path.suffix.lower() in HDF5:
@@ -131,7 +151,9 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
         return
     columns = {"omega_rad_s": response.omega, **response.columns}
     rows = zip(*columns.values(), strict=True)
-    stated = {name: text for name in ("input", "output") if (text := getattr(response, name))} | _described(response)
+    stated = {
+        name: text for name in ("input", "output") if (text := getattr(response, name))
+    } | _described(response)
     lines = [f"# {key}: {text}" for key, text in stated.items()]
     lines += [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in rows)]
     lines += [f"{STRETCH} {stretch_line(s)}" for s in response.stretches]
@@ -141,8 +163,8 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
 def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) -> None:
     """Write several responses, as the matrix of a plant, into one CSV file with one common ``omega_rad_s``.
 
-    The columns of a response are ``<output>_<input>_alpha`` and so on, blank at the frequencies of others; it is read
-    back by ``read_response(path, input=input, output=output)``.
+    The columns of a response are ``<output>_<input>_alpha`` and so on, blank at the frequencies of
+    others; it is read back by ``read_response(path, input=input, output=output)``.
 
     Raises
     ------
@@ -151,19 +173,27 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":
-        raise ValueError(f"{path} is not a table: several responses are kept in one file that ends in .csv.")
+        raise ValueError(
+            f"{path} is not a table: several responses are kept in one file that ends in .csv."
+        )
     table: dict[float, dict[str, str]] = {}
     columns: list[str] = []
     for response in responses:
         prefix = f"{response.output}_{response.input}_"
         if f"{prefix}alpha" in columns:
-            raise ValueError(f"two responses are of {response.output} to {response.input}: keep one of them.")
+            raise ValueError(
+                f"two responses are of {response.output} to {response.input}: keep one of them."
+            )
         known = response.columns
         columns += [prefix + name for name in known]
         for k, omega in enumerate(response.omega.tolist()):
-            table.setdefault(omega, {}).update({prefix + name: repr(float(x[k])) for name, x in known.items()})
+            table.setdefault(omega, {}).update(
+                {prefix + name: repr(float(x[k])) for name, x in known.items()}
+            )
     lines = [",".join([COLUMNS[0], *columns])]
-    lines += [",".join([repr(w), *(table[w].get(name, "") for name in columns)]) for w in sorted(table)]
+    lines += [
+        ",".join([repr(w), *(table[w].get(name, "") for name in columns)]) for w in sorted(table)
+    ]
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -186,13 +216,21 @@ def write_group(group: Node, response: FrequencyResponse) -> None:
 
 def read_group(group: Node) -> FrequencyResponse:
     """Read a `FrequencyResponse` from an HDF5 group."""
-    known = {name: item[()] for name, item in group.items() if name in EXTRAS or COMMON.fullmatch(name)}
+    known = {
+        name: item[()] for name, item in group.items() if name in EXTRAS or COMMON.fullmatch(name)
+    }
     lines = list(group["about"][()]) if "about" in group else []
-    stated = {match["key"]: match["value"] for line in lines if (match := HEADER.fullmatch(f"# {line}"))}
+    stated = {
+        match["key"]: match["value"] for line in lines if (match := HEADER.fullmatch(f"# {line}"))
+    }
     texts = _texts(stated, **{name: str(group.attrs[name]) for name in NAMES})
-    stretches = [stretch_from(line) for line in group["stretches"][()]] if "stretches" in group else []
+    stretches = (
+        [stretch_from(line) for line in group["stretches"][()]] if "stretches" in group else []
+    )
     response = group["alpha"][()] + 1j * group["beta"][()]
-    return FrequencyResponse(group["omega"][()], response, **texts, **extras(known), stretches=stretches)
+    return FrequencyResponse(
+        group["omega"][()], response, **texts, **extras(known), stretches=stretches
+    )
 
 
 def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyResponse:
@@ -229,8 +267,13 @@ def comments(raw: bytes) -> dict[str, str]:
 def _texts(stated: dict[str, str], **names: str) -> dict[str, Any]:
     """Return names, units and the rest of what a file states; names that are given go before those in the file."""
     units = {key.removeprefix(UNIT): text for key, text in stated.items() if key.startswith(UNIT)}
-    about = {key: text for key, text in stated.items() if not key.startswith(UNIT) and key not in NAMES}
-    return {name: given or stated.get(name, "") for name, given in names.items()} | {"units": units, "about": about}
+    about = {
+        key: text for key, text in stated.items() if not key.startswith(UNIT) and key not in NAMES
+    }
+    return {name: given or stated.get(name, "") for name, given in names.items()} | {
+        "units": units,
+        "about": about,
+    }
 
 
 def stretch_line(stretch: Stretch) -> str:
@@ -258,18 +301,26 @@ def _column(name: str, prefix: str) -> str:
     return name if name == "omega_rad_s" else prefix + name
 
 
-def _wanted_cells(path: Path, line: int, row: list[str], wanted: dict[str, int], width: int) -> dict[str, str]:
+def _wanted_cells(
+    path: Path, line: int, row: list[str], wanted: dict[str, int], width: int
+) -> dict[str, str]:
     if len(row) < max(wanted.values()) + 1:
-        raise ValueError(f"{path}, line {line}, has {counted(len(row), 'cell')} where the header has {width}.")
+        raise ValueError(
+            f"{path}, line {line}, has {counted(len(row), 'cell')} where the header has {width}."
+        )
     return {name: row[k] for name, k in wanted.items()}
 
 
-def _numbers(path: Path, line: int, cells: dict[str, str], mark: DecimalMark, labels: Mapping[str, str]) -> list[float]:
+def _numbers(
+    path: Path, line: int, cells: dict[str, str], mark: DecimalMark, labels: Mapping[str, str]
+) -> list[float]:
     """Return the cells of one line as numbers; `labels` are the names of their columns in the file."""
     numbers = []
     for name, cell in cells.items():
         try:
             numbers.append(mark.number(cell))
         except ValueError:
-            raise ValueError(f"{path}, line {line}: {labels[name]} is {cell!r}, which is not a number.") from None
+            raise ValueError(
+                f"{path}, line {line}: {labels[name]} is {cell!r}, which is not a number."
+            ) from None
     return numbers

@@ -54,7 +54,9 @@ class Segment:
     def __post_init__(self) -> None:
         """Check the values; a sine's band is its frequency."""
         if not self.end > self.start:
-            raise ValueError(f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s.")
+            raise ValueError(
+                f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s."
+            )
         if self.kind not in (*PERIODIC, *MANOEUVRES):
             raise ValueError(
                 f"the kind of a segment is {self.kind!r}: it must be one of {', '.join((*PERIODIC, *MANOEUVRES))}."
@@ -88,16 +90,38 @@ class Segment:
 
 def segment_table(segments: Sequence[Segment]) -> str:
     """Return the segments as a table for a terminal, with their findings below it."""
-    header = ("", "start s", "end s", "kind", "axis", "rad/s", "periods", "amplitude", "offset", "usable", "source")
+    header = (
+        "",
+        "start s",
+        "end s",
+        "kind",
+        "axis",
+        "rad/s",
+        "periods",
+        "amplitude",
+        "offset",
+        "usable",
+        "source",
+    )
     rows = []
     for k, s in enumerate(segments, start=1):
-        band = number(s.omega) if s.kind == "sine" else f"{number(s.band[0], 3)} to {number(s.band[1], 3)}"
-        periods = number(s.periods, 3) if s.kind == "sine" else "-"  # of a sweep, few of its lowest say little
+        band = (
+            number(s.omega)
+            if s.kind == "sine"
+            else f"{number(s.band[0], 3)} to {number(s.band[1], 3)}"
+        )
+        periods = (
+            number(s.periods, 3) if s.kind == "sine" else "-"
+        )  # of a sweep, few of its lowest say little
         times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, periods)
         sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
         rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
     notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
-    return "\n".join([text_table(header, rows, left=(3, 4, 10)), *notes]) if rows else "no excited segment was found"
+    return (
+        "\n".join([text_table(header, rows, left=(3, 4, 10)), *notes])
+        if rows
+        else "no excited segment was found"
+    )
 
 
 def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:

@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 
 from greybox.data.record_file import escaped, unescaped
-from greybox.data.response_file import HDF5, STRETCH, UNIT, comments, stretch_from, stretch_line, stretches_in
+from greybox.data.response_file import (
+    HDF5,
+    STRETCH,
+    UNIT,
+    comments,
+    stretch_from,
+    stretch_line,
+    stretches_in,
+)
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import DecimalMark, read_delimited
 from greybox.files.safe_files import require_file, write_text
@@ -22,8 +30,9 @@ Node = Any
 def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
     """Write a spectrum to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_spectrum` reads back exactly.
 
-    CSV has the column ``omega_rad_s`` and for every signal ``<signal>_alpha, <signal>_beta``, the real and imaginary
-    parts of its integral; before them, in comments ``# key: value``, what else the spectrum knows.
+    CSV has the column ``omega_rad_s`` and for every signal ``<signal>_alpha, <signal>_beta``, the
+    real and imaginary parts of its integral; before them, in comments ``# key: value``, what else
+    the spectrum knows.
 
     Raises
     ------
@@ -49,10 +58,18 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
     }
     columns = {OMEGA: spectrum.omega}
     for name, values in spectrum.signals.items():
-        columns |= {f"{name}_{part}": x for part, x in zip(PARTS, (values.real, values.imag), strict=True)}
-    header = [f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',;"\t') else name for name in columns]
+        columns |= {
+            f"{name}_{part}": x for part, x in zip(PARTS, (values.real, values.imag), strict=True)
+        }
+    header = [
+        f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',;"\t') else name
+        for name in columns
+    ]
     lines = [f"# {key}: {text}" for key, text in stated.items()]
-    lines += [",".join(header), *(",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True))]
+    lines += [
+        ",".join(header),
+        *(",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True)),
+    ]
     lines += [] if spectrum.stretch is None else [f"{STRETCH} {stretch_line(spectrum.stretch)}"]
     write_text(path, "\n".join(lines) + "\n")
 
@@ -101,7 +118,9 @@ def write_group(group: Node, spectrum: TransientSpectrum) -> None:
     for kind in ("inputs", "outputs"):
         signals = group.create_group(kind, track_order=True)
         for name, values in getattr(spectrum, kind).items():
-            dataset = signals.create_dataset(escaped(name), data=np.array([values.real, values.imag]))
+            dataset = signals.create_dataset(
+                escaped(name), data=np.array([values.real, values.imag])
+            )
             dataset.attrs["unit"] = spectrum.units.get(name, "")
             dataset.attrs["change"] = spectrum.change(name)
 
@@ -140,7 +159,10 @@ def _from_text(path: Path, raw: bytes, stated: dict[str, str]) -> TransientSpect
     columns = dict(zip(table.header, numbers.T, strict=True))
     names = {kind: json.loads(stated[kind]) for kind in ("inputs", "outputs")}
     signals = {
-        kind: {name: columns[f"{name}_{PARTS[0]}"] + 1j * columns[f"{name}_{PARTS[1]}"] for name in names[kind]}
+        kind: {
+            name: columns[f"{name}_{PARTS[0]}"] + 1j * columns[f"{name}_{PARTS[1]}"]
+            for name in names[kind]
+        }
         for kind in names
     }
     stretches = stretches_in(raw)
@@ -150,7 +172,9 @@ def _from_text(path: Path, raw: bytes, stated: dict[str, str]) -> TransientSpect
         duration=float(stated["duration"]),
         step=float(stated["step"]),
         input_change={n: float(stated[f"{CHANGE}{n}"]) for n in names["inputs"]},
-        units={key.removeprefix(UNIT): text for key, text in stated.items() if key.startswith(UNIT)},
+        units={
+            key.removeprefix(UNIT): text for key, text in stated.items() if key.startswith(UNIT)
+        },
         name=stated.get("name", ""),
         source=stated.get("source", ""),
         stretch=stretches[0] if stretches else None,

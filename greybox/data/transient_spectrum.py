@@ -19,8 +19,9 @@ OFF_GRID = 1e-6
 class TransientSpectrum:
     """Fourier integrals of the signals of one manoeuvre, at multiples of 2π over its duration.
 
-    At these frequencies exp(-jωT) = 1, so that constants (trim values, sensor biases) vanish from the integrals, the
-    errors of white noise are independent from line to line, and the integral of a derivative is jωX + x(T) - x(0).
+    At these frequencies exp(-jωT) = 1, so that constants (trim values, sensor biases) vanish from
+    the integrals, the errors of white noise are independent from line to line, and the integral of
+    a derivative is jωX + x(T) - x(0).
 
     Parameters
     ----------
@@ -33,7 +34,8 @@ class TransientSpectrum:
     step : float, s
         Sampling interval.
     input_change : mapping of name to float
-        Last less first value of each input, from which the integral of a delayed input follows; 0 where left out.
+        Last less first value of each input, from which the integral of a delayed input follows; 0
+        where left out.
     units : mapping of name to str
     name, source : str
     stretch : Stretch, optional
@@ -70,7 +72,12 @@ class TransientSpectrum:
         omega = _read_only(self.omega, float, "omega")
         lines = omega * self.duration / (2 * np.pi)
         off = np.abs(lines - np.round(lines)) > OFF_GRID * np.maximum(lines, 1)
-        if omega.size == 0 or np.any(off) or np.any(np.round(lines) < 1) or np.any(np.diff(omega) <= 0):
+        if (
+            omega.size == 0
+            or np.any(off)
+            or np.any(np.round(lines) < 1)
+            or np.any(np.diff(omega) <= 0)
+        ):
             raise ValueError(
                 f"omega must be increasing multiples of {2 * np.pi / self.duration:.6g} rad/s, 2π over the duration: "
                 "use gb.spectral.transient_spectrum(record, ...)."
@@ -80,13 +87,19 @@ class TransientSpectrum:
             given = getattr(self, kind)
             if not given:
                 raise ValueError(f"the spectrum has no {kind}: give at least one signal.")
-            arrays = {printable(str(name)): _read_only(x, complex, name) for name, x in given.items()}
+            arrays = {
+                printable(str(name)): _read_only(x, complex, name) for name, x in given.items()
+            }
             object.__setattr__(self, kind, arrays)
         for name, values in {**self.inputs, **self.outputs}.items():
             if values.shape != omega.shape:
-                raise ValueError(f"omega has {omega.size} frequencies but {name} has {values.size}: they must match.")
+                raise ValueError(
+                    f"omega has {omega.size} frequencies but {name} has {values.size}: they must match."
+                )
         if not all(np.isfinite(float(change)) for change in self.input_change.values()):
-            raise ValueError(f"input_change is {dict(self.input_change)!r:.60}: give finite numbers.")
+            raise ValueError(
+                f"input_change is {dict(self.input_change)!r:.60}: give finite numbers."
+            )
 
     def __len__(self) -> int:
         return self.omega.size
@@ -94,7 +107,14 @@ class TransientSpectrum:
     def __repr__(self) -> str:
         band = f"{self.omega[0]:.4g} to {self.omega[-1]:.4g} rad/s"
         signals = f"{', '.join(self.inputs)} to {', '.join(self.outputs)}"
-        return one_line(self, repr(self.name), f"{len(self)} frequencies", band, f"{self.duration:.4g} s", signals)
+        return one_line(
+            self,
+            repr(self.name),
+            f"{len(self)} frequencies",
+            band,
+            f"{self.duration:.4g} s",
+            signals,
+        )
 
     @property
     def signals(self) -> Mapping[str, NDArray[np.complex128]]:
@@ -117,7 +137,8 @@ class TransientSpectrum:
     def delayed_input(self, name: str, delay: float) -> NDArray[np.complex128]:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
-        It is taken to have had its first value before the manoeuvre, and its last one during the last `delay` seconds:
+        It is taken to have had its first value before the manoeuvre, and its last one during the
+        last `delay` seconds:
 
             ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) U - (u(T) - u(0)) (1 - exp(-jωτ)) / jω.
         """
@@ -128,8 +149,12 @@ class TransientSpectrum:
 def _read_only(values: ArrayLike, kind: type, name: str) -> NDArray:
     array = np.array(values, dtype=kind)
     if array.ndim != 1 or not np.all(np.isfinite(array)):
-        raise ValueError(f"{name} must be a one-dimensional array of finite numbers, but is {array!r:.60}.")
+        raise ValueError(
+            f"{name} must be a one-dimensional array of finite numbers, but is {array!r:.60}."
+        )
     if np.any(out_of_range(array)):
-        raise ValueError(f"{name} has numbers whose squares are beyond floating-point arithmetic: choose another unit.")
+        raise ValueError(
+            f"{name} has numbers whose squares are beyond floating-point arithmetic: choose another unit."
+        )
     array.setflags(write=False)
     return array

@@ -1,9 +1,10 @@
 """Units of logs and tables, converted to SI.
 
-A unit is a product of powers of the names below, as in ``deg/s/s``, ``slug*ft^2``, ``m s⁻²`` and ``N·m``. Libraries of
-units read g as gram, kt as kilotonne and C as coulomb; in flight tests these are the acceleration of gravity, knots and
-degrees Celsius. Hence this table. Its factors are exact, or else those of B. N. Taylor and A. Thompson, Guide for the
-Use of the International System of Units, NIST Special Publication 811 (2008), appendix B.
+A unit is a product of powers of the names below, as in ``deg/s/s``, ``slug*ft^2``, ``m s⁻²`` and
+``N·m``. Libraries of units read g as gram, kt as kilotonne and C as coulomb; in flight tests these
+are the acceleration of gravity, knots and degrees Celsius. Hence this table. Its factors are exact,
+or else those of B. N. Taylor and A. Thompson, Guide for the Use of the International System of
+Units, NIST Special Publication 811 (2008), appendix B.
 """
 
 import math
@@ -64,7 +65,17 @@ PREFIXED = {
     **_same("%", 0.01, "1"),
     **_same("G", GRAVITY, "m/s2"),
 }
-PREFIXES = {"M": 1e6, "k": 1e3, "h": 1e2, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
+PREFIXES = {
+    "M": 1e6,
+    "k": 1e3,
+    "h": 1e2,
+    "d": 1e-1,
+    "c": 1e-2,
+    "m": 1e-3,
+    "u": 1e-6,
+    "µ": 1e-6,
+    "μ": 1e-6,
+}
 
 NAMED = {
     **PREFIXED,
@@ -107,8 +118,13 @@ NAMED = {
 }
 NAMED |= {"deg C": NAMED["degC"], "deg F": NAMED["degF"], "r/min": NAMED["rpm"]}
 
-# Units that are also written in capitals, as in RPM or KTS; shorter ones are other units then, as M, S and MS may be.
-CAPITALS = {name.lower(): unit for name, unit in NAMED.items() if len(name) > 2 or name in ("ft", "kt", "in")}
+# Units that are also written in capitals, as in RPM or KTS; shorter ones are other units then, as
+# M, S and MS may be.
+CAPITALS = {
+    name.lower(): unit
+    for name, unit in NAMED.items()
+    if len(name) > 2 or name in ("ft", "kt", "in")
+}
 
 # Not Hz: that of a rotation is 2π rad/s, and 1/s one.
 IN_BASE_UNITS = {
@@ -121,7 +137,12 @@ IN_BASE_UNITS = {
     "T": "kg s-2 A-1",
 }
 
-DOUBTFUL = {"g": "gram", "G": "gauss", "mG": "milligauss", "C": "coulomb"}  # and what else they may be; not in products
+DOUBTFUL = {
+    "g": "gram",
+    "G": "gauss",
+    "mG": "milligauss",
+    "C": "coulomb",
+}  # and what else they may be; not in products
 POUNDS = ("lb", "lbs", "pound", "pounds")
 
 SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"
@@ -159,7 +180,8 @@ def to_si(unit: str) -> Conversion:
     Raises
     ------
     ValueError
-        If the unit is not known or may mean two things, in words to which the name of the signal can be added.
+        If the unit is not known or may mean two things, in words to which the name of the signal
+        can be added.
     """
     text = unit.strip()
     if not text:
@@ -197,7 +219,9 @@ def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
         for name, power in _powers(conversion.si).items():
             for base, exponent in _powers(IN_BASE_UNITS.get(name, name)).items():
                 powers[base] = powers.get(base, 0) + power * exponent
-        kinds.append({name: power for name, power in powers.items() if power and name not in ("rad", "1")})
+        kinds.append(
+            {name: power for name, power in powers.items() if power and name not in ("rad", "1")}
+        )
     return kinds[0] == kinds[1]
 
 
@@ -250,4 +274,8 @@ def _written(powers: dict[str, int]) -> str:
 
 
 def _power(name: str, exponent: int) -> str:
-    return name if exponent == 1 else name + str(exponent).translate(str.maketrans(PLAIN, SUPERSCRIPTS))
+    return (
+        name
+        if exponent == 1
+        else name + str(exponent).translate(str.maketrans(PLAIN, SUPERSCRIPTS))
+    )

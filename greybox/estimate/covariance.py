@@ -15,11 +15,13 @@ from greybox.formulation.held_estimate import HeldEstimate
 
 Array = NDArray[np.float64]
 
-# Singular value of the Jacobian below which a combination is not determined at all, with columns of unit length before
-# the initial states are fitted along.
+# Singular value of the Jacobian below which a combination is not determined at all, with columns of
+# unit length before the initial states are fitted along.
 DEAD = 1e-7
 BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
-ROUNDING = 1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
+ROUNDING = (
+    1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
+)
 CLOSE = 0.01  # of a standard error: what is so close to a bound may be held by it
 PUSHED = 0.01  # multiplier of a bound that holds, in standard deviations that the gradient has by the noise
 ROUNDED = 1e-7  # of its size: what the solvers' tolerances leave between a parameter and its bound
@@ -38,9 +40,10 @@ class Combination:
     names : tuple of str
         The parameters involved, the most affected first.
     index : float
-        Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit length; infinite
-        when the data do not see the combination at all. Above 10 to 20 parameters compensate one another.
-        Source: Brun, Reichert and Künsch (2001), Water Resources Research 37(4).
+        Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit
+        length; infinite when the data do not see the combination at all. Above 10 to 20 parameters
+        compensate one another. Source: Brun, Reichert and Künsch (2001), Water Resources Research
+        37(4).
     directions : int
         In how many directions the parameters move without effect.
     states : tuple of str
@@ -62,17 +65,19 @@ class Accuracy:
     names : tuple of str
         Free parameters, then constants.
     covariance : (k, k) array
-        In the order of `names`, within the directions that the data determine. Constants have the covariance of the
-        earlier fit that they come from, or zero.
+        In the order of `names`, within the directions that the data determine. Constants have the
+        covariance of the earlier fit that they come from, or zero.
     blind : (k, b) array
-        Directions, in multiples of `size`, about which the data say nothing: invisible ones, and parameters at a bound.
+        Directions, in multiples of `size`, about which the data say nothing: invisible ones, and
+        parameters at a bound.
     size : (k,) array
         The change of each value that the data notice.
     dof : float
-        Numbers in the data less the directions they choose; infinite where all have given variances, records never.
-        Fewer where errors are correlated.
+        Numbers in the data less the directions they choose; infinite where all have given
+        variances, records never. Fewer where errors are correlated.
     shares : tuple of (k, k) array and float
-        What each part, and each earlier fit, contributes to the covariance, and the degrees of freedom it has.
+        What each part, and each earlier fit, contributes to the covariance, and the degrees of
+        freedom it has.
     combinations : tuple of Combination
         What the data do not, or hardly, determine.
     at_bound : tuple of str
@@ -82,17 +87,20 @@ class Accuracy:
     noise : (parts,) array
         The standard deviation of one component of the relative error, of every part.
     bias : (k,) array
-        Of the estimate, by what the criteria normalize with: see `AnyCriterion.gain_bias`. What an earlier fit has is
-        not in it.
+        Of the estimate, by what the criteria normalize with: see `AnyCriterion.gain_bias`. What an
+        earlier fit has is not in it.
     white : (p, p) array or None
-        The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
+        The covariance of the free parameters if the cost were the likelihood of white errors: the
+        inverse bread.
     independent : (p, p) array and float, or None
-        Covariance of the free parameters, and degrees of freedom, if the errors of responses were independent along
-        frequency; None where they are.
+        Covariance of the free parameters, and degrees of freedom, if the errors of responses were
+        independent along frequency; None where they are.
     correlation : (parts,) tuple of ColoredErrors or None
-        What correlation in time makes of each record; None for responses, and where errors are taken as white.
+        What correlation in time makes of each record; None for responses, and where errors are
+        taken as white.
     neighbors : (parts,) tuple of CorrelatedPoints or None
-        What correlation along frequency makes of each response; None for others, and where nothing is known of it.
+        What correlation along frequency makes of each response; None for others, and where nothing
+        is known of it.
     informations : (parts,) tuple of Information
         What every part says, for what else follows from the covariance.
     """
@@ -119,9 +127,9 @@ class Accuracy:
 class _Share:
     """What one part tells of the unknowns: bread (p, k) against all values, its root (n, p), and meat (p, p).
 
-    `jacobian` is the root with a limit on the weight that one part may have beside others, and `reach` (p,) has the
-    lengths of its columns before the initial states were fitted along. `pull` (p,) is the gradient that noise has in
-    the mean at the true values.
+    `jacobian` is the root with a limit on the weight that one part may have beside others, and
+    `reach` (p,) has the lengths of its columns before the initial states were fitted along. `pull`
+    (p,) is the gradient that noise has in the mean at the true values.
     """
 
     bread: Array
@@ -137,8 +145,8 @@ class _Share:
 class _Corrected:
     """What each part tells once its noise pays for the parameters, and the degrees of freedom of all parts.
 
-    `independent` and `independent_dof` are these if errors were independent along frequency; `correlation` and
-    `neighbors` (parts,) what correlated errors make of each.
+    `independent` and `independent_dof` are these if errors were independent along frequency;
+    `correlation` and `neighbors` (parts,) what correlated errors make of each.
     """
 
     shares: list[_Share]
@@ -152,9 +160,10 @@ class _Corrected:
 def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> Accuracy:
     """Return the accuracy of the estimate `x` (p,); parts with nodes need their best `trajectories` there.
 
-    The covariance is that of an M-estimator under the noise condition of each part's criterion; parameters at a bound
-    are taken as fixed there, and active constraints hold. Fixed values that come from an earlier fit widen it:
-    C + S Σ Sᵀ with S the derivative of the estimate with respect to them.
+    The covariance is that of an M-estimator under the noise condition of each part's criterion;
+    parameters at a bound are taken as fixed there, and active constraints hold. Fixed values that
+    come from an earlier fit widen it: C + S Σ Sᵀ with S the derivative of the estimate with respect
+    to them.
     """
     p, k = len(nlp.free), len(nlp.names)
     parts = informations(nlp, x, trajectories)
@@ -167,8 +176,9 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     reach[reach * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
     length[(length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING) | (length < DEAD * reach)] = 0
     jacobian = jacobian * (length > 0)
-    # In units in which every column of the Jacobian had length one before initial states were fitted along, ranks can
-    # be judged: less than a share of that is what rounding leaves where they make up for a parameter.
+    # In units in which every column of the Jacobian had length one before initial states were
+    # fitted along, ranks can be judged: less than a share of that is what rounding leaves where
+    # they make up for a parameter.
     size = np.where(np.isfinite(reach) & (reach > 0), 1 / np.where(reach > 0, reach, 1.0), 1.0)
     unit = np.nan_to_num(jacobian * size)
     bounded = [nlp.free.index(name) for name in at_bound]
@@ -200,7 +210,9 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         if known_noise:
             dof = min((found.dof for found in neighbors if found is not None), default=math.inf)
         bias[:p] = inverse @ sum((share.pull for share in corrected.shares), np.zeros(p))
-        contributions, unknown = _contributions(nlp, shares, before, corrected.shares, correlation, root, slope)
+        contributions, unknown = _contributions(
+            nlp, shares, before, corrected.shares, correlation, root, slope
+        )
         covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
         # What depends on a constant that has no standard error has none either.
         lost = slope[:, unknown] / size[:, None]
@@ -230,30 +242,42 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
 def told_by(nlp: Nlp, accuracy: Accuracy) -> list[tuple[Array, Array]]:
     """Return for every part which share (p, m) each point of its data has in what all data tell of each parameter.
 
-    Of each free parameter with the others estimated along, and with the others known; see `Information.told` for the
-    points. For independent errors. NaN for what has no standard error, or ended at a bound.
+    Of each free parameter with the others estimated along, and with the others known; see
+    `Information.told` for the points. For independent errors. NaN for what has no standard error,
+    or ended at a bound.
     """
     p = len(nlp.free)
     if accuracy.white is None:
         return [(np.zeros((p, 0)), np.zeros((p, 0)))] * len(nlp.parts)
     errors = propagate(accuracy, np.eye(p, len(nlp.names)))
-    inside = np.array([name not in accuracy.at_bound for name in nlp.free], dtype=bool) & ~np.isnan(errors)
+    inside = np.array([name not in accuracy.at_bound for name in nlp.free], dtype=bool) & ~np.isnan(
+        errors
+    )
     size = np.sqrt(np.maximum(np.diag(accuracy.white), 1e-300))
     found = []
     for part in accuracy.informations:
         assert part.told is not None
-        found.append([part.part.weight * part.told(each) for each in (accuracy.white / size, np.eye(p))])
+        found.append(
+            [part.part.weight * part.told(each) for each in (accuracy.white / size, np.eye(p))]
+        )
     totals = [np.maximum(sum(each[k].sum(axis=1) for each in found), 1e-300) for k in (0, 1)]
-    along, alone = ([np.where(inside[:, None], each[k] / totals[k][:, None], np.nan) for each in found] for k in (0, 1))
+    along, alone = (
+        [np.where(inside[:, None], each[k] / totals[k][:, None], np.nan) for each in found]
+        for k in (0, 1)
+    )
     return list(zip(along, alone, strict=True))
 
 
 def known_directions(
-    nlp: Nlp, x: Array, accuracy: Accuracy, trajectories_at: Callable[[Array], Sequence[Trajectory | None]]
+    nlp: Nlp,
+    x: Array,
+    accuracy: Accuracy,
+    trajectories_at: Callable[[Array], Sequence[Trajectory | None]],
 ) -> KnownDirections | None:
     """Return what the data tell of the free parameters at the estimate `x` (p,); None without a covariance.
 
-    Where a direction is unseen, a point beside the estimate is asked too, at which `trajectories_at` are the best.
+    Where a direction is unseen, a point beside the estimate is asked too, at which
+    `trajectories_at` are the best.
     """
     at = _directions_at(x, accuracy)
     inside = [k for k, name in enumerate(nlp.free) if name not in accuracy.at_bound]
@@ -263,7 +287,9 @@ def known_directions(
     share = BESIDE * (1 + np.arange(len(x)) / len(x))
     span = nlp.upper - nlp.lower
     step = share * np.where(x == 0, np.where(np.isfinite(span), 0.1 * span, 1.0), np.abs(x))
-    beside = np.clip(np.where(nlp.upper - x > x - nlp.lower, x + step, x - step), nlp.lower, nlp.upper)
+    beside = np.clip(
+        np.where(nlp.upper - x > x - nlp.lower, x + step, x - step), nlp.lower, nlp.upper
+    )
     beside = np.where(np.isin(nlp.free, accuracy.at_bound), x, beside)
     trajectories = trajectories_at(beside)
     if len(trajectories) and any(one is None for one in trajectories):
@@ -282,7 +308,9 @@ def known_of(nlp: Nlp, accuracy: Accuracy, values: Array, slopes: Array) -> Know
     open_rows = np.array([name not in accuracy.at_bound for name in nlp.names], dtype=bool)
     unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[open_rows]) > 0, axis=0)]
     size = np.maximum(np.linalg.norm(scaled, axis=1), 1e-300)
-    return KnownDirections(slopes @ accuracy.covariance @ slopes.T, scaled @ unseen / size[:, None], size, values)
+    return KnownDirections(
+        slopes @ accuracy.covariance @ slopes.T, scaled @ unseen / size[:, None], size, values
+    )
 
 
 def _directions_at(x: Array, accuracy: Accuracy) -> KnownDirections | None:
@@ -299,21 +327,31 @@ def steepness(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> 
     Infinite where the data see nothing of a parameter along which the cost falls.
     """
     p = len(nlp.free)
-    shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in informations(nlp, x, trajectories)]
+    shares = [
+        _share(part, p=p, correction=1.0, dof=math.inf)
+        for part in informations(nlp, x, trajectories)
+    ]
     curvature = sum((np.diag(share.bread[:, :p]) for share in shares), np.zeros(p))
     gradient = _gradient(nlp, x, trajectories)
     return np.abs(gradient) / np.sqrt(np.maximum(curvature, 1e-300))
 
 
-def informations(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> list[Information]:
+def informations(
+    nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()
+) -> list[Information]:
     """Return what every part says about all values at the unknowns `x` (p,), see `Part.information`."""
     values = nlp.all_values(x)
     uncertain = tuple(
-        k for k, name in enumerate(nlp.names) if k >= len(nlp.free) and name in nlp.problem.held_estimates
+        k
+        for k, name in enumerate(nlp.names)
+        if k >= len(nlp.free) and name in nlp.problem.held_estimates
     )
     slope = nlp.scaling.slope(x)
     each = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
-    return [part.information(nlp.names, values, uncertain, trajectory, slope) for part, trajectory in each]
+    return [
+        part.information(nlp.names, values, uncertain, trajectory, slope)
+        for part, trajectory in each
+    ]
 
 
 def degrees(accuracy: Accuracy, gradient: Array) -> Array:
@@ -343,9 +381,10 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
 def _corrected(parts: Sequence[Information], shares: Sequence[_Share], root: Array) -> _Corrected:
     """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
 
-    2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
-    Records whose errors are correlated in time have their own, and responses those of errors that are correlated along
-    frequency, unless these count as independent. `root` (p, r) is one of B⁻¹.
+    2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with
+    pᵢ parameters. Records whose errors are correlated in time have their own, and responses those
+    of errors that are correlated along frequency, unless these count as independent. `root` (p, r)
+    is one of B⁻¹.
     """
     p = len(root)
     result, independent = [], []
@@ -367,14 +406,18 @@ def _corrected(parts: Sequence[Information], shares: Sequence[_Share], root: Arr
             alike = corrected = _share(part, p=p, correction=correction, dof=dof)
             found = None if part.correlated is None else part.correlated(correction, root, dof)
             if found is not None:
-                corrected = replace(alike, meat=problem.weight**2 * found.meat[:p, :p], dof=found.dof)
+                corrected = replace(
+                    alike, meat=problem.weight**2 * found.meat[:p, :p], dof=found.dof
+                )
         result.append(corrected)
         independent.append(alike)
         correlation.append(colored)
         neighbors.append(found)
         degrees += left if found is None else min(left, found.dof)
         independent_degrees += left
-    return _Corrected(result, degrees, independent, independent_degrees, tuple(correlation), tuple(neighbors))
+    return _Corrected(
+        result, degrees, independent, independent_degrees, tuple(correlation), tuple(neighbors)
+    )
 
 
 def _independent_covariance(
@@ -383,7 +426,9 @@ def _independent_covariance(
     """Return the covariance (p, p) of the free parameters if errors were independent along frequency."""
     shares, p = corrected.independent, len(nlp.free)
     root = _root_of_inverse(shares, basis)
-    found, _ = _contributions(nlp, before, root_before, shares, corrected.correlation, root, _slope(shares, root))
+    found, _ = _contributions(
+        nlp, before, root_before, shares, corrected.correlation, root, _slope(shares, root)
+    )
     return sum((c[:p, :p] for c, _ in found), np.zeros((p, p)))
 
 
@@ -414,7 +459,8 @@ def _contributions(
 ) -> tuple[tuple[tuple[Array, float], ...], NDArray[np.bool_]]:
     """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error.
 
-    The meat of correlated errors is known in the directions of the root of the inverse `before` the correction.
+    The meat of correlated errors is known in the directions of the root of the inverse `before` the
+    correction.
     """
     p, k = len(nlp.free), len(nlp.names)
     stacked = np.vstack([share.root for share in before])
@@ -471,9 +517,10 @@ def _at_bound(
 ) -> tuple[str, ...]:
     """Name the parameters that a bound holds.
 
-    How close a solver comes to a bound depends on its tolerances. A parameter is held where it is closer than the data
-    can tell, by the standard error that it would have with all others known, and where its multiplier says that the
-    cost would fall beyond. Within rounding it is held in any case.
+    How close a solver comes to a bound depends on its tolerances. A parameter is held where it is
+    closer than the data can tell, by the standard error that it would have with all others known,
+    and where its multiplier says that the cost would fall beyond. Within rounding it is held in any
+    case.
     """
     distance = np.minimum(np.abs(x - nlp.lower), np.abs(x - nlp.upper))
     bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
@@ -514,7 +561,9 @@ def _active_constraints(nlp: Nlp, x: Array) -> tuple[Array, tuple[str, ...]]:
     gradient = np.asarray(ca.DM(slope(values)))[:, :p]
     slack = np.asarray(nlp.constraint(values)).ravel()
     active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
-    return gradient[active], tuple(label for label, holds in zip(nlp.limits, active, strict=True) if holds)
+    return gradient[active], tuple(
+        label for label, holds in zip(nlp.limits, active, strict=True) if holds
+    )
 
 
 def _undetermined(
@@ -522,7 +571,8 @@ def _undetermined(
 ) -> tuple[Combination, ...]:
     """Return the groups of parameters that move without effect in the `invisible` directions (p, b), of unit columns.
 
-    Directions that share no parameter are different groups, whatever mixture of them the directions are.
+    Directions that share no parameter are different groups, whatever mixture of them the directions
+    are.
     """
     projector = invisible @ invisible.T
     linked = np.abs(projector) > BLIND
@@ -559,7 +609,11 @@ def _moved_states(parts: Sequence[Information], moves: Array) -> tuple[str, ...]
 
 
 def _collinear(
-    jacobian: Array, active: Array, names: tuple[str, ...], at_bound: Sequence[str], invisible: Array
+    jacobian: Array,
+    active: Array,
+    names: tuple[str, ...],
+    at_bound: Sequence[str],
+    invisible: Array,
 ) -> tuple[Combination, ...]:
     """Return the combinations whose effects nearly cancel, of the directions that are not `invisible` (p, b).
 
@@ -569,7 +623,9 @@ def _collinear(
     inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
     unit = jacobian[:, inside] / np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
     limits = active[:, inside]
-    unit = np.vstack([unit, limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)])
+    unit = np.vstack(
+        [unit, limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)]
+    )
     _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
     seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))

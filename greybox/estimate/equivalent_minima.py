@@ -21,8 +21,8 @@ EXCHANGED = 20  # free parameters up to which exchanges are tried: some hundred
 def equivalent_estimates(nlp: Nlp, search: Multistart) -> Array:
     """Return the clearly different parameter vectors (v, p) that give the best response, the best run's first.
 
-    Those at which runs ended; and, of frequency responses, those that exchange two parameters of one unit or change one
-    or two signs, if the response stays what it is.
+    Those at which runs ended; and, of frequency responses, those that exchange two parameters of
+    one unit or change one or two signs, if the response stays what it is.
     """
     best = search.minima[0]
     found = [best.estimate]
@@ -60,7 +60,9 @@ def _images(nlp: Nlp, x: Array) -> Iterator[Array]:
             signs = np.ones(p)
             signs[list(group)] = -1
             images.append(signs * x)
-    inside = [z for z in images if np.all((z >= nlp.lower) & (z <= nlp.upper)) and _apart(z, x).any()]
+    inside = [
+        z for z in images if np.all((z >= nlp.lower) & (z <= nlp.upper)) and _apart(z, x).any()
+    ]
     if not inside:
         return
     signatures = nlp.signatures(np.array([x, *inside]))
@@ -97,7 +99,9 @@ def relation(names: Sequence[str], best: Array, other: Array) -> tuple[str, str]
     joint = " and " if len(pairs) == 1 else " with "
     words = listed([f"{names[i]}{joint}{names[j]}" for i, j in pairs]) + " change places"
     # The pair that lies farthest apart orders most clearly.
-    i, j = max(pairs, key=lambda pair: abs(best[pair[0]] - best[pair[1]]) / np.abs(best[list(pair)]).max())
+    i, j = max(
+        pairs, key=lambda pair: abs(best[pair[0]] - best[pair[1]]) / np.abs(best[list(pair)]).max()
+    )
     high, low = (i, j) if best[i] > best[j] else (j, i)
     return words, f"p.{names[high]} - p.{names[low]}"
 
@@ -118,6 +122,4 @@ def said(names: Sequence[str], vectors: Array) -> str:
     rows = [[names[k], *(number(vector[k]) for vector in vectors[:MOST])] for k in differing]
     head = ["", "given here", *(f"also {k}" for k in range(1, min(len(vectors), MOST)))]
     table = "\n".join("    " + line for line in text_table(head, rows).splitlines())
-    return (
-        f"at least {len(vectors)} clearly different parameter vectors give this same response{what}: {cure}.\n{table}"
-    )
+    return f"at least {len(vectors)} clearly different parameter vectors give this same response{what}: {cure}.\n{table}"

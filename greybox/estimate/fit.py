@@ -56,7 +56,13 @@ from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import packed, require_executor
 from greybox.solve.global_search import TRIAL_POINTS, global_search
-from greybox.solve.interruption import Response, listening, responding, stop_requested, take_interrupt
+from greybox.solve.interruption import (
+    Response,
+    listening,
+    responding,
+    stop_requested,
+    take_interrupt,
+)
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
@@ -79,7 +85,8 @@ class Interrupted(KeyboardInterrupt):
     Attributes
     ----------
     fit : Fit or None
-        The best fit so far: of the starts that were done, judged as any other. None if not one had been begun.
+        The best fit so far: of the starts that were done, judged as any other. None if not one had
+        been begun.
     """
 
     def __init__(self, fit: Fit | None) -> None:
@@ -109,55 +116,64 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
 ) -> Fit:
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
 
-    Frequency responses are searched from all starts at once by Newton's method (``search="batched"``), and IPOPT solves
-    every minimum that was found once more. What a batch does not serve (finite amplitudes, large problems) is solved by
-    IPOPT from every start that is tried, as ``search="multistart"`` does. ``search="global-search"`` is the scatter
-    search of MATLAB's GlobalSearch, with 1000 trial points by default, see `greybox.solve.global_search`.
+    Frequency responses are searched from all starts at once by Newton's method
+    (``search="batched"``), and IPOPT solves every minimum that was found once more. What a batch
+    does not serve (finite amplitudes, large problems) is solved by IPOPT from every start that is
+    tried, as ``search="multistart"`` does. ``search="global-search"`` is the scatter search of
+    MATLAB's GlobalSearch, with 1000 trial points by default, see `greybox.solve.global_search`.
 
     Parameters
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
-        A number of Sobol points, all of which are brought to a minimum, a rule such as `LatinHypercube(200)` or
-        `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By default 200 Sobol points: in a multistart all,
-        otherwise the 8 with the lowest costs, and all if fewer than half of these end at the best minimum. Of records,
-        the declared values and those 3 of 19 Sobol points that promise most over short segments, where they are
-        improved first (`Run.start` stays the point itself); all, if fewer than 3 of these 4 end at the best minimum, or
-        with constraints. Drawn points at which a model of records is not finite move toward the first at which it is.
-        Of several starts on records, the search goes on from the best end with every parameter whose lower bound is
-        above zero made four times larger and smaller; a lower cost is reported as an extra run.
+        A number of Sobol points, all of which are brought to a minimum, a rule such as
+        `LatinHypercube(200)` or `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By
+        default 200 Sobol points: in a multistart all, otherwise the 8 with the lowest costs, and
+        all if fewer than half of these end at the best minimum. Of records, the declared values and
+        those 3 of 19 Sobol points that promise most over short segments, where they are improved
+        first (`Run.start` stays the point itself); all, if fewer than 3 of these 4 end at the best
+        minimum, or with constraints. Drawn points at which a model of records is not finite move
+        toward the first at which it is. Of several starts on records, the search goes on from the
+        best end with every parameter whose lower bound is above zero made four times larger and
+        smaller; a lower cost is reported as an extra run.
     seed : int, optional
-        Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
+        Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with
+        the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
     search : "batched", "multistart" or "global-search"
         See above.
     solver_options : mapping
-        ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For records `tol` is that of
-        the decrease of the cost and of half the squared length of a step in standard errors, 1e-8 by default.
+        ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For
+        records `tol` is that of the decrease of the cost and of half the squared length of a step
+        in standard errors, 1e-8 by default.
     compile : bool
-        Translate what a batched search evaluates to C, as `MultipleShooting(compile=True)` does of records. Takes a
-        C compiler and a second or more, once: the libraries are kept, see `SECURITY.md`.
+        Translate what a batched search evaluates to C, as `MultipleShooting(compile=True)` does of
+        records. Takes a C compiler and a second or more, once: the libraries are kept, see
+        `SECURITY.md`.
     executor : concurrent.futures.Executor, optional
-        What makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's ``client.get_executor()``;
-        this process by default. The answer is the same. The first run, the refinement and the judgment are made here.
+        What makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's
+        ``client.get_executor()``; this process by default. The answer is the same. The first run,
+        the refinement and the judgment are made here.
     seconds : float, optional
-        After which no run goes on, from the call on; what was reached is judged. The answer then depends on the speed
-        of the machine, and says so.
+        After which no run goes on, from the call on; what was reached is judged. The answer then
+        depends on the speed of the machine, and says so.
     start_seconds : float, optional
         The same for the runs from each start.
     profiles : bool
-        Profile the likelihood of responses, as `greybox.profile` does, along parameters whose interval by the standard
-        error leaves the bounds, or whose error exceeds half the value: `Fit.profiles`. Problems that take long (trims
-        inside the optimization, finite amplitudes) or have constraints are left out: profile these by name.
+        Profile the likelihood of responses, as `greybox.profile` does, along parameters whose
+        interval by the standard error leaves the bounds, or whose error exceeds half the value:
+        `Fit.profiles`. Problems that take long (trims inside the optimization, finite amplitudes)
+        or have constraints are left out: profile these by name.
     progress : bool or function
-        A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
+        A bar on a terminal for anything longer than two seconds; or a function of finished and all
+        runs.
 
     Returns
     -------
     Fit
-        Also when no start converged: then `Fit.converged` is False, the values are NaN, and `Fit.best_effort` has those
-        of the best run.
+        Also when no start converged: then `Fit.converged` is False, the values are NaN, and
+        `Fit.best_effort` has those of the best run.
 
     Raises
     ------
@@ -166,18 +182,30 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     RuntimeError
         When the executor has lost its workers.
     KeyboardInterrupt
-        After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
+        After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so
+        far.
     """
     by = SolverChoice(_compiling(method) if compile else method, search, solver_options)
     with limited(TimeLimits.from_now(seconds, start_seconds)):
-        return fit_keeping(None, problem, starts, seed, by=by, executor=executor, profiles=profiles, progress=progress)
+        return fit_keeping(
+            None,
+            problem,
+            starts,
+            seed,
+            by=by,
+            executor=executor,
+            profiles=profiles,
+            progress=progress,
+        )
 
 
 def _compiling(method: Transcription | None) -> Transcription:
     """Return the method with what is evaluated compiled."""
     method = MultipleShooting() if method is None else method
     if not isinstance(method, MultipleShooting):
-        raise ValueError(f"compile=True is for multiple shooting, not for {method!r:.60}: leave one of them out.")
+        raise ValueError(
+            f"compile=True is for multiple shooting, not for {method!r:.60}: leave one of them out."
+        )
     return replace(method, compile=True)
 
 
@@ -198,11 +226,17 @@ class SolverChoice:
     def __post_init__(self) -> None:
         """Check all of them."""
         if not isinstance(self.options, Mapping):
-            raise TypeError(f"solver_options is {self.options!r:.60}: give IPOPT's options as {{name: value}}.")
+            raise TypeError(
+                f"solver_options is {self.options!r:.60}: give IPOPT's options as {{name: value}}."
+            )
         if self.method is not None and not isinstance(self.method, Transcription):
-            raise TypeError(f"method is {self.method!r:.60}: give an instance such as MultipleShooting().")
+            raise TypeError(
+                f"method is {self.method!r:.60}: give an instance such as MultipleShooting()."
+            )
         if self.search not in SEARCHES:
-            raise ValueError(f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}.")
+            raise ValueError(
+                f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}."
+            )
 
     def solver(self, nlp: Nlp) -> LocalSolver:
         """Return the solver of a compiled problem."""
@@ -222,13 +256,22 @@ def fit_keeping(
 ) -> Fit:
     """Fit as `fit` does, and keep every run as soon as it is done; runs that were kept before are not made again."""
     if not isinstance(problem, Problem | Sum):
-        raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
+        raise TypeError(
+            f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them."
+        )
     require_executor(executor)
     try:
         with listening():
             choice = by or SolverChoice()
             answer = _fitted_from(
-                problem, starts, seed, choice, profiles=profiles, progress=progress, executor=executor, kept=kept
+                problem,
+                starts,
+                seed,
+                choice,
+                profiles=profiles,
+                progress=progress,
+                executor=executor,
+                kept=kept,
             )
             if answer is None or take_interrupt():
                 raise Interrupted(answer)
@@ -268,9 +311,18 @@ def _fitted_from(
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
     waves = _waves(starts, rule, solver)
-    run = partial(multistart, nlp, solver, points, movable=movable, executor=executor, kept=kept, waves=waves)
+    run = partial(
+        multistart, nlp, solver, points, movable=movable, executor=executor, kept=kept, waves=waves
+    )
     if by.search == GLOBAL_SEARCH:
-        run = partial(global_search, nlp, _required_ipopt(solver, executor), points, seed=rule.seed or 0, kept=kept)
+        run = partial(
+            global_search,
+            nlp,
+            _required_ipopt(solver, executor),
+            points,
+            seed=rule.seed or 0,
+            kept=kept,
+        )
     with responding(Response.STOP):
         if callable(progress) or not progress:
             search = run(progress=progress or None)
@@ -289,11 +341,20 @@ def _fitted_from(
     if not search.runs:
         return None
     with responding(Response.FINISH):
-        answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
+        answer = assemble(
+            nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error
+        )
         said = tuple(_cut_short(search, len(points), interrupted=interrupted))
-        found = profiled_where_misleading(nlp, answer) if profiles and answer.converged and not said else None
+        found = (
+            profiled_where_misleading(nlp, answer)
+            if profiles and answer.converged and not said
+            else None
+        )
         if found is not None:
-            said, answer = found.warnings, replace(answer, profiles=found, seconds=time.perf_counter() - began)
+            said, answer = (
+                found.warnings,
+                replace(answer, profiles=found, seconds=time.perf_counter() - began),
+            )
         return replace(answer, warnings=(*said, *answer.warnings)) if said else answer
 
 
@@ -332,8 +393,12 @@ def assemble(
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     lines, names, covariance = quantities(nlp, accuracy, estimate)
     parts = tuple(
-        fitted_part(part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate)))
-        for part, trajectory in zip(nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True)
+        fitted_part(
+            part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate))
+        )
+        for part, trajectory in zip(
+            nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True
+        )
     )
     parts = tuple(_with_errors(nlp, parts, accuracy))
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
@@ -374,12 +439,16 @@ def assemble(
         white=accuracy.white,
         independent=accuracy.independent,
         directions=(
-            known_directions(nlp, best, accuracy, lambda x: solver.profile(x, search.nodes).trajectories)
+            known_directions(
+                nlp, best, accuracy, lambda x: solver.profile(x, search.nodes).trajectories
+            )
             if found
             else None
         ),
         equivalents=equivalent_estimates(nlp, search) if found else None,
-        priors={name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()},
+        priors={
+            name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()
+        },
         known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)) if found else None,
     )
     return replace(answer, notes=(*answer.notes, *determined_together(answer)))
@@ -390,7 +459,9 @@ def _with_errors(nlp: Nlp, parts: Sequence[FittedPart], accuracy: Accuracy) -> I
     if accuracy.white is None:
         yield from parts
         return
-    each = zip(parts, told_by(nlp, accuracy), accuracy.informations, accuracy.correlation, strict=True)
+    each = zip(
+        parts, told_by(nlp, accuracy), accuracy.informations, accuracy.correlation, strict=True
+    )
     for part, (along, alone), told, colored in each:
         changes: dict[str, Any] = {"information": along, "information_alone": alone}
         if isinstance(part, FittedRecord) and told.output_errors is not None:
@@ -399,7 +470,9 @@ def _with_errors(nlp: Nlp, parts: Sequence[FittedPart], accuracy: Accuracy) -> I
 
 
 @singledispatch
-def fitted_part(part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedPart:
+def fitted_part(
+    part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> FittedPart:
     """Return the plain values that the answer keeps of a part, at all values x (k,), by the model's name `values`.
 
     `trajectory` is the best one there; None without an answer.
@@ -408,26 +481,36 @@ def fitted_part(part: Part, trajectory: Trajectory | None, x: Array, values: dic
 
 
 @fitted_part.register
-def _(part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedRecord:
+def _(
+    part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> FittedRecord:
     return fitted_record(part, trajectory)
 
 
 @fitted_part.register
-def _(part: TransientPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedSpectrum:
+def _(
+    part: TransientPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> FittedSpectrum:
     return fitted_spectrum(part, trajectory)
 
 
 @fitted_part.register
-def _(part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedResponse:
+def _(
+    part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> FittedResponse:
     return _response(part.problem, values, part.response(x))
 
 
 def _required_ipopt(solver: LocalSolver, executor: Executor | None) -> IpoptSolver:
     """Return the solver, if the scatter search can use it."""
     if not isinstance(solver, IpoptSolver):
-        raise ValueError("search='global-search' is for frequency responses alone: leave it out for records.")
+        raise ValueError(
+            "search='global-search' is for frequency responses alone: leave it out for records."
+        )
     if executor is not None:
-        raise ValueError("search='global-search' decides after every run what to try next: leave out the executor.")
+        raise ValueError(
+            "search='global-search' decides after every run what to try next: leave out the executor."
+        )
     return solver
 
 
@@ -437,7 +520,9 @@ def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
     rule = as_starts(number, seed)
     if isinstance(number, Starts | Sequence) or not solver.tries_declared_values:
         return rule
-    return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
+    return (
+        Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
+    )
 
 
 def _waves(starts: Any, rule: Starts, solver: LocalSolver) -> Waves:
@@ -465,15 +550,24 @@ def _nothing(nlp: Nlp) -> Accuracy:
     )
 
 
-def _response(problem: Problem, values: dict[str, float], response: NDArray[np.complex128]) -> FittedResponse:
+def _response(
+    problem: Problem, values: dict[str, float], response: NDArray[np.complex128]
+) -> FittedResponse:
     data = problem.response
     curve = error = None
     if np.all(np.isfinite(response)):
         error = pade_error(problem, values)
-        signals = {"input": data.input, "output": data.output, "at": problem.at, "delay": problem.delay}
+        signals = {
+            "input": data.input,
+            "output": data.output,
+            "at": problem.at,
+            "delay": problem.delay,
+        }
         with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
             curve = _curve(
-                lambda omega: response_of_test(problem.model, values, omega, problem.amplitude, data.omega, **signals),
+                lambda omega: response_of_test(
+                    problem.model, values, omega, problem.amplitude, data.omega, **signals
+                ),
                 data.omega,
             )
     return FittedResponse(
@@ -511,6 +605,8 @@ def _all_costs(parts: Sequence[FittedPart]) -> dict[str, float]:
     if len(responses) < len(parts):
         return {}
     return {
-        criterion.name: sum(part.weight * evaluate(criterion, part.response, part.data) for part in responses)
+        criterion.name: sum(
+            part.weight * evaluate(criterion, part.response, part.data) for part in responses
+        )
         for criterion in CRITERIA
     }

@@ -30,7 +30,8 @@ class FittedPart:
     criterion : str
         The name of the criterion, such as ``relative-error``; `rule` says it in words.
     criterion_class, settings : str, mapping of name to value
-        Its class, ``module:Class``, and its fields in plain values: what makes two criteria the same.
+        Its class, ``module:Class``, and its fields in plain values: what makes two criteria the
+        same.
     is_likelihood : bool
         Whether the cost is a negative log-likelihood.
     rule : str
@@ -46,9 +47,10 @@ class FittedPart:
     label, equation : str
         Name and docstring of the model.
     information, information_alone : (p, m) array or None
-        Which share every point of the data has in what all data tell of each free parameter, with the others estimated
-        along or known, for independent errors; NaN for a parameter without a standard error. The points are the
-        frequencies of a response; of a record its outputs, one after the other, each over equal parts of its rows.
+        Which share every point of the data has in what all data tell of each free parameter, with
+        the others estimated along or known, for independent errors; NaN for a parameter without a
+        standard error. The points are the frequencies of a response; of a record its outputs, one
+        after the other, each over equal parts of its rows.
     """
 
     name: str
@@ -120,8 +122,8 @@ class FittedRecord(FittedPart):
     data : Record
         The signals that the fit used.
     simulated : Record
-        The fitted outputs at the same times; NaN where none was compared (gaps, the past of a delay) or no start
-        converged.
+        The fitted outputs at the same times; NaN where none was compared (gaps, the past of a
+        delay) or no start converged.
     outputs : tuple of str
     noise : (k, k) array
         Covariance of the residuals of the outputs, given or estimated.
@@ -130,24 +132,26 @@ class FittedRecord(FittedPart):
     method : str
         Transcription and integrator, with what they chose.
     inputs : "record", "linear" or "held"
-        How the inputs ran between their samples: as the record says (`Record.hold`), or all of them in one way.
+        How the inputs ran between their samples: as the record says (`Record.hold`), or all of them
+        in one way.
     biases : tuple of str
         Signals whose constant error was estimated, as the parameter ``<name>_bias``.
     gains : tuple of (state, output)
         Of the innovations, as parameters ``K_<state>_<output>``; empty for output error.
     driven : tuple of str
-        States whose process noise was estimated, ``w_<state>``, with that of the sensors, ``v_<output>``, so that the
-        gains follow.
+        States whose process noise was estimated, ``w_<state>``, with that of the sensors,
+        ``v_<output>``, so that the gains follow.
     gain, gain_slope : (gains,) and (gains, m) arrays, or None
-        The values of gains that follow from process noise, and their derivatives by the parameters of the model and
-        those `added`.
+        The values of gains that follow from process noise, and their derivatives by the parameters
+        of the model and those `added`.
     nuisances : int
         Initial states, and variances and covariances of the noise, that were estimated along.
     is_static : bool
         Whether the outputs depend on the inputs of the same moment alone.
     error : (outputs, n) array or None
-        Standard errors of the fitted outputs, from those of the parameters and of the initial states that were
-        estimated along; without the noise of the sensors. NaN where nothing was compared; None where none is known.
+        Standard errors of the fitted outputs, from those of the parameters and of the initial
+        states that were estimated along; without the noise of the sensors. NaN where nothing was
+        compared; None where none is known.
     """
 
     data: Record
@@ -169,14 +173,20 @@ class FittedRecord(FittedPart):
     @property
     def compared(self) -> int:
         """How many samples the fit used: those of which at least one output was compared."""
-        return int(np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum())
+        return int(
+            np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum()
+        )
 
     @property
     def added(self) -> tuple[str, ...]:
         """Names of the parameters that the criterion added to those of the model, before any renaming."""
         biases = tuple(f"{name}_bias" for name in self.biases)
         if self.driven:
-            return (*biases, *(f"w_{state}" for state in self.driven), *(f"v_{output}" for output in self.outputs))
+            return (
+                *biases,
+                *(f"w_{state}" for state in self.driven),
+                *(f"v_{output}" for output in self.outputs),
+            )
         return (*biases, *(f"K_{state}_{output}" for state, output in self.gains))
 
     def innovation_parameters(self, output: str) -> int:
@@ -210,8 +220,8 @@ class FittedSpectrum(FittedPart):
         The modelled outputs with their end terms; NaN when no start converged.
     outputs : tuple of str
     noise : (k, k) array
-        Covariance of the errors of one sample, given or estimated, as far as they lie in the band: of the outputs, or,
-        of equation error, of the equations.
+        Covariance of the errors of one sample, given or estimated, as far as they lie in the band:
+        of the outputs, or, of equation error, of the equations.
     ends : mapping of state to float
         First less last value, which was estimated along.
     at : mapping of name to float

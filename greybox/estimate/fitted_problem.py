@@ -14,7 +14,9 @@ from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model_reference import resolve
 
 
-def compiled_again(fit: Fit, problem: AnyProblem | None = None, method: Transcription | None = None) -> Nlp:
+def compiled_again(
+    fit: Fit, problem: AnyProblem | None = None, method: Transcription | None = None
+) -> Nlp:
     """Compile what was fitted: the `problem` that a user gives, or what the fit keeps of it.
 
     Raises
@@ -24,7 +26,9 @@ def compiled_again(fit: Fit, problem: AnyProblem | None = None, method: Transcri
     """
     problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
     nlp = compile_problem(problem, method)
-    given, fitted = ([part.data.checksum for part in parts] for parts in (nlp.problem.parts, fit.parts))
+    given, fitted = (
+        [part.data.checksum for part in parts] for parts in (nlp.problem.parts, fit.parts)
+    )
     if nlp.free != fit.free or given != fitted:
         raise ValueError(
             f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
@@ -38,8 +42,8 @@ def problem_of(fit: Fit) -> AnyProblem:
     Raises
     ------
     ValueError
-        If it had ties, constraints, values with errors of an earlier fit, or a criterion that greybox does not include
-        or that holds functions.
+        If it had ties, constraints, values with errors of an earlier fit, or a criterion that
+        greybox does not include or that holds functions.
     LookupError
         If a loaded fit does not know its model.
     """
@@ -52,8 +56,16 @@ def problem_of(fit: Fit) -> AnyProblem:
         if part.is_prior:
             raise ValueError(f"the fit {fit.name!r} has a-priori knowledge: give its problem=...")
         if part.tied or part.constraints or uncertain:
-            what = "ties" if part.tied else "constraints" if part.constraints else f"{uncertain[0]} from an earlier fit"
-            raise ValueError(f"the fit {fit.name!r} has {what}, of which it keeps the text alone: give its problem=...")
+            what = (
+                "ties"
+                if part.tied
+                else "constraints"
+                if part.constraints
+                else f"{uncertain[0]} from an earlier fit"
+            )
+            raise ValueError(
+                f"the fit {fit.name!r} has {what}, of which it keeps the text alone: give its problem=..."
+            )
         model = fit.models[k] if fit.models else resolve(part.model, fit.given)
         criterion: Any = _criterion(fit, part)
         declared = dict(model.parameters)
@@ -70,13 +82,19 @@ def problem_of(fit: Fit) -> AnyProblem:
                 model,
                 part.data,
                 criterion,
-                fixed={name: held[outside[name]].value for name in declared if outside[name] in held},
-                free=[name for name, p in declared.items() if p.fixed and outside[name] not in held],
+                fixed={
+                    name: held[outside[name]].value for name in declared if outside[name] in held
+                },
+                free=[
+                    name for name, p in declared.items() if p.fixed and outside[name] not in held
+                ],
                 delay=part.delay,
                 rename=part.rename,
                 weight=part.weight,
                 name=part.name,
-                bounds={name: bounds[outside[name]] for name in declared if outside[name] in bounds},
+                bounds={
+                    name: bounds[outside[name]] for name in declared if outside[name] in bounds
+                },
                 starts={name: boxes[outside[name]] for name in declared if outside[name] in boxes},
                 **asked,
             )
@@ -89,7 +107,11 @@ def _criterion(fit: Fit, part: FittedPart) -> Any:
         if kind().class_path != part.criterion_class:
             continue
         criterion = kind(**part.settings)
-        functions = [name for name, value in part.settings.get("initial", {}).items() if isinstance(value, str)]
+        functions = [
+            name
+            for name, value in part.settings.get("initial", {}).items()
+            if isinstance(value, str)
+        ]
         if functions:
             raise ValueError(
                 f"the fit {fit.name!r} has a function for the initial {functions[0]}, of which it keeps the text "

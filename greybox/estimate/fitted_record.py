@@ -69,7 +69,9 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         steady = trajectory.detail.placed.filter
         if steady is not None:
             gain = steady.gain.ravel()
-            estimated = model.active[: steady.gain_slope.shape[-1]]  # behind them the gains themselves
+            estimated = model.active[
+                : steady.gain_slope.shape[-1]
+            ]  # behind them the gains themselves
             gain_slope = np.zeros((gain.size, len(model.parameters) - gain.size))
             gain_slope[:, estimated] = steady.gain_slope.reshape(gain.size, -1)
         nodes = trajectory.nodes
@@ -77,10 +79,15 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
     return FittedRecord(
         **stated(part.problem),
         data=kept,
-        simulated=replace(kept, signals=signals, name=part.problem.model.label, source="", checksum=""),
+        simulated=replace(
+            kept, signals=signals, name=part.problem.model.label, source="", checksum=""
+        ),
         outputs=part.outputs,
         noise=noise,
-        initial={name: nodes[part.data.begins_stretch, i].copy() for i, name in enumerate(part.system.states)},
+        initial={
+            name: nodes[part.data.begins_stretch, i].copy()
+            for i, name in enumerate(part.system.states)
+        },
         method=part.description,
         inputs=model.criterion.inputs,
         biases=tuple(model.criterion.biases),
@@ -90,7 +97,9 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         gain_slope=gain_slope,
         nuisances=part.unknown_initial_states
         + covariance_unknowns(
-            count, known=part.covariance.known is not None or bool(model.driven), full=part.covariance.full
+            count,
+            known=part.covariance.known is not None or bool(model.driven),
+            full=part.covariance.full,
         ),
         is_static=part.is_static,
     )

@@ -1,7 +1,7 @@
 """How many harmonics a fit of sine tests takes: as many as matter at its start values, then at its estimate.
 
-The starts are searched with few harmonics, since a search takes many evaluations. Where the estimate needs more, every
-run goes on with them from its end.
+The starts are searched with few harmonics, since a search takes many evaluations. Where the
+estimate needs more, every run goes on with them from its end.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,9 @@ REFITS = 3  # with more harmonics each time: from 3 they reach 45
 
 def are_open(problem: AnyProblem) -> list[bool]:
     """Tell of every part whether its sine leaves the number of harmonics open."""
-    return [part.amplitude is not None and part.amplitude.harmonics is None for part in problem.parts]
+    return [
+        part.amplitude is not None and part.amplitude.harmonics is None for part in problem.parts
+    ]
 
 
 def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
@@ -43,7 +45,12 @@ def _enough(problem: Problem) -> int | None:
     if sine is None:
         return None
     data = problem.response
-    signals: Any = {"input": data.input, "output": data.output, "at": problem.at, "pade": delay_order(problem.delay)}
+    signals: Any = {
+        "input": data.input,
+        "output": data.output,
+        "at": problem.at,
+        "pade": delay_order(problem.delay),
+    }
     starts = {name: parameter.start for name, parameter in problem.parameters.items()}
     local = dict(problem.local_values(starts))
     return enough_harmonics(problem.model, data.omega, sine, local, **signals).harmonics
@@ -77,28 +84,44 @@ def with_more_harmonics(
         count = len(ends)
         if not followed.minima or len(followed.runs) < count:
             break
-        continued = [_continued(run, before) for run, before in zip(followed.runs[:count], search.brought, strict=True)]
-        runs = (*continued, *followed.runs[count:], *(run for run in search.runs if run.stage == SCREENED))
+        continued = [
+            _continued(run, before)
+            for run, before in zip(followed.runs[:count], search.brought, strict=True)
+        ]
+        runs = (
+            *continued,
+            *followed.runs[count:],
+            *(run for run in search.runs if run.stage == SCREENED),
+        )
         runs = Runs.of(replace(run, index=k) for k, run in enumerate(runs))
         search = replace(followed, runs=runs, seconds=search.seconds + followed.seconds)
         nlp, solver = finer, finer_solver
     return nlp, search, solver
 
 
-def _numbers(nlp: Nlp, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]) -> list[int | None]:
+def _numbers(
+    nlp: Nlp, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
+) -> list[int | None]:
     """Return the number of harmonics that every part needs at the estimate."""
     best = search.minima[0].estimate
     accuracy = assess(nlp, best, solver.profile(best, search.nodes).trajectories)
     more = {
-        id(found.problem): found.more for found in too_few_harmonics(nlp, best, accuracy) if found.change > 100 * ENOUGH
+        id(found.problem): found.more
+        for found in too_few_harmonics(nlp, best, accuracy)
+        if found.change > 100 * ENOUGH
     }
     return [
-        more.get(id(part), part.amplitude.harmonics) if is_open else part.amplitude and part.amplitude.harmonics
+        more.get(id(part), part.amplitude.harmonics)
+        if is_open
+        else part.amplitude and part.amplitude.harmonics
         for part, is_open in zip(nlp.problem.parts, open_parts, strict=True)
     ]
 
 
 def _continued(run: Run, before: Run) -> Run:
     """Return a run as one from where the run before it began."""
-    spent = {"iterations": before.iterations + run.iterations, "seconds": before.seconds + run.seconds}
+    spent = {
+        "iterations": before.iterations + run.iterations,
+        "seconds": before.seconds + run.seconds,
+    }
     return replace(run, start=before.start, **spent)

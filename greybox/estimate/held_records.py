@@ -22,8 +22,9 @@ class NoMinimumError(ValueError):
 class HeldRecords:
     """The solver of records with the parameters at some places held by their bounds, or a quantity by an equation.
 
-    A point is the solver's variables (p,), alone or with the states at the nodes of all parts behind them: from those
-    of a neighbor a solution takes a few iterations. Pickled, it is the problem and what is held.
+    A point is the solver's variables (p,), alone or with the states at the nodes of all parts
+    behind them: from those of a neighbor a solution takes a few iterations. Pickled, it is the
+    problem and what is held.
 
     Parameters
     ----------
@@ -44,12 +45,19 @@ class HeldRecords:
         solver: GaussNewton | None = None,
     ) -> None:
         """Build the solver, unless it is there."""
-        self._nlp, self._shapes, self._places, self._quantity = nlp, list(shapes), list(places), quantity
+        self._nlp, self._shapes, self._places, self._quantity = (
+            nlp,
+            list(shapes),
+            list(places),
+            quantity,
+        )
         self._solver = solver or GaussNewton(nlp)
 
     def __reduce__(
         self,
-    ) -> tuple[type["HeldRecords"], tuple[Nlp, list[tuple[int, ...]], list[int], ca.Function | None]]:
+    ) -> tuple[
+        type["HeldRecords"], tuple[Nlp, list[tuple[int, ...]], list[int], ca.Function | None]
+    ]:
         return HeldRecords, (self._nlp, self._shapes, self._places, self._quantity)
 
     def of_quantity(self, quantity: ca.Function) -> "HeldRecords":
@@ -60,7 +68,9 @@ class HeldRecords:
         """Return the same for the parameters at these places."""
         return HeldRecords(self._nlp, self._shapes, places, None, self._solver)
 
-    def solve(self, starts: Sequence[Array], values: Sequence[float | Array]) -> list[tuple[Array, float]]:
+    def solve(
+        self, starts: Sequence[Array], values: Sequence[float | Array]
+    ) -> list[tuple[Array, float]]:
         """Return the best points with what is held at these values, from each start, and their cost; inf without one.
 
         Several parameters have as many values.
@@ -73,14 +83,20 @@ class HeldRecords:
         x[self._places] = value
         lower, upper = self._nlp.lower.copy(), self._nlp.upper.copy()
         lower[self._places] = upper[self._places] = x[self._places]
-        equation = None if self._quantity is None else _equation(self._quantity, start[:p], float(np.ravel(value)[0]))
+        equation = (
+            None
+            if self._quantity is None
+            else _equation(self._quantity, start[:p], float(np.ravel(value)[0]))
+        )
         solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper), equation)
         x = np.clip(x, lower, upper)
         sizes = [math.prod(shape) for shape in self._shapes]
         found = None
         if len(start) > p:
             pieces = np.split(start[p:], np.cumsum(sizes)[:-1])
-            nodes = [piece.reshape(shape) for piece, shape in zip(pieces, self._shapes, strict=True)]
+            nodes = [
+                piece.reshape(shape) for piece, shape in zip(pieces, self._shapes, strict=True)
+            ]
             found = solver.solved_from(x, nodes)
         if found is None or not found.converged:
             found = solver.run(x)
@@ -107,9 +123,16 @@ def best_of_records(nlp: Nlp, x: Array) -> tuple[HeldRecords, Array, float, tupl
     states = solver.profile(x)
     found = solver.solved_from(x, [trajectory.nodes for trajectory in states.trajectories])
     if not found.converged or found.nodes is None:
-        raise NoMinimumError(f"no minimum of {nlp.problem.name!r} is found at the estimate again: {found.status}.")
+        raise NoMinimumError(
+            f"no minimum of {nlp.problem.name!r} is found at the estimate again: {found.status}."
+        )
     held = HeldRecords(nlp, [nodes.shape for nodes in found.nodes])
-    return held, point_of(nlp, found), found.cost, solver.profile(found.estimate, found.nodes).trajectories
+    return (
+        held,
+        point_of(nlp, found),
+        found.cost,
+        solver.profile(found.estimate, found.nodes).trajectories,
+    )
 
 
 def point_of(nlp: Nlp, outcome: Outcome) -> Array:

@@ -12,17 +12,18 @@ from greybox.files.text_table import counted, number, one_line, text_table, with
 
 Array = NDArray[np.float64]
 
-# Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, ch. 12.
+# Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
+# Identification, ch. 12.
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
-CORRELATED = (
-    0.9  # correlation from which two parameters are named: each error is then 2.3 times that with the other known
-)
+CORRELATED = 0.9  # correlation from which two parameters are named: each error is then 2.3 times that with the other known
 GAIN = 5.0  # how many times smaller the error of a combination is than those of its members, for it to be news
 UNSEEN = 1e-5  # share of an unseen direction from which a combination has no standard error, as for parameters
 POWERS = 3  # largest power in a product of two: a length squared or cubed; of more members only the first power
 MEMBERS = 4  # most members of a product, and two of a sum: longer ones are read by nobody
-CANDIDATES = 8  # parameters up to which products of more than two are looked for: a few thousand of them
+CANDIDATES = (
+    8  # parameters up to which products of more than two are looked for: a few thousand of them
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class KnownDirections:
     at : (p,) array
         The estimate.
     elsewhere : KnownDirections or None
-        The same beside the estimate, where a direction is unseen: a product of two equal numbers looks like their sum.
+        The same beside the estimate, where a direction is unseen: a product of two equal numbers
+        looks like their sum.
     """
 
     covariance: Array
@@ -73,7 +75,9 @@ class KnownDirections:
         """Tell which combinations are determined beside the estimate too, (m,)."""
         if self.elsewhere is None:
             return np.ones(len(rows), dtype=bool)
-        return ~np.isnan(self.elsewhere.errors(self.elsewhere.gradients(rows, is_product=is_product)))
+        return ~np.isnan(
+            self.elsewhere.errors(self.elsewhere.gradients(rows, is_product=is_product))
+        )
 
 
 @dataclass(frozen=True)
@@ -111,22 +115,25 @@ class Identifiability:
     names : tuple of str
         Free parameters.
     error : (p,) array
-        Cramér-Rao bound, the standard error of the fit, as a share of the absolute value; NaN where there is none.
-        Guideline: at most 0.2.
+        Cramér-Rao bound, the standard error of the fit, as a share of the absolute value; NaN where
+        there is none. Guideline: at most 0.2.
     insensitivity : (p,) array
-        The standard error that it would have if all others were known, as a share of the absolute value; infinite
-        where the parameter has no effect. Guideline: at most 0.1. A large error with a small insensitivity means
-        correlation, a large insensitivity means that the data hardly tell of the parameter.
+        The standard error that it would have if all others were known, as a share of the absolute
+        value; infinite where the parameter has no effect. Guideline: at most 0.1. A large error
+        with a small insensitivity means correlation, a large insensitivity means that the data
+        hardly tell of the parameter.
     at_bound : tuple of str
         What ended at a bound, and is taken as known.
     correlated : tuple of (str, str, float)
         Pairs with a correlation above 0.9, largest first.
     condition : float
-        Condition number of the Jacobian with columns of unit length; infinite where a direction is not determined.
+        Condition number of the Jacobian with columns of unit length; infinite where a direction is
+        not determined.
     combinations : tuple of DeterminedCombination
         What is determined although its members are not, the simplest that say all.
 
-    Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, 2nd ed., chapter 12.
+    Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, 2nd ed.,
+    chapter 12.
     """
 
     names: tuple[str, ...]
@@ -141,10 +148,16 @@ class Identifiability:
     def beyond(self) -> tuple[str, ...]:
         """The parameters beyond a guideline, which the data do not determine well."""
         well = (self.error <= ERROR_GUIDELINE) & (self.insensitivity <= INSENSITIVITY_GUIDELINE)
-        return tuple(n for n, good in zip(self.names, well, strict=True) if not good and n not in self.at_bound)
+        return tuple(
+            n
+            for n, good in zip(self.names, well, strict=True)
+            if not good and n not in self.at_bound
+        )
 
     def __repr__(self) -> str:
-        return one_line(self, counted(len(self.names), "parameter"), f"{len(self.beyond)} beyond a guideline")
+        return one_line(
+            self, counted(len(self.names), "parameter"), f"{len(self.beyond)} beyond a guideline"
+        )
 
     def __str__(self) -> str:
         return "\n".join(_text(self))
@@ -165,7 +178,9 @@ def identifiability(
     diagonal = np.full(p, np.nan)
     diagonal[inside] = np.diag(matrix)
     with np.errstate(divide="ignore", invalid="ignore"):
-        alone = told.size / np.sqrt(np.where(diagonal > UNSEEN**2 * np.nanmax(diagonal, initial=0.0), diagonal, 0.0))
+        alone = told.size / np.sqrt(
+            np.where(diagonal > UNSEEN**2 * np.nanmax(diagonal, initial=0.0), diagonal, 0.0)
+        )
         share = np.where(inside, errors / np.abs(value), np.nan)
         insensitivity = np.where(inside, alone / np.abs(value), np.nan)
     return Identifiability(
@@ -187,7 +202,9 @@ def correlation(told: KnownDirections, inside: NDArray[np.bool_]) -> Array:
 
 
 def _correlated(names: Sequence[str], matrix: Array) -> Iterator[tuple[str, str, float]]:
-    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(matrix[i, j]) > CORRELATED]
+    pairs = [
+        (i, j) for i, j in combinations(range(len(names)), 2) if abs(matrix[i, j]) > CORRELATED
+    ]
     for i, j in sorted(pairs, key=lambda pair: -abs(matrix[pair])):
         yield names[i], names[j], float(matrix[i, j])
 
@@ -212,7 +229,11 @@ def _combinations(
 ) -> list[DeterminedCombination]:
     """Return the simplest independent combinations of what is not determined that are determined."""
     value = told.at
-    loose = [k for k in np.flatnonzero(inside).tolist() if not errors[k] <= ERROR_GUIDELINE * abs(value[k])]
+    loose = [
+        k
+        for k in np.flatnonzero(inside).tolist()
+        if not errors[k] <= ERROR_GUIDELINE * abs(value[k])
+    ]
     found = []
     for is_product in (True, False):
         members = [k for k in loose if value[k] != 0] if is_product else loose
@@ -228,8 +249,11 @@ def _combinations(
         if is_product:
             good &= error < ERROR_GUIDELINE
         else:
-            # A sum is as good as the data: within what they would tell of its members if the others were known.
-            good &= error < ERROR_GUIDELINE * np.maximum(np.abs(rows @ value), np.abs(rows * value).max(axis=1))
+            # A sum is as good as the data: within what they would tell of its members if the others
+            # were known.
+            good &= error < ERROR_GUIDELINE * np.maximum(
+                np.abs(rows @ value), np.abs(rows * value).max(axis=1)
+            )
         found += [
             (
                 int(np.abs(rows[k]).sum()),
@@ -243,7 +267,9 @@ def _combinations(
         ]
     chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
-    for _, _, _, is_product, row, error in sorted(found, key=lambda f: (f[0], not f[3], f[1], f[2])):
+    for _, _, _, is_product, row, error in sorted(
+        found, key=lambda f: (f[0], not f[3], f[1], f[2])
+    ):
         scaled = told.gradients(row[None], is_product=is_product)[0] * told.size
         extended = np.vstack([spanned, scaled / np.linalg.norm(scaled)])
         # Their number is limited by the directions that the members have left.
@@ -283,7 +309,9 @@ def _sums(members: Sequence[int], units: Sequence[str], p: int) -> Array:
     return np.array(rows).reshape(len(rows), p)
 
 
-def _named(names: Sequence[str], value: Array, row: Array, error: float, *, is_product: bool) -> DeterminedCombination:
+def _named(
+    names: Sequence[str], value: Array, row: Array, error: float, *, is_product: bool
+) -> DeterminedCombination:
     """Write a combination as people do: few divisors, and of a ratio the larger over the smaller."""
     if is_product:
         turned = (row < 0).sum() - (row > 0).sum()
@@ -307,7 +335,12 @@ def _named(names: Sequence[str], value: Array, row: Array, error: float, *, is_p
     divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
     result = float(np.prod(value[places] ** row[places]))
     return DeterminedCombination(
-        " ".join(above) + (f"/{divisor}" if below else ""), members, powers, True, result, error * abs(result)
+        " ".join(above) + (f"/{divisor}" if below else ""),
+        members,
+        powers,
+        True,
+        result,
+        error * abs(result),
     )
 
 
@@ -319,7 +352,13 @@ def _text(of: Identifiability) -> Iterator[str]:
     """Yield the table, then correlations, condition number and combinations, a line for each."""
     rows = []
     for name, error, alone in zip(of.names, of.error, of.insensitivity, strict=True):
-        remark = "at its bound" if name in of.at_bound else "beyond the guideline" if name in of.beyond else ""
+        remark = (
+            "at its bound"
+            if name in of.at_bound
+            else "beyond the guideline"
+            if name in of.beyond
+            else ""
+        )
         rows.append([name, _percent(error), _percent(alone), remark])
     yield text_table(["parameter", "error, %", "insensitivity, %", ""], rows, left=(0, 3))
     yield ""
@@ -335,4 +374,6 @@ def _text(of: Identifiability) -> Iterator[str]:
 
 
 def _percent(share: float) -> str:
-    return "-" if math.isnan(share) else "no effect" if math.isinf(share) else number(100 * share, 3)
+    return (
+        "-" if math.isnan(share) else "no effect" if math.isinf(share) else number(100 * share, 3)
+    )

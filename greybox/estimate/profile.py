@@ -1,21 +1,24 @@
 """Profile likelihood: the lowest cost that is left when one quantity is held at a value, as a function of that value.
 
-With C the cost and Ĉ its minimum, the signed root of the likelihood ratio is r = ±√(2 c (C - Ĉ)), and the interval is
-where |r| is below Student's t. The factor c makes the ratio of the cost one of likelihood: 1 for a likelihood of known
-errors; for the sums of relative errors what errors isotropic in the complex plane and of one relative size give, with
-their size estimated. It is the curvature that the cost has over the one that its covariance says, so that profile and
-standard error agree where the cost is quadratic. Sources: Bates and Watts (1988), Nonlinear Regression Analysis and Its
-Applications, section 6.1; Chandler and Bate (2007), Inference for clustered data using the independence loglikelihood,
-Biometrika 94.
+With C the cost and Ĉ its minimum, the signed root of the likelihood ratio is r = ±√(2 c (C - Ĉ)),
+and the interval is where |r| is below Student's t. The factor c makes the ratio of the cost one of
+likelihood: 1 for a likelihood of known errors; for the sums of relative errors what errors
+isotropic in the complex plane and of one relative size give, with their size estimated. It is the
+curvature that the cost has over the one that its covariance says, so that profile and standard
+error agree where the cost is quadratic. Sources: Bates and Watts (1988), Nonlinear Regression
+Analysis and Its Applications, section 6.1; Chandler and Bate (2007), Inference for clustered data
+using the independence loglikelihood, Biometrika 94.
 
-With N numbers whose variance is estimated along, as of records, the cost is N/2 log of a sum of squares, and r² is the
-F statistic that this sum gives, N c (exp(2 (C - Ĉ) / N) - 1): exact where the model is linear, however few the numbers.
+With N numbers whose variance is estimated along, as of records, the cost is N/2 log of a sum of
+squares, and r² is the F statistic that this sum gives, N c (exp(2 (C - Ĉ) / N) - 1): exact where
+the model is linear, however few the numbers.
 
-A relative criterion biases the estimate by b (`Quantity.bias`), so that at the truth r has the mean -b over the
-standard error. The interval is where r plus that is within ± t: as that of the standard error, about the value less b.
+A relative criterion biases the estimate by b (`Quantity.bias`), so that at the truth r has the mean
+-b over the standard error. The interval is where r plus that is within ± t: as that of the standard
+error, about the value less b.
 
-A parameter is held by its two bounds, any other quantity by an equation: one program for each quantity, whatever the
-number of points. Those of records are in `held_records`.
+A parameter is held by its two bounds, any other quantity by an equation: one program for each
+quantity, whatever the number of points. Those of records are in `held_records`.
 """
 
 import itertools
@@ -56,7 +59,10 @@ GROWTH = 3.0
 FEWEST_DIRECTIONS = 8  # of a contour: fewer show no shape
 WIDER = 1.5  # from one point of a ray to the next: two or three to the crossing where the cost is quadratic
 CROSSING = 1e-3  # of its distance, to which a crossing is found: less than a line is wide
-MOST_HELD, MOST_ROWS = 12, 1000  # profiles times unknowns, and rows, of which profiles take up to a second
+MOST_HELD, MOST_ROWS = (
+    12,
+    1000,
+)  # profiles times unknowns, and rows, of which profiles take up to a second
 FRESH_STARTS = 2  # of a point of frequency responses
 LEVEL = 0.95  # of the profiles that a fit makes by itself
 LARGE_ERROR = 0.5  # of a value: its interval by the standard error reaches to zero and beyond
@@ -83,18 +89,20 @@ def profile(
 
     What the cost says as a likelihood depends on the criterion:
 
-    ====================================================  ===========================================================
+    ====================================================
+    ===========================================================
     `RelativeError` (4.26), `SquaredRelativeError`        errors isotropic in the complex plane and of one relative
                                                           size, estimated: Student's t
     `RelativeLikelihood`                                  the same errors
     `MaximumLikelihood`                                   errors of the given variances, scaled up if the residuals
                                                           are larger
     `OutputError`, `PredictionError`                      normal errors of the outputs, of the variances that the
-                                                          residuals show; where these are correlated in time, scaled so
-                                                          that small changes have the standard errors of the fit
-    `MagnitudePhase`; one of your own that weighs points  none: refused
-    otherwise than their errors; manoeuvres
-    ====================================================  ===========================================================
+                                                          residuals show; where these are correlated
+                                                          in time, scaled so that small changes have
+                                                          the standard errors of the fit
+    `MagnitudePhase`; one of your own that weighs points  none: refused otherwise than their errors;
+    manoeuvres ====================================================
+    ===========================================================
 
     Parameters
     ----------
@@ -106,15 +114,18 @@ def profile(
     level : float
         Of the intervals.
     fresh_starts : int, optional
-        Sobol points from which every point of a profile is solved again, beside its neighbors on both sides; by default
-        two, and none of records, whose neighbors' states lead to the minimum.
+        Sobol points from which every point of a profile is solved again, beside its neighbors on
+        both sides; by default two, and none of records, whose neighbors' states lead to the
+        minimum.
     executor : concurrent.futures.Executor, optional
-        What makes the profiles, one a task, as of `greybox.fit`; this process by default. They are the same.
+        What makes the profiles, one a task, as of `greybox.fit`; this process by default. They are
+        the same.
 
     Raises
     ------
     ValueError
-        Where the criterion admits no likelihood ratio, for manoeuvres, and for a problem that is not the fit's.
+        Where the criterion admits no likelihood ratio, for manoeuvres, and for a problem that is
+        not the fit's.
     LookupError
         If a loaded fit does not know its model.
     RuntimeError
@@ -129,7 +140,9 @@ def profile(
     wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
     for name in wanted:
         if name not in known:
-            raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
+            raise ValueError(
+                f"there is no {name!r} to profile; there are {alternatives(name, list(known))}."
+            )
     fresh = (0 if fit.records else FRESH_STARTS) if fresh_starts is None else fresh_starts
     return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh, executor)
 
@@ -154,9 +167,9 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
 def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
     """Return profiles of the parameters whose standard error says little; None where none does, or none can be made.
 
-    That is where the interval of the standard error leaves the bounds, or the error exceeds half the value. A profile
-    takes some forty solves: problems too large for the batched search, records with states and long tables are not
-    profiled unasked.
+    That is where the interval of the standard error leaves the bounds, or the error exceeds half
+    the value. A profile takes some forty solves: problems too large for the batched search, records
+    with states and long tables are not profiled unasked.
     """
     if fit.white is None or nlp.limits or nlp.roots is not None or fit.priors:
         return None
@@ -164,7 +177,11 @@ def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
     if not (static or (len(fit.responses) == len(fit.parts) and BatchedSolver.serves(nlp))):
         return None
     intervals = fit.interval(LEVEL)
-    lines = [q for q in fit.quantities if q.kind == "free" and not q.at_bound and _misleads(q, intervals[q.name])]
+    lines = [
+        q
+        for q in fit.quantities
+        if q.kind == "free" and not q.at_bound and _misleads(q, intervals[q.name])
+    ]
     if not lines or ratio_refusal(nlp, np.array([fit.estimate[name] for name in nlp.free])):
         return None
     rows = sum(part.samples for part in nlp.parts)
@@ -181,7 +198,7 @@ def _misleads(line: Quantity, interval: tuple[float, float]) -> bool:
     return leaves or line.standard_error > LARGE_ERROR * abs(line.value)
 
 
-# --- what the cost says as a likelihood -------------------------------------------------------------------------------
+# --- what the cost says as a likelihood
 
 
 def ratio_refusal(nlp: Nlp, x: Array) -> str:
@@ -213,11 +230,13 @@ def _factor(accuracy: Accuracy, gradient: Array) -> float:
     size = accuracy.size[:p]
     says, has = gradient @ accuracy.white @ gradient, gradient @ covariance @ gradient
     if not (np.isfinite(has) and has > 0 and says > 0):
-        says, has = (np.trace(matrix / np.outer(size, size)) for matrix in (accuracy.white, covariance))
+        says, has = (
+            np.trace(matrix / np.outer(size, size)) for matrix in (accuracy.white, covariance)
+        )
     return float(says / has)
 
 
-# --- minimizing with a quantity held ----------------------------------------------------------------------------------
+# --- minimizing with a quantity held
 
 
 class _Programs:
@@ -244,7 +263,10 @@ class _Programs:
         equation = kind(0, 1) if value is None else value(z) - p[1]
         ipopt = Ipopt({"x": z, "p": p, "f": cost, "g": ca.vertcat(limits, equation)}, WARM)
         many, held = limits.numel(), equation.numel()
-        return ipopt, {"lbg": np.zeros(many + held), "ubg": np.concatenate([np.full(many, np.inf), np.zeros(held)])}
+        return ipopt, {
+            "lbg": np.zeros(many + held),
+            "ubg": np.concatenate([np.full(many, np.inf), np.zeros(held)]),
+        }
 
 
 class _Held:
@@ -254,7 +276,11 @@ class _Held:
     """
 
     def __init__(
-        self, nlp: Nlp, places: Sequence[int], value: ca.Function | None, programs: _Programs | None = None
+        self,
+        nlp: Nlp,
+        places: Sequence[int],
+        value: ca.Function | None,
+        programs: _Programs | None = None,
     ) -> None:
         self._nlp, self._places, self._value = nlp, list(places), value
         self._programs = programs or _Programs(nlp, value)
@@ -270,7 +296,9 @@ class _Held:
         """Return the program for a quantity (z) -> value."""
         return _Held(self._nlp, (), quantity)
 
-    def solve(self, starts: Sequence[Array], values: Sequence[float | Array]) -> list[tuple[Array, float]]:
+    def solve(
+        self, starts: Sequence[Array], values: Sequence[float | Array]
+    ) -> list[tuple[Array, float]]:
         """Return the best variables z (p,) with the quantity at a value, from each start, and their cost; inf if none.
 
         Several parameters have as many values.
@@ -278,7 +306,9 @@ class _Held:
         if not starts:  # of a profile that could leave the best point on neither side
             return []
         nlp, programs = self._nlp, self._programs
-        lower, upper = (np.tile(bound, (len(starts), 1)) for bound in (programs.lower, programs.upper))
+        lower, upper = (
+            np.tile(bound, (len(starts), 1)) for bound in (programs.lower, programs.upper)
+        )
         if self._places:
             x = np.ones(lower.shape)
             x[:, self._places] = np.array([np.ravel(value) for value in values])
@@ -287,7 +317,11 @@ class _Held:
         ends, arrived = np.clip(np.array(starts), lower, upper), np.zeros(len(starts), bool)
         left = np.ones(len(starts), bool)
         if programs.newton is not None:
-            limits = {"max_iterations": MOST_STEPS, "tolerance": TOLERANCE, "bounds": (lower.T, upper.T)}
+            limits = {
+                "max_iterations": MOST_STEPS,
+                "tolerance": TOLERANCE,
+                "bounds": (lower.T, upper.T),
+            }
             found = programs.newton.minimize(ends.T, from_near=True, **limits)
             ends[found.at_minimum], arrived = found.z.T[found.at_minimum], found.at_minimum
             # Where rounding ended it, IPOPT may see a minimum; what took all steps runs away.
@@ -305,7 +339,11 @@ def _numbers(nlp: Nlp) -> float:
     """Return how many numbers there are of whose variance the cost is a logarithm; infinite where it is not."""
     numbers = 0
     for part in nlp.parts:
-        if not isinstance(part, RecordPart) or part.covariance.known is not None or part.model.driven:
+        if (
+            not isinstance(part, RecordPart)
+            or part.covariance.known is not None
+            or part.model.driven
+        ):
             return math.inf
         numbers += part.numbers
     return numbers
@@ -390,14 +428,20 @@ class _Search:
         points = list(points)
         pairs = [pair for pair in itertools.pairwise(points) for pair in (pair, pair[::-1])]
         pairs = [pair for pair in pairs if pair[1] is not self.best]
-        found = self.held.solve([neighbor.z for neighbor, _ in pairs], [point.value for _, point in pairs])
+        found = self.held.solve(
+            [neighbor.z for neighbor, _ in pairs], [point.value for _, point in pairs]
+        )
         if not any(
-            cost < point.cost - LOWER * abs(point.cost) for (_, point), (_, cost) in zip(pairs, found, strict=True)
+            cost < point.cost - LOWER * abs(point.cost)
+            for (_, point), (_, cost) in zip(pairs, found, strict=True)
         ):
             return points
         for _ in range(SWEEPS):
             improved = False
-            for order, neighbor in ((range(len(points) - 2, -1, -1), 1), (range(1, len(points)), -1)):
+            for order, neighbor in (
+                (range(len(points) - 2, -1, -1), 1),
+                (range(1, len(points)), -1),
+            ):
                 for k in order:
                     if points[k] is self.best:
                         continue
@@ -412,12 +456,16 @@ class _Search:
     def along(self, center: Array, ray: Array, bounds: Array) -> tuple[float, End]:
         """Return how far along a ray (2,) from the center the limit is crossed, or the `bounds` (2, 2) reached."""
         with np.errstate(divide="ignore"):
-            room = np.where(ray > 0, bounds[:, 1] - center, bounds[:, 0] - center) / np.where(ray == 0, np.nan, ray)
+            room = np.where(ray > 0, bounds[:, 1] - center, bounds[:, 0] - center) / np.where(
+                ray == 0, np.nan, ray
+            )
         most = float(np.nanmin(room))
         inside, reach = self.best, min(self.limit / 2, most)
         while True:
             [(z, cost)] = self.held.solve([inside.z], [center + reach * ray])
-            if not math.isfinite(cost):  # nearer to a solution that is known, before it counts as failed
+            if not math.isfinite(
+                cost
+            ):  # nearer to a solution that is known, before it counts as failed
                 if reach - inside.value < CROSSING * self.limit:
                     return math.nan, "failed"
                 reach = (inside.value + reach) / 2
@@ -436,7 +484,13 @@ class _Search:
             tried = self.held.solve([inside.z, outside.z], [center + value * ray] * 2)
             return _Point(value, *min(tried, key=lambda pair: pair[1]))
 
-        found = _zero(lambda at: self.root(at) - self.limit, between, inside, outside, CROSSING * outside.value)
+        found = _zero(
+            lambda at: self.root(at) - self.limit,
+            between,
+            inside,
+            outside,
+            CROSSING * outside.value,
+        )
         return found, "crossed"
 
     def crossing(self, one: _Point, other: _Point, root: float) -> float:
@@ -452,13 +506,22 @@ class _Search:
 
 
 def _zero(
-    height: Callable[[_Point], float], between: Callable[[float], _Point], one: _Point, other: _Point, tolerance: float
+    height: Callable[[_Point], float],
+    between: Callable[[float], _Point],
+    one: _Point,
+    other: _Point,
+    tolerance: float,
 ) -> float:
     """Return the value at which the height changes its sign from one point to the other."""
     from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
 
     ends = {point.value: point for point in (one, other)}
-    found: Any = brentq(lambda v: height(ends[v] if v in ends else between(v)), one.value, other.value, xtol=tolerance)
+    found: Any = brentq(
+        lambda v: height(ends[v] if v in ends else between(v)),
+        one.value,
+        other.value,
+        xtol=tolerance,
+    )
     return float(found)
 
 
@@ -480,9 +543,10 @@ def contour(
 ) -> Contour:
     """Return the region of two parameters whose likelihood ratio is within its limit, all others fitted again.
 
-    From the estimate it is followed in `directions` that are even in the metric of the covariance, each to where the
-    root of the ratio crosses √(2 F), F the quantile of Fisher's distribution with 2 and the fit's degrees of freedom,
-    or to the bounds of the two. Source: Bates and Watts (1988), section 6.1.
+    From the estimate it is followed in `directions` that are even in the metric of the covariance,
+    each to where the root of the ratio crosses √(2 F), F the quantile of Fisher's distribution with
+    2 and the fit's degrees of freedom, or to the bounds of the two. Source: Bates and Watts (1988),
+    section 6.1.
 
     Parameters
     ----------
@@ -503,15 +567,21 @@ def contour(
     lines = {q.name: q for q in fit.quantities if q.kind == "free" and not q.at_bound}
     for name in (first, second):
         if name not in lines:
-            raise ValueError(f"no free {name!r} is within its bounds; there are {alternatives(name, list(lines))}.")
+            raise ValueError(
+                f"no free {name!r} is within its bounds; there are {alternatives(name, list(lines))}."
+            )
     if first == second:
-        raise ValueError(f"a contour of {first!r} needs another parameter: there are {', '.join(lines)}.")
+        raise ValueError(
+            f"a contour of {first!r} needs another parameter: there are {', '.join(lines)}."
+        )
     if directions < FEWEST_DIRECTIONS:
         raise ValueError(f"directions is {directions}: give at least {FEWEST_DIRECTIONS}.")
     return _contour(nlp, fit, lines[first], lines[second], level, directions)
 
 
-def _contour(nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float, directions: int) -> Contour:
+def _contour(
+    nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float, directions: int
+) -> Contour:
     from scipy.special import fdtri  # noqa: PLC0415  (takes a tenth of a second to import)
 
     best = _best(nlp, fit)
@@ -519,7 +589,9 @@ def _contour(nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float
     places = [nlp.free.index(first.name), nlp.free.index(second.name)]
     limit = math.sqrt(2 * float(fdtri(2, min(first.dof, second.dof, 1e9), level)))
     block = accuracy.covariance[np.ix_(places, places)]
-    axes = (np.linalg.cholesky(block) if np.linalg.det(block) > 0 else np.diag(accuracy.size[places])).astype(float)
+    axes = (
+        np.linalg.cholesky(block) if np.linalg.det(block) > 0 else np.diag(accuracy.size[places])
+    ).astype(float)
     search = _Search(
         held=best.held.of(*places),
         best=_Point(0.0, best.point, best.cost),
@@ -583,14 +655,23 @@ def _best(nlp: Nlp, fit: Fit) -> _Best:
 
 
 def _profiles(
-    nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int, executor: Executor | None = None
+    nlp: Nlp,
+    fit: Fit,
+    lines: Sequence[Quantity],
+    level: float,
+    fresh: int,
+    executor: Executor | None = None,
 ) -> Profiles:
     from scipy.special import stdtrit  # noqa: PLC0415
 
     best = _best(nlp, fit)
     x, accuracy, cost = best.x, best.accuracy, best.cost
     parameters = nlp.problem.parameters
-    drawn = Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free}) if fresh else np.zeros((0, len(x)))
+    drawn = (
+        Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free})
+        if fresh
+        else np.zeros((0, len(x)))
+    )
     starts = nlp.scaling.to_solver(drawn)
     by_name = {formula.name: formula for formula in formulas(nlp.problem)}
     searches, limits = [], {}
@@ -622,11 +703,15 @@ def _profiles(
             bias=line.bias / error if error > 0 else 0.0,
         )
         searches.append((nlp, search, line))
-    found = call_all(_profile_of, searches, executor, lambda each: counted_off(each, "profiles", "profile"))
+    found = call_all(
+        _profile_of, searches, executor, lambda each: counted_off(each, "profiles", "profile")
+    )
     lower = min((float(one.costs.min()) for one in found), default=math.inf)
     warnings = ()
     if lower < cost - LOWER * max(abs(cost), 1.0):
-        warnings = (f"a profile found the cost {number(lower)} below the fit's {number(cost)}: fit from more starts.",)
+        warnings = (
+            f"a profile found the cost {number(lower)} below the fit's {number(cost)}: fit from more starts.",
+        )
     return Profiles(fit.name, level, limits, nlp.free, tuple(found), warnings)
 
 
@@ -641,8 +726,15 @@ def _profile_of(nlp: Nlp, search: _Search, line: Quantity) -> ProfileOf:
         inside = np.array([np.argmin(np.abs(roots + search.bias))])
     first, last = inside[0], inside[-1]
     low = search.crossing(points[first - 1], points[first], lowest) if first > 0 else -math.inf
-    high = search.crossing(points[last], points[last + 1], highest) if last < len(points) - 1 else math.inf
-    ends: tuple[End, End] = ("crossed" if first > 0 else low_end, "crossed" if last < len(points) - 1 else high_end)
+    high = (
+        search.crossing(points[last], points[last + 1], highest)
+        if last < len(points) - 1
+        else math.inf
+    )
+    ends: tuple[End, End] = (
+        "crossed" if first > 0 else low_end,
+        "crossed" if last < len(points) - 1 else high_end,
+    )
 
     def held(point: _Point, is_open: bool) -> tuple[str, ...]:
         """Name the parameters at a bound, but for the one that is held and those that the estimate has there too."""

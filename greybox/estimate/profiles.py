@@ -25,22 +25,23 @@ class ProfileOf:
     estimate, standard_error : float
         Of the fit; the error is NaN where there is none.
     values, costs, roots : (n,) arrays
-        Where the quantity was held, in rising order; the lowest cost there, and the signed root of the likelihood
-        ratio.
+        Where the quantity was held, in rising order; the lowest cost there, and the signed root of
+        the likelihood ratio.
     others : (n, p) array
         All free parameters at these values.
     interval : (float, float)
         Infinite on a side that the data leave open.
     ends : (End, End)
-        How the profile ended below and above: it "crossed" the limit; reached the "bound" of the parameter, where the
-        search ends, below it; is "flat" however far it goes; or "failed" to converge.
+        How the profile ended below and above: it "crossed" the limit; reached the "bound" of the
+        parameter, where the search ends, below it; is "flat" however far it goes; or "failed" to
+        converge.
     bounds : (float, float)
     bias : float
-        Of the estimate, in standard errors (`Quantity.bias`): the ends are where the root plus it is at -limit and
-        limit.
+        Of the estimate, in standard errors (`Quantity.bias`): the ends are where the root plus it
+        is at -limit and limit.
     at_bound : (tuple of str, tuple of str)
-        Other parameters that a bound holds where the profile crosses the limit below and above: that end follows from
-        the bound too, not from the data alone.
+        Other parameters that a bound holds where the profile crosses the limit below and above:
+        that end follows from the bound too, not from the data alone.
     connected : bool
         False when values inside the interval have a cost above the limit.
     """
@@ -81,7 +82,11 @@ class ProfileOf:
 
     def _why(self, side: int) -> str:
         if self.ends[side] == "bound":
-            return f" up to the bound {self.bounds[side]:g}" if side else f" down to the bound {self.bounds[side]:g}"
+            return (
+                f" up to the bound {self.bounds[side]:g}"
+                if side
+                else f" down to the bound {self.bounds[side]:g}"
+            )
         return " that could be found: solves failed beyond" if self.ends[side] == "failed" else ""
 
     def __repr__(self) -> str:
@@ -117,7 +122,9 @@ class Profiles:
         for profile in self.profiles:
             if profile.name == name:
                 return profile
-        raise KeyError(f"{name!r} was not profiled; there are {alternatives(name, [p.name for p in self.profiles])}")
+        raise KeyError(
+            f"{name!r} was not profiled; there are {alternatives(name, [p.name for p in self.profiles])}"
+        )
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
@@ -132,13 +139,19 @@ class Profiles:
         lines = [f"  {p.name:<{width}}  {number(p.estimate):>10}   {p}" for p in self.profiles]
         warnings = [f"  warning: {text}" for text in self.warnings]
         return "\n".join(
-            [f"{self.name}: {100 * self.level:g} % intervals by profile likelihood", "", *lines, *warnings]
+            [
+                f"{self.name}: {100 * self.level:g} % intervals by profile likelihood",
+                "",
+                *lines,
+                *warnings,
+            ]
         )
 
     def intervals_in_words(self) -> dict[str, Any]:
         """Return interval and text of every profile as plain values, for JSON; None for an open side."""
         return {
-            p.name: {"low": finite(p.interval[0]), "high": finite(p.interval[1]), "text": str(p)} for p in self.profiles
+            p.name: {"low": finite(p.interval[0]), "high": finite(p.interval[1]), "text": str(p)}
+            for p in self.profiles
         }
 
     def summary(self) -> dict[str, Any]:
@@ -182,9 +195,11 @@ class Contour:
     limit : float
         Of the root of the ratio.
     points : (n, 2) array
-        Where rays from the estimate leave the region, in the order of their directions; NaN where solves failed.
+        Where rays from the estimate leave the region, in the order of their directions; NaN where
+        solves failed.
     ends : tuple of End
-        Of every ray: it "crossed" the limit; reached the "bound" of one of the two before; or is "flat" or "failed".
+        Of every ray: it "crossed" the limit; reached the "bound" of one of the two before; or is
+        "flat" or "failed".
     """
 
     names: tuple[str, str]
@@ -200,18 +215,19 @@ class Contour:
         return one_line(self, " and ".join(self.names), str(self))
 
     def __str__(self) -> str:
-        closed = self.ends.count("crossed")
-        if closed == len(self.ends):
-            said = "closed"
-        else:
-            said = f"open in {len(self.ends) - closed} of {len(self.ends)} directions"
+        open_ends = len(self.ends) - self.ends.count("crossed")
+        shape = f"open in {open_ends} of {len(self.ends)} directions" if open_ends else "closed"
         ranges = [
             f"{name} {number(low, 4)} to {number(high, 4)}{f' {unit}' if unit else ''}"
             for name, unit, low, high in zip(
-                self.names, self.units, np.nanmin(self.points, axis=0), np.nanmax(self.points, axis=0), strict=True
+                self.names,
+                self.units,
+                np.nanmin(self.points, axis=0),
+                np.nanmax(self.points, axis=0),
+                strict=True,
             )
         ]
-        return f"{100 * self.level:g} % region of {' and '.join(self.names)}, {said}: {', '.join(ranges)}"
+        return f"{100 * self.level:g} % region of {' and '.join(self.names)}, {shape}: {', '.join(ranges)}"
 
     def ellipse(self, count: int = 200) -> Array:
         """Return the region by the standard errors, (count, 2)."""

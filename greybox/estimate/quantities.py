@@ -30,20 +30,25 @@ def quantities(
 ) -> tuple[tuple[Quantity, ...], tuple[str, ...], NDArray[np.float64]]:
     """Return all lines, and the names and covariance matrix of free, fixed and tied parameters.
 
-    Errors of tied and derived quantities follow to first order from the gradient. NaN stands for what the data do not
-    determine.
+    Errors of tied and derived quantities follow to first order from the gradient. NaN stands for
+    what the data do not determine.
     """
     found = formulas(nlp.problem)
     values, gradients = _evaluated(nlp, found, estimate)
     lines = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
-    lines += [_formula(formula, float(value), accuracy) for formula, value in zip(found, values, strict=True)]
+    lines += [
+        _formula(formula, float(value), accuracy)
+        for formula, value in zip(found, values, strict=True)
+    ]
 
     # Every line by its derivatives with respect to all values.
     slopes = np.vstack([np.eye(len(nlp.names)), gradients])
     errors = propagate(accuracy, slopes)
     lines = [
         replace(line, standard_error=float(error), dof=float(dof), bias=float(bias))
-        for line, error, dof, bias in zip(lines, errors, degrees(accuracy, slopes), slopes @ accuracy.bias, strict=True)
+        for line, error, dof, bias in zip(
+            lines, errors, degrees(accuracy, slopes), slopes @ accuracy.bias, strict=True
+        )
     ]
 
     parameters = [line.name for line in lines if line.kind != "derived"]
@@ -55,7 +60,9 @@ def quantities(
     return tuple(lines), tuple(parameters), covariance
 
 
-def slopes_of_parameters(nlp: Nlp, estimate: Mapping[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def slopes_of_parameters(
+    nlp: Nlp, estimate: Mapping[str, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the values (m,) of free, fixed and tied parameters, and their derivatives (m, k) by all values."""
     of_all = np.array([estimate[name] for name in nlp.names])
     ties = _tied(nlp.problem)
@@ -109,7 +116,9 @@ def _evaluated(
     stacked = ca.vertcat(ca.SX(0, 1), *[ca.SX(formula.evaluate(named)) for formula in formulas])
     both = ca.Function("quantities", [symbols], [stacked, ca.jacobian(stacked, symbols)])
     value, gradient = both([estimate[name] for name in nlp.names])
-    return np.asarray(value).ravel(), np.asarray(ca.DM(gradient)).reshape(len(formulas), len(nlp.names))
+    return np.asarray(value).ravel(), np.asarray(ca.DM(gradient)).reshape(
+        len(formulas), len(nlp.names)
+    )
 
 
 def _tied(problem: AnyProblem) -> list[Formula]:
@@ -118,7 +127,9 @@ def _tied(problem: AnyProblem) -> list[Formula]:
         for name in part.tied:
             outside = part.outside(name)
             declared = part.model.parameters[name]
-            found.setdefault(outside, Formula(outside, "tied", declared.unit, declared.about, _tie(part, name)))
+            found.setdefault(
+                outside, Formula(outside, "tied", declared.unit, declared.about, _tie(part, name))
+            )
     return list(found.values())
 
 
@@ -140,5 +151,7 @@ def _tie(part: Problem, name: str) -> Callable[[Mapping[str, Any]], Any]:
     return lambda values: part.local_values(values)[name]
 
 
-def _derivation(part: Problem, function: Callable[[Any], Any]) -> Callable[[Mapping[str, Any]], Any]:
+def _derivation(
+    part: Problem, function: Callable[[Any], Any]
+) -> Callable[[Mapping[str, Any]], Any]:
     return lambda values: function(part.local_values(values))

@@ -25,8 +25,8 @@ Complexes = NDArray[np.complex128]
 class ResponseBand:
     """A fitted frequency response with the errors that those of its parameters make, frequency by frequency.
 
-    It holds the response of the true system at each single frequency at this level, if the model structure is right;
-    the noise of the measured points is not in it.
+    It holds the response of the true system at each single frequency at this level, if the model
+    structure is right; the noise of the measured points is not in it.
 
     Attributes
     ----------
@@ -34,13 +34,16 @@ class ResponseBand:
         The fitted one, (n,).
     level : float
     dof : float
-        Degrees of freedom of Student's t: the fewest of the parameters that the response depends on.
+        Degrees of freedom of Student's t: the fewest of the parameters that the response depends
+        on.
     covariance : (n, 2, 2) array
-        Of real and imaginary part; NaN where the response depends on what the data of the fit do not determine.
+        Of real and imaginary part; NaN where the response depends on what the data of the fit do
+        not determine.
     relative_error : (2, n) array
         Standard errors of the logarithm of the magnitude and of the phase in rad.
     bias : (n,) complex array
-        Of the response, from those of its parameters (`Quantity.bias`): the band is about the response less it.
+        Of the response, from those of its parameters (`Quantity.bias`): the band is about the
+        response less it.
     """
 
     response: FrequencyResponse
@@ -99,7 +102,12 @@ class ResponseBand:
         return self._center[:, None] + around[:, 0] + 1j * around[:, 1]
 
     def __repr__(self) -> str:
-        return one_line(self, self.response.name, counted(len(self), "frequency", "frequencies"), f"{self.level:g}")
+        return one_line(
+            self,
+            self.response.name,
+            counted(len(self), "frequency", "frequencies"),
+            f"{self.level:g}",
+        )
 
 
 def t_quantile(level: float, dof: float) -> float:
@@ -113,7 +121,8 @@ def t_quantile(level: float, dof: float) -> float:
     require_level(level)
     from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    # At 1e9 degrees of freedom Student's t is the normal distribution to all digits; it takes no infinity.
+    # At 1e9 degrees of freedom Student's t is the normal distribution to all digits; it takes no
+    # infinity.
     return float(stdtrit(min(dof, 1e9), 0.5 + level / 2)) if dof > 0 else float("nan")
 
 
@@ -162,7 +171,12 @@ def band_of(
 
 
 def response_and_slope(
-    model: Model, values: Mapping[str, float], omega: Array, sine: Sine | None, measured: Array, **signals: Any
+    model: Model,
+    values: Mapping[str, float],
+    omega: Array,
+    sine: Sine | None,
+    measured: Array,
+    **signals: Any,
 ) -> tuple[FrequencyResponse, Complexes]:
     """Return the response at `omega` (n,) rad/s and its derivatives (n, k) by the parameters of the model.
 
@@ -175,7 +189,9 @@ def response_and_slope(
     if sine is None and (formula := formula_at_one_frequency(model, omega, **options)) is not None:
         q, frequency = ca.SX.sym("p", p.size), ca.SX.sym("omega")
         rows = ca.vertcat(*formula(q, frequency))
-        each = ca.Function("slope", [q, frequency], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))])
+        each = ca.Function(
+            "slope", [q, frequency], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))]
+        )
         found = np.asarray(each.map("slopes", "serial", omega.size, [0], [])(p, omega[None]))
         found = found.reshape(2, omega.size, 1 + p.size)
     else:

@@ -15,13 +15,32 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
+from greybox.estimate.identifiability import (
+    Identifiability,
+    KnownDirections,
+    correlation,
+    identifiability,
+)
 from greybox.estimate.profiles import Profiles
-from greybox.estimate.response_band import ResponseBand, band_of, require_level, response_and_slope, t_quantile
+from greybox.estimate.response_band import (
+    ResponseBand,
+    band_of,
+    require_level,
+    response_and_slope,
+    t_quantile,
+)
 from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
 from greybox.files.html_text import html_list, html_table, html_text
-from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table, with_error
+from greybox.files.text_table import (
+    alternatives,
+    counted,
+    number,
+    one_line,
+    some,
+    text_table,
+    with_error,
+)
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.formulation.restated_parameter import restated
@@ -60,9 +79,9 @@ class Quantity:
     dof : float
         Degrees of freedom of Student's t for its interval.
     bias : float
-        Of the value, by what a relative criterion divides by: noise makes a gain over the measured magnitude too low,
-        over the model's too high. To first order in the variance of the errors. The value has it; intervals are about
-        the value without it.
+        Of the value, by what a relative criterion divides by: noise makes a gain over the measured
+        magnitude too low, over the model's too high. To first order in the variance of the errors.
+        The value has it; intervals are about the value without it.
     """
 
     name: str
@@ -86,8 +105,9 @@ class Quantity:
 class Fit:
     """The outcome of all starts of a problem. Printing it answers the reader's questions in order.
 
-    It holds plain values only, so that a saved one loads without the model. `runs` and `minima` are those of the
-    multistart, and the runs are columns besides, as in ``fit.runs.cost``; vectors follow `free`.
+    It holds plain values only, so that a saved one loads without the model. `runs` and `minima` are
+    those of the multistart, and the runs are columns besides, as in ``fit.runs.cost``; vectors
+    follow `free`.
 
     Attributes
     ----------
@@ -98,38 +118,45 @@ class Fit:
     names, covariance : tuple of str, (k, k) array
         Of free, fixed and tied parameters.
     dof : float
-        Numbers in the data less the directions of parameter space that they determine. A record counts as its
-        equivalent number of independent residuals, less its unknown initial states, whether its noise is given or not,
-        since standard errors use the residual variance; fewer where the spectrum of the residuals is uncertain.
-        Infinite where all data are frequency responses with given variances (`MaximumLikelihood`).
+        Numbers in the data less the directions of parameter space that they determine. A record
+        counts as its equivalent number of independent residuals, less its unknown initial states,
+        whether its noise is given or not, since standard errors use the residual variance; fewer
+        where the spectrum of the residuals is uncertain. Infinite where all data are frequency
+        responses with given variances (`MaximumLikelihood`).
     cost : float
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float
-        The value of every included criterion at the estimate, by its name (``relative-error``); NaN where the data do
-        not hold what it needs. Empty for fits with records.
+        The value of every included criterion at the estimate, by its name (``relative-error``); NaN
+        where the data do not hold what it needs. Empty for fits with records.
     white : (p, p) array or None
-        What the covariance of the free parameters would be if the cost were the likelihood of white errors.
+        What the covariance of the free parameters would be if the cost were the likelihood of white
+        errors.
     independent : (p, p) array and float, or None
-        What covariance and degrees of freedom would be if the errors of responses were independent along frequency;
-        None where they are.
+        What covariance and degrees of freedom would be if the errors of responses were independent
+        along frequency; None where they are.
     directions : KnownDirections or None
-        The covariance of the free parameters within the directions that the data determine, and the other directions.
+        The covariance of the free parameters within the directions that the data determine, and the
+        other directions.
     known : KnownDirections or None
-        The same of all `names`, with what ended at a bound as known: the errors of whatever depends on them follow.
+        The same of all `names`, with what ended at a bound as known: the errors of whatever depends
+        on them follow.
     profiles : Profiles or None
-        Of the parameters whose standard error misleads; None where there are none, or they were not asked for.
+        Of the parameters whose standard error misleads; None where there are none, or they were not
+        asked for.
     equivalents : (v, p) array or None
-        Clearly different vectors of the free parameters that give the best response, the estimate first: two lags that
-        change places, or signs that change together, make two. None without an estimate.
+        Clearly different vectors of the free parameters that give the best response, the estimate
+        first: two lags that change places, or signs that change together, make two. None without an
+        estimate.
     priors : mapping of name to (float, float)
-        Mean and standard deviation of what was known of parameters before the data: the estimate is then the maximum a
-        posteriori one. One of the `parts` stands for it.
+        Mean and standard deviation of what was known of parameters before the data: the estimate is
+        then the maximum a posteriori one. One of the `parts` stands for it.
     warnings, notes : tuple of str
         What to know before believing the estimate; and what may be worth a look.
     command : tuple of str
         The arguments of the command ``greybox`` that made it; empty where it was made from Python.
     models, given : tuple of Model or None, tuple of Model or class
-        The models that were fitted; None for a loaded fit, whose models are those of greybox and those given to `load`.
+        The models that were fitted; None for a loaded fit, whose models are those of greybox and
+        those given to `load`.
     """
 
     name: str
@@ -168,7 +195,9 @@ class Fit:
     @property
     def records(self) -> tuple[FittedRecord, ...]:
         """The parts whose data are records."""
-        return tuple(part for part in self.parts if isinstance(part, FittedRecord) and not part.is_prior)
+        return tuple(
+            part for part in self.parts if isinstance(part, FittedRecord) and not part.is_prior
+        )
 
     @property
     def spectra(self) -> tuple[FittedSpectrum, ...]:
@@ -192,16 +221,22 @@ class Fit:
         """How many runs ended at a cost that cannot be told from the best one: 0.1 in log-likelihood, or its equal."""
         numbers = sum(2 * len(part.data) for part in self.responses)
         is_likelihood = any(part.is_likelihood for part in self.parts)
-        return len(agreeing_runs(self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood))
+        return len(
+            agreeing_runs(self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood)
+        )
 
     @property
     def prior_share(self) -> dict[str, float]:
         """Which share the a-priori knowledge has in what is known of each free parameter, 0 to 1; the rest the data.
 
-        Of the information on a parameter with the others estimated along, for independent errors. NaN where the fit has
-        no standard error; empty without a prior.
+        Of the information on a parameter with the others estimated along, for independent errors.
+        NaN where the fit has no standard error; empty without a prior.
         """
-        found = [part.information for part in self.parts if part.is_prior and part.information is not None]
+        found = [
+            part.information
+            for part in self.parts
+            if part.is_prior and part.information is not None
+        ]
         if not found:
             return {}
         shares = np.sum([each.sum(axis=1) for each in found], axis=0)
@@ -231,14 +266,18 @@ class Fit:
     def best_effort(self) -> dict[str, float] | None:
         """Of a fit that failed, the values at which its best run ended, of free and fixed parameters by name.
 
-        They are no estimate and have no errors. None where there is an estimate, or where no run ended at a finite
-        cost.
+        They are no estimate and have no errors. None where there is an estimate, or where no run
+        ended at a finite cost.
         """
         run = None if self.converged else best_unfinished(self.runs)
         if run is None:
             return None
         ended = dict(zip(self.free, run.estimate.tolist(), strict=True))
-        return {q.name: ended.get(q.name, q.value) for q in self.quantities if q.kind in ("free", "fixed")}
+        return {
+            q.name: ended.get(q.name, q.value)
+            for q in self.quantities
+            if q.kind in ("free", "fixed")
+        }
 
     @property
     def derived(self) -> dict[str, float]:
@@ -271,13 +310,18 @@ class Fit:
     def correlation(self) -> NDArray[np.float64]:
         """Correlation matrix (p, p) of the free parameters; NaN for those without a standard error."""
         at_bound = {q.name for q in self.quantities if q.at_bound}
-        return correlation(self._known_directions(), np.array([name not in at_bound for name in self.free], dtype=bool))
+        return correlation(
+            self._known_directions(),
+            np.array([name not in at_bound for name in self.free], dtype=bool),
+        )
 
     def _known_directions(self) -> KnownDirections:
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
         if self.directions is None:
-            raise ValueError(f"the fit {self.name!r} has no covariance from which to judge this: fit it again.")
+            raise ValueError(
+                f"the fit {self.name!r} has no covariance from which to judge this: fit it again."
+            )
         return self.directions
 
     @property
@@ -322,7 +366,8 @@ class Fit:
         Parameters
         ----------
         model : Model, optional
-            By default the one that was fitted; of a loaded fit, one that greybox includes or that was given to `load`.
+            By default the one that was fitted; of a loaded fit, one that greybox includes or that
+            was given to `load`.
         inputs : "record", "linear" or "held", optional
             How inputs run between samples; by default as in the fit.
         part : int, optional
@@ -354,10 +399,13 @@ class Fit:
         """
         return self.models[part] if self.models else resolve(self.parts[part].model, self.given)
 
-    def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
+    def response(
+        self, omega: ArrayLike, part: int = 0, model: Model | None = None
+    ) -> FrequencyResponse:
         """Evaluate the fitted model of a part at `omega` (n,) rad/s.
 
-        A loaded fit knows the models that greybox includes and those given to `load`; otherwise give the `model`.
+        A loaded fit knows the models that greybox includes and those given to `load`; otherwise
+        give the `model`.
 
         Raises
         ------
@@ -381,8 +429,9 @@ class Fit:
     def to_dict(self, level: float = 0.95) -> dict[str, Any]:
         """Return the numbers as plain values, as ``greybox fit --json`` gives them: None for what is not known.
 
-        Estimates, standard errors, intervals of this `level`, bounds, units and fixed values are mappings by name;
-        ``covariance`` has ``names`` and rows of ``values``. `save` keeps the whole fit.
+        Estimates, standard errors, intervals of this `level`, bounds, units and fixed values are
+        mappings by name; ``covariance`` has ``names`` and rows of ``values``. `save` keeps the
+        whole fit.
         """
         return summary(self, level)
 
@@ -393,8 +442,8 @@ class Fit:
     def to_pandas(self, level: float = 0.95) -> Frame:
         """Return a row for every parameter and derived quantity as a pandas data frame.
 
-        Its index is the name; its columns are ``value, standard_error``, the ends ``low, high`` of the interval of this
-        `level`, ``unit, kind, lower_bound, upper_bound, at_bound, about``.
+        Its index is the name; its columns are ``value, standard_error``, the ends ``low, high`` of
+        the interval of this `level`, ``unit, kind, lower_bound, upper_bound, at_bound, about``.
 
         Raises
         ------
@@ -402,13 +451,20 @@ class Fit:
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
         intervals = self.interval(level)
-        ends = np.array([intervals.get(q.name, (math.nan, math.nan)) for q in self.quantities]).reshape(-1, 2)
+        ends = np.array(
+            [intervals.get(q.name, (math.nan, math.nan)) for q in self.quantities]
+        ).reshape(-1, 2)
         bounds = np.array([q.bounds for q in self.quantities]).reshape(-1, 2)
-        columns = {name: [getattr(q, name) for q in self.quantities] for name in ("value", "standard_error")}
+        columns = {
+            name: [getattr(q, name) for q in self.quantities]
+            for name in ("value", "standard_error")
+        }
         columns |= {"low": ends[:, 0], "high": ends[:, 1]}
         columns |= {name: [getattr(q, name) for q in self.quantities] for name in ("unit", "kind")}
         columns |= {"lower_bound": bounds[:, 0], "upper_bound": bounds[:, 1]}
-        columns |= {name: [getattr(q, name) for q in self.quantities] for name in ("at_bound", "about")}
+        columns |= {
+            name: [getattr(q, name) for q in self.quantities] for name in ("at_bound", "about")
+        }
         about = {"name": self.name, "criterion": self.criterion, "cost": self.cost, "level": level}
         return frame_of(columns, [q.name for q in self.quantities], "name", about)
 
@@ -431,8 +487,8 @@ class Fit:
     def residuals(self) -> tuple[NDArray[Any], ...]:
         """Measured less fitted values of every part.
 
-        Of a response (n,) complex, of a record (outputs, n), of a manoeuvre (outputs, n) complex. Those of a record are
-        NaN where nothing was compared; `plotting.residuals` draws them.
+        Of a response (n,) complex, of a record (outputs, n), of a manoeuvre (outputs, n) complex.
+        Those of a record are NaN where nothing was compared; `plotting.residuals` draws them.
         """
         return tuple(
             part.data.response - part.response
@@ -442,12 +498,17 @@ class Fit:
         )
 
     def response_band(
-        self, omega: ArrayLike | None = None, level: float = 0.95, part: int = 0, model: Model | None = None
+        self,
+        omega: ArrayLike | None = None,
+        level: float = 0.95,
+        part: int = 0,
+        model: Model | None = None,
     ) -> ResponseBand:
         """Return the fitted response of a part at `omega` (n,) rad/s with its confidence band at each frequency.
 
-        To first order in the errors of the parameters, whose covariance is that of the criterion: the band holds where
-        the standard errors do. By default at the frequencies of the curve in figures.
+        To first order in the errors of the parameters, whose covariance is that of the criterion:
+        the band holds where the standard errors do. By default at the frequencies of the curve in
+        figures.
 
         Raises
         ------
@@ -464,7 +525,10 @@ class Fit:
         names = [stated.rename.get(name, name) for name in model.parameters]
         response, slope = response_and_slope(
             model,
-            {name: self.estimate[outside] for name, outside in zip(model.parameters, names, strict=True)},
+            {
+                name: self.estimate[outside]
+                for name, outside in zip(model.parameters, names, strict=True)
+            },
             np.atleast_1d(np.asarray(omega, dtype=float)),
             stated.sine,
             stated.data.omega,
@@ -483,8 +547,9 @@ class Fit:
     ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Return the lower and upper limit (n,) of the confidence band of every fitted output of a record, by its name.
 
-        To first order in the errors of the parameters and of the initial states: within lies, at each sample by itself,
-        what the output would be without noise, if the model structure is right. NaN where nothing was compared.
+        To first order in the errors of the parameters and of the initial states: within lies, at
+        each sample by itself, what the output would be without noise, if the model structure is
+        right. NaN where nothing was compared.
 
         Parameters
         ----------
@@ -498,17 +563,24 @@ class Fit:
             If the fit has no estimate or no covariance, or the part is no record.
         """
         if part is None:
-            part = next((k for k, each in enumerate(self.parts) if isinstance(each, FittedRecord)), 0)
+            part = next(
+                (k for k, each in enumerate(self.parts) if isinstance(each, FittedRecord)), 0
+            )
         stated = self.parts[part]
         if not isinstance(stated, FittedRecord):
-            raise ValueError(f"part {part} of the fit is a frequency response: use fit.response_band().")
+            raise ValueError(
+                f"part {part} of the fit is a frequency response: use fit.response_band()."
+            )
         self._known_errors()
         if stated.error is None:
-            raise ValueError(f"the fit {self.name!r} was saved without the errors of its outputs: fit it again.")
+            raise ValueError(
+                f"the fit {self.name!r} was saved without the errors of its outputs: fit it again."
+            )
         half = t_quantile(level, self._fewest_degrees(self.names)) * stated.error
         values = [stated.simulated[name] for name in stated.outputs]
         return {
-            name: (value - each, value + each) for name, value, each in zip(stated.outputs, values, half, strict=True)
+            name: (value - each, value + each)
+            for name, value, each in zip(stated.outputs, values, half, strict=True)
         }
 
     def sensitivity(self, part: int = 0) -> Sensitivity:
@@ -517,24 +589,33 @@ class Fit:
         Raises
         ------
         ValueError
-            If the fit has no estimate, no degrees of freedom, or was saved before files kept what this needs.
+            If the fit has no estimate, no degrees of freedom, or was saved before files kept what
+            this needs.
         """
         self._known_errors()
         stated = self.parts[part]
         if stated.is_prior:
-            raise ValueError(f"part {part} is a-priori knowledge, not data: fit.prior_share has what it tells.")
+            raise ValueError(
+                f"part {part} is a-priori knowledge, not data: fit.prior_share has what it tells."
+            )
         if stated.information is None or stated.information_alone is None:
-            raise ValueError(f"the fit {self.name!r} was saved without what its data tell of parameters: fit it again.")
+            raise ValueError(
+                f"the fit {self.name!r} was saved without what its data tell of parameters: fit it again."
+            )
         if isinstance(stated, FittedResponse):
             unit, at, outputs = "rad/s", stated.data.omega, (stated.data.output or "response",)
         elif isinstance(stated, FittedSpectrum):
             unit, at, outputs = "rad/s", stated.data.omega, stated.outputs
         else:
             unit, outputs = "s" if stated.data.has_time else "row", stated.outputs
-            edges = np.linspace(0, len(stated.data), stated.information.shape[1] // len(outputs) + 1)
+            edges = np.linspace(
+                0, len(stated.data), stated.information.shape[1] // len(outputs) + 1
+            )
             middle = (edges[1:] + edges[:-1] - 1) / 2
             at = np.interp(middle, np.arange(len(stated.data)), stated.data.time)
-        return sensitivity(self.free, outputs, unit, at, stated.information, stated.information_alone)
+        return sensitivity(
+            self.free, outputs, unit, at, stated.information, stated.information_alone
+        )
 
     def _known_errors(self) -> KnownDirections:
         """Return what is known of the errors of all parameters, if anything is."""
@@ -549,7 +630,10 @@ class Fit:
 
     def _fewest_degrees(self, names: Sequence[str]) -> float:
         """Return the fewest degrees of freedom of the parameters with an error, or of the fit where these have none."""
-        return min((q.dof for q in self.quantities if q.name in names and q.standard_error > 0), default=self.dof)
+        return min(
+            (q.dof for q in self.quantities if q.name in names and q.standard_error > 0),
+            default=self.dof,
+        )
 
     def __repr__(self) -> str:
         return one_line(
@@ -570,16 +654,32 @@ def _text(fit: Fit) -> str:
     if not fit.converged:
         lines = [title, "", f"  FAILED: {fit.status}.", *warnings]
         if fit.best_effort is not None:
-            lines += ["", "  best effort, no estimate:", "", *_best_effort_table(fit, fit.best_effort)]
+            lines += [
+                "",
+                "  best effort, no estimate:",
+                "",
+                *_best_effort_table(fit, fit.best_effort),
+            ]
         return "\n".join(lines)
 
     sections = (
         [title],
         _overview(fit),
-        [*_table(fit), *(["", f"  ± is the standard error for {error_condition(fit)}."] if fit.dof > 0 else [])],
+        [
+            *_table(fit),
+            *(
+                ["", f"  ± is the standard error for {error_condition(fit)}."]
+                if fit.dof > 0
+                else []
+            ),
+        ],
         _profile_lines(fit),
         _other_criteria(fit),
-        [*warnings, *(f"  note: {text}" for text in fit.notes), f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
+        [
+            *warnings,
+            *(f"  note: {text}" for text in fit.notes),
+            f"  {fit.seconds:.2f} s; starts: {fit.starts}",
+        ],
     )
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
 
@@ -601,7 +701,10 @@ def _title(fit: Fit) -> str:
 
 def _html(fit: Fit) -> str:
     """Return the same for a notebook, without what the other criteria say."""
-    said = [*(f"warning: {text}" for text in fit.warnings), *(f"note: {text}" for text in fit.notes)]
+    said = [
+        *(f"warning: {text}" for text in fit.warnings),
+        *(f"note: {text}" for text in fit.notes),
+    ]
     if not fit.converged:
         return html_text(_title(fit), "b") + html_text(f"FAILED: {fit.status}.") + html_list(said)
     overview = [" ".join(line.split()) for line in _overview(fit)]
@@ -658,7 +761,11 @@ def _inputs_texts(records: Sequence[FittedRecord]) -> list[str]:
     for name in dict.fromkeys(name for part in records for name in part.between):
         said = {part.between[name]: None for part in records if name in part.between}
         for text in said:
-            where = tuple(part.name for part in records if part.between.get(name) == text) if len(said) > 1 else ()
+            where = (
+                tuple(part.name for part in records if part.between.get(name) == text)
+                if len(said) > 1
+                else ()
+            )
             alike.setdefault((text, where), []).append(name)
     return [
         f"{', '.join(names)} {text}{f' ({some(where)})' if any(where) else ''}"
@@ -681,7 +788,9 @@ def _data_text(fit: Fit) -> str:
             count = sum(len(part.data) for part in records)
             compared = sum(part.compared for part in records)
             share = "" if compared == count else f"{compared} of "
-            texts.append(f"{share}{counted(count, noun)}{remark} in {counted(len(records), 'record')}")
+            texts.append(
+                f"{share}{counted(count, noun)}{remark} in {counted(len(records), 'record')}"
+            )
     return " and ".join(texts)
 
 
@@ -708,8 +817,15 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
 def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     """Say how far the points of a response are from the model, and which one most; of many responses of the worst."""
     with np.errstate(divide="ignore", invalid="ignore"):  # zeros, which are left out
-        off = [np.abs(part.data.response - part.response) / np.abs(part.data.response) for part in responses]
-    known = [(part, values) for part, values in zip(responses, off, strict=True) if np.all(np.isfinite(values))]
+        off = [
+            np.abs(part.data.response - part.response) / np.abs(part.data.response)
+            for part in responses
+        ]
+    known = [
+        (part, values)
+        for part, values in zip(responses, off, strict=True)
+        if np.all(np.isfinite(values))
+    ]
     many = len(known) > MANY
     if many:
         known.sort(key=lambda pair: -rms(pair[1]))
@@ -732,9 +848,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
         by_equation = part.criterion == EquationError().name
         for k, output in enumerate(part.outputs):
             unit = "" if by_equation else f" {part.data.units.get(output, '')}".rstrip()
-            noise = (
-                f"{'error of its equation' if by_equation else 'noise of a sample'} {number(part.noise[k, k] ** 0.5)}"
-            )
+            noise = f"{'error of its equation' if by_equation else 'noise of a sample'} {number(part.noise[k, k] ** 0.5)}"
             texts.append(f"{output}{where}: {noise}{unit}, fit {part.fit_percent(output):.1f} %")
     return texts
 
@@ -752,7 +866,9 @@ def _output_text(part: FittedRecord, output: str) -> str:
     where = f" ({part.name})" if part.name else ""
     residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
     percent = part.fit_percent(output)  # NaN of an output that never changes
-    return f"{output}{where}: residual {residual} rms" + ("" if math.isnan(percent) else f", fit {percent:.1f} %")
+    return f"{output}{where}: residual {residual} rms" + (
+        "" if math.isnan(percent) else f", fit {percent:.1f} %"
+    )
 
 
 TABLE = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
@@ -769,7 +885,9 @@ def _rows(fit: Fit) -> list[list[str]]:
     own = _own_of_many(fit)
     for quantity in fit.quantities:
         if quantity.name in own:
-            of_all = [other for other in fit.quantities if own.get(other.name) == own[quantity.name]]
+            of_all = [
+                other for other in fit.quantities if own.get(other.name) == own[quantity.name]
+            ]
             if quantity is of_all[0]:
                 rows.append(_row_of_many(of_all))
             continue
@@ -801,7 +919,9 @@ def _own_of_many(fit: Fit) -> dict[str, tuple[str, str]]:
 def _row_of_many(quantities: Sequence[Quantity]) -> list[str]:
     """Return one row of the table for one parameter of many records."""
     first, last = quantities[0], quantities[-1]
-    errors = [quantity.standard_error for quantity in quantities if math.isfinite(quantity.standard_error)]
+    errors = [
+        quantity.standard_error for quantity in quantities if math.isfinite(quantity.standard_error)
+    ]
     boxes = {quantity.bounds for quantity in quantities}
     at_bound = sum(quantity.at_bound for quantity in quantities)
     low, high = first.bounds
@@ -822,8 +942,19 @@ def _best_effort_table(fit: Fit, values: Mapping[str, float]) -> list[str]:
     for quantity in fit.quantities:
         if quantity.name in values:
             low, high = quantity.bounds
-            bounds, note = (f"[{low:g}, {high:g}]", "") if quantity.kind == "free" else ("", quantity.kind)
-            rows.append([quantity.name, number(values[quantity.name]), quantity.unit, bounds, note, quantity.about])
+            bounds, note = (
+                (f"[{low:g}, {high:g}]", "") if quantity.kind == "free" else ("", quantity.kind)
+            )
+            rows.append(
+                [
+                    quantity.name,
+                    number(values[quantity.name]),
+                    quantity.unit,
+                    bounds,
+                    note,
+                    quantity.about,
+                ]
+            )
     return ["  " + line for line in text_table(header, rows, left=(0, 2, 4, 5)).splitlines()]
 
 
@@ -849,14 +980,20 @@ def _biased(fit: Fit) -> str:
 
 def _other_criteria(fit: Fit) -> list[str]:
     """Return the values of the other criteria that the data allow, a line for each."""
-    others = {name: cost for name, cost in fit.costs.items() if not math.isnan(cost) and name != fit.criterion}
+    others = {
+        name: cost
+        for name, cost in fit.costs.items()
+        if not math.isnan(cost) and name != fit.criterion
+    }
     if not others:
         return []
     lines = [f"    {number(cost):>10}  {RULES.get(name, name)}" for name, cost in others.items()]
     return ["  other criteria at this estimate:", *lines]
 
 
-def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None) -> ModelAtEstimate:
+def _at_estimate(
+    fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
+) -> ModelAtEstimate:
     """Return a model at the values, covariance and assumptions that a fit has for a part."""
     record = part if isinstance(part, FittedRecord) else None
     biases = record.biases if record else ()
@@ -879,7 +1016,8 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
 
     bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
 
-    # Standard errors treat what ended at its bound as known, and so does everything that follows from them.
+    # Standard errors treat what ended at its bound as known, and so does everything that follows
+    # from them.
     at_bound = {q.name for q in fit.quantities if q.at_bound and q.kind == "free"}
     known = np.array([name in at_bound for name in estimated], dtype=bool)
     values = np.array([fit.estimate[name] for name in estimated])
@@ -889,7 +1027,9 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
         assert driven.gain_slope is not None
         own = len(names) - len(gains)
         values = np.concatenate([values[:own], driven.gain])
-        covariance = _through(np.vstack([np.eye(own, len(estimated)), driven.gain_slope]), covariance)
+        covariance = _through(
+            np.vstack([np.eye(own, len(estimated)), driven.gain_slope]), covariance
+        )
     return ModelAtEstimate(
         label=model.label,
         system=dynamics(model, delay_order(part.delay)),
@@ -902,7 +1042,9 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
             name: restated(name, p, bounds=bounds.get(part.rename.get(name, name)))
             for name, p in model.parameters.items()
         },
-        own=_own_names(fit, model, record, dict(zip(names, outside, strict=True))) if record else (),
+        own=_own_names(fit, model, record, dict(zip(names, outside, strict=True)))
+        if record
+        else (),
     )
 
 
@@ -914,16 +1056,20 @@ def _through(slope: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDA
     return np.where(lost | lost[:, None], np.nan, found)
 
 
-def _own_names(fit: Fit, model: Model, part: FittedRecord, outside: Mapping[str, str]) -> tuple[str, ...]:
+def _own_names(
+    fit: Fit, model: Model, part: FittedRecord, outside: Mapping[str, str]
+) -> tuple[str, ...]:
     """Return the names inside of the free values that belong to the record of a part alone, by their names `outside`.
 
-    Biases, unless records share them under one name; and parameters of which other records have another one.
+    Biases, unless records share them under one name; and parameters of which other records have
+    another one.
     """
     free = {q.name for q in fit.quantities if q.kind == "free"}
     others = [
         other
         for other in fit.records
-        if _class_name(other.model) == _class_name(part.model) and not share_samples(other.data, part.data)
+        if _class_name(other.model) == _class_name(part.model)
+        and not share_samples(other.data, part.data)
     ]
     own = []
     for name, known_as in outside.items():
@@ -946,7 +1092,9 @@ def _part_index(fit: Fit, model: Model | None, part: int | None, record: Record 
     if part is not None:
         whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
         if not whole or not -count <= part < count:
-            raise ValueError(f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0.")
+            raise ValueError(
+                f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0."
+            )
         return part % count
 
     def later(k: int) -> int:

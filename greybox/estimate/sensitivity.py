@@ -17,9 +17,10 @@ INNER = 0.8  # of what is told of a parameter: the smallest stretch that holds i
 class Sensitivity:
     """What each point of one part of a fit tells of each free parameter. Printing it gives the band that tells most.
 
-    Shares are those of all data of the fit, for independent errors: with J the Jacobian of its weighted residuals and
-    (JᵀJ)⁻¹ = [c₁ c₂ ...], point i has the share |Jᵢ cⱼ|² / Σ |J cⱼ|² in what is told of parameter j with the others
-    estimated along, and |Jᵢⱼ|² / Σ |Jⱼ|² with the others known.
+    Shares are those of all data of the fit, for independent errors: with J the Jacobian of its
+    weighted residuals and (JᵀJ)⁻¹ = [c₁ c₂ ...], point i has the share |Jᵢ cⱼ|² / Σ |J cⱼ|² in what
+    is told of parameter j with the others estimated along, and |Jᵢⱼ|² / Σ |Jⱼ|² with the others
+    known.
 
     Attributes
     ----------
@@ -32,7 +33,8 @@ class Sensitivity:
     at : (m,) array
         The frequencies, sorted; of a record the middle of equal parts of it.
     shares, alone : (p, outputs, m) arrays
-        With the others estimated along, and known. NaN for a parameter that the data do not determine, or at a bound.
+        With the others estimated along, and known. NaN for a parameter that the data do not
+        determine, or at a bound.
     """
 
     names: tuple[str, ...]
@@ -66,16 +68,28 @@ class Sensitivity:
                 f"{output} {number(100 * part, 2)} %"
                 for output, part in zip(self.outputs, shares.sum(axis=1), strict=True)
             ]
-            where = "not determined" if np.isnan(low) else f"{number(low, 3)} to {number(high, 3)} {self.unit}"
+            where = (
+                "not determined"
+                if np.isnan(low)
+                else f"{number(low, 3)} to {number(high, 3)} {self.unit}"
+            )
             rows.append([name, where, ", ".join(by_output)])
         head = ["parameter", f"{100 * INNER:.0f} % of it within", "share of all that is told"]
         return text_table(head, rows, left=(0, 1, 2))
 
 
 def sensitivity(
-    names: Sequence[str], outputs: Sequence[str], unit: str, at: Array, information: Array, alone: Array
+    names: Sequence[str],
+    outputs: Sequence[str],
+    unit: str,
+    at: Array,
+    information: Array,
+    alone: Array,
 ) -> Sensitivity:
     """Return the sensitivity from shares (p, outputs x m), points in the order of `at` (m,)."""
     order = np.argsort(at, kind="stable")
-    shares, apart = (each.reshape(len(names), len(outputs), len(at))[:, :, order] for each in (information, alone))
+    shares, apart = (
+        each.reshape(len(names), len(outputs), len(at))[:, :, order]
+        for each in (information, alone)
+    )
     return Sensitivity(tuple(names), tuple(outputs), unit, at[order], shares, apart)

@@ -3,42 +3,52 @@
 Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``white``)
 -----------------------------------------------------------------------------------------
 ``/``            attributes ``format`` ("greybox fit"), ``layout``, ``name``, ``criterion``, ``delay``, ``status``,
-                 ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
-                 JSON attributes ``costs``, ``versions`` and, of a fit from the command line, ``command``; datasets
-                 ``warnings`` and, if any, ``notes``.
-``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, bias, kind, unit, about,
+                 ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the
+                 data, part by part); JSON attributes ``costs``, ``versions`` and, of a fit from the
+                 command line, ``command``; datasets ``warnings`` and, if any, ``notes``.
+``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, bias,
+kind, unit, about,
                  bounds, at_bound, dof``.
-``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors; if
-                 errors are correlated along frequency, ``independent`` (p, p) as if they were not, attribute ``dof``.
-``/directions``  if known, ``covariance`` (p, p) of the free parameters within the directions that the data determine,
-                 and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
-                 some are not determined, the same beside the estimate in ``elsewhere``.
+``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones
+for white errors; if
+                 errors are correlated along frequency, ``independent`` (p, p) as if they were not,
+                 attribute ``dof``.
+``/directions``  if known, ``covariance`` (p, p) of the free parameters within the directions that
+the data determine,
+                 and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at``
+                 the estimate (p,); if some are not determined, the same beside the estimate in
+                 ``elsewhere``.
 ``/``            has the JSON attribute ``priors`` besides, if there are any: mean and standard deviation by name.
 ``/equivalents`` if there is an estimate, the parameter vectors (v, p) that give its response.
 ``/known``       the same, if known, of all the names of the covariance.
 ``/profiles``    if any, attributes ``name, level`` and, as JSON, ``limit, free, warnings``; a group of each profile by
-                 its number: attributes ``name, unit, estimate, standard_error, bias, connected`` and, as JSON,
-                 ``ends, at_bound``; ``values, costs, roots`` (n,), ``others`` (n, p), ``interval`` and ``bounds`` (2,).
+                 its number: attributes ``name, unit, estimate, standard_error, bias, connected``
+                 and, as JSON, ``ends, at_bound``; ``values, costs, roots`` (n,), ``others`` (n, p),
+                 ``interval`` and ``bounds`` (2,).
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
-                 seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
+                 seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free``
+                 names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
-``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, criterion_class, is_likelihood, rule,
-                 condition, delay, weight, label, equation, checksum`` and, as JSON, ``settings`` (of the criterion),
-                 ``model, rename, tied, constraints``, and group ``data``.
-                 Of a response: attributes ``pade_error, nuisances``, as JSON ``at`` and, if any, ``sine``; groups
-                 ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof,
-                 stretches``), the fitted ``response_alpha, response_beta`` at the data's frequencies.
-                 Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains,
-                 driven``; groups ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and,
-                 if known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``gain``
-                 (gains,), ``gain_slope`` (gains, m) and ``error`` (k, n). Of all, if known, ``information`` and
-                 ``information_alone`` (p, m).
-                 Of a manoeuvre: as JSON ``at, ends, outputs``, attribute ``nuisances``; group ``data``, see
-                 `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary parts, and
-                 ``noise`` (k, k).
+``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, criterion_class,
+is_likelihood, rule,
+                 condition, delay, weight, label, equation, checksum`` and, as JSON, ``settings``
+                 (of the criterion), ``model, rename, tied, constraints``, and group ``data``. Of a
+                 response: attributes ``pade_error, nuisances``, as JSON ``at`` and, if any,
+                 ``sine``; groups ``data`` and ``curve`` (``omega, alpha, beta`` and, if known,
+                 ``coherence, variance, dof, stretches``), the fitted ``response_alpha,
+                 response_beta`` at the data's frequencies. Of a record: attributes ``method,
+                 inputs, nuisances``, as JSON ``outputs, biases, gains, driven``; groups ``data``
+                 and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
+                 known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if
+                 known, ``gain`` (gains,), ``gain_slope`` (gains, m) and ``error`` (k, n). Of all,
+                 if known, ``information`` and ``information_alone`` (p, m). Of a manoeuvre: as JSON
+                 ``at, ends, outputs``, attribute ``nuisances``; group ``data``, see
+                 `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary
+                 parts, and ``noise`` (k, k).
 
-The file is sealed, see `greybox.files.sealed_files`. NaN means "not known". A file may come from anyone: nothing in it
-is executed, nothing that it names is imported, and what is loaded fits together (SECURITY.md).
+The file is sealed, see `greybox.files.sealed_files`. NaN means "not known". A file may come from
+anyone: nothing in it is executed, nothing that it names is imported, and what is loaded fits
+together (SECURITY.md).
 """
 
 import ast
@@ -95,16 +105,18 @@ def save(fit: Fit, path: str | Path) -> None:
     write_sealed(Path(path), KIND, lambda file: _write(file, fit))
 
 
-def load(path: str | Path, models: Sequence[Model | type[Model] | ModuleType | str | Path] = ()) -> Fit:
+def load(
+    path: str | Path, models: Sequence[Model | type[Model] | ModuleType | str | Path] = ()
+) -> Fit:
     """Read a `Fit` that `save` wrote. The file may come from anyone, see SECURITY.md.
 
     Parameters
     ----------
     path : str or Path
     models : sequence
-        Models of your own that the fit may use where it evaluates its model (`Fit.response`, `gb.predict`): classes,
-        models, modules, or paths of Python files. Those that greybox includes are known; no other is imported, whatever
-        the file names.
+        Models of your own that the fit may use where it evaluates its model (`Fit.response`,
+        `gb.predict`): classes, models, modules, or paths of Python files. Those that greybox
+        includes are known; no other is imported, whatever the file names.
 
     Raises
     ------
@@ -121,7 +133,9 @@ def load(path: str | Path, models: Sequence[Model | type[Model] | ModuleType | s
             raise ValueError(f"its format is {file.attrs['format']!r:.60}")
         if layout <= LAYOUT:
             return replace(_read(file), given=given)
-    raise ValueError(f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox.")
+    raise ValueError(
+        f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox."
+    )
 
 
 def _models(thing: Model | type[Model] | ModuleType | str | Path) -> Sequence[Model | type[Model]]:
@@ -132,12 +146,27 @@ def _models(thing: Model | type[Model] | ModuleType | str | Path) -> Sequence[Mo
         return models_of(thing)
     if isinstance(thing, Model) or (isinstance(thing, type) and issubclass(thing, Model)):
         return [thing]
-    raise TypeError(f"models has {thing!r:.60}: give model classes, models, modules, or paths of Python files.")
+    raise TypeError(
+        f"models has {thing!r:.60}: give model classes, models, modules, or paths of Python files."
+    )
 
 
 def _write(file: Node, fit: Fit) -> None:
-    scalars = ("name", "criterion", "delay", "status", "cost", "dof", "seed", "starts", "seconds", "checksum")
-    _attributes(file, format="greybox fit", layout=LAYOUT, **{name: getattr(fit, name) for name in scalars})
+    scalars = (
+        "name",
+        "criterion",
+        "delay",
+        "status",
+        "cost",
+        "dof",
+        "seed",
+        "starts",
+        "seconds",
+        "checksum",
+    )
+    _attributes(
+        file, format="greybox fit", layout=LAYOUT, **{name: getattr(fit, name) for name in scalars}
+    )
     _attributes(file, costs=json.dumps(_finite(fit.costs)), versions=json.dumps(dict(fit.versions)))
     _attributes(file, command=json.dumps(fit.command) if fit.command else None)
     _texts(file, "warnings", fit.warnings)
@@ -163,12 +192,19 @@ def _write(file: Node, fit: Fit) -> None:
 
 def _write_profiles(group: Node, profiles: Profiles) -> None:
     _attributes(group, name=profiles.name, level=profiles.level)
-    _attributes(group, **{name: json.dumps(getattr(profiles, name)) for name in ("limit", "free", "warnings")})
+    _attributes(
+        group,
+        **{name: json.dumps(getattr(profiles, name)) for name in ("limit", "free", "warnings")},
+    )
     for k, profile in enumerate(profiles.profiles):
         own = group.create_group(str(k))
-        _attributes(own, **{name: getattr(profile, name) for name in ("name", "unit", *_PROFILE_NUMBERS)})
+        _attributes(
+            own, **{name: getattr(profile, name) for name in ("name", "unit", *_PROFILE_NUMBERS)}
+        )
         _attributes(own, connected=profile.connected)
-        _attributes(own, **{name: json.dumps(getattr(profile, name)) for name in ("ends", "at_bound")})
+        _attributes(
+            own, **{name: json.dumps(getattr(profile, name)) for name in ("ends", "at_bound")}
+        )
         for name in ("interval", "bounds", *_PROFILE_COLUMNS, "others"):
             own[name] = np.asarray(getattr(profile, name), dtype=float)
 
@@ -202,7 +238,10 @@ def _read_profile(group: Stored, p: int) -> ProfileOf:
         interval=(interval[0], interval[1]),
         ends=(ends[0], ends[1]),
         bounds=(bounds[0], bounds[1]),
-        at_bound=(tuple(_text(name) for name in at_bound[0]), tuple(_text(name) for name in at_bound[1])),
+        at_bound=(
+            tuple(_text(name) for name in at_bound[0]),
+            tuple(_text(name) for name in at_bound[1]),
+        ),
         connected=bool(attributes["connected"]),
     )
 
@@ -218,7 +257,9 @@ def _write_judgment(file: Node, fit: Fit) -> None:
     if fit.equivalents is not None:
         file["equivalents"] = fit.equivalents
     if fit.priors:
-        _attributes(file, priors=json.dumps({name: list(pair) for name, pair in fit.priors.items()}))
+        _attributes(
+            file, priors=json.dumps({name: list(pair) for name, pair in fit.priors.items()})
+        )
 
 
 def _write_runs(file: Node, fit: Fit) -> None:
@@ -237,7 +278,9 @@ def _write_runs(file: Node, fit: Fit) -> None:
     minima = file.create_group("minima")
     minima["cost"] = np.array([m.cost for m in fit.minima])
     minima["variants"] = np.array([m.variants for m in fit.minima], dtype=int)
-    minima["estimate"] = np.array([m.estimate for m in fit.minima]).reshape(len(fit.minima), len(fit.free))
+    minima["estimate"] = np.array([m.estimate for m in fit.minima]).reshape(
+        len(fit.minima), len(fit.free)
+    )
 
 
 def _write_part(group: Node, part: FittedPart) -> None:
@@ -271,8 +314,20 @@ def _write_fitted_response(group: Node, part: FittedResponse) -> None:
 
 
 def _write_fitted_record(group: Node, part: FittedRecord) -> None:
-    _attributes(group, method=part.method, inputs=part.inputs, nuisances=part.nuisances, is_static=part.is_static)
-    _attributes(group, **{name: json.dumps(getattr(part, name)) for name in ("outputs", "biases", "gains", "driven")})
+    _attributes(
+        group,
+        method=part.method,
+        inputs=part.inputs,
+        nuisances=part.nuisances,
+        is_static=part.is_static,
+    )
+    _attributes(
+        group,
+        **{
+            name: json.dumps(getattr(part, name))
+            for name in ("outputs", "biases", "gains", "driven")
+        },
+    )
     write_record(group.create_group("data"), part.data)
     write_record(group.create_group("simulated"), part.simulated)
     group["noise"] = part.noise
@@ -288,7 +343,12 @@ def _write_fitted_record(group: Node, part: FittedRecord) -> None:
 
 
 def _write_fitted_spectrum(group: Node, part: FittedSpectrum) -> None:
-    _attributes(group, nuisances=part.nuisances, at=json.dumps(dict(part.at)), outputs=json.dumps(part.outputs))
+    _attributes(
+        group,
+        nuisances=part.nuisances,
+        at=json.dumps(dict(part.at)),
+        outputs=json.dumps(part.outputs),
+    )
     _attributes(group, ends=json.dumps(_finite(part.ends)))
     write_spectrum_group(group.create_group("data"), part.data)
     fitted = group.create_group("fitted", track_order=True)
@@ -321,12 +381,18 @@ def _read(file: Stored) -> Fit:
         seconds=float(attributes["seconds"]),
         command=_json_names(attributes["command"]) if "command" in attributes else (),
         versions=_json_texts(attributes["versions"]),
-        white=_array(file["covariance/white"], (len(free), len(free))) if "white" in file["covariance"] else None,
+        white=_array(file["covariance/white"], (len(free), len(free)))
+        if "white" in file["covariance"]
+        else None,
         independent=_read_independent(file["covariance"], len(free)),
         profiles=_read_profiles(file["profiles"]) if "profiles" in file else None,
-        directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,
+        directions=_read_directions(file["directions"], len(free))
+        if "directions" in file
+        else None,
         known=_read_directions(file["known"], len(names)) if "known" in file else None,
-        equivalents=_read_equivalents(file["equivalents"][()], len(free)) if "equivalents" in file else None,
+        equivalents=_read_equivalents(file["equivalents"][()], len(free))
+        if "equivalents" in file
+        else None,
         priors=_read_priors(attributes, free) if "priors" in attributes else {},
     )
     return _checked(fit)
@@ -343,18 +409,25 @@ def _write_directions(group: Node, directions: KnownDirections) -> None:
     for name in ("covariance", "unseen", "size", "at"):
         group[name] = getattr(directions, name)
     if directions.elsewhere is not None:
-        _write_directions(group.create_group("elsewhere"), replace(directions.elsewhere, elsewhere=None))
+        _write_directions(
+            group.create_group("elsewhere"), replace(directions.elsewhere, elsewhere=None)
+        )
 
 
 def _read_directions(group: Stored, p: int, *, inside: bool = False) -> KnownDirections:
     unseen = group["unseen"][()]
-    _require(isinstance(unseen, np.ndarray) and unseen.ndim == 2, "the directions that are not determined are missing")
+    _require(
+        isinstance(unseen, np.ndarray) and unseen.ndim == 2,
+        "the directions that are not determined are missing",
+    )
     return KnownDirections(
         _array(group["covariance"], (p, p)),
         _array(group["unseen"], (p, unseen.shape[1])),
         _array(group["size"], (p,)),
         _array(group["at"], (p,)),
-        _read_directions(group["elsewhere"], p, inside=True) if "elsewhere" in group and not inside else None,
+        _read_directions(group["elsewhere"], p, inside=True)
+        if "elsewhere" in group and not inside
+        else None,
     )
 
 
@@ -368,13 +441,24 @@ def _checked(fit: Fit) -> Fit:
     for part in fit.parts:
         for values in (part.information, part.information_alone):
             is_table = values is None or (isinstance(values, np.ndarray) and values.ndim == 2)
-            _require(is_table and (values is None or len(values) == len(fit.free)), "what its data tell is incomplete")
+            _require(
+                is_table and (values is None or len(values) == len(fit.free)),
+                "what its data tell is incomplete",
+            )
         if isinstance(part, FittedResponse):
             size = len(part.data)
-            _require(part.response.shape == (size,), "the fitted response and the data differ in length")
-            _require(part.sine is None or np.size(part.sine.amplitude) in (1, size), "an amplitude is missing")
+            _require(
+                part.response.shape == (size,), "the fitted response and the data differ in length"
+            )
+            _require(
+                part.sine is None or np.size(part.sine.amplitude) in (1, size),
+                "an amplitude is missing",
+            )
         elif isinstance(part, FittedSpectrum):
-            _require({*part.outputs} <= {*part.data.outputs} & {*part.fitted}, "an output is not in the spectrum")
+            _require(
+                {*part.outputs} <= {*part.data.outputs} & {*part.fitted},
+                "an output is not in the spectrum",
+            )
         else:
             _require(
                 np.array_equal(part.data.time, part.simulated.time),
@@ -382,17 +466,26 @@ def _checked(fit: Fit) -> Fit:
             )
             held = {*part.data.signals} & {*part.simulated.signals}
             _require({*part.outputs} <= held, "an output is not in the record")
-            _require(part.inputs in get_args(Inputs), "how its inputs run between samples is not known")
+            _require(
+                part.inputs in get_args(Inputs), "how its inputs run between samples is not known"
+            )
     return fit
 
 
 def _read_equivalents(stored: Any, parameters: int) -> Any:
-    shaped = isinstance(stored, np.ndarray) and stored.ndim == 2 and stored.shape[1] == parameters and len(stored) > 0
+    shaped = (
+        isinstance(stored, np.ndarray)
+        and stored.ndim == 2
+        and stored.shape[1] == parameters
+        and len(stored) > 0
+    )
     _require(shaped, "the parameter vectors of one response are not those of its parameters")
     return stored
 
 
-def _read_priors(attributes: Mapping[str, Any], free: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _read_priors(
+    attributes: Mapping[str, Any], free: Sequence[str]
+) -> dict[str, tuple[float, float]]:
     stored = _json_object(attributes["priors"])
     _require({*stored} <= {*free}, "a parameter with a prior was not free")
     return {name: as_prior(value, f"the prior of {name!r:.40}") for name, value in stored.items()}
@@ -401,14 +494,20 @@ def _read_priors(attributes: Mapping[str, Any], free: Sequence[str]) -> dict[str
 def _read_costs(stored: Mapping[str, Any]) -> dict[str, float]:
     """Return the costs by the names of the criteria; layouts 1 and 2 have their descriptions."""
     names = {criterion.description: criterion.name for criterion in CRITERIA}
-    return {names.get(key, key): math.nan if value is None else float(value) for key, value in stored.items()}
+    return {
+        names.get(key, key): math.nan if value is None else float(value)
+        for key, value in stored.items()
+    }
 
 
 def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
     numbers = [name for name in _QUANTITY_NUMBERS if name != "bias" or "bias" in group]
     rows = _rows(group, ("name", "kind", "unit", "about"), numbers)
     for row in rows:
-        _require(row["kind"] in ("free", "fixed", "tied", "derived"), f"{row['kind']!r:.40} is not a kind of quantity")
+        _require(
+            row["kind"] in ("free", "fixed", "tied", "derived"),
+            f"{row['kind']!r:.40} is not a kind of quantity",
+        )
     return tuple(
         Quantity(
             **{name: row[name] for name in ("name", "kind", "unit", "about")},
@@ -426,10 +525,18 @@ def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
 
 def _read_runs(group: Stored, parameters: int) -> Runs:
     texts = {name: _read_texts(group[name]) for name in ("status", "reason")}
-    texts["stage"] = _read_texts(group["stage"]) if "stage" in group else (POLISHED,) * len(texts["status"])
-    numbers = {name: group[name][()] for name in ("start", "estimate", "cost", "converged", "iterations", "seconds")}
+    texts["stage"] = (
+        _read_texts(group["stage"]) if "stage" in group else (POLISHED,) * len(texts["status"])
+    )
+    numbers = {
+        name: group[name][()]
+        for name in ("start", "estimate", "cost", "converged", "iterations", "seconds")
+    }
     count = len(texts["status"])
-    _require(all(len(column) == count for column in (*texts.values(), *numbers.values())), "its runs are incomplete")
+    _require(
+        all(len(column) == count for column in (*texts.values(), *numbers.values())),
+        "its runs are incomplete",
+    )
     for name, values in numbers.items():
         shape = (count, parameters) if name in ("start", "estimate") else (count,)
         numbers[name] = np.asarray(_array(values, shape), dtype=float)
@@ -447,7 +554,10 @@ def _read_runs(group: Stored, parameters: int) -> Runs:
 
 def _rows(group: Stored, texts: Sequence[str], numbers: Sequence[str]) -> list[dict[str, Any]]:
     """Return the rows of a table that is stored by columns, which must be of one length."""
-    columns = [*(_read_texts(group[name]) for name in texts), *(group[name][()] for name in numbers)]
+    columns = [
+        *(_read_texts(group[name]) for name in texts),
+        *(group[name][()] for name in numbers),
+    ]
     return [dict(zip((*texts, *numbers), row, strict=True)) for row in zip(*columns, strict=True)]
 
 
@@ -456,13 +566,17 @@ def _read_minima(file: Stored, runs: Runs, parameters: int) -> tuple[Minimum, ..
     cost, variants = (group[column][()] for column in ("cost", "variants"))
     estimate = _array(group["estimate"], (len(cost), parameters))
     reached = _array(file["runs/minimum"], (len(runs),))
-    _require(len(reached) == 0 or reached.max() < len(cost), "a run ended at a minimum that it does not have")
+    _require(
+        len(reached) == 0 or reached.max() < len(cost),
+        "a run ended at a minimum that it does not have",
+    )
     best_first = np.lexsort((runs.cost, reached))
     ends = np.searchsorted(reached[best_first], np.arange(len(cost) + 1))
     members = [best_first[begin:end] for begin, end in pairwise(ends)]
     _require(all(map(len, members)), "no run ended at one of its minima")
     return tuple(
-        Minimum(float(cost[k]), estimate[k], tuple(found.tolist()), int(variants[k])) for k, found in enumerate(members)
+        Minimum(float(cost[k]), estimate[k], tuple(found.tolist()), int(variants[k]))
+        for k, found in enumerate(members)
     )
 
 
@@ -475,16 +589,28 @@ def _read_part(group: Stored) -> FittedResponse | FittedRecord | FittedSpectrum:
     stated["constraints"] = _json_names(attributes["constraints"], keep=LINES)
     stated["model"] = _json_object(attributes["model"])
     _require(isinstance(stated["model"]["class"], str), "its model has no class")
-    _require(isinstance(stated["model"]["arguments"], list), "the arguments of its model are not a list")
-    _require(isinstance(stated["model"]["keywords"], dict), "the keywords of its model have no names")
+    _require(
+        isinstance(stated["model"]["arguments"], list), "the arguments of its model are not a list"
+    )
+    _require(
+        isinstance(stated["model"]["keywords"], dict), "the keywords of its model have no names"
+    )
     stated["weight"] = float(attributes["weight"])
     for name in ("information", "information_alone"):
         stated[name] = group[name][()] if name in group else None
-    stated |= _read_criterion(attributes) if "settings" in attributes else _read_criterion_text(attributes)
+    stated |= (
+        _read_criterion(attributes)
+        if "settings" in attributes
+        else _read_criterion_text(attributes)
+    )
     if "fitted" in group:
         part = _read_fitted_spectrum(group, stated)
     else:
-        part = _read_fitted_record(group, stated) if "simulated" in group else _read_fitted_response(group, stated)
+        part = (
+            _read_fitted_record(group, stated)
+            if "simulated" in group
+            else _read_fitted_response(group, stated)
+        )
     if part.data.checksum != attributes["checksum"]:
         raise KeyError(f"the data of part {attributes['name']!r:.60} do not match their checksum")
     return part
@@ -506,7 +632,9 @@ def _read_criterion_text(attributes: Mapping[str, Any]) -> dict[str, Any]:
     usual: Any = included[text.partition("(")[0]]
     try:
         call: Any = ast.parse(text, mode="eval").body
-        return criterion_values(replace(usual, **{k.arg: ast.literal_eval(k.value) for k in call.keywords}))
+        return criterion_values(
+            replace(usual, **{k.arg: ast.literal_eval(k.value) for k in call.keywords})
+        )
     except (ValueError, SyntaxError, MemoryError, RecursionError):
         return criterion_values(usual) | {"settings": {"text": text}}
 
@@ -522,7 +650,9 @@ def _read_fitted_response(group: Stored, stated: dict[str, Any]) -> FittedRespon
         data=read_group(group["data"]),
         response=group["response_alpha"][()] + 1j * group["response_beta"][()],
         curve=read_group(group["curve"]) if "curve" in group else None,
-        nuisances=int(attributes["nuisances"]) if "nuisances" in attributes else _usual_nuisances(stated["criterion"]),
+        nuisances=int(attributes["nuisances"])
+        if "nuisances" in attributes
+        else _usual_nuisances(stated["criterion"]),
     )
 
 
@@ -530,7 +660,10 @@ def _read_fitted_spectrum(group: Stored, stated: dict[str, Any]) -> FittedSpectr
     attributes = group.attrs
     data = read_spectrum_group(group["data"])
     outputs = _json_names(attributes["outputs"])
-    fitted = {_text(unescaped(key)): _array(values, (2, len(data))) for key, values in group["fitted"].items()}
+    fitted = {
+        _text(unescaped(key)): _array(values, (2, len(data)))
+        for key, values in group["fitted"].items()
+    }
     return FittedSpectrum(
         **stated,
         data=data,
@@ -555,16 +688,23 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
     attributes = group.attrs
     outputs = _json_names(attributes["outputs"])
     inputs: Any = attributes["inputs"]
-    gains = tuple((_text(state), _text(output)) for state, output in json.loads(attributes["gains"]))
+    gains = tuple(
+        (_text(state), _text(output)) for state, output in json.loads(attributes["gains"])
+    )
     slope = group["gain_slope"][()] if "gain_slope" in group else None
-    _require(slope is None or (slope.ndim == 2 and len(slope) == len(gains)), "its gains follow from nothing")
+    _require(
+        slope is None or (slope.ndim == 2 and len(slope) == len(gains)),
+        "its gains follow from nothing",
+    )
     return FittedRecord(
         **stated,
         data=read_record(group["data"]),
         simulated=read_record(group["simulated"]),
         outputs=outputs,
         noise=_array(group["noise"], (len(outputs), len(outputs))),
-        initial={_text(state): np.atleast_1d(values[()]) for state, values in group["initial"].items()},
+        initial={
+            _text(state): np.atleast_1d(values[()]) for state, values in group["initial"].items()
+        },
         method=_text(attributes["method"]),
         inputs=inputs,
         biases=_json_names(attributes["biases"]),
@@ -574,7 +714,9 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
         gain_slope=slope,
         nuisances=int(attributes["nuisances"]),
         is_static=bool(attributes.get("is_static", False)),
-        error=_array(group["error"], (len(outputs), len(group["data/time"][()]))) if "error" in group else None,
+        error=_array(group["error"], (len(outputs), len(group["data/time"][()])))
+        if "error" in group
+        else None,
     )
 
 
@@ -592,7 +734,10 @@ def _text(value: Any, keep: str = "") -> str:
 
 def _array(dataset: Stored, shape: tuple[int, ...]) -> Any:
     """Return the numbers of a dataset that has this shape."""
-    _require(isinstance(dataset[()], np.ndarray) and dataset[()].shape == shape, f"its shape is not {shape}")
+    _require(
+        isinstance(dataset[()], np.ndarray) and dataset[()].shape == shape,
+        f"its shape is not {shape}",
+    )
     return dataset[()]
 
 

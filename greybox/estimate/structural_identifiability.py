@@ -33,8 +33,11 @@ BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their ac
 SAMPLES = 240  # of the record that is simulated
 STRETCHES = 4  # that it has, each from its own initial state
 FASTEST = 0.3  # |pole| times the step
-GROWTH = 5.0  # real part of the fastest growing pole times the length of a stretch, at most: e⁵ is 150
-# Sizes of inputs and initial states that are tried until nothing grows out of what formulas are made for.
+GROWTH = (
+    5.0  # real part of the fastest growing pole times the length of a stretch, at most: e⁵ is 150
+)
+# Sizes of inputs and initial states that are tried until nothing grows out of what formulas are
+# made for.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 SMALL = 1e-12
 LARGEST = 30.0  # state, in sizes that are plausible for SI units
@@ -50,8 +53,8 @@ class StructuralIdentifiability:
     names : tuple of str
         The free parameters.
     groups : tuple of Combination
-        Parameters that move together, with initial states where these take part, without any effect; in each, as many
-        have to be fixed as it has `directions`.
+        Parameters that move together, with initial states where these take part, without any
+        effect; in each, as many have to be fixed as it has `directions`.
     combinations : tuple of str
         What of such parameters is determined, as ``K1 K2``.
     data : str
@@ -71,7 +74,9 @@ class StructuralIdentifiability:
         return tuple(name for name in self.names if name not in lost)
 
     def __repr__(self) -> str:
-        return one_line(self, self.model, f"{len(self.identifiable)} of {counted(len(self.names), 'parameter')}")
+        return one_line(
+            self, self.model, f"{len(self.identifiable)} of {counted(len(self.names), 'parameter')}"
+        )
 
     def __str__(self) -> str:
         return "\n".join(self._lines())
@@ -108,11 +113,12 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
 ) -> StructuralIdentifiability:
     """Tell before any data which parameters of a structure its inputs and outputs could determine.
 
-    At random points of the start boxes the sensitivities of what would be measured are computed, with their rank: for a
-    transfer function, or an ODE at an operating point `at`, of the frequency responses of all pairs at 40 frequencies;
-    for any other ODE, of the outputs over a record with random inputs, from unknown initial states. What moves without
-    an effect at the point of the largest rank is not identifiable, whatever is measured. It is local: two lags that can
-    be swapped are told apart, since no small change of them goes unseen.
+    At random points of the start boxes the sensitivities of what would be measured are computed,
+    with their rank: for a transfer function, or an ODE at an operating point `at`, of the frequency
+    responses of all pairs at 40 frequencies; for any other ODE, of the outputs over a record with
+    random inputs, from unknown initial states. What moves without an effect at the point of the
+    largest rank is not identifiable, whatever is measured. It is local: two lags that can be
+    swapped are told apart, since no small change of them goes unseen.
 
     Parameters
     ----------
@@ -132,12 +138,17 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
     ValueError
         For a name that is not known, or if the model is finite at none of the points.
 
-    Sources: Bellman and Åström (1970), On structural identifiability, Mathematical Biosciences 7; Jacquez and Greif
-    (1985), Numerical parameter identifiability and estimability, Mathematical Biosciences 77.
+    Sources: Bellman and Åström (1970), On structural identifiability, Mathematical Biosciences 7;
+    Jacquez and Greif (1985), Numerical parameter identifiability and estimability, Mathematical
+    Biosciences 77.
     """
     if not isinstance(model, Model):
         raise TypeError(f"model is {model!r:.60}: give an instance such as Tilt(), not the class.")
-    chosen = (outputs,) if isinstance(outputs, str) else tuple(model.output_names if outputs is None else outputs)
+    chosen = (
+        (outputs,)
+        if isinstance(outputs, str)
+        else tuple(model.output_names if outputs is None else outputs)
+    )
     require_known(chosen, model.output_names, "output", model.label)
     if isinstance(points, bool) or not isinstance(points, int) or points < 1:
         raise ValueError(f"points is {points!r}: give a whole number of at least 1.")
@@ -189,11 +200,15 @@ def _of_responses(
     problems = []
     for input in model.input_names or ("",):
         for output in outputs or ("",):
-            omega = np.sort(np.exp(random.uniform(math.log(BAND[0]), math.log(BAND[1]), FREQUENCIES)))
+            omega = np.sort(
+                np.exp(random.uniform(math.log(BAND[0]), math.log(BAND[1]), FREQUENCIES))
+            )
             response = FrequencyResponse(
                 omega, np.ones(FREQUENCIES, dtype=complex), input, output, name=f"{output}/{input}"
             )
-            problems.append(Problem(model, response, SquaredRelativeError("model"), at=at, **stated))
+            problems.append(
+                Problem(model, response, SquaredRelativeError("model"), at=at, **stated)
+            )
     problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
     nlp = _without_bounds(compile_problem(problem))
     x = _point(nlp, values)
@@ -227,12 +242,18 @@ def _of_record(
         with np.errstate(all="ignore"):
             trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
             states = trajectory.detail.states
-            if trajectory.finite and np.all(np.isfinite(states)) and np.all(np.abs(states) < LARGEST):
+            if (
+                trajectory.finite
+                and np.all(np.isfinite(states))
+                and np.all(np.abs(states) < LARGEST)
+            ):
                 return nlp, x, (trajectory,)
     return None
 
 
-def _times(model: Model, values: Mapping[str, float], random: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
+def _times(
+    model: Model, values: Mapping[str, float], random: np.random.Generator
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return uniform times that the poles of the model ask for, and which of them are gaps between stretches."""
     system = dynamics(model)
     n = len(system.states)
@@ -243,7 +264,9 @@ def _times(model: Model, values: Mapping[str, float], random: np.random.Generato
         p = [values[name] for name in system.parameters]
         slope = ca.Function("A", [x, u], [ca.densify(ca.jacobian(system.derivative(x, u, p), x))])
         # Not at zero itself, where the slope of a kink such as |v| v vanishes.
-        poles = np.linalg.eigvals(np.nan_to_num(slope(0.1 * random.normal(size=n), np.zeros(u.numel())).full()))
+        poles = np.linalg.eigvals(
+            np.nan_to_num(slope(0.1 * random.normal(size=n), np.zeros(u.numel())).full())
+        )
         fastest = max(float(np.abs(poles).max()), 1e-3)
         step = FASTEST / fastest
         growing = float(poles.real.max(initial=0.0))
@@ -263,12 +286,16 @@ def _point(nlp: Nlp, values: Mapping[str, float]) -> Array:
     return np.array([values.get(name, declared[name].start) for name in nlp.free])
 
 
-def _determined(nlp: Nlp, x: Array, accuracy: Accuracy, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
+def _determined(
+    nlp: Nlp, x: Array, accuracy: Accuracy, trajectories: Sequence[Trajectory | None]
+) -> Iterator[str]:
     """Yield the combinations of what is not identifiable that are."""
 
     def beside(point: Array) -> Sequence[Trajectory | None]:
         return tuple(
-            None if old is None else part.trajectory(nlp.scaling.to_solver(point), old.nodes, simulated=True)
+            None
+            if old is None
+            else part.trajectory(nlp.scaling.to_solver(point), old.nodes, simulated=True)
             for part, old in zip(nlp.parts, trajectories, strict=True)
         )
 

@@ -51,10 +51,18 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "tied": [q.name for q in parameters if q.kind == "tied"],
         "derived": all_finite(result.derived),
         "prior": {
-            name: {"mean": mean, "standard_deviation": sigma, "share": finite(result.prior_share.get(name, math.nan))}
+            name: {
+                "mean": mean,
+                "standard_deviation": sigma,
+                "share": finite(result.prior_share.get(name, math.nan)),
+            }
             for name, (mean, sigma) in result.priors.items()
         },
-        "outputs": [_output(part, name) for part in (*result.records, *result.spectra) for name in part.outputs],
+        "outputs": [
+            _output(part, name)
+            for part in (*result.records, *result.spectra)
+            for name in part.outputs
+        ],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
         "warnings": list(result.warnings),
         "notes": list(result.notes),
@@ -77,4 +85,7 @@ def _output(part: Any, name: str) -> dict[str, Any]:
     # The standard deviation of the residuals, given or estimated.
     noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])
     answer = {"part": part.name, "output": name, "unit": part.data.units.get(name, "")}
-    return answer | {"fit_percent": finite(part.fit_percent(name)), "noise": finite(math.sqrt(noise))}
+    return answer | {
+        "fit_percent": finite(part.fit_percent(name)),
+        "noise": finite(math.sqrt(noise)),
+    }

@@ -22,7 +22,8 @@ class Verdict:
     Attributes
     ----------
     grade : "good", "doubt" or "failed"
-        In doubt where there is a warning, a parameter that is not well determined, or a minimum that one start found.
+        In doubt where there is a warning, a parameter that is not well determined, or a minimum
+        that one start found.
     sentences : tuple of str
         Three, or what there is to say of a fit that failed.
     """
@@ -34,7 +35,11 @@ class Verdict:
 def verdict(fit: Any) -> Verdict:
     """Judge a `Fit` by what it holds."""
     if not fit.converged:
-        ended = "" if fit.best_effort is None else "The values below are those at which the best run ended."
+        ended = (
+            ""
+            if fit.best_effort is None
+            else "The values below are those at which the best run ended."
+        )
         sentences = ("There is no estimate: " + fit.status + ".", *fit.warnings[:1], ended)
         return Verdict("failed", tuple(text for text in sentences if text))
     minimum, found_again = _minimum(fit)
@@ -50,9 +55,16 @@ def _minimum(fit: Any) -> tuple[str, bool]:
     if len(brought) == 1:
         return "The fit was made from one start, so another minimum may have a lower cost.", False
     if fit.agreeing == 1:
-        return f"Only 1 of {count} reached the best minimum, so another one may have a lower cost.", False
+        return (
+            f"Only 1 of {count} reached the best minimum, so another one may have a lower cost.",
+            False,
+        )
     others = len(fit.minima) - 1
-    rest = f"; {counted(others, 'other minimum has', 'other minima have')} a higher cost" if others else ""
+    rest = (
+        f"; {counted(others, 'other minimum has', 'other minima have')} a higher cost"
+        if others
+        else ""
+    )
     return f"{fit.agreeing} of {count} agree on the best minimum{rest}.", True
 
 
@@ -60,7 +72,10 @@ def _closeness(fit: Any) -> str:
     """Say how far the model is from the data, in the words that each kind of data has."""
     texts = []
     with np.errstate(divide="ignore", invalid="ignore"):  # measured zeros, which are left out
-        off = [np.abs(part.data.response - part.response) / np.abs(part.data.response) for part in fit.responses]
+        off = [
+            np.abs(part.data.response - part.response) / np.abs(part.data.response)
+            for part in fit.responses
+        ]
     relative = np.concatenate([np.zeros(0), *off])
     relative = relative[np.isfinite(relative)]
     if relative.size:
@@ -74,8 +89,14 @@ def _closeness(fit: Any) -> str:
         known = [percent(share) for share in sorted(shares) if math.isfinite(share)]
         if known:
             span = " to ".join(dict.fromkeys((known[0], known[-1])))
-            texts.append(f"its residual of {output} is {span} % of the standard deviation of {output}")
-    return f"How closely the model follows the data: {'; '.join(texts)}." if texts else "Nothing was compared."
+            texts.append(
+                f"its residual of {output} is {span} % of the standard deviation of {output}"
+            )
+    return (
+        f"How closely the model follows the data: {'; '.join(texts)}."
+        if texts
+        else "Nothing was compared."
+    )
 
 
 def _determined(fit: Any) -> tuple[str, bool]:
@@ -86,7 +107,10 @@ def _determined(fit: Any) -> tuple[str, bool]:
     try:
         judged = fit.identifiability
     except ValueError:
-        return "The data give no standard errors, so the estimate cannot be judged by itself.", False
+        return (
+            "The data give no standard errors, so the estimate cannot be judged by itself.",
+            False,
+        )
     texts = []
     if at_bound:
         texts.append(f"{_names(at_bound)} ended at a bound")
@@ -96,9 +120,16 @@ def _determined(fit: Any) -> tuple[str, bool]:
         texts.append(f"{_names(judged.beyond)} {verb} beyond the guidelines ({guidelines})")
     if texts:
         well = len(fit.free) - len({*at_bound, *judged.beyond})
-        return f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: {'; '.join(texts)}.", False
+        return (
+            f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: {'; '.join(texts)}.",
+            False,
+        )
     worst = int(np.nanargmax(judged.error))
-    whole = "The free parameter is" if len(fit.free) == 1 else f"All {len(fit.free)} free parameters are"
+    whole = (
+        "The free parameter is"
+        if len(fit.free) == 1
+        else f"All {len(fit.free)} free parameters are"
+    )
     most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
     return f"{whole} well determined, with standard errors of at most {most}.", True
 

@@ -1,6 +1,7 @@
 """Test signals, controllers, virtual flights, and the planning of flight tests.
 
-Begin with `excitation` (what a test signal is) or `expected_errors` (what a planned test would tell).
+Begin with `excitation` (what a test signal is) or `expected_errors` (what a planned test would
+tell).
 
 | file | contents |
 | --- | --- |

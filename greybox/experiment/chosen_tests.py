@@ -41,7 +41,8 @@ class ChosenTests:
     units : mapping of name to str
     flight_time : float, s
     equally_often : float, s
-        The flight time for the wanted errors, or infinite time for none, if all tests were flown equally often.
+        The flight time for the wanted errors, or infinite time for none, if all tests were flown
+        equally often.
     """
 
     repeats: Mapping[str, int]
@@ -53,9 +54,17 @@ class ChosenTests:
     equally_often: float
 
     def __str__(self) -> str:
-        tests = [(name, str(count), f"{count * self.seconds[name]:.0f}") for name, count in self.repeats.items()]
+        tests = [
+            (name, str(count), f"{count * self.seconds[name]:.0f}")
+            for name, count in self.repeats.items()
+        ]
         errors = [
-            (name, f"± {error:.2g}", f"± {self.wanted[name]:.2g}" if name in self.wanted else "", self.units[name])
+            (
+                name,
+                f"± {error:.2g}",
+                f"± {self.wanted[name]:.2g}" if name in self.wanted else "",
+                self.units[name],
+            )
             for name, error in self.standard_error.items()
         ]
         lines = [f"{sum(self.repeats.values())} tests, {self.flight_time:.0f} s of flight"]
@@ -77,15 +86,15 @@ def choose_tests(
 ) -> ChosenTests:
     """Choose which tests to fly and how often: for wanted errors in the shortest time, or for the best in a given time.
 
-    The Fisher information of the tests adds, parameters of the same name being one; that of each is `expected_errors`'.
-    The shares of the time are those of an optimal design (Fedorov 1972, Theory of Optimal Experiments), rounded to
-    whole tests.
+    The Fisher information of the tests adds, parameters of the same name being one; that of each is
+    `expected_errors`'. The shares of the time are those of an optimal design (Fedorov 1972, Theory
+    of Optimal Experiments), rounded to whole tests.
 
     Parameters
     ----------
     tests : mapping of name to (problem, seconds)
-        The problem that would be fitted, with data from a virtual flight or of expected variances, for each axis,
-        operating point or kind of excitation; and how long the test takes.
+        The problem that would be fitted, with data from a virtual flight or of expected variances,
+        for each axis, operating point or kind of excitation; and how long the test takes.
     values : mapping of name to float
         Rough estimates.
     wanted : mapping of name to float, optional
@@ -93,8 +102,8 @@ def choose_tests(
     seconds : float
         Without `wanted`: how long the flight may be.
     optimal : "A" or "D"
-        Without `wanted`: the least sum of squared errors, each relative to its value, or the smallest volume of the
-        region of all parameters, which does not depend on their units.
+        Without `wanted`: the least sum of squared errors, each relative to its value, or the
+        smallest volume of the region of all parameters, which does not depend on their units.
 
     Raises
     ------
@@ -107,11 +116,17 @@ def choose_tests(
         raise ValueError(f"optimal is {optimal!r:.40}: give 'A' or 'D'.")
     wrong = next((name for name, (_, each) in tests.items() if not each > 0), None)
     if not tests or wrong is not None:
-        raise ValueError("there are no tests." if wrong is None else f"the test {wrong!r} takes no time: give seconds.")
+        raise ValueError(
+            "there are no tests."
+            if wrong is None
+            else f"the test {wrong!r} takes no time: give seconds."
+        )
     parameters = dict.fromkeys(name for problem, _ in tests.values() for name in problem.parameters)
     unknown = next((name for name in values if name not in parameters), None)
     if unknown is not None:
-        raise ValueError(f"{unknown} is no parameter of the tests: they have {', '.join(parameters)}.")
+        raise ValueError(
+            f"{unknown} is no parameter of the tests: they have {', '.join(parameters)}."
+        )
     expected = []
     for problem, _ in tests.values():
         known = {name: value for name, value in values.items() if name in problem.parameters}
@@ -119,11 +134,15 @@ def choose_tests(
     names = tuple(dict.fromkeys(name for one in expected for name in one.standard_error))
     missing = next((name for name in (wanted or {}) if name not in names), None)
     if missing is not None:
-        raise ValueError(f"{missing} is not estimated in any of the tests; free are {', '.join(names)}.")
+        raise ValueError(
+            f"{missing} is not estimated in any of the tests; free are {', '.join(names)}."
+        )
     at = {name: value for one in expected for name, value in one.values.items()}
     units = {name: unit for one in expected for name, unit in one.units.items()}
     unit = np.array([(wanted or {}).get(name, abs(at[name]) or 1.0) for name in names])
-    once = np.array([_spread(one.information, tuple(one.standard_error), names) for one in expected])
+    once = np.array(
+        [_spread(one.information, tuple(one.standard_error), names) for one in expected]
+    )
     once = once * np.outer(unit, unit)
     duration = np.array([each for _, each in tests.values()])
     require_determined(once.sum(axis=0), names, "no test", "add a test")
@@ -133,12 +152,22 @@ def choose_tests(
     if wanted:
         share = shares(rates, target)
         total = time_needed(np.tensordot(share, rates, 1), target)
-        repeats = _without_surplus(np.ceil(share * total / duration - 1e-9).astype(int), once, duration, target)
+        repeats = _without_surplus(
+            np.ceil(share * total / duration - 1e-9).astype(int), once, duration, target
+        )
     else:
         share = optimal_shares(rates, optimal)
-        repeats = _filled(np.floor(share * seconds / duration + 1e-9).astype(int), once, duration, seconds, optimal)
+        repeats = _filled(
+            np.floor(share * seconds / duration + 1e-9).astype(int),
+            once,
+            duration,
+            seconds,
+            optimal,
+        )
         if not repeats.any() or not math.isfinite(size_of_errors(_all_of(repeats, once), optimal)):
-            raise ValueError(f"{seconds:g} s are too short for tests that determine every parameter: give more.")
+            raise ValueError(
+                f"{seconds:g} s are too short for tests that determine every parameter: give more."
+            )
     errors = np.sqrt(variances(_all_of(repeats, once))) * unit
     equal = time_needed(once.sum(axis=0) / duration.sum(), target)
     return ChosenTests(
@@ -165,7 +194,9 @@ def _all_of(repeats: NDArray[np.int64], once: Array) -> Array:
     return np.einsum("k,kij->ij", repeats, once)
 
 
-def _without_surplus(repeats: NDArray[np.int64], once: Array, duration: Array, target: Array) -> NDArray[np.int64]:
+def _without_surplus(
+    repeats: NDArray[np.int64], once: Array, duration: Array, target: Array
+) -> NDArray[np.int64]:
     """Return fewer repeats, the longest left out first, as long as the errors stay as wanted."""
     for k in np.argsort(-duration):
         while repeats[k]:

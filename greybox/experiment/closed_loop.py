@@ -32,8 +32,8 @@ def loop_gains(
 ) -> tuple[NDArray[np.float64], dict[str, Complex]]:
     """Return frequencies (n,) next to `omega`, and the gains (n,) from the excitation to the signals.
 
-    They are read from a virtual flight with a small sum of sines, so they are those of the sampled controller as it
-    will fly.
+    They are read from a virtual flight with a small sum of sines, so they are those of the sampled
+    controller as it will fly.
 
     Raises
     ------
@@ -57,11 +57,20 @@ def loop_gains(
     chosen = np.asarray(sines.settings["harmonics"][excitation])
     measured = {name: 0.0 for name in signals if name not in _known(model, controller, excitation)}
     flown = virtual_flight(model, values, sines, controller=controller, noise=measured)
-    last = {name: np.fft.rfft(np.asarray(flown[name])[-samples:]) for name in {*signals, excitation}}
+    last = {
+        name: np.fft.rfft(np.asarray(flown[name])[-samples:]) for name in {*signals, excitation}
+    }
     return chosen * line, {name: last[name][chosen] / last[excitation][chosen] for name in signals}
 
 
-def _known(model: Model, controller: Controller | Sequence[Controller] | None, excitation: str) -> set[str]:
+def _known(
+    model: Model, controller: Controller | Sequence[Controller] | None, excitation: str
+) -> set[str]:
     """Return what a virtual flight logs without being asked."""
     several = [controller] if isinstance(controller, Controller) else list(controller or ())
-    return {*model.input_names, *model.output_names, excitation, *(name for c in several for name in c.outputs)}
+    return {
+        *model.input_names,
+        *model.output_names,
+        excitation,
+        *(name for c in several for name in c.outputs),
+    }

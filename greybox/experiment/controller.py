@@ -16,7 +16,8 @@ from greybox.modeling.symbolic_reading import column, traced
 class Controller(ABC):
     r"""A controller in discrete time, $x_{k+1}, y_k = update(x_k, u_k, p)$, that runs `rate` times per second.
 
-    A subclass declares its signals, its parameters and `update`, e.g. proportional control of a rate::
+    A subclass declares its signals, its parameters and `update`, e.g. proportional control of a
+    rate::
 
         class RateDamper(gb.Controller):
             inputs, setpoints, outputs = ("q",), ("reference",), ("u",)
@@ -46,8 +47,8 @@ class Controller(ABC):
         Gains other than the declared starts.
     rate : float, Hz, optional
     signals : mapping of str to str, optional
-        Own name to the name outside, where they differ: ``{"theta": "phi", "q": "p"}`` makes a pitch controller control
-        roll.
+        Own name to the name outside, where they differ: ``{"theta": "phi", "q": "p"}`` makes a
+        pitch controller control roll.
     initial : mapping of state name to float, optional
         States at the first sample, where they are not zero.
 
@@ -72,7 +73,9 @@ class Controller(ABC):
         cls.parameters = MappingProxyType(found)
         for kind in ("states", "inputs", "setpoints", "outputs"):
             if isinstance(getattr(cls, kind), str):
-                raise ValueError(f"{cls.__name__}.{kind} = {getattr(cls, kind)!r} must be a tuple of names.")
+                raise ValueError(
+                    f"{cls.__name__}.{kind} = {getattr(cls, kind)!r} must be a tuple of names."
+                )
         for names in ((*cls.inputs, *cls.setpoints), cls.states, cls.outputs, found):
             for name in names:
                 if hasattr(Names, name) or (names is found and hasattr(Controller, name)):
@@ -80,7 +83,9 @@ class Controller(ABC):
                         f"{cls.__name__} cannot have a parameter or signal called {name!r}: choose another name."
                     )
             if len(set(names)) != len(names):
-                raise ValueError(f"{cls.__name__} names a signal twice in {', '.join(names)}: use different names.")
+                raise ValueError(
+                    f"{cls.__name__} names a signal twice in {', '.join(names)}: use different names."
+                )
 
     def __init__(
         self,
@@ -95,22 +100,33 @@ class Controller(ABC):
         require_known(values or {}, self.parameters, "parameter", label)
         require_known(self.signals, (*self.inputs, *self.setpoints, *self.outputs), "signal", label)
         require_known(initial or {}, self.states, "state", label)
-        for name, value in {**(values or {}), **(initial or {}), "rate": self.rate if rate is None else rate}.items():
+        for name, value in {
+            **(values or {}),
+            **(initial or {}),
+            "rate": self.rate if rate is None else rate,
+        }.items():
             if not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise ValueError(f"{name} = {value!r} is not a finite number: give a value for {label}.")
+                raise ValueError(
+                    f"{name} = {value!r} is not a finite number: give a value for {label}."
+                )
         if rate is not None:
             self.rate = float(rate)
         if not self.rate > 0:
-            raise ValueError(f"{label} cannot run {self.rate:g} times per second: give a rate above 0, in Hz.")
-        self.values = Names({n: float({**(values or {})}.get(n, p.start)) for n, p in self.parameters.items()}, label)
+            raise ValueError(
+                f"{label} cannot run {self.rate:g} times per second: give a rate above 0, in Hz."
+            )
+        self.values = Names(
+            {n: float({**(values or {})}.get(n, p.start)) for n, p in self.parameters.items()},
+            label,
+        )
         self.initial = tuple(float((initial or {}).get(name, 0.0)) for name in self.states)
 
     @abstractmethod
     def update(self, x: Any, u: Any, p: Any) -> tuple[Sequence[Any], Sequence[Any]]:
         """Return the states of the next sample and the outputs of this one, in the order declared.
 
-        `x` holds the states, `u` the inputs and setpoints, `p` the parameter values, all by name; write the formula
-        with `gb.minimum`, `gb.where` and friends.
+        `x` holds the states, `u` the inputs and setpoints, `p` the parameter values, all by name;
+        write the formula with `gb.minimum`, `gb.where` and friends.
         """
 
     def outside(self, name: str) -> str:
@@ -161,15 +177,18 @@ def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.
 
 
 def connected(
-    given: Controller | Sequence[Controller] | None, inputs: Sequence[str], taken: Collection[str], plant: str
+    given: Controller | Sequence[Controller] | None,
+    inputs: Sequence[str],
+    taken: Collection[str],
+    plant: str,
 ) -> tuple[Controller, ...]:
     """Return the controllers of a loop once they fit a plant's inputs and one another.
 
     Raises
     ------
     ValueError
-        For controllers that drive nothing, give one signal twice (or a `taken` one), come in the wrong order, or run
-        at different rates.
+        For controllers that drive nothing, give one signal twice (or a `taken` one), come in the
+        wrong order, or run at different rates.
     TypeError
         For anything that is not a controller.
     """
@@ -188,7 +207,9 @@ def connected(
 
         provides = {*map(c.outside, c.outputs)}
         commanded = {*map(c.outside, c.setpoints)}
-        setpoints_behind = (other.outside(n) for other in controllers[k + 1 :] for n in other.setpoints)
+        setpoints_behind = (
+            other.outside(n) for other in controllers[k + 1 :] for n in other.setpoints
+        )
         if not provides & {*inputs, *setpoints_behind}:
             raise ValueError(
                 f"{label} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes "
@@ -203,7 +224,9 @@ def connected(
 
         late = commanded & {other.outside(n) for other in controllers[k:] for n in other.outputs}
         if late:
-            raise ValueError(f"{label} takes {min(late)!r} from itself or a later controller: list that one first.")
+            raise ValueError(
+                f"{label} takes {min(late)!r} from itself or a later controller: list that one first."
+            )
         before |= provides
     return controllers
 
@@ -211,8 +234,14 @@ def connected(
 def _collected(cls: type) -> dict[str, Parameter]:
     found: dict[str, Parameter] = {}
     for owner in reversed(cls.__mro__):
-        hidden = [n for n, value in vars(owner).items() if n in found and isinstance(value, (int, float))]
+        hidden = [
+            n for n, value in vars(owner).items() if n in found and isinstance(value, (int, float))
+        ]
         if hidden:
-            raise TypeError(f"{cls.__name__}.{hidden[0]} is a number where a Parameter was: use gb.Parameter(...).")
-        found |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
+            raise TypeError(
+                f"{cls.__name__}.{hidden[0]} is a number where a Parameter was: use gb.Parameter(...)."
+            )
+        found |= {
+            name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
+        }
     return found

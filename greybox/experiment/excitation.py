@@ -18,8 +18,9 @@ Array = NDArray[np.float64]
 class Maneuver(NamedTuple):
     """One sine, sweep or multisine of an excitation, as planned.
 
-    `start`, `settled` and `end` are times in s, and the part to be analyzed begins at `settled`; `low` and `high` are
-    angular frequencies in rad/s; `amplitude` and `offset` are in the unit of the signal.
+    `start`, `settled` and `end` are times in s, and the part to be analyzed begins at `settled`;
+    `low` and `high` are angular frequencies in rad/s; `amplitude` and `offset` are in the unit of
+    the signal.
     """
 
     signal: str
@@ -45,7 +46,8 @@ class Excitation:
     rate : float, Hz
     schedule : tuple of Maneuver
     settings : mapping
-        What the signal was made from; for a multisine also its ``harmonics`` (name to multiples of 2π / ``period``).
+        What the signal was made from; for a multisine also its ``harmonics`` (name to multiples of
+        2π / ``period``).
     """
 
     time: Array
@@ -64,20 +66,33 @@ class Excitation:
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.signals:
-            raise KeyError(f"the excitation has no signal {name!r}; it has {', '.join(self.signals)}.")
+            raise KeyError(
+                f"the excitation has no signal {name!r}; it has {', '.join(self.signals)}."
+            )
         return self.signals[name]
 
     @property
     def peak_factors(self) -> dict[str, float]:
         """Peak to peak over 2√2 root mean squares about the mean, 1 for a sine (Morelli's relative peak factor)."""
-        return {name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v))) for name, v in self.signals.items()}
+        return {
+            name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v)))
+            for name, v in self.signals.items()
+        }
 
     def record(self) -> Record:
         """Return the signals as a `Record`, e.g. for a simulation."""
-        return Record(self.time, self.signals, self.units, name="excitation", metadata={"schedule": self.schedule})
+        return Record(
+            self.time,
+            self.signals,
+            self.units,
+            name="excitation",
+            metadata={"schedule": self.schedule},
+        )
 
     def __repr__(self) -> str:
-        return one_line(self, ", ".join(self.signals), f"{self.time.size / self.rate:.4g} s at {self.rate:g} Hz")
+        return one_line(
+            self, ", ".join(self.signals), f"{self.time.size / self.rate:.4g} s at {self.rate:g} Hz"
+        )
 
     def __str__(self) -> str:
         kinds = sorted({maneuver.kind for maneuver in self.schedule})
@@ -91,7 +106,9 @@ class Excitation:
 def checked_band(omega: Sequence[float], rate: float) -> Array:
     """Return the frequencies, rad/s, once they are known to be above 0 and well below the sampling rate."""
     values = np.asarray(omega, dtype=float)
-    limit = 2 * math.pi * rate / 5  # five samples per period: a held signal has 94 % of the amplitude
+    limit = (
+        2 * math.pi * rate / 5
+    )  # five samples per period: a held signal has 94 % of the amplitude
     bad = values[~((values > 0) & (values <= limit))]
     if values.size == 0 or bad.size:
         raise ValueError(

@@ -32,7 +32,8 @@ class ExpectedErrors:
     covariance : (p, p) array
         In the order of `standard_error`.
     information : (p, p) array
-        Fisher information: the inverse of the covariance, and zero in directions that the test would not determine.
+        Fisher information: the inverse of the covariance, and zero in directions that the test
+        would not determine.
     undetermined : tuple of str
         Parameters that take part in a combination which the test would not, or hardly, determine.
     units : mapping of name to str
@@ -47,7 +48,13 @@ class ExpectedErrors:
 
     def __str__(self) -> str:
         rows = [
-            (name, f"{self.values[name]:.4g}", f"± {error:.2g}", self.units[name], _percent(error, self.values[name]))
+            (
+                name,
+                f"{self.values[name]:.4g}",
+                f"± {error:.2g}",
+                self.units[name],
+                _percent(error, self.values[name]),
+            )
             for name, error in self.standard_error.items()
         ]
         table = text_table(("", "value", "", "unit", "percent"), rows)
@@ -62,14 +69,16 @@ def expected_errors(
 ) -> ExpectedErrors:
     """Return the standard errors that a fit of this problem would have if these were its estimates.
 
-    They come from the Fisher information, in the way of a fit's own standard errors (of the criterion, with the noise
-    that the residuals at `values` have), but nothing is solved. Fly the test by `greybox.virtual_flight`, with the
-    vehicle's controller, noise and wind, and state the problem as for a flown record.
+    They come from the Fisher information, in the way of a fit's own standard errors (of the
+    criterion, with the noise that the residuals at `values` have), but nothing is solved. Fly the
+    test by `greybox.virtual_flight`, with the vehicle's controller, noise and wind, and state the
+    problem as for a flown record.
 
     Parameters
     ----------
     problem : Problem or sum of problems
-        Its data may be records of virtual flights, or responses with the variances that are expected.
+        Its data may be records of virtual flights, or responses with the variances that are
+        expected.
     values : mapping of name to float
         Rough estimates of the parameters; those that are left out have their declared starts.
     method : Transcription, optional
@@ -82,7 +91,9 @@ def expected_errors(
     """
     unknown = sorted(set(values) - set(problem.parameters))
     if unknown:
-        raise ValueError(f"{unknown[0]} is no parameter of {problem.name}: it has {', '.join(problem.parameters)}.")
+        raise ValueError(
+            f"{unknown[0]} is no parameter of {problem.name}: it has {', '.join(problem.parameters)}."
+        )
     nlp = compile_problem(problem, method)
     at = {name: float(values.get(name, nlp.problem.parameters[name].start)) for name in nlp.free}
     x = np.array(list(at.values()))
@@ -95,7 +106,9 @@ def expected_errors(
     errors[np.linalg.norm(accuracy.blind[:count], axis=1) > 0] = np.nan
     named = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
-    return ExpectedErrors(at, dict(zip(nlp.free, errors.tolist(), strict=True)), covariance, information, named, units)
+    return ExpectedErrors(
+        at, dict(zip(nlp.free, errors.tolist(), strict=True)), covariance, information, named, units
+    )
 
 
 def _percent(error: float, value: float) -> str:

@@ -10,8 +10,8 @@ from greybox.experiment.excitation import Excitation, Maneuver, checked_band
 
 Array = NDArray[np.float64]
 
-# Half of the exponents of the norms that the phases minimize, one after another. The 64-norm is within 12 % of the
-# peak for a period of 1000 samples, most of which are small: n**(1/64) = 1.11.
+# Half of the exponents of the norms that the phases minimize, one after another. The 64-norm is
+# within 12 % of the peak for a period of 1000 samples, most of which are small: n**(1/64) = 1.11.
 PEAK_NORMS = (2, 4, 8, 16, 32)
 
 SAMPLES = 8  # per period of the highest harmonic: the peak between samples is at most 1/cos(π/8) = 1.08 times higher
@@ -33,10 +33,11 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
 ) -> Excitation:
     """Make sums of sines with low peaks, mutually orthogonal over a period, for several inputs at once.
 
-    The harmonics of 2π / period inside the band are assigned to the signals in turn, each with equal power. The phases
-    start from Schroeder's (IEEE Trans. Information Theory 16, 1970) and then minimize norms of rising exponent
-    (Guillaume, Schoukens, Pintelon, Kollár, IEEE Trans. Instrumentation and Measurement 40, 1991); time is shifted so
-    that every signal starts at zero. Interleaved harmonics in flight: Morelli, AIAA Paper 2003-5466.
+    The harmonics of 2π / period inside the band are assigned to the signals in turn, each with
+    equal power. The phases start from Schroeder's (IEEE Trans. Information Theory 16, 1970) and
+    then minimize norms of rising exponent (Guillaume, Schoukens, Pintelon, Kollár, IEEE Trans.
+    Instrumentation and Measurement 40, 1991); time is shifted so that every signal starts at zero.
+    Interleaved harmonics in flight: Morelli, AIAA Paper 2003-5466.
 
     Parameters
     ----------
@@ -76,12 +77,17 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
         Maneuver(name, "multisine", 0.0, settled, end, h[0] * step, h[-1] * step, amplitude, 0.0)
         for name, h in zip(signals, assigned, strict=True)
     )
-    settings = {"period": period, "harmonics": {n: tuple(map(int, h)) for n, h in zip(signals, assigned, strict=True)}}
+    settings = {
+        "period": period,
+        "harmonics": {n: tuple(map(int, h)) for n, h in zip(signals, assigned, strict=True)},
+    }
     repeated = {name: np.tile(v, periods) for name, v in zip(signals, values, strict=True)}
     return Excitation(time, repeated, dict.fromkeys(signals, unit), rate, schedule, settings)
 
 
-def _assigned(low: float, high: float, period: float, signals: int, points: int | None) -> list[NDArray[np.int64]]:
+def _assigned(
+    low: float, high: float, period: float, signals: int, points: int | None
+) -> list[NDArray[np.int64]]:
     """Assign the harmonics in the band to the signals in turn."""
     step = 2 * math.pi / period
     harmonics = np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
@@ -117,14 +123,17 @@ def _phases(harmonics: NDArray[np.int64]) -> Array:
         top = np.max(np.abs(values))
         power = (values / top) ** (2 * p - 1)
         mean = np.mean(power * values / top)
-        # d values / d phase is the same sine a quarter period later; its product with `power` is a Fourier coefficient
+        # d values / d phase is the same sine a quarter period later; its product with `power` is a
+        # Fourier coefficient
         coefficients = np.fft.fft(power)[harmonics] / count
         slope = math.sqrt(2 / n) * (coefficients * np.exp(-1j * phases)).real
         return float(top * mean ** (1 / (2 * p))), slope * mean ** (1 / (2 * p) - 1)
 
     phases = -math.pi * np.arange(n) * np.arange(1, n + 1) / n  # Schroeder, for equal powers
     for p in PEAK_NORMS:
-        found = minimize(norm, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
+        found = minimize(
+            norm, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS}
+        )
         phases = np.asarray(found.x)
     return _from_zero(harmonics, phases, count)
 

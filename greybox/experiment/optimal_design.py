@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# What a share may be off by: a thousandth of the flight is less than the rounding of a sine to whole periods.
+# What a share may be off by: a thousandth of the flight is less than the rounding of a sine to
+# whole periods.
 SMALLEST_SHARE = 1e-3
 FLOOR = 1e-9  # of what all tell of a parameter: its effect on what matters is below the rounding of a share
 STEPS = 2000  # of the shares towards the optimum, each a few products of small matrices
 CLOSE = 1e-6  # to the optimum, relative: what the slopes of shares in use may differ by
 
-# Of an information whose parameters have size one: below, rounding of sensitivities alone tells parameters apart.
+# Of an information whose parameters have size one: below, rounding of sensitivities alone tells
+# parameters apart.
 SINGULAR = 1e-10
 
 Optimality = Literal["A", "D"]
@@ -31,7 +33,11 @@ def time_needed(information: Array, wanted: Array) -> float:
         Standard errors; infinite for parameters that do not matter.
     """
     variance, matters = variances(information), np.isfinite(wanted)
-    return float(np.max(variance[matters] / wanted[matters] ** 2)) if (variance[matters] > 0).all() else np.inf
+    return (
+        float(np.max(variance[matters] / wanted[matters] ** 2))
+        if (variance[matters] > 0).all()
+        else np.inf
+    )
 
 
 def variances(information: Array) -> Array:
@@ -60,9 +66,9 @@ def require_determined(information: Array, names: Sequence[str], test: str, cure
 def shares(informations: Array, wanted: Array) -> Array:
     """Return the shares (n,) of the flight time by which the wanted errors are reached soonest.
 
-    The variance of an estimate is convex in the shares, so the problem is: minimize s such that every variance is at
-    most s times the wanted one (Fedorov 1972, Theory of Optimal Experiments; Goodwin and Payne 1977, Dynamic System
-    Identification, chapter 6).
+    The variance of an estimate is convex in the shares, so the problem is: minimize s such that
+    every variance is at most s times the wanted one (Fedorov 1972, Theory of Optimal Experiments;
+    Goodwin and Payne 1977, Dynamic System Identification, chapter 6).
 
     Parameters
     ----------
@@ -75,7 +81,8 @@ def shares(informations: Array, wanted: Array) -> Array:
     count = len(informations)
     matters = np.isfinite(wanted)
     informations = informations * np.outer(wanted_scale(wanted), wanted_scale(wanted))
-    # A parameter that does not matter may be told by none of those that are used: its variance stays finite.
+    # A parameter that does not matter may be told by none of those that are used: its variance
+    # stays finite.
     floor = FLOOR * np.diag(np.diag(informations.mean(axis=0)))
 
     def with_slope(w: Array) -> tuple[Array, Array]:
@@ -93,9 +100,15 @@ def shares(informations: Array, wanted: Array) -> Array:
         constraints=[
             _at_least_zero(
                 lambda z: z[-1] - with_slope(z[:-1])[0] / unit,
-                lambda z: np.column_stack([-with_slope(z[:-1])[1] / unit, np.ones(int(matters.sum()))]),
+                lambda z: np.column_stack(
+                    [-with_slope(z[:-1])[1] / unit, np.ones(int(matters.sum()))]
+                ),
             ),
-            {"type": "eq", "fun": lambda z: z[:-1].sum() - 1, "jac": lambda z: np.append(np.ones(count), 0.0)},
+            {
+                "type": "eq",
+                "fun": lambda z: z[:-1].sum() - 1,
+                "jac": lambda z: np.append(np.ones(count), 0.0),
+            },
         ],
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-9},
@@ -107,8 +120,9 @@ def shares(informations: Array, wanted: Array) -> Array:
 def optimal_shares(informations: Array, optimal: Optimality) -> Array:
     """Return the shares (n,) of a given time by which the errors of all parameters together are smallest.
 
-    Each share grows by what a little more of it would bring, against the mean of all (Silvey, Titterington and Torsney
-    1978, An Algorithm for Optimal Designs on a Finite Design Space); at the optimum that is one for all in use.
+    Each share grows by what a little more of it would bring, against the mean of all (Silvey,
+    Titterington and Torsney 1978, An Algorithm for Optimal Designs on a Finite Design Space); at
+    the optimum that is one for all in use.
 
     Parameters
     ----------
@@ -143,5 +157,7 @@ def wanted_scale(wanted: Array) -> Array:
     return np.where(np.isfinite(wanted), wanted, 1.0)
 
 
-def _at_least_zero(value: Callable[[Array], Array], slope: Callable[[Array], Array]) -> dict[str, object]:
+def _at_least_zero(
+    value: Callable[[Array], Array], slope: Callable[[Array], Array]
+) -> dict[str, object]:
     return {"type": "ineq", "fun": value, "jac": slope}

@@ -15,19 +15,25 @@ FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or th
 def write_excitation(excitation: Excitation, path: str | Path) -> None:
     """Write time in s and the signals to a CSV file, atomically."""
     units = excitation.units
-    header = ["time_s", *(f"{name} [{units[name]}]" if units[name] else name for name in excitation.signals)]
+    header = [
+        "time_s",
+        *(f"{name} [{units[name]}]" if units[name] else name for name in excitation.signals),
+    ]
     rows = zip(excitation.time, *excitation.signals.values(), strict=True)
     lines = [",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]
     write_text(Path(path), "\n".join(lines) + "\n")
 
 
-def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: int = 10, switch: int = 300) -> str:
+def ardupilot_script(
+    excitation: Excitation, axis: str = "pitch", *, period_ms: int = 10, switch: int = 300
+) -> str:
     """Return a Lua script that flies a sine schedule as the angle setpoint of a copter in GUIDED mode.
 
-    It starts when the switch of RCx_OPTION `switch` (300 is Scripting1) goes high while the vehicle is armed and in
-    GUIDED, and stops as soon as one of the three ends. It logs a SINE message: segment, axis, ω in rad/s, amplitude
-    and operating point in degrees, seconds since the segment began, and the sine in degrees. Source of the interface:
-    ArduPilot, libraries/AP_Scripting/docs/docs.lua.
+    It starts when the switch of RCx_OPTION `switch` (300 is Scripting1) goes high while the vehicle
+    is armed and in GUIDED, and stops as soon as one of the three ends. It logs a SINE message:
+    segment, axis, ω in rad/s, amplitude and operating point in degrees, seconds since the segment
+    began, and the sine in degrees. Source of the interface: ArduPilot,
+    libraries/AP_Scripting/docs/docs.lua.
 
     Parameters
     ----------
@@ -47,13 +53,18 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: 
     if axis not in AXES:
         raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(AXES)}.")
     if any(segment.kind != "sine" for segment in excitation.schedule):
-        raise ValueError("the script flies sines only: use sine_schedule(...), or systemid_parameters for a sweep.")
+        raise ValueError(
+            "the script flies sines only: use sine_schedule(...), or systemid_parameters for a sweep."
+        )
     unit = next(iter(excitation.units.values()))
     if unit != "rad":
-        raise ValueError(f"the setpoint is an angle in rad, but the signal is in {unit or 'no unit'}: give unit='rad'.")
+        raise ValueError(
+            f"the setpoint is an angle in rad, but the signal is in {unit or 'no unit'}: give unit='rad'."
+        )
 
     sines = ", ".join(
-        f"{{{s.low:.9g}, {math.degrees(s.amplitude):.9g}, {s.end - s.start:.9g}}}" for s in excitation.schedule
+        f"{{{s.low:.9g}, {math.degrees(s.amplitude):.9g}, {s.end - s.start:.9g}}}"
+        for s in excitation.schedule
     )
     values = {
         "AXIS": AXES[axis],
@@ -70,14 +81,15 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: 
 def systemid_parameters(excitation: Excitation, axis: str) -> str:
     """Return a parameter file that makes ArduPilot's SystemID mode fly this sweep.
 
-    `axis` is where it is added, e.g. "mixer pitch" (see `FLOWN_AXES`); a signal in rad or rad/s is converted to
-    degrees, as the vehicle wants it for all but the mixer axes. Source: ArduCopter/mode_systemid.cpp.
+    `axis` is where it is added, e.g. "mixer pitch" (see `FLOWN_AXES`); a signal in rad or rad/s is
+    converted to degrees, as the vehicle wants it for all but the mixer axes. Source:
+    ArduCopter/mode_systemid.cpp.
 
     Raises
     ------
     ValueError
-        For anything else than a logarithmic sweep after two periods of its lowest frequency, or values out of the
-        mode's range.
+        For anything else than a logarithmic sweep after two periods of its lowest frequency, or
+        values out of the mode's range.
     """
     settings = excitation.settings
     if axis not in FLOWN_AXES:
@@ -86,9 +98,15 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
         raise ValueError(
             f"SystemID mode flies logarithmic sweeps after {DWELL} periods only: use sweep(low, high, ...)."
         )
-    for name, limit in (("duration", 255), ("fade_in", 20), ("fade_out", 5)):  # ranges of SID_T_REC, SID_T_FADE_...
+    for name, limit in (
+        ("duration", 255),
+        ("fade_in", 20),
+        ("fade_out", 5),
+    ):  # ranges of SID_T_REC, SID_T_FADE_...
         if settings[name] > limit:
-            raise ValueError(f"{name} is {settings[name]:g} s, but SystemID mode takes at most {limit} s: shorten it.")
+            raise ValueError(
+                f"{name} is {settings[name]:g} s, but SystemID mode takes at most {limit} s: shorten it."
+            )
     number = FLOWN_AXES.index(axis) + 1
     angular = next(iter(excitation.units.values())).startswith("rad")
     if angular == axis.startswith("mixer"):

@@ -28,7 +28,9 @@ Array = NDArray[np.float64]
 
 CANDIDATES = 40  # frequencies in the band; twice as many change the flight time of the tilt model by less than 1 %
 AVERAGED = 15  # lines of a spectrum: its relative error is a quarter, that of the standard errors an eighth
-SPARE = 4  # numbers that the sines leave to judge the model by, beside those that its parameters take
+SPARE = (
+    4  # numbers that the sines leave to judge the model by, beside those that its parameters take
+)
 QUIET_PERIODS = 4  # of the lowest frequency that a quiet flight holds at least
 NOWHERE: Mapping[str, float] = {}
 
@@ -59,14 +61,14 @@ class SinePlan:
     limited_by : tuple of str
         For every sine, the signal whose limit sets its amplitude.
     standard_error : mapping of name to float
-        Expected of an efficient estimate: that of the whole record by `OutputError`, or nearly that of the measured
-        responses by `MaximumLikelihood` when each sine has ten periods or more.
+        Expected of an efficient estimate: that of the whole record by `OutputError`, or nearly that
+        of the measured responses by `MaximumLikelihood` when each sine has ten periods or more.
     wanted : mapping of name to float
     flight_time : float, s
         With what the sines need to settle, and with pauses.
     equally_spaced : float, s
-        The flight time that as many sines, at equally spaced logarithms of frequency and equally long, would take for
-        the same errors.
+        The flight time that as many sines, at equally spaced logarithms of frequency and equally
+        long, would take for the same errors.
     signal, unit : str
         The excitation.
     rate : float, Hz
@@ -90,7 +92,9 @@ class SinePlan:
     def __str__(self) -> str:
         sines = [
             (f"{w:.4g}", f"{w / HZ:.3g}", f"{a:.3g}", limit, f"{t:.0f}", f"{round(t * w / HZ)}")
-            for w, a, limit, t in zip(self.omega, self.amplitude, self.limited_by, self.duration, strict=True)
+            for w, a, limit, t in zip(
+                self.omega, self.amplitude, self.limited_by, self.duration, strict=True
+            )
         ]
         errors = [
             (name, f"± {error:.2g}", f"± {self.wanted[name]:.2g}" if name in self.wanted else "")
@@ -102,7 +106,11 @@ class SinePlan:
                 f"{len(self.omega)} sines in {self.signal}, {self.flight_time:.0f} s of flight;",
                 f"equally spaced sines would take {self.equally_spaced / self.flight_time:.2g} times as long.",
                 "",
-                text_table(("rad/s", "Hz", f"amplitude{unit}", "limited by", "s", "periods"), sines, left=(3,)),
+                text_table(
+                    ("rad/s", "Hz", f"amplitude{unit}", "limited by", "s", "periods"),
+                    sines,
+                    left=(3,),
+                ),
                 "",
                 text_table(("", "expected", "wanted"), errors),
             ]
@@ -147,11 +155,11 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 ) -> SinePlan:
     """Plan sines that reach the wanted standard errors in the shortest flight.
 
-    The response at a frequency is estimated from a sine of amplitude U at the plant's input and of duration t with the
-    variance E|P̂ - P|² = 2 G / (t |U|²), G being the one-sided spectral density of what the output shows beside the
-    response; the shares of the flight time follow from the Fisher information
-    as large as the limits allow. Larger amplitudes than the model is linear for are not seen here: fly the plan by
-    `virtual_flight` first.
+    The response at a frequency is estimated from a sine of amplitude U at the plant's input and of
+    duration t with the variance E|P̂ - P|² = 2 G / (t |U|²), G being the one-sided spectral density
+    of what the output shows beside the response; the shares of the flight time follow from the
+    Fisher information as large as the limits allow. Larger amplitudes than the model is linear for
+    are not seen here: fly the plan by `virtual_flight` first.
 
     Parameters
     ----------
@@ -164,16 +172,19 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     amplitude : float
         Largest amplitude of the excitation, in its unit.
     noise : float or Record
-        Standard deviation of white noise of the output's sensor, per sample at `rate`; or a quiet flight of the same
-        vehicle, whose output minus the model's response to its input is taken as the noise, wind included.
+        Standard deviation of white noise of the output's sensor, per sample at `rate`; or a quiet
+        flight of the same vehicle, whose output minus the model's response to its input is taken as
+        the noise, wind included.
     input, output : str
         Of the response that is to be measured.
     excitation : str
-        The signal that the sines are added to: a setpoint of the controller, or an input of the plant.
+        The signal that the sines are added to: a setpoint of the controller, or an input of the
+        plant.
     controller : Controller or several, optional
         What flies the vehicle meanwhile; without one the plant is tested in open loop.
     limits : mapping of signal to float
-        Largest amplitude of signals of the loop: outputs, inputs, states, and derivatives as ``theta_dot``.
+        Largest amplitude of signals of the loop: outputs, inputs, states, and derivatives as
+        ``theta_dot``.
     travel : mapping of signal to float
         Largest amplitude of the integral of a signal: of a velocity, m.
     rate : float, Hz
@@ -190,19 +201,23 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     Raises
     ------
     ValueError
-        For names and limits that do not fit, for errors that are not reachable in this band, and for a loop that
-        diverges.
+        For names and limits that do not fit, for errors that are not reachable in this band, and
+        for a loop that diverges.
     """
     low, high = band
     if not isinstance(noise, Record) and not noise > 0:
-        raise ValueError(f"noise is {noise!r}: give a positive standard deviation, or a quiet flight.")
+        raise ValueError(
+            f"noise is {noise!r}: give a positive standard deviation, or a quiet flight."
+        )
     if not 0 < low < high:
         raise ValueError(f"band is {band!r}: give two frequencies in rad/s, the lower one first.")
     if not wanted:
         raise ValueError("wanted is empty: give a standard error for at least one parameter.")
     wrong = [name for name, value in {**wanted, **limits, **travel}.items() if not value > 0]
     if wrong:
-        raise ValueError(f"{wrong[0]} is given {({**wanted, **limits, **travel})[wrong[0]]:g}: give a positive number.")
+        raise ValueError(
+            f"{wrong[0]} is given {({**wanted, **limits, **travel})[wrong[0]]:g}: give a positive number."
+        )
     rates = [c.rate for c in _several(controller)]
     grid = np.geomspace(low, high, CANDIDATES)
     signals = {input, *limits, *travel}
@@ -216,7 +231,9 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         amplitude=amplitude,
         rate=max(rates, default=rate),
     )
-    bounds = [(excitation, np.full(len(omega), amplitude))]  # a signal may have a limit and one of its travel
+    bounds = [
+        (excitation, np.full(len(omega), amplitude))
+    ]  # a signal may have a limit and one of its travel
     bounds += [(name, limit / np.abs(gains[name])) for name, limit in limits.items()]
     bounds += [(name, limit * omega / np.abs(gains[name])) for name, limit in travel.items()]
     each = np.array([most for _, most in bounds])
@@ -226,7 +243,9 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free=free, fixed=fixed)
     missing = [name for name in wanted if name not in nlp.free]
     if missing:
-        raise ValueError(f"{missing[0]} is not estimated: it has no standard error; free are {', '.join(nlp.free)}.")
+        raise ValueError(
+            f"{missing[0]} is not estimated: it has no standard error; free are {', '.join(nlp.free)}."
+        )
     density = _density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
     scale = np.array([wanted.get(name, np.nan) for name in nlp.free])
@@ -234,11 +253,15 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     scaled = sensitivity * scale
     information = weight[:, None, None] * np.real(np.conj(scaled)[:, :, None] * scaled[:, None, :])
     target = np.array([1.0 if name in wanted else np.inf for name in nlp.free])
-    require_determined(information.mean(axis=0), nlp.free, "no sine in this band", "choose another band")
+    require_determined(
+        information.mean(axis=0), nlp.free, "no sine in this band", "choose another band"
+    )
 
     card = _Card(periods, lead_in, pause)
     chosen, duration = _fewest(omega, information, target, card)
-    chosen, duration = _with_spare(omega, chosen, duration, math.ceil((len(nlp.free) + SPARE) / 2), periods)
+    chosen, duration = _with_spare(
+        omega, chosen, duration, math.ceil((len(nlp.free) + SPARE) / 2), periods
+    )
     achieved = np.linalg.inv(np.tensordot(duration, information[chosen], 1))
     spaced = np.unique(np.rint(np.linspace(0, len(omega) - 1, len(chosen))).astype(int))
     total = time_needed(information[spaced].mean(axis=0), target)
@@ -273,7 +296,9 @@ def _sensitivities(
     fixed: Mapping[str, float],
 ) -> tuple[Nlp, NDArray[np.complex128]]:
     """Return the compiled problem and the derivatives (n, p) of the response by its free parameters."""
-    exact = frequency_response(model, {**values, **fixed}, omega, input=signals[0], output=signals[1])
+    exact = frequency_response(
+        model, {**values, **fixed}, omega, input=signals[0], output=signals[1]
+    )
     data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)
     at = {**values, **fixed}
     nlp = compile_problem(Problem(model, data, MaximumLikelihood(), free=free, fixed=fixed))
@@ -309,10 +334,14 @@ def _density(
         window = 1 - np.cos(2 * np.pi * (np.arange(u.size) + 0.5) / u.size)  # Hann
         lines = _lines_around(omega, length)
         each, where = np.unique(lines, return_inverse=True)
-        response = frequency_response(model, values, each, input=input, output=output).response[where.ravel()]
+        response = frequency_response(model, values, each, input=input, output=output).response[
+            where.ravel()
+        ]
         basis = window * np.exp(-1j * np.outer(lines.ravel(), np.arange(u.size) * stretch.step))
         power = np.abs(basis @ y - response * (basis @ u)) ** 2
-        total += length * 2 * stretch.step / np.sum(window**2) * power.reshape(lines.shape).mean(axis=1)
+        total += (
+            length * 2 * stretch.step / np.sum(window**2) * power.reshape(lines.shape).mean(axis=1)
+        )
         seconds += length
     if seconds * omega[0] < QUIET_PERIODS * HZ:
         raise ValueError(
@@ -325,15 +354,19 @@ def _density(
 def _lines_around(omega: Array, length: float) -> Array:
     """Return lines (n, m), rad/s, around every frequency over which its density is averaged."""
     apart = HZ / length
-    reach = np.clip(omega / 6, 2 * apart, None)  # a spectrum of wind changes little over a sixth of its frequency
+    reach = np.clip(
+        omega / 6, 2 * apart, None
+    )  # a spectrum of wind changes little over a sixth of its frequency
     return np.maximum(omega[:, None] + np.linspace(-1, 1, AVERAGED) * reach[:, None], apart)
 
 
-def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tuple[NDArray[np.int64], Array]:
+def _fewest(
+    omega: Array, information: Array, target: Array, card: _Card
+) -> tuple[NDArray[np.int64], Array]:
     """Return which sines, and how long each, s: every further one costs what it needs to settle.
 
-    The optimal shares sit on few frequencies, or on neighbors of these; the smallest share is given up as long as that
-    makes the flight shorter.
+    The optimal shares sit on few frequencies, or on neighbors of these; the smallest share is given
+    up as long as that makes the flight shorter.
     """
     chosen = np.flatnonzero(shares(information, target))
     best: tuple[float, NDArray[np.int64], Array] | None = None

@@ -32,16 +32,19 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     offset : float
         The operating point.
     periods, least : int or (n,) sequence, and float, s
-        A sine lasts `periods` periods or `least` seconds, whichever is longer, rounded up to whole periods.
+        A sine lasts `periods` periods or `least` seconds, whichever is longer, rounded up to whole
+        periods.
     lead_in, pause : float, s
-        Of the same sine before that, in whole periods, to settle; and at the operating point before and after each.
+        Of the same sine before that, in whole periods, to settle; and at the operating point before
+        and after each.
     rate : float, Hz
     signal, unit : str
 
     Raises
     ------
     ValueError
-        For frequencies that are not between 0 and a fifth of the sampling rate, or numbers that do not match.
+        For frequencies that are not between 0 and a fifth of the sampling rate, or numbers that do
+        not match.
     """
     frequencies = checked_band(omega, rate)
     amplitudes = np.atleast_1d(np.asarray(amplitude, dtype=float))
@@ -52,16 +55,22 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     amplitudes = np.broadcast_to(amplitudes, frequencies.shape)
     counts = np.atleast_1d(np.asarray(periods, dtype=int))
     if counts.size not in (1, frequencies.size):
-        raise ValueError(f"there are {frequencies.size} frequencies but {counts.size} numbers of periods.")
+        raise ValueError(
+            f"there are {frequencies.size} frequencies but {counts.size} numbers of periods."
+        )
     counts = np.broadcast_to(counts, frequencies.shape)
 
     schedule = []
     clock = pause
-    for w, eta, count in zip(frequencies.tolist(), amplitudes.tolist(), counts.tolist(), strict=True):
+    for w, eta, count in zip(
+        frequencies.tolist(), amplitudes.tolist(), counts.tolist(), strict=True
+    ):
         period = 2 * math.pi / w
         lead = round_up(lead_in / period) * period
         length = max(count, round_up(least / period)) * period
-        schedule.append(Maneuver(signal, "sine", clock, clock + lead, clock + lead + length, w, w, eta, offset))
+        schedule.append(
+            Maneuver(signal, "sine", clock, clock + lead, clock + lead + length, w, w, eta, offset)
+        )
         clock += lead + length + pause
 
     time = np.arange(round_up(clock * rate) + 1) / rate
@@ -69,4 +78,6 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     for s in schedule:
         inside = (time >= s.start) & (time < s.end)
         values[inside] += s.amplitude * np.sin(s.low * (time[inside] - s.start))
-    return Excitation(time, {signal: values}, {signal: unit}, rate, tuple(schedule), {"pause": pause})
+    return Excitation(
+        time, {signal: values}, {signal: unit}, rate, tuple(schedule), {"pause": pause}
+    )

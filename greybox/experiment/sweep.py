@@ -28,8 +28,9 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
 ) -> Excitation:
     """Make a frequency sweep from `low` to `high`, faded in and out with half cosines.
 
-    It begins with `dwell` periods of the lowest frequency, which count to the duration. The logarithmic one is, sample
-    for sample, the signal of ArduPilot's SystemID mode (libraries/AP_Math/chirp.cpp).
+    It begins with `dwell` periods of the lowest frequency, which count to the duration. The
+    logarithmic one is, sample for sample, the signal of ArduPilot's SystemID mode
+    (libraries/AP_Math/chirp.cpp).
 
     Parameters
     ----------
@@ -47,7 +48,8 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     Raises
     ------
     ValueError
-        For a band that is empty or above a fifth of the sampling rate, or a duration too short for dwell and fades.
+        For a band that is empty or above a fifth of the sampling rate, or a duration too short for
+        dwell and fades.
     """
     checked_band([low, high], rate)
     if low >= high or kind not in ("logarithmic", "linear"):
@@ -70,7 +72,11 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
         phase = low * span / rise * np.expm1(rise * late / span)
     else:
         phase = low * late + (high - low) * late**2 / (2 * span)
-    values = amplitude * _fades(time, duration, fade_in, fade_out) * np.sin(phase + low * np.minimum(time - hold, 0))
+    values = (
+        amplitude
+        * _fades(time, duration, fade_in, fade_out)
+        * np.sin(phase + low * np.minimum(time - hold, 0))
+    )
 
     settings = {
         "low": low,

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 Signals = dict[str, ca.SX]
 NOTHING: Mapping[str, float] = MappingProxyType({})
 
-# Of a state's largest value: what halving the substeps may change in a controller period. A fifteenth of it remains: in
-# a loop of 400 Hz, 3e-6 per second if all errors add up.
+# Of a state's largest value: what halving the substeps may change in a controller period. A
+# fifteenth of it remains: in a loop of 400 Hz, 3e-6 per second if all errors add up.
 TOLERANCE = 1e-7
 ORDER = 4  # of the Runge-Kutta steps
 MOST_SUBSTEPS = 256  # in a controller period; a compiled step grows with them
@@ -50,13 +50,15 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
 ) -> Record:
     """Fly an experiment in simulation: the closed loop of (3.14), or the plant alone, with known true values.
 
-    At every sample the controller reads the sensors and sets the control, which is held until the next sample and
-    reaches the plant after its delay, exact to any fraction of a sample. What the controller reads is also what is
-    logged, together with the control commanded at that moment. Because the control is held, a response measured from
-    such a log, or from a flown one, shows half a controller period more delay than the plant has.
+    At every sample the controller reads the sensors and sets the control, which is held until the
+    next sample and reaches the plant after its delay, exact to any fraction of a sample. What the
+    controller reads is also what is logged, together with the control commanded at that moment.
+    Because the control is held, a response measured from such a log, or from a flown one, shows
+    half a controller period more delay than the plant has.
 
-    Between samples the plant is integrated by classical Runge-Kutta steps (RK4), which are halved until this changes no
-    state by more than 1e-7 of its largest value in any period; the remaining error is a fifteenth of that.
+    Between samples the plant is integrated by classical Runge-Kutta steps (RK4), which are halved
+    until this changes no state by more than 1e-7 of its largest value in any period; the remaining
+    error is a fifteenth of that.
 
     Parameters
     ----------
@@ -65,32 +67,38 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     values : mapping of parameter name to float, optional
         The true values; by default the declared starts.
     excitation : Excitation, Record or mapping of name to (n,) array
-        Each signal is added where its name says: a setpoint of the controller (``"reference"``, ``"mixer"``), or an
-        input of the plant (``"u"``), downstream of the controller and its limits. The arrays of a mapping have one
-        sample per sample of the controller. Other signals of a record are ignored.
+        Each signal is added where its name says: a setpoint of the controller (``"reference"``,
+        ``"mixer"``), or an input of the plant (``"u"``), downstream of the controller and its
+        limits. The arrays of a mapping have one sample per sample of the controller. Other signals
+        of a record are ignored.
     controller : Controller or several, optional
-        It measures outputs or states of the plant; ``"theta_dot"`` is the time derivative of ``"theta"``. The outputs
-        of one may be the setpoints of the next. Without one the plant flies in open loop, at the rate of the
-        excitation.
+        It measures outputs or states of the plant; ``"theta_dot"`` is the time derivative of
+        ``"theta"``. The outputs of one may be the setpoints of the next. Without one the plant
+        flies in open loop, at the rate of the excitation.
     noise, bias : mapping of name to float
-        Standard deviation of the white noise, and constant error, of a sensor. A state or a derivative that is named
-        here is measured and logged in addition to the outputs, with ``{"q": 0.0}`` without error.
+        Standard deviation of the white noise, and constant error, of a sensor. A state or a
+        derivative that is named here is measured and logged in addition to the outputs, with
+        ``{"q": 0.0}`` without error.
     process_noise : mapping of state name to float
-        White noise on the derivative of a state, in units of the state per √s: alone it makes the state a random walk
-        with a standard deviation of that times √t. It is held over a controller period.
+        White noise on the derivative of a state, in units of the state per √s: alone it makes the
+        state a random walk with a standard deviation of that times √t. It is held over a controller
+        period.
     initial : mapping of name to float
-        Initial states, and inputs before the first command (throughout where nothing commands them); by default zero.
-        ``gb.modeling.linearize(model, values, at).point`` begins at an operating point.
+        Initial states, and inputs before the first command (throughout where nothing commands
+        them); by default zero. ``gb.modeling.linearize(model, values, at).point`` begins at an
+        operating point.
     rate : float, Hz, optional
-        Of the log: that of the controller, which is the default, divided by a whole number. The plant's inputs are
-        logged as their mean until the next logged sample (that mean drives the plant; with noise in the loop a single
-        sample represents the following ones poorly), everything else as sampled.
+        Of the log: that of the controller, which is the default, divided by a whole number. The
+        plant's inputs are logged as their mean until the next logged sample (that mean drives the
+        plant; with noise in the loop a single sample represents the following ones poorly),
+        everything else as sampled.
     hold : bool
-        Hold each sample of an excitation that is slower than the controller, instead of interpolating, where the
-        excitation is not a record that knows itself how its signals run between samples. The derivative
-        term of a controller turns the steps into spikes, and a log at their rate samples only the spikes: a response
-        measured from it can be wrong by a third. With interpolation it may be wrong by 1 %; an excitation at the
-        controller's rate has no such error.
+        Hold each sample of an excitation that is slower than the controller, instead of
+        interpolating, where the excitation is not a record that knows itself how its signals run
+        between samples. The derivative term of a controller turns the steps into spikes, and a log
+        at their rate samples only the spikes: a response measured from it can be wrong by a third.
+        With interpolation it may be wrong by 1 %; an excitation at the controller's rate has no
+        such error.
     seed : int
         Of the noise; sensors and process noise have random streams of their own.
     name : str
@@ -98,28 +106,34 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     Returns
     -------
     Record
-        The control of every input before its delay (excitation included), the excitation, the measured signals, and
-        other outputs of the controllers. It knows that controls and setpoints are held, `Record.hold`, and that what is
-        measured is not. `metadata` has the true values: ``plant, values, controllers, noise, bias,
-        process_noise, initial, seed, schedule``; `findings` say so if the integration did not reach its accuracy.
+        The control of every input before its delay (excitation included), the excitation, the
+        measured signals, and other outputs of the controllers. It knows that controls and setpoints
+        are held, `Record.hold`, and that what is measured is not. `metadata` has the true values:
+        ``plant, values, controllers, noise, bias, process_noise, initial, seed, schedule``;
+        `findings` say so if the integration did not reach its accuracy.
 
     Raises
     ------
     ValueError
-        For names that do not match, rates that do not divide, and a flight that diverges; the sentence says when.
+        For names that do not match, rates that do not divide, and a flight that diverges; the
+        sentence says when.
     """
     if not isinstance(model, Model):
         raise TypeError(f"{model!r} is not a model: give an instance, such as LinearTilt().")
 
     system = dynamics(model)
     truth = model.values(values)
-    controllers = connected(controller, system.inputs, {*system.outputs, *system.states}, model.label)
+    controllers = connected(
+        controller, system.inputs, {*system.outputs, *system.states}, model.label
+    )
     clock = controllers[0].rate if controllers else _open_loop_rate(excitation, rate)
     thinning = _thinning(clock, rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
     if isinstance(excitation, Record):  # its controls are those of the controller of that flight
         places = tuple(n for n in places if n not in _given(controllers))
-    time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label, hold)
+    time, commands, units = _commands(
+        excitation, clock, tuple(dict.fromkeys(places)), model.label, hold
+    )
 
     wanted = (n for c in controllers for n in map(c.outside, c.inputs))
     loop = _Loop(
@@ -151,11 +165,17 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     known_units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
     return Record(
         time[::thinning],
-        {n: _averaged(v, thinning) if n in system.inputs else v[::thinning] for n, v in log.items()},
+        {
+            n: _averaged(v, thinning) if n in system.inputs else v[::thinning]
+            for n, v in log.items()
+        },
         {n: known_units.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {model.label}",
         metadata=metadata,
-        hold={n: CONTINUOUS if n in loop.measured else HELD if n in system.inputs else 1 / clock for n in log},
+        hold={
+            n: CONTINUOUS if n in loop.measured else HELD if n in system.inputs else 1 / clock
+            for n in log
+        },
         findings=findings,
     )
 
@@ -178,9 +198,13 @@ class _Loop:
     def delays(self) -> list[tuple[int, float]]:
         """Of every input, in whole controller periods and the remaining fraction of one."""
         result = []
-        for name, delay in zip(self.system.inputs, np.asarray(self.system.delay(self.p)).ravel(), strict=True):
+        for name, delay in zip(
+            self.system.inputs, np.asarray(self.system.delay(self.p)).ravel(), strict=True
+        ):
             if not 0 <= delay < math.inf:
-                raise ValueError(f"the delay of {name!r} is {delay:g} s: give a value of 0 or more.")
+                raise ValueError(
+                    f"the delay of {name!r} is {delay:g} s: give a value of 0 or more."
+                )
             whole = math.floor(delay * self.clock + 1e-9)
             part = delay * self.clock - whole
             result.append((whole, part if part > 1e-9 else 0.0))
@@ -193,7 +217,13 @@ class _Loop:
             [self.initial.get(n, 0.0)] * (whole + 1)
             for n, (whole, _) in zip(self.system.inputs, self.delays, strict=True)
         ]
-        return np.array([*plant, *(v for c in self.controllers for v in c.initial), *(v for vs in past for v in vs)])
+        return np.array(
+            [
+                *plant,
+                *(v for c in self.controllers for v in c.initial),
+                *(v for vs in past for v in vs),
+            ]
+        )
 
 
 def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
@@ -202,7 +232,9 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
     substeps = 1
     while True:
         step, names = _step(loop, substeps)
-        after, log = (np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns))
+        after, log = (
+            np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns)
+        )
         flown = log[: len(names) + n]
         local = log[len(names) + n :]
         wrong = ~(np.abs(flown) < DIVERGED)
@@ -212,7 +244,9 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
             substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, ORDER))
             continue
         if wrong.any():
-            raise ValueError(_divergence(loop, names, flown[:, reached], wrong[:, reached], time[reached]))
+            raise ValueError(
+                _divergence(loop, names, flown[:, reached], wrong[:, reached], time[reached])
+            )
         rough = f"the integration error is {error:.1g} of a state's size in a period: the plant is stiff or not smooth"
         return dict(zip(names, flown, strict=False)), (rough,) if error > TOLERANCE else ()
 
@@ -227,16 +261,23 @@ def _largest(local: Array, before: Array, after: Array) -> float:
 def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     """Compile one controller period: (all states, a column) -> (all states, log), and the names in the log.
 
-    The named signals are followed by the plant's states and by what twice as many substeps change in them.
+    The named signals are followed by the plant's states and by what twice as many substeps change
+    in them.
     """
     system = loop.system
     delays = loop.delays
     x = ca.SX.sym("x", len(system.states))
     memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
-    past = [ca.SX.sym(name, whole + 1) for name, (whole, _) in zip(system.inputs, delays, strict=True)]
-    added, errors, forces = (ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced))
+    past = [
+        ca.SX.sym(name, whole + 1) for name, (whole, _) in zip(system.inputs, delays, strict=True)
+    ]
+    added, errors, forces = (
+        ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced)
+    )
     excitation = {name: added[k] for k, name in enumerate(loop.excited)}
-    signals: Signals = {n: excitation.get(n, ca.SX(loop.initial.get(n, 0.0))) for n in system.inputs}
+    signals: Signals = {
+        n: excitation.get(n, ca.SX(loop.initial.get(n, 0.0))) for n in system.inputs
+    }
     signals |= excitation
     early = [h[whole] for h, (whole, _) in zip(past, delays, strict=True)]
 
@@ -258,12 +299,20 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     # Between samples the input changes once, where the fraction of its delay has passed.
     coarse = fine = x
     for begin, end in pairwise(sorted({0.0, *parts, 1.0})):
-        u = ca.vertcat(*[b if begin < part else a for a, b, part in zip(late, early, parts, strict=True)])
+        u = ca.vertcat(
+            *[b if begin < part else a for a, b, part in zip(late, early, parts, strict=True)]
+        )
         span = (end - begin) / loop.clock
         count = math.ceil(substeps * (end - begin))
-        coarse, fine = (_runge_kutta(loop, v, u, force, span, k) for v, k in ((coarse, count), (fine, 2 * count)))
+        coarse, fine = (
+            _runge_kutta(loop, v, u, force, span, k)
+            for v, k in ((coarse, count), (fine, 2 * count))
+        )
 
-    shifted = [ca.vertcat(signals[n], *ca.vertsplit(h)[:-1]) for n, h in zip(system.inputs, past, strict=True)]
+    shifted = [
+        ca.vertcat(signals[n], *ca.vertsplit(h)[:-1])
+        for n, h in zip(system.inputs, past, strict=True)
+    ]
     log = {**signals, **y}
     state = ca.vertcat(x, *memory, *past)
     column = ca.vertcat(added, errors, forces)
@@ -280,7 +329,9 @@ def _late(past: list[ca.SX], signals: Signals, loop: _Loop) -> list[ca.SX]:
     ]
 
 
-def _control(loop: _Loop, memory: list[ca.SX], y: Signals, signals: Signals, excitation: Signals) -> list[ca.SX]:
+def _control(
+    loop: _Loop, memory: list[ca.SX], y: Signals, signals: Signals, excitation: Signals
+) -> list[ca.SX]:
     """Run the controllers, add what they give to the signals, and return their next states."""
     remembered = []
     for controller, x in zip(loop.controllers, memory, strict=True):
@@ -329,10 +380,20 @@ def _runge_kutta(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, cou
     return x
 
 
-def _divergence(loop: _Loop, names: Sequence[str], values: Array, wrong: NDArray[np.bool_], moment: float) -> str:
+def _divergence(
+    loop: _Loop, names: Sequence[str], values: Array, wrong: NDArray[np.bool_], moment: float
+) -> str:
     row = len(wrong) - 1 - int(np.argmax(wrong[::-1]))  # a state, if one is wrong
-    what = f"the state {loop.system.states[row - len(names)]!r}" if row >= len(names) else repr(names[row])
-    cure = "give gains that stabilize the plant, or a smaller excitation" if loop.controllers else "give a controller"
+    what = (
+        f"the state {loop.system.states[row - len(names)]!r}"
+        if row >= len(names)
+        else repr(names[row])
+    )
+    cure = (
+        "give gains that stabilize the plant, or a smaller excitation"
+        if loop.controllers
+        else "give a controller"
+    )
     return f"the flight of {loop.label} diverges: {what} is {values[row]:.3g} at {moment:.2f} s; {cure}."
 
 
@@ -346,15 +407,21 @@ def _averaged(values: Array, count: int) -> Array:
     return np.add.reduceat(values, begins) / np.diff(np.append(begins, values.size))
 
 
-def _open_loop_rate(excitation: Excitation | Record | Mapping[str, ArrayLike], rate: float | None) -> float:
+def _open_loop_rate(
+    excitation: Excitation | Record | Mapping[str, ArrayLike], rate: float | None
+) -> float:
     if isinstance(excitation, Excitation):
         return float(excitation.rate)
     if not isinstance(excitation, Record):
         if rate is None:
-            raise ValueError("arrays alone have no sampling rate: give rate=... in Hz, or an Excitation.")
+            raise ValueError(
+                "arrays alone have no sampling rate: give rate=... in Hz, or an Excitation."
+            )
         return float(rate)
     if len(excitation) < 2 or np.ptp(np.diff(excitation.time)) > 0.01 * excitation.step:
-        raise ValueError("the record is not uniformly sampled: use gb.prepare(..., rate=...), or give a controller.")
+        raise ValueError(
+            "the record is not uniformly sampled: use gb.prepare(..., rate=...), or give a controller."
+        )
     return (len(excitation) - 1) / excitation.duration
 
 
@@ -366,7 +433,9 @@ def _thinning(clock: float, rate: float | None) -> int:
     ratio = clock / rate
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
         near = clock / max(1, round(ratio))
-        raise ValueError(f"a log at {rate:g} Hz does not divide the {clock:g} Hz of the loop: use e.g. {near:g} Hz.")
+        raise ValueError(
+            f"a log at {rate:g} Hz does not divide the {clock:g} Hz of the loop: use e.g. {near:g} Hz."
+        )
     return round(ratio)
 
 
@@ -379,7 +448,9 @@ def _commands(
 ) -> tuple[Array, dict[str, Array], dict[str, str]]:
     """Return time, the excitation by name on the clock of the loop, and units."""
     if not isinstance(excitation, Excitation | Record | Mapping):
-        raise TypeError(f"the excitation is a {type(excitation).__name__}: give an Excitation, or {{name: array}}.")
+        raise TypeError(
+            f"the excitation is a {type(excitation).__name__}: give an Excitation, or {{name: array}}."
+        )
     given = excitation.signals if isinstance(excitation, Excitation | Record) else excitation
     if isinstance(excitation, Record) and not {*given}.isdisjoint(places):
         given = {n: v for n, v in given.items() if n in places}
@@ -388,8 +459,13 @@ def _commands(
     if len({v.size for v in arrays.values()}) != 1 or any(
         v.ndim != 1 or not np.isfinite(v).all() for v in arrays.values()
     ):
-        shapes = ", ".join(f"{n!r} {v.shape} with {int((~np.isfinite(v)).sum())} missing" for n, v in arrays.items())
-        raise ValueError(f"the excitation is {shapes or 'empty'}: give arrays of one length with finite numbers.")
+        shapes = ", ".join(
+            f"{n!r} {v.shape} with {int((~np.isfinite(v)).sum())} missing"
+            for n, v in arrays.items()
+        )
+        raise ValueError(
+            f"the excitation is {shapes or 'empty'}: give arrays of one length with finite numbers."
+        )
     if not isinstance(excitation, Excitation | Record):
         return np.arange(next(iter(arrays.values())).size) / clock, arrays, {}
     span = float(excitation.time[-1] - excitation.time[0])
@@ -404,23 +480,37 @@ def _commands(
     return time, sampled, {n: excitation.units.get(n, "") for n in arrays}
 
 
-def _checked(what: str, given: Mapping[str, float], known: Sequence[str], low: float = -math.inf) -> dict[str, float]:
+def _checked(
+    what: str, given: Mapping[str, float], known: Sequence[str], low: float = -math.inf
+) -> dict[str, float]:
     """Return numbers by name once names and sizes are right."""
     require_known(given, known, "place for", what)
     for n, value in given.items():
         if not isinstance(value, (int, float, np.number)) or not low <= value < math.inf:
-            raise ValueError(f"{what}[{n!r}] is {value!r}: give a number" + (" of 0 or more." if low == 0 else "."))
+            raise ValueError(
+                f"{what}[{n!r}] is {value!r}: give a number"
+                + (" of 0 or more." if low == 0 else ".")
+            )
     return {n: float(v) for n, v in given.items()}
 
 
 def _errors(
-    measured: Sequence[str], noise: Mapping[str, float], bias: Mapping[str, float], count: int, seed: int
+    measured: Sequence[str],
+    noise: Mapping[str, float],
+    bias: Mapping[str, float],
+    count: int,
+    seed: int,
 ) -> Array:
     """Return what the sensors add, (k, count)."""
     deviation = _checked("noise", noise, measured, low=0)
     constant = _checked("bias", bias, measured)
     drawn = _draws(seed, 0).standard_normal((len(measured), count))
-    return np.array([deviation.get(n, 0.0) * d + constant.get(n, 0.0) for n, d in zip(measured, drawn, strict=True)])
+    return np.array(
+        [
+            deviation.get(n, 0.0) * d + constant.get(n, 0.0)
+            for n, d in zip(measured, drawn, strict=True)
+        ]
+    )
 
 
 def _forces(loop: _Loop, process_noise: Mapping[str, float], count: int, seed: int) -> Array:

@@ -1,8 +1,9 @@
 """Tables of numbers as text: what separates their cells, their decimal mark, comments, encoding.
 
-A spreadsheet writes what its country does: semicolons or tabs between cells and commas in numbers. The separator
-follows from the header line, the decimal mark from all numbers together. Where these allow two readings the table is
-refused, with the line to look at: a wrong number would be worse than none.
+A spreadsheet writes what its country does: semicolons or tabs between cells and commas in numbers.
+The separator follows from the header line, the decimal mark from all numbers together. Where these
+allow two readings the table is refused, with the line to look at: a wrong number would be worse
+than none.
 """
 
 import csv
@@ -20,7 +21,9 @@ MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))
 WITH_COMMA = re.compile(r"[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?")
 WITH_POINT = re.compile(r"[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")  # 1,000 is a thousand or one
-GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,})")  # certainly thousands
+GROUPED = re.compile(
+    r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,})"
+)  # certainly thousands
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +55,8 @@ class DelimitedText:
         Raises
         ------
         ValueError
-            If a line has more cells than the header, as decimal commas between commas make them; or it is no CSV.
+            If a line has more cells than the header, as decimal commas between commas make them; or
+            it is no CSV.
         """
         width = len(self.header)
         reader = csv.reader(self.lines, delimiter=self.separator, skipinitialspace=True)
@@ -66,7 +70,9 @@ class DelimitedText:
                         raise ValueError(self._too_long(number, len(row)))
                 yield number, [cell.strip() for cell in row]
         except csv.Error as problem:
-            raise ValueError(f"{self.path} is not a table of numbers ({problem}): save it as plain CSV.") from None
+            raise ValueError(
+                f"{self.path} is not a table of numbers ({problem}): save it as plain CSV."
+            ) from None
 
     def _too_long(self, number: int, cells: int) -> str:
         cure = "name all columns"
@@ -78,8 +84,8 @@ class DelimitedText:
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     """Return the table in a file that holds `raw`.
 
-    The header is the first line that is neither blank nor a comment; or the last comment before the numbers, as
-    `numpy.savetxt` writes it. Comments start with ``#`` or ``%``.
+    The header is the first line that is neither blank nor a comment; or the last comment before the
+    numbers, as `numpy.savetxt` writes it. Comments start with ``#`` or ``%``.
 
     Raises
     ------
@@ -87,12 +93,16 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         If it is no text.
     """
     if b"\0" in raw:
-        raise ValueError(f"{path} is not a CSV text file (it contains zero bytes, as UTF-16 does): save it as UTF-8.")
+        raise ValueError(
+            f"{path} is not a CSV text file (it contains zero bytes, as UTF-16 does): save it as UTF-8."
+        )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     first = lines[0].strip().lower()
     stated = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""  # a hint of Excel's
 
-    kept = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    kept = [
+        k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(COMMENTS)
+    ]
     kept = kept[1:] if stated else kept
     if not kept:
         return DelimitedText(path, ",", (), (), ())
@@ -100,11 +110,17 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     header, body = lines[kept[0]], kept[1:]
     names, separator = _split(header, stated)
     if _are_numbers(names):
-        comment = next((line for line in reversed(lines[: kept[0]]) if line.strip()), "").lstrip().lstrip("#%")
+        comment = (
+            next((line for line in reversed(lines[: kept[0]]) if line.strip()), "")
+            .lstrip()
+            .lstrip("#%")
+        )
         named, mark = _split(comment, stated)
         if len(named) == len(names) and mark == separator and not _are_numbers(named):
             names, body = named, kept
-    return DelimitedText(path, separator, tuple(names), [lines[k] for k in body], [k + 1 for k in body])
+    return DelimitedText(
+        path, separator, tuple(names), [lines[k] for k in body], [k + 1 for k in body]
+    )
 
 
 def _are_numbers(cells: Iterable[str]) -> bool:
@@ -159,7 +175,9 @@ class DecimalMark:
                         point = number, cell
                     continue
                 if GROUPED.fullmatch(cell):
-                    raise ValueError(f"{path}, line {number}: {cell!r} has a thousands separator: leave it out.")
+                    raise ValueError(
+                        f"{path}, line {number}: {cell!r} has a thousands separator: leave it out."
+                    )
                 if WITH_COMMA.fullmatch(cell):
                     comma = comma or (number, cell)
                     certain = certain or not THOUSANDS.fullmatch(cell)

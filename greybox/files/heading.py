@@ -3,7 +3,9 @@
 import re
 from typing import NamedTuple
 
-INDEX = re.compile(r".*\w\[\d+\]")  # an element of an array, as flight controllers write it: no unit
+INDEX = re.compile(
+    r".*\w\[\d+\]"
+)  # an element of an array, as flight controllers write it: no unit
 BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 
 
@@ -17,4 +19,8 @@ class Heading(NamedTuple):
 def heading(cell: str) -> Heading:
     """Split ``pitch [deg]`` or ``pitch (deg)`` into name and unit; ``motor[0]`` is a name."""
     found = None if INDEX.fullmatch(cell.strip()) else BRACKETS.match(cell.strip())
-    return Heading(found[1].strip(), (found[2] or found[3] or "").strip()) if found else Heading(cell.strip(), "")
+    return (
+        Heading(found[1].strip(), (found[2] or found[3] or "").strip())
+        if found
+        else Heading(cell.strip(), "")
+    )

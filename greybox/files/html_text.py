@@ -20,11 +20,16 @@ def html_list(texts: Sequence[str]) -> str:
     return f"<ul>{''.join(html_text(text, 'li') for text in texts)}</ul>" if texts else ""
 
 
-def html_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
+def html_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
+) -> str:
     """Return `rows` of text under `header` as a table; columns in `left` are flush left, all others flush right."""
 
     def line(cells: Sequence[str], element: str) -> str:
-        columns = (f"<{element}{_CELL[k in left]}>{_escaped(cell)}</{element}>" for k, cell in enumerate(cells))
+        columns = (
+            f"<{element}{_CELL[k in left]}>{_escaped(cell)}</{element}>"
+            for k, cell in enumerate(cells)
+        )
         return f"<tr>{''.join(columns)}</tr>"
 
     more = len(rows) - ROWS

@@ -24,7 +24,9 @@ def required(package: str, extra: str, what: str) -> Any:
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
-        if error.name != package.partition(".")[0]:  # which is installed, and lacks something of its own
+        if (
+            error.name != package.partition(".")[0]
+        ):  # which is installed, and lacks something of its own
             raise
         cure = f"pip install 'greybox-id[{extra}]'"
         raise ModuleNotFoundError(f"{what} needs {package}: {cure}.", name=error.name) from None

@@ -12,7 +12,9 @@ Item = TypeVar("Item")
 
 def reading(size: int, what: str) -> Any:
     """Return the bar of a file of `size` bytes; ``bar.update(done - bar.n)`` says how far it is."""
-    return tqdm(total=size, desc=what, unit="B", unit_scale=True, disable=None, delay=DELAY, leave=False)
+    return tqdm(
+        total=size, desc=what, unit="B", unit_scale=True, disable=None, delay=DELAY, leave=False
+    )
 
 
 def waiting(what: str) -> Any:

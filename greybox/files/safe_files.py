@@ -14,22 +14,26 @@ try:
 except ImportError:  # Windows, where what killed runs left behind stays
     fcntl = None
 
-# Characters of a file's own name in that of its temporary file: with the rest, below 255 bytes in UTF-8.
+# Characters of a file's own name in that of its temporary file: with the rest, below 255 bytes in
+# UTF-8.
 LONGEST = 48
-REST = re.compile(r".*\.\d+(-[0-9a-f]{8})?\.part")  # after that: the number of the process and a random one
+REST = re.compile(
+    r".*\.\d+(-[0-9a-f]{8})?\.part"
+)  # after that: the number of the process and a random one
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path to write to, which replaces `path` if no exception occurs.
 
-    Every call has a temporary file of its own, so that threads and processes may write to one path: the last one wins.
-    What killed runs left of theirs is removed first.
+    Every call has a temporary file of its own, so that threads and processes may write to one path:
+    the last one wins. What killed runs left of theirs is removed first.
 
     Raises
     ------
     OSError
-        If the file cannot be written, for example on a full disk; nothing is left of it, and `path` is as it was.
+        If the file cannot be written, for example on a full disk; nothing is left of it, and `path`
+        is as it was.
     """
     try:
         _remove_abandoned(path)
@@ -44,7 +48,9 @@ def replacing(path: Path) -> Iterator[Path]:
                 temporary.unlink(missing_ok=True)
     except OSError as error:
         reason = error.strerror or str(error).rstrip(".")
-        raise type(error)(f"{path} cannot be written ({reason}): free space or choose another folder.") from error
+        raise type(error)(
+            f"{path} cannot be written ({reason}): free space or choose another folder."
+        ) from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -72,12 +78,16 @@ def require_file(path: Path) -> None:
 def _locked_beside(path: Path) -> tuple[Path, BinaryIO]:
     """Make a temporary file beside `path`, locked as long as it is open: the sign that its run is alive."""
     while True:
-        temporary = path.with_name(f".{path.name[:LONGEST]}.{os.getpid()}-{secrets.token_hex(4)}.part")
+        temporary = path.with_name(
+            f".{path.name[:LONGEST]}.{os.getpid()}-{secrets.token_hex(4)}.part"
+        )
         lock = temporary.open("xb")
         if fcntl is None:
             lock.close()  # Windows does not rename a file that is open
             return temporary, lock
-        with suppress(OSError):  # where a file system has no locks, nobody can take the file for abandoned
+        with suppress(
+            OSError
+        ):  # where a file system has no locks, nobody can take the file for abandoned
             fcntl.flock(lock, fcntl.LOCK_EX)
         if temporary.exists():
             return temporary, lock

@@ -1,11 +1,12 @@
 """HDF5 files with a checksum, written atomically and read in a subprocess.
 
-A file is made in memory and written in one piece under a temporary name, since the HDF5 library crashes when a disk is
-full. Its first 512 bytes are an HDF5 user block, which every HDF5 reader skips; it holds the kind of the file and the
-SHA-256 of everything after it.
+A file is made in memory and written in one piece under a temporary name, since the HDF5 library
+crashes when a disk is full. Its first 512 bytes are an HDF5 user block, which every HDF5 reader
+skips; it holds the kind of the file and the SHA-256 of everything after it.
 
-The checksum finds damage. It is no signature: whoever changes a file can seal it again. So the HDF5 library reads it in
-a subprocess, see `subprocess_reader`, and what comes back is plain numbers and texts.
+The checksum finds damage. It is no signature: whoever changes a file can seal it again. So the HDF5
+library reads it in a subprocess, see `subprocess_reader`, and what comes back is plain numbers and
+texts.
 """
 
 import hashlib
@@ -66,7 +67,8 @@ def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
     whole = io.BytesIO()
     with h5py.File(whole, "w", userblock_size=BLOCK) as file:
         fill(file)
-    # No copy of what may be large; and no view of the buffer, which held by a traceback crashes Python 3.12 at its end.
+    # No copy of what may be large; and no view of the buffer, which held by a traceback crashes
+    # Python 3.12 at its end.
     body = memoryview(whole.getvalue())[BLOCK:]
     head = _block(kind, hashlib.sha256(body).hexdigest())
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -92,7 +94,9 @@ def open_sealed(path: Path, kind: str) -> Iterator[Stored]:
     try:
         yield _tree(head["items"], iter(arrays))
     except DAMAGES as error:
-        raise ValueError(f"{path} is not a greybox {kind} or is damaged ({printable(str(error))}).") from None
+        raise ValueError(
+            f"{path} is not a greybox {kind} or is damaged ({printable(str(error))})."
+        ) from None
 
 
 def _tree(items: list[dict[str, Any]], arrays: Iterator[Any]) -> Stored:
@@ -131,7 +135,9 @@ def _require_seal(path: Path, kind: str) -> None:
         head = file.read(BLOCK)
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if head != _block(kind, digest):
-        raise ValueError(f"{path} is damaged or was changed since it was saved: restore it or make it again.")
+        raise ValueError(
+            f"{path} is damaged or was changed since it was saved: restore it or make it again."
+        )
 
 
 def _block(kind: str, digest: str) -> bytes:

@@ -1,8 +1,8 @@
 """What runs in the subprocess of `subprocess_reader`: the libraries that a damaged or crafted file can lead astray.
 
-Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a line of JSON to
-standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes": [...]}``, then the numbers of all
-arrays, 8 bytes each. It imports nothing of greybox.
+Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a
+line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes":
+[...]}``, then the numbers of all arrays, 8 bytes each. It imports nothing of greybox.
 
 `hdf5_objects` is the one place where an HDF5 file is opened: it reaches nothing outside that file.
 """
@@ -20,13 +20,18 @@ from typing import Any
 
 import numpy as np
 
-SMALL = 2**24  # bytes: arrays of 16 MB together are accepted from a log of any size; and characters of text
-# Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into gigabytes; compressed
-# flights reach 10, and files of mostly constant signals stay below this.
+SMALL = (
+    2**24
+)  # bytes: arrays of 16 MB together are accepted from a log of any size; and characters of text
+# Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into
+# gigabytes; compressed flights reach 10, and files of mostly constant signals stay below this.
 EXPANSION = 100
-MEMORY = 2**27  # bytes that the process may use in addition to what it used before, besides those of arrays
-# Processor time: s, and more for a large file at bytes per s. A saved fit of 0.1 MB takes 0.02 s; HDF5 and MATLAB files
-# of arrays run at 200 MB/s, compressed ones and those of many small objects at 10 MB/s.
+MEMORY = (
+    2**27
+)  # bytes that the process may use in addition to what it used before, besides those of arrays
+# Processor time: s, and more for a large file at bytes per s. A saved fit of 0.1 MB takes 0.02 s;
+# HDF5 and MATLAB files of arrays run at 200 MB/s, compressed ones and those of many small objects
+# at 10 MB/s.
 SECONDS = 0.6
 SPEED = 4e6
 MOST = 20_000  # arrays, each of which costs a header even when it is empty
@@ -35,7 +40,10 @@ ATTRIBUTES = 100  # of a group or dataset; a saved fit has 20
 DEEPEST = 8  # structs within structs, groups within groups
 HARD, SOFT = 0, 1  # types of links, H5L_type_t of the HDF5 library
 REFUSED = 3  # the exit status for a file that names other files, or more than it can hold
-OPAQUE = ("MatlabOpaque", "MatlabFunction")  # scipy's stand-ins for timetable, timeseries, table and other objects
+OPAQUE = (
+    "MatlabOpaque",
+    "MatlabFunction",
+)  # scipy's stand-ins for timetable, timeseries, table and other objects
 PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowError, MemoryError)
 
 
@@ -78,7 +86,12 @@ class Collector:
     def write(self) -> None:
         """Write everything to standard output."""
         shapes = [array.shape for array in self.arrays]
-        head = {"items": self.items, "findings": self.findings, "about": self.about, "shapes": shapes}
+        head = {
+            "items": self.items,
+            "findings": self.findings,
+            "about": self.about,
+            "shapes": shapes,
+        }
         out = sys.stdout.buffer
         out.write(json.dumps(head).encode() + b"\n")
         while self.arrays:
@@ -89,8 +102,9 @@ class Collector:
 def hdf5_objects(path: str, found: Collector) -> Iterator[tuple[str, Any]]:
     """Yield the groups and datasets of an HDF5 file by path, each once.
 
-    Soft links are not followed, so there is no loop. Refused are links to other files, datasets whose numbers lie in
-    other files (external storage, virtual datasets), and more links or levels than a file of measurements has.
+    Soft links are not followed, so there is no loop. Refused are links to other files, datasets
+    whose numbers lie in other files (external storage, virtual datasets), and more links or levels
+    than a file of measurements has.
     """
     import h5py  # noqa: PLC0415 (only one of these libraries is needed)
 
@@ -110,7 +124,9 @@ def hdf5_objects(path: str, found: Collector) -> Iterator[tuple[str, Any]]:
                 waiting += reversed([*_members(name, thing, found, addresses)])
 
 
-def _members(path: str, group: Any, found: Collector, addresses: set[int]) -> Iterator[tuple[str, Any]]:
+def _members(
+    path: str, group: Any, found: Collector, addresses: set[int]
+) -> Iterator[tuple[str, Any]]:
     """Yield what the hard links of a group lead to, and not twice what is at one address."""
     found.links -= len(group)
     if found.links < 0:
@@ -223,7 +239,13 @@ def _text(attributes: Any, name: str) -> str:
     try:
         value = attributes.get(name, "")
         value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
-        return value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+        return (
+            value.decode("utf-8", "replace")
+            if isinstance(value, bytes)
+            else value
+            if isinstance(value, str)
+            else ""
+        )
     except PROBLEMS:
         return ""
 
@@ -248,8 +270,15 @@ def _keep_struct(group: str, contents: Mapping[str, Any], found: Collector) -> N
             if group.count("/") < DEEPEST:
                 _keep_struct(f"{group}{key}/", value, found)
         elif type(value).__name__ in OPAQUE:
-            found.findings.append(f"{key}: only MATLAB can read this object (a timetable?); save it as a struct.")
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2) and value.size:
+            found.findings.append(
+                f"{key}: only MATLAB can read this object (a timetable?); save it as a struct."
+            )
+        elif (
+            isinstance(value, np.ndarray)
+            and value.dtype.kind in "biuf"
+            and value.ndim in (1, 2)
+            and value.size
+        ):
             if not found.reserve(value.size):
                 raise ValueError("its arrays are too large for the size of the file")
             found.add(f"{group}{key}", value, unit="")
@@ -258,12 +287,20 @@ def _keep_struct(group: str, contents: Mapping[str, Any], found: Collector) -> N
 def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
     """Return the signals of a "structure with time": ``signals`` holds one or several of ``values`` and ``label``."""
     signals = contents.get("signals") if "time" in contents else None
-    several = [signals] if isinstance(signals, Mapping) else signals if isinstance(signals, list | np.ndarray) else []
+    several = (
+        [signals]
+        if isinstance(signals, Mapping)
+        else signals
+        if isinstance(signals, list | np.ndarray)
+        else []
+    )
     columns = {}
     for i, signal in enumerate(several):
         if isinstance(signal, Mapping) and isinstance(signal.get("values"), np.ndarray):
             label = signal.get("label", "")
-            columns[label if isinstance(label, str) and label else f"signal{i + 1}"] = signal["values"]
+            columns[label if isinstance(label, str) and label else f"signal{i + 1}"] = signal[
+                "values"
+            ]
     return columns
 
 
@@ -280,19 +317,28 @@ def ulog(path: str, found: Collector, topics: list[str]) -> None:
             if not found.reserve(values.size):
                 raise ValueError("its arrays are too large for the size of the file")
             found.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
-    parameters = {**log.initial_parameters, **{name: value for _, name, value in log.changed_parameters}}
+    parameters = {
+        **log.initial_parameters,
+        **{name: value for _, name, value in log.changed_parameters},
+    }
     found.about = {
         "parameters": parameters,
         "defaults": log.get_default_parameters(0),
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],
-        "info": {key: value for key, value in log.msg_info_dict.items() if isinstance(value, str | int | float)},
+        "info": {
+            key: value
+            for key, value in log.msg_info_dict.items()
+            if isinstance(value, str | int | float)
+        },
     }
 
     if log.file_corruption:
         found.findings.append("parts of the file are damaged and were skipped.")
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
-        found.findings.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in total.")
+        found.findings.append(
+            f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in total."
+        )
 
 
 def _limit_time(size: int) -> None:
@@ -315,7 +361,9 @@ def _allow_memory(more: int) -> None:
     # An array is in memory as it is stored, as it is written, and once more on the way.
     most = _memory() + MEMORY + 3 * more
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    resource.setrlimit(
+        resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard)
+    )
 
 
 def _memory() -> int:

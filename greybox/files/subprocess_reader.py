@@ -1,9 +1,9 @@
 """Files that are read in a subprocess: HDF5, MATLAB, PX4, and the results that greybox saved as HDF5.
 
-A damaged or crafted file can send the HDF5 library into an endless loop, crash it or scipy's MATLAB reader, and make
-all of them, and pyulog, exhaust the memory; little of that can be caught in Python. So `subprocess_main` reads the file
-in another process, with a limit of its time and, where the system has one, of its memory. That costs about 0.15 s per
-file, 0.3 s for MATLAB.
+A damaged or crafted file can send the HDF5 library into an endless loop, crash it or scipy's MATLAB
+reader, and make all of them, and pyulog, exhaust the memory; little of that can be caught in
+Python. So `subprocess_main` reads the file in another process, with a limit of its time and, where
+the system has one, of its memory. That costs about 0.15 s per file, 0.3 s for MATLAB.
 """
 
 import json
@@ -27,13 +27,15 @@ Answer = tuple[dict[str, Any], list[NDArray[np.float64]]]
 
 SCRIPT = Path(__file__).with_name("subprocess_main.py")
 
-# Time limit: s, and more for a large file at bytes per s. It ends what waits; `subprocess_main` ends what computes, by
-# its processor time, much earlier. On a busy machine, starting Python and scipy took 1.7 s and reading ran at 30 MB/s
-# (HDF5 and MATLAB, 32 MB).
+# Time limit: s, and more for a large file at bytes per s. It ends what waits; `subprocess_main`
+# ends what computes, by its processor time, much earlier. On a busy machine, starting Python and
+# scipy took 1.7 s and reading ran at 30 MB/s (HDF5 and MATLAB, 32 MB).
 PATIENCE = 10.0
 SPEED = 2e6
 LOOK = 0.2  # s, after which a reader looks how long it has waited
-TOO_LONG = -getattr(signal, "SIGPROF", 0)  # the exit status of a process that used up its processor time
+TOO_LONG = -getattr(
+    signal, "SIGPROF", 0
+)  # the exit status of a process that used up its processor time
 
 
 def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Answer:
@@ -45,7 +47,16 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Answer:
         If the file cannot be read, or not within the limits of time and memory.
     """
     limit = PATIENCE + path.stat().st_size / SPEED
-    command = [sys.executable, "-P", "-W", "ignore", str(SCRIPT), kind, str(path.absolute()), *wanted]
+    command = [
+        sys.executable,
+        "-P",
+        "-W",
+        "ignore",
+        str(SCRIPT),
+        kind,
+        str(path.absolute()),
+        *wanted,
+    ]
     environment = {
         **os.environ,
         "OPENBLAS_NUM_THREADS": "1",  # every thread of it reserves memory
@@ -58,10 +69,14 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Answer:
     if status == TOO_LONG:
         raise ValueError(f"{path} is damaged: reading it takes too long for its size.")
     if status < 0:
-        raise ValueError(f"{path} is damaged: the library that reads it crashed; export or copy it again.")
+        raise ValueError(
+            f"{path} is damaged: the library that reads it crashed; export or copy it again."
+        )
     if status:
         reason = said or "for no stated reason"
-        raise ValueError(f"{path} is damaged or of another format ({reason:.160}): export or copy it again.")
+        raise ValueError(
+            f"{path} is damaged or of another format ({reason:.160}): export or copy it again."
+        )
     return answer.result()
 
 
@@ -78,10 +93,15 @@ def _finished(
         assert process.stderr
         begin = time.monotonic()
         try:
-            answer, complaint = readers.submit(_answer, process.stdout), readers.submit(process.stderr.read)
+            answer, complaint = (
+                readers.submit(_answer, process.stdout),
+                readers.submit(process.stderr.read),
+            )
             while wait((answer, complaint), LOOK).not_done:
                 if time.monotonic() - begin > limit:
-                    raise ValueError(f"{path} is damaged: reading it took longer than {limit:.0f} s.")
+                    raise ValueError(
+                        f"{path} is damaged: reading it took longer than {limit:.0f} s."
+                    )
                 bar.update()
             return process.wait(), answer, complaint.result()
         except BaseException:

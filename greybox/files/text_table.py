@@ -5,8 +5,8 @@ import math
 import unicodedata
 from collections.abc import Iterable, Sequence
 
-# Control characters (a terminal obeys them), formatting ones (they can reverse the order of what follows), halves of
-# characters (no terminal takes them), line and paragraph separators.
+# Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
+# follows), halves of characters (no terminal takes them), line and paragraph separators.
 CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
@@ -17,20 +17,27 @@ def printable(text: str, keep: str = "") -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c in keep or unicodedata.category(c) not in CONTROLS else _escaped(c) for c in text)
+    return "".join(
+        c if c in keep or unicodedata.category(c) not in CONTROLS else _escaped(c) for c in text
+    )
 
 
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
-def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
+def text_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
+) -> str:
     """Align `rows` of text under `header`; columns in `left` are flush left, all others flush right."""
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
 
     def line(row: Sequence[str]) -> str:
-        parts = (c.ljust(w) if k in left else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
+        parts = (
+            c.ljust(w) if k in left else c.rjust(w)
+            for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        )
         return "  ".join(parts).rstrip()
 
     rule = "  ".join("-" * w for w in widths)
@@ -57,7 +64,11 @@ def listed(names: Sequence[str]) -> str:
 
 def some(names: Sequence[str], most: int = 4) -> str:
     """Return names as `listed` does, of many the first ones and how many more there are."""
-    return listed(names) if len(names) <= most + 1 else f"{', '.join(names[:most])} and {len(names) - most} more"
+    return (
+        listed(names)
+        if len(names) <= most + 1
+        else f"{', '.join(names[:most])} and {len(names) - most} more"
+    )
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
@@ -82,7 +93,10 @@ def with_error(value: float, error: float) -> tuple[str, str]:
         return number(value), number(error, 2)
     decimals = 1 - math.floor(math.log10(float(f"{error:.1e}")))
     if not -4 <= decimals <= 7 or abs(value) >= 1e7:
-        return f"{value:.{max(2, math.floor(math.log10(abs(value))) + decimals + 1)}g}", f"{error:.2g}"
+        return (
+            f"{value:.{max(2, math.floor(math.log10(abs(value))) + decimals + 1)}g}",
+            f"{error:.2g}",
+        )
     places = max(decimals, 0)
     return f"{round(value, decimals):.{places}f}", f"{round(error, decimals):.{places}f}"
 

@@ -9,14 +9,16 @@ from greybox.formulation.summand import Part
 def with_costs_that_add(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Return the parts with criteria whose costs may be added.
 
-    Negative log-likelihoods add, whatever the data. Where one of the criteria is a likelihood, as that of every record
-    is, a response that was given none gets `RelativeLikelihood` in place of `RelativeError`. Costs that are no
-    likelihoods have scales of their own, so they add where the criterion and its settings are the same.
+    Negative log-likelihoods add, whatever the data. Where one of the criteria is a likelihood, as
+    that of every record is, a response that was given none gets `RelativeLikelihood` in place of
+    `RelativeError`. Costs that are no likelihoods have scales of their own, so they add where the
+    criterion and its settings are the same.
 
     Raises
     ------
     ValueError
-        If a criterion that was asked for is a likelihood and another one is not, or two that are none differ.
+        If a criterion that was asked for is a likelihood and another one is not, or two that are
+        none differ.
     """
     likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
     if likelihood is None:
@@ -39,5 +41,7 @@ def with_costs_that_add(parts: Sequence[Part]) -> tuple[Part, ...]:
                 "alone, so leave the criterion of the response out, or give RelativeLikelihood(), or "
                 "MaximumLikelihood() where variances are known."
             )
-        result.append(part if part.criterion.is_likelihood else part.with_(criterion=RelativeLikelihood()))
+        result.append(
+            part if part.criterion.is_likelihood else part.with_(criterion=RelativeLikelihood())
+        )
     return tuple(result)

@@ -1,9 +1,9 @@
 """Rules that measure the mismatch between a model's frequency response and a measured one.
 
-A criterion is written once, in the arithmetic of `Complex`, and so is minimized by IPOPT and evaluated in numbers from
-the same lines. It also knows its own statistics: with J the Jacobian of its 2n real residuals, the estimate has the
-covariance B⁻¹ M B⁻¹ of an M-estimator (Huber 1981, Robust Statistics, chapter 6), with B = bread · JᵀJ and
-M = Jᵀ diag(meat) J.
+A criterion is written once, in the arithmetic of `Complex`, and so is minimized by IPOPT and
+evaluated in numbers from the same lines. It also knows its own statistics: with J the Jacobian of
+its 2n real residuals, the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator (Huber 1981,
+Robust Statistics, chapter 6), with B = bread · JᵀJ and M = Jᵀ diag(meat) J.
 """
 
 import math
@@ -25,18 +25,21 @@ _DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magni
 _DEGREES_PER_RADIAN = 180 / math.pi
 
 
-# Relative variance that is added to an estimated one: an exact fit has that of rounding errors, as in time.
+# Relative variance that is added to an estimated one: an exact fit has that of rounding errors, as
+# in time.
 ROUNDING_VARIANCE = 1e-18
 
-# Of the fixed point for the size of the noise, each of which halves what is left, at worst (two degrees of freedom).
+# Of the fixed point for the size of the noise, each of which halves what is left, at worst (two
+# degrees of freedom).
 SCALE_ITERATIONS = 40
 
-# Between the size of the noise and the bias of the gain that it makes, at most, and to which share of the size.
+# Between the size of the noise and the bias of the gain that it makes, at most, and to which share
+# of the size.
 BIAS_ITERATIONS = 6
 ACCURATE = 1e-3
 
-# Of the measured magnitude, the least of a model that measurements are divided by: at a bound it may be zero, and it is
-# not noise that lies between them.
+# Of the measured magnitude, the least of a model that measurements are divided by: at a bound it
+# may be zero, and it is not noise that lies between them.
 LEAST_MODEL = 0.01
 
 
@@ -48,10 +51,11 @@ class Criterion(AnyCriterion):
     Attributes
     ----------
     uses : tuple of str or None
-        What it takes of the data beside the response: "variance", "coherence"; None where it does not say.
+        What it takes of the data beside the response: "variance", "coherence"; None where it does
+        not say.
     weighs_alike : bool
-        True where it weighs all points as errors of one relative size deserve, whatever `spread` says along and across
-        the response.
+        True where it weighs all points as errors of one relative size deserve, whatever `spread`
+        says along and across the response.
     """
 
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
@@ -60,7 +64,11 @@ class Criterion(AnyCriterion):
 
     def condition_on(self, data: Any) -> str:
         """Return the condition, with the common errors of the data if there are any."""
-        return self.condition if data.common_errors is None else f"{self.condition}, and the common errors of the data"
+        return (
+            self.condition
+            if data.common_errors is None
+            else f"{self.condition}, and the common errors of the data"
+        )
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError when `data` do not hold what the criterion needs."""
@@ -82,11 +90,15 @@ class Criterion(AnyCriterion):
 
     @abstractmethod
     def jacobian(
-        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+        self,
+        model: NDArray[np.complex128],
+        sensitivity: NDArray[np.complex128],
+        data: FrequencyResponse,
     ) -> NDArray[np.float64]:
         """Return the Jacobian (2n, p) of the real residuals, from the response (n,) and its derivatives (n, p).
 
-        Those along the response stand first, then those across: errors of neighboring points may be correlated there.
+        Those along the response stand first, then those across: errors of neighboring points may be
+        correlated there.
         """
 
     @abstractmethod
@@ -99,11 +111,15 @@ class Criterion(AnyCriterion):
         """Return how the gradients of two points are correlated whose errors are: as these, for sums of squares."""
         return correlation
 
-    def error_size(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
+    def error_size(
+        self, model: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
         """Return what the errors of the points are in proportion to, (n,): by default the model's magnitude."""
         return np.abs(model)
 
-    def noise(self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float = 1.0) -> float:
+    def noise(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float = 1.0
+    ) -> float:
         """Return the standard deviation of one component of the relative errors, about what noise makes of the gain.
 
         `correction` scales it for the parameters estimated.
@@ -149,7 +165,9 @@ class _Relative(Criterion):
     def __post_init__(self) -> None:
         """Check the normalization."""
         if self.normalized not in ("measured", "model"):
-            raise ValueError(f"normalized {self.normalized!r} is not known: use 'measured' or 'model'.")
+            raise ValueError(
+                f"normalized {self.normalized!r} is not known: use 'measured' or 'model'."
+            )
 
     def errors(self, model: Any, data: FrequencyResponse) -> Any:
         """Relative errors, (n,) complex, of numbers or of `Complex`."""
@@ -160,16 +178,23 @@ class _Relative(Criterion):
         return np.abs(data.response) if self.normalized == "measured" else abs(model)
 
     def jacobian(
-        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+        self,
+        model: NDArray[np.complex128],
+        sensitivity: NDArray[np.complex128],
+        data: FrequencyResponse,
     ) -> NDArray[np.float64]:
         """Return the derivatives of the relative errors along and across the response, the normalization held."""
-        return _stack(sensitivity / (self.magnitude(model, data) * np.exp(1j * np.angle(model)))[:, None])
+        return _stack(
+            sensitivity / (self.magnitude(model, data) * np.exp(1j * np.angle(model)))[:, None]
+        )
 
     def spread(
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
     ) -> tuple[float, NDArray[np.float64]]:
         """Mean curvature, and variances of the gradient along and across the response, for errors of this size."""
-        score = relative_score(self.noise(model, data, correction), len(data), self.power, self.normalized)
+        score = relative_score(
+            self.noise(model, data, correction), len(data), self.power, self.normalized
+        )
         return score.curvature, np.repeat(score.variance, len(data))
 
     def gain_bias(self, noise: float, points: int) -> float:
@@ -181,11 +206,12 @@ class _Relative(Criterion):
 class RelativeError(_Relative):
     """Sum of relative errors, (4.26): Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
 
-    `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative noise σ in each
-    component the first biases the gain by about -σ², the second by 2 σ². The standard errors hold for errors that are
-    isotropic in the complex plane and of one relative size, see `relative_score`: where these are small, Cov = (4/π) s²
-    (JᵀJ)⁻¹, with s the standard deviation of one component. The minimum of n points and p parameters lies below the
-    cost at the truth by p s √(π/2) / π, by which the mean |e| is too small: s is as much larger.
+    `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative
+    noise σ in each component the first biases the gain by about -σ², the second by 2 σ². The
+    standard errors hold for errors that are isotropic in the complex plane and of one relative
+    size, see `relative_score`: where these are small, Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard
+    deviation of one component. The minimum of n points and p parameters lies below the cost at the
+    truth by p s √(π/2) / π, by which the mean |e| is too small: s is as much larger.
     """
 
     rule: ClassVar[str] = "sum of relative errors, (4.26)"
@@ -204,14 +230,17 @@ class RelativeError(_Relative):
     def score_correlation(self, correlation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the correlation of the directions of errors, E e₁ e₂* / |e₁ e₂|, of a correlation from 0 to 1.
 
-        (E(k) - (1 - k²) K(k)) / k with the complete elliptic integrals, k the correlation of circular normal errors.
-        Source: Middleton (1960), An Introduction to Statistical Communication Theory, section 9.1.
+        (E(k) - (1 - k²) K(k)) / k with the complete elliptic integrals, k the correlation of
+        circular normal errors. Source: Middleton (1960), An Introduction to Statistical
+        Communication Theory, section 9.1.
         """
         from scipy.special import ellipe, ellipkm1  # noqa: PLC0415  (takes a tenth of a second to import)
 
         k = np.clip(correlation, 1e-150, 1.0)
         rest = 1 - k**2
-        found = (ellipe(k**2) - np.where(rest > 0, rest * ellipkm1(np.maximum(rest, 1e-300)), 0.0)) / k
+        found = (
+            ellipe(k**2) - np.where(rest > 0, rest * ellipkm1(np.maximum(rest, 1e-300)), 0.0)
+        ) / k
         # Below, the difference is rounding.
         return np.where(k < 1e-4, math.pi / 4 * k, found)
 
@@ -220,10 +249,10 @@ class RelativeError(_Relative):
 class SquaredRelativeError(_Relative):
     """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
 
-    `normalized` as in `RelativeError`. The standard errors hold for errors of one relative size, see `relative_score`:
-    where these are small, Cov = s² (JᵀJ)⁻¹. Points that noise makes small weigh too much over the measured magnitude:
-    with noise of 20 % in each component the gain varies one and a half times as much as that of `RelativeLikelihood`,
-    which has no such bias.
+    `normalized` as in `RelativeError`. The standard errors hold for errors of one relative size,
+    see `relative_score`: where these are small, Cov = s² (JᵀJ)⁻¹. Points that noise makes small
+    weigh too much over the measured magnitude: with noise of 20 % in each component the gain varies
+    one and a half times as much as that of `RelativeLikelihood`, which has no such bias.
     """
 
     rule: ClassVar[str] = "sum of squared relative errors"
@@ -238,17 +267,20 @@ class SquaredRelativeError(_Relative):
 class RelativeLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of one relative variance, which is estimated along.
 
-    With errors of variance E|P̂ - P|² = σ² |P|² the negative log-likelihood is n log σ² + Σ log |P|² + Σ |P̂ - P|²/(σ²
+    With errors of variance E|P̂ - P|² = σ² |P|² the negative log-likelihood is n log σ² + Σ log
+    |P|² + Σ |P̂ - P|²/(σ²
     |P|²), and at the best σ² that is
 
         n (log mean(|P̂ - P|² / |P|²) + 1) + Σ log (|P|² / v),
 
-    up to a constant of the data; v are their variances if they have them, so that it can be compared with
-    `MaximumLikelihood`, otherwise |P̂|². The gain has no bias: where errors are over the model's magnitude the term log
+    up to a constant of the data; v are their variances if they have them, so that it can be
+    compared with `MaximumLikelihood`, otherwise |P̂|². The gain has no bias: where errors are over
+    the model's magnitude the term log
     |P|² balances it. This is what `RelativeError` gives way to in a sum with a record, whose cost is such a likelihood
     too. The standard errors s² (JᵀJ)⁻¹ are those of errors of one relative size.
 
-    Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with σ² eliminated.
+    Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with σ²
+    eliminated.
     """
 
     rule: ClassVar[str] = "maximum likelihood, one unknown relative variance"
@@ -265,11 +297,18 @@ class RelativeLikelihood(Criterion):
         """Return the negative log-likelihood at the best variance, to which `smoothing` is added."""
         size = _squares(model)
         scale = np.abs(data.response) ** 2 if data.variance is None else data.variance
-        variance = _total(_squares(model - data.response) / size) / len(data) + smoothing + ROUNDING_VARIANCE
+        variance = (
+            _total(_squares(model - data.response) / size) / len(data)
+            + smoothing
+            + ROUNDING_VARIANCE
+        )
         return len(data) * (log(variance) + 1) + _total(log(size / scale))
 
     def jacobian(
-        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+        self,
+        model: NDArray[np.complex128],
+        sensitivity: NDArray[np.complex128],
+        data: FrequencyResponse,
     ) -> NDArray[np.float64]:
         """Return the derivatives of the relative errors along and across the response, the normalization held."""
         return _stack(sensitivity / model[:, None])
@@ -287,14 +326,16 @@ class RelativeLikelihood(Criterion):
 class MagnitudePhase(Criterion):
     """Magnitude and phase errors weighted by coherence, the cost of CIFER.
 
-    J = 20/n Σ W_γ [ W_g (|P| - |P̂|)² + W_p (∠P - ∠P̂)² ] with magnitudes in dB, phases in degrees, W_g = 1,
-    W_p = 0.01745 and W_γ = [1.58 (1 - exp(-γ²))]². Where the data have no coherence, γ² = 1.
+    J = 20/n Σ W_γ [ W_g (|P| - |P̂|)² + W_p (∠P - ∠P̂)² ] with magnitudes in dB, phases in degrees,
+    W_g = 1, W_p = 0.01745 and W_γ = [1.58 (1 - exp(-γ²))]². Where the data have no coherence, γ² =
+    1.
 
-    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section 11.2.
-    Phases are compared on the circle, within ±180°. The minimum is located with the squared relative error first, since
-    wrapping makes local minima. The standard errors propagate isotropic errors through the weights: of the data's own
-    variances; or else of relative variances in proportion to (1 - γ²)/γ², as random errors of a spectral estimate have
-    (Bendat and Piersol, Random Data, 4th ed., section 9.2), or of one relative size, both scaled by the residuals.
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section
+    11.2. Phases are compared on the circle, within ±180°. The minimum is located with the squared
+    relative error first, since wrapping makes local minima. The standard errors propagate isotropic
+    errors through the weights: of the data's own variances; or else of relative variances in
+    proportion to (1 - γ²)/γ², as random errors of a spectral estimate have (Bendat and Piersol,
+    Random Data, 4th ed., section 9.2), or of one relative size, both scaled by the residuals.
     """
 
     rule: ClassVar[str] = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
@@ -318,7 +359,10 @@ class MagnitudePhase(Criterion):
         return _total(magnitude**2 * ratio.re**2 + phase**2 * ratio.im**2)
 
     def jacobian(
-        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+        self,
+        model: NDArray[np.complex128],
+        sensitivity: NDArray[np.complex128],
+        data: FrequencyResponse,
     ) -> NDArray[np.float64]:
         """Return the derivatives of weighted log magnitude and phase."""
         relative = sensitivity / model[:, None]
@@ -332,13 +376,21 @@ class MagnitudePhase(Criterion):
         shape = self._relative_variance(data)
         s2 = shape / 2
         if data.variance is None:
-            # In the mean of the cost, in which a coherence that was rounded to 1 is no point without an error.
+            # In the mean of the cost, in which a coherence that was rounded to 1 is no point
+            # without an error.
             weight, _ = self._weights(data)
             error = np.log(model / data.response)
-            s2 = s2 * np.sum((weight * np.abs(error)) ** 2) / np.sum(weight**2 * shape) * correction**2
+            s2 = (
+                s2
+                * np.sum((weight * np.abs(error)) ** 2)
+                / np.sum(weight**2 * shape)
+                * correction**2
+            )
         return 2.0, 4 * np.concatenate([w**2 * s2 for w in self._weights(data)])
 
-    def error_size(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
+    def error_size(
+        self, model: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
         """Return the roots of the given variances, or of those by the coherence."""
         return np.abs(model) * np.sqrt(self._relative_variance(data))
 
@@ -364,25 +416,30 @@ class MagnitudePhase(Criterion):
 class MaximumLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².
 
-    Needs data with `variance`. Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11.
+    Needs data with `variance`. Source: Pintelon and Schoukens, System Identification, 2nd ed.,
+    section 9.11.
 
-    A variance that was itself estimated, with ν degrees of freedom (`FrequencyResponse.dof`), makes the errors over its
-    root a bivariate Student's t: the cost of a point is then (ν + 2)/2 · log(1 + 2 r²/ν), with r² as above, and its
-    weight in the standard errors ν/(ν + 2 r²), in which a variance that happens to be small does not count for more
-    than it should. The score of such a point has (ν + 2)/ν times the variance that its curvature says. Source: Lange,
-    Little and Taylor (1989), Robust statistical modeling using the t distribution, JASA 84.
+    A variance that was itself estimated, with ν degrees of freedom (`FrequencyResponse.dof`), makes
+    the errors over its root a bivariate Student's t: the cost of a point is then (ν + 2)/2 · log(1
+    + 2 r²/ν), with r² as above, and its weight in the standard errors ν/(ν + 2 r²), in which a
+    variance that happens to be small does not count for more than it should. The score of such a
+    point has (ν + 2)/ν times the variance that its curvature says. Source: Lange, Little and Taylor
+    (1989), Robust statistical modeling using the t distribution, JASA 84.
 
-    Standard errors are those of this likelihood. Of 25 points with four degrees of freedom each, 95 % intervals held in
-    93 to 95 % of 150 fits, with two degrees in 87 to 91 %, since few points then decide. Where the residuals are larger
-    than the variances say, they are widened by the root of the ratio, the scale factor of the Particle Data Group
-    (Review of Particle Physics, introduction).
+    Standard errors are those of this likelihood. Of 25 points with four degrees of freedom each, 95
+    % intervals held in 93 to 95 % of 150 fits, with two degrees in 87 to 91 %, since few points
+    then decide. Where the residuals are larger than the variances say, they are widened by the root
+    of the ratio, the scale factor of the Particle Data Group (Review of Particle Physics,
+    introduction).
     """
 
     rule: ClassVar[str] = "maximum likelihood, given variances"
     known_noise: ClassVar[bool] = True
     is_likelihood: ClassVar[bool] = True
     uses: ClassVar[tuple[str, ...] | None] = ("variance",)
-    condition: ClassVar[str] = "circular errors of the given variances, scaled up if the residuals are larger"
+    condition: ClassVar[str] = (
+        "circular errors of the given variances, scaled up if the residuals are larger"
+    )
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError without variances."""
@@ -401,7 +458,10 @@ class MaximumLikelihood(Criterion):
         return _total((data.dof + 2) / 2 * logarithm(2 * squares / data.dof))
 
     def jacobian(
-        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+        self,
+        model: NDArray[np.complex128],
+        sensitivity: NDArray[np.complex128],
+        data: FrequencyResponse,
     ) -> NDArray[np.float64]:
         """Return the derivatives of the errors over their standard deviations, weighted for estimated variances.
 
@@ -420,7 +480,9 @@ class MaximumLikelihood(Criterion):
         few = np.ones(len(data)) if data.dof is None else (data.dof + 2) / data.dof
         return 2.0, 4 * 0.5 * ratio * np.tile(few, 2)
 
-    def error_size(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
+    def error_size(
+        self, model: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
         """Return the roots of the given variances."""
         return np.sqrt(_variance(data))
 
@@ -434,7 +496,9 @@ class MaximumLikelihood(Criterion):
             scale *= float(np.mean((data.dof + 2) * squares / (data.dof * scale + 2 * squares)))
         return scale
 
-    def _squares(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
+    def _squares(
+        self, model: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
         return np.abs(model - data.response) ** 2 / _variance(data)
 
 
@@ -444,7 +508,9 @@ def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: Frequenc
         criterion.check(data)
     except ValueError:
         return math.nan
-    with np.errstate(all="ignore"):  # the logarithm of a response that is zero: the cost is infinite
+    with np.errstate(
+        all="ignore"
+    ):  # the logarithm of a response that is zero: the cost is infinite
         return float(criterion.cost(Complex(model.real, model.imag), data))
 
 

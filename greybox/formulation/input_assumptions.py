@@ -1,7 +1,8 @@
 """How the inputs of a record are taken to run between their samples, and what is said of it.
 
-The samples do not tell whether an input is held or interpolated, so the record says it (`Record.hold`), or the user, or
-it is an assumption, which stands beside every result with its size.
+The samples do not tell whether an input is held or interpolated, so the record says it
+(`Record.hold`), or the user, or it is an assumption, which stands beside every result with its
+size.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -19,10 +20,13 @@ from greybox.modeling.parameter import Parameter
 Inputs = Literal["record", "linear", "held"]
 """How inputs run between their samples: as the record says, or all of them in one way."""
 
-# Shift of a parameter, in standard errors, that does not matter: it adds 0.5 % to the root mean square error.
+# Shift of a parameter, in standard errors, that does not matter: it adds 0.5 % to the root mean
+# square error.
 SMALL_SHIFT = 0.1
 
-MOST_NAMED = 4  # parameters with their shifts, the largest in standard errors first: a sentence, not a table
+MOST_NAMED = (
+    4  # parameters with their shifts, the largest in standard errors first: a sentence, not a table
+)
 
 
 def require_inputs(inputs: Any) -> None:
@@ -34,17 +38,22 @@ def require_inputs(inputs: Any) -> None:
 
 
 def between_samples(
-    inputs: Inputs, names: Sequence[str], record: Record, assumed: Mapping[str, float] = MappingProxyType({})
+    inputs: Inputs,
+    names: Sequence[str],
+    record: Record,
+    assumed: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Intersample, ...]:
     """Return how each of the named inputs of a record is taken to run between its samples.
 
-    Where neither `inputs` nor the record says it, `assumed` does (as `Record.hold`); otherwise it is interpolated.
-    Rows without a time have nothing between them.
+    Where neither `inputs` nor the record says it, `assumed` does (as `Record.hold`); otherwise it
+    is interpolated. Rows without a time have nothing between them.
     """
     if not record.has_time:
         return tuple(Intersample(False) for _ in names)
     stated = {"linear": CONTINUOUS, "held": HELD}
-    holds = [stated.get(inputs, record.hold.get(name, assumed.get(name, CONTINUOUS))) for name in names]
+    holds = [
+        stated.get(inputs, record.hold.get(name, assumed.get(name, CONTINUOUS))) for name in names
+    ]
     return tuple(intersample(hold, record.step) for hold in holds)
 
 
@@ -62,7 +71,9 @@ def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> di
     return result
 
 
-def other_assumptions(inputs: Inputs, between: Mapping[str, Intersample], record: Record) -> dict[str, Intersample]:
+def other_assumptions(
+    inputs: Inputs, between: Mapping[str, Intersample], record: Record
+) -> dict[str, Intersample]:
     """Return how moving inputs might run instead: as the record says, or, where nobody says it, held."""
     result = {}
     for name, now in between.items():
@@ -109,7 +120,8 @@ def effect_of(
 ) -> str:
     """Say by how much another assumption moves the estimates, (p,), in units and in standard errors.
 
-    Empty where it does not matter: none is the value of one of the `delays`, and none moves noticeably.
+    Empty where it does not matter: none is the value of one of the `delays`, and none moves
+    noticeably.
     """
     relative = np.divide(np.abs(shift), errors, out=np.zeros(len(shift)), where=errors > 0)
     if not np.all(np.isfinite(shift)):
@@ -122,5 +134,7 @@ def effect_of(
         unit = parameters[names[k]].unit
         size = f"{names[k]} by {'+' if shift[k] > 0 else ''}{number(float(shift[k]), 2)}"
         size += f" {unit}" if unit not in ("", "1") else ""
-        sizes.append(f"{size} ({number(float(relative[k]), 2)} standard errors)" if relative[k] else size)
+        sizes.append(
+            f"{size} ({number(float(relative[k]), 2)} standard errors)" if relative[k] else size
+        )
     return f"moves {listed(sizes)}" if sizes else ""

@@ -24,7 +24,9 @@ class Prior(TimeCriterion):
     """The negative logarithm of a normal density of the parameters, which makes a likelihood a posterior."""
 
     rule: ClassVar[str] = "a-priori knowledge"
-    condition: ClassVar[str] = "a-priori knowledge that is normal and independent of the errors of the data"
+    condition: ClassVar[str] = (
+        "a-priori knowledge that is normal and independent of the errors of the data"
+    )
     known_noise: ClassVar[bool] = True
     errors_are_white: ClassVar[bool] = True
     is_prior: ClassVar[bool] = True
@@ -58,7 +60,10 @@ class NormalPrior:
     def stated(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation by name."""
         sigma = np.sqrt(np.diag(self.covariance))
-        return {name: (float(m), float(s)) for name, m, s in zip(self.names, self.mean, sigma, strict=True)}
+        return {
+            name: (float(m), float(s))
+            for name, m, s in zip(self.names, self.mean, sigma, strict=True)
+        }
 
     def same_as(self, other: "NormalPrior") -> bool:
         """Tell whether another one says the same."""
@@ -70,18 +75,25 @@ class NormalPrior:
 
 
 def normal_priors(
-    declared: Mapping[str, Parameter], tied: Mapping[str, Any], prior: Any, outside: Mapping[str, str]
+    declared: Mapping[str, Parameter],
+    tied: Mapping[str, Any],
+    prior: Any,
+    outside: Mapping[str, str],
 ) -> list[NormalPrior]:
     """Return what a problem states of its free parameters: that of `prior`, else what the parameters declare.
 
-    `declared` are the model's parameters as the problem states them, by the names inside, `outside` the others.
+    `declared` are the model's parameters as the problem states them, by the names inside, `outside`
+    the others.
 
     Raises
     ------
     ValueError, TypeError
-        For a parameter that is not free, an answer that has no covariance of a parameter, or values that are none.
+        For a parameter that is not free, an answer that has no covariance of a parameter, or values
+        that are none.
     """
-    free = [name for name, parameter in declared.items() if not parameter.fixed and name not in tied]
+    free = [
+        name for name, parameter in declared.items() if not parameter.fixed and name not in tied
+    ]
     if isinstance(prior, HeldEstimate):
         shared = {name: prior for name in free if outside[name] in prior.estimate}
         if not shared:
@@ -93,11 +105,21 @@ def normal_priors(
     elif isinstance(prior, Mapping):
         stated = dict(prior)
     else:
-        raise TypeError(f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit.")
+        raise TypeError(
+            f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit."
+        )
     for name in stated:
         if name not in free:
-            why = "tied" if name in tied else "fixed" if name in declared else "no parameter of the model"
-            raise ValueError(f"prior names {name!r}, which is {why}: give it for free parameters, {', '.join(free)}.")
+            why = (
+                "tied"
+                if name in tied
+                else "fixed"
+                if name in declared
+                else "no parameter of the model"
+            )
+            raise ValueError(
+                f"prior names {name!r}, which is {why}: give it for free parameters, {', '.join(free)}."
+            )
 
     found: list[NormalPrior] = []
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
@@ -115,7 +137,11 @@ def normal_priors(
 
 def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
     covariance = np.asarray(source.covariance_of(names), dtype=float)
-    unknown = [name for name, v in zip(names, np.diag(covariance), strict=True) if not (np.isfinite(v) and v > 0)]
+    unknown = [
+        name
+        for name, v in zip(names, np.diag(covariance), strict=True)
+        if not (np.isfinite(v) and v > 0)
+    ]
     if unknown:
         raise ValueError(
             f"the Fit given as prior has no standard error of {listed(unknown)}: give prior={{name: (mean, standard "
@@ -137,5 +163,7 @@ def as_prior(value: Any, what: str) -> tuple[float, float]:
     except (TypeError, ValueError):
         mean = sigma = math.nan
     if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):
-        raise ValueError(f"{what} is {value!r:.60}: give two finite numbers (mean, standard deviation above 0).")
+        raise ValueError(
+            f"{what} is {value!r:.60}: give two finite numbers (mean, standard deviation above 0)."
+        )
     return mean, sigma

@@ -53,14 +53,27 @@ def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
 def _part(found: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Problem:
     """Return the part that measures the parameters, in the directions in which their errors are independent."""
     roots = [np.linalg.inv(np.linalg.cholesky(each.covariance)) for each in found]
-    rows = [(each.names, row, float(row @ each.mean)) for each, root in zip(found, roots, strict=True) for row in root]
+    rows = [
+        (each.names, row, float(row @ each.mean))
+        for each, root in zip(found, roots, strict=True)
+        for row in root
+    ]
     names = tuple(f"prior_{k + 1}" for k in range(len(rows)))
 
     def output(self: Any, x: Any, u: Any, p: Any) -> tuple[Any, ...]:
-        return tuple(sum(c * p[name] for c, name in zip(row, of, strict=True) if c) for of, row, _ in rows)
+        return tuple(
+            sum(c * p[name] for c, name in zip(row, of, strict=True) if c) for of, row, _ in rows
+        )
 
-    declared = {name: replace(parameters[name], prior=None) for each in found for name in each.names}
-    body = {"__doc__": "A-priori knowledge of the parameters.", "states": (), "inputs": (), "outputs": names}
+    declared = {
+        name: replace(parameters[name], prior=None) for each in found for name in each.names
+    }
+    body = {
+        "__doc__": "A-priori knowledge of the parameters.",
+        "states": (),
+        "inputs": (),
+        "outputs": names,
+    }
     model = type("Prior", (StateSpace,), {**body, **declared, "output": output})
     measured = {name: np.array([value]) for name, (_, _, value) in zip(names, rows, strict=True)}
     record = Record(np.zeros(1), measured, name=NAME, has_time=False)

@@ -37,19 +37,19 @@ class Problem:
     Parameters
     ----------
     model : Model
-        The structure; for a frequency response and a spectrum an ODE is linearized at its operating point, for a record
-        a transfer function is realized as states.
+        The structure; for a frequency response and a spectrum an ODE is linearized at its operating
+        point, for a record a transfer function is realized as states.
     data : FrequencyResponse, Record or TransientSpectrum
-        Meets the model by the names of its inputs and outputs. Outputs that a record or a spectrum does not hold are
-        not compared.
-        Files are read first, by `gb.read_response` or `gb.read`; see `several` for more than one record.
+        Meets the model by the names of its inputs and outputs. Outputs that a record or a spectrum
+        does not hold are not compared. Files are read first, by `gb.read_response` or `gb.read`;
+        see `several` for more than one record.
     criterion : Criterion or TimeCriterion, optional
-        `RelativeError` (4.26) by default for a response, `OutputError` for a record and for a spectrum, which takes
-        `EquationError` as well. In a sum with one of these the default for a response is `RelativeLikelihood`, see
-        `Sum`.
+        `RelativeError` (4.26) by default for a response, `OutputError` for a record and for a
+        spectrum, which takes `EquationError` as well. In a sum with one of these the default for a
+        response is `RelativeLikelihood`, see `Sum`.
     fixed : mapping of name to value, or a Fit
-        Parameters held constant. A `Fit`, whole or as the value of a name, gives its estimate and its covariance, which
-        then widens the standard errors here.
+        Parameters held constant. A `Fit`, whole or as the value of a name, gives its estimate and
+        its covariance, which then widens the standard errors here.
     free : sequence of str
         Parameters that the model declares fixed and that are to be estimated.
     tied : mapping of name to function
@@ -59,29 +59,32 @@ class Problem:
     delay : "exact" or "pade:n"
         How delays are evaluated.
     at : mapping of name to value
-        The operating point of an ODE, for a frequency response or a spectrum: some states and inputs, the rest follows
-        from ``derivative = 0``.
+        The operating point of an ODE, for a frequency response or a spectrum: some states and
+        inputs, the rest follows from ``derivative = 0``.
     rename : mapping of name to name
-        Names under which parameters are known outside, so that added problems share or do not share them.
+        Names under which parameters are known outside, so that added problems share or do not share
+        them.
     weight : float
         Factor on this problem's cost in a sum.
     name : str
         A label; by default that of the data.
     amplitude : ``{signal: amplitude}`` or Sine, optional
-        Compare with the response of an ODE to a sine of this amplitude, see `Sine`, instead of its linearization.
+        Compare with the response of an ODE to a sine of this amplitude, see `Sine`, instead of its
+        linearization.
     bounds : mapping of name to (float, float)
-        ``{"a1": (-10, 10)}``: bounds in place of those that the model declares, see `Parameter`. Those of a tied
-        parameter limit its expression.
+        ``{"a1": (-10, 10)}``: bounds in place of those that the model declares, see `Parameter`.
+        Those of a tied parameter limit its expression.
     start : mapping of name to float
         ``{"a1": -5.0}``: where a single run begins, in place of the declared value.
     starts : mapping of name to (float, float)
         ``{"a1": (-8, -2)}``: the box in which starts are drawn, in place of the declared one.
 
     prior : mapping of name to (mean, standard deviation) or Fit, or a Fit
-        What is known of free parameters before the data, normally distributed; of a `Fit` its estimate and covariance.
-        The estimate is then the maximum a posteriori one, `Fit.prior_share` says how much of it is the prior's. It
-        goes before `Parameter(prior=...)`. Criteria must be likelihoods; a response whose criterion was left out is
-        fitted by `RelativeLikelihood`.
+        What is known of free parameters before the data, normally distributed; of a `Fit` its
+        estimate and covariance. The estimate is then the maximum a posteriori one,
+        `Fit.prior_share` says how much of it is the prior's. It goes before `Parameter(prior=...)`.
+        Criteria must be likelihoods; a response whose criterion was left out is fitted by
+        `RelativeLikelihood`.
 
     Raises
     ------
@@ -117,20 +120,34 @@ class Problem:
         of_response = isinstance(self.data, FrequencyResponse)
         kind = Criterion if of_response else TimeCriterion
         noun = "record" if isinstance(self.data, Record) else "TransientSpectrum"
-        cure = "RelativeError(), for a frequency response" if of_response else f"OutputError(), for a {noun}"
+        cure = (
+            "RelativeError(), for a frequency response"
+            if of_response
+            else f"OutputError(), for a {noun}"
+        )
         _require(self.criterion, kind, "criterion", f"a criterion such as {cure}")
-        if not isinstance(self.weight, (int, float, np.number)) or not (math.isfinite(self.weight) and self.weight > 0):
+        if not isinstance(self.weight, (int, float, np.number)) or not (
+            math.isfinite(self.weight) and self.weight > 0
+        ):
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
         delay_order(self.delay)
 
-        object.__setattr__(self, "_declared", {**self.model.parameters, **self._added_by_criterion()})
+        object.__setattr__(
+            self, "_declared", {**self.model.parameters, **self._added_by_criterion()}
+        )
         self._check_names()
-        object.__setattr__(self, "_declared", {name: self._restated(name, p) for name, p in self.declared.items()})
+        object.__setattr__(
+            self, "_declared", {name: self._restated(name, p) for name, p in self.declared.items()}
+        )
         self._check_rename()
         self._check_operating_point()
         self._check_amplitude()
 
-        stated = {name: self._as_stated(name, p) for name, p in self.declared.items() if name not in self.tied}
+        stated = {
+            name: self._as_stated(name, p)
+            for name, p in self.declared.items()
+            if name not in self.tied
+        }
         object.__setattr__(self, "_stated_parameters", stated)
         self._check_functions()
         self._check_prior()
@@ -174,11 +191,22 @@ class Problem:
         """Check that all that names parameters names those of the model, and who is fixed, free or tied only one."""
         label = self.model.label
         known = self.declared
-        stated: dict[str, Iterable[str]] = {"fixed": self.fixed_values, "free": self.free, "tied": self.tied}
-        by_name = {"rename": self.rename, "bounds": self.bounds, "start": self.start, "starts": self.starts}
+        stated: dict[str, Iterable[str]] = {
+            "fixed": self.fixed_values,
+            "free": self.free,
+            "tied": self.tied,
+        }
+        by_name = {
+            "rename": self.rename,
+            "bounds": self.bounds,
+            "start": self.start,
+            "starts": self.starts,
+        }
         for what, names in by_name.items():
             if not isinstance(names, Mapping):
-                raise TypeError(f"{what} is {names!r:.60}: give {{name: ...}}, with a name of a parameter.")
+                raise TypeError(
+                    f"{what} is {names!r:.60}: give {{name: ...}}, with a name of a parameter."
+                )
         for what, names in {**stated, **by_name}.items():
             for name in names:
                 if name not in known:
@@ -209,15 +237,24 @@ class Problem:
                 "leave it out; known initial states go into OutputError(initial=...)."
             )
         if isinstance(self.model, StateSpace):
-            require_known(self.at, (*self.model.states, *self.model.inputs), "state or input", self.model.label)
+            require_known(
+                self.at,
+                (*self.model.states, *self.model.inputs),
+                "state or input",
+                self.model.label,
+            )
         elif self.at:
-            raise ValueError(f"{self.model.label} has no operating point: leave out at={dict(self.at)}.")
+            raise ValueError(
+                f"{self.model.label} has no operating point: leave out at={dict(self.at)}."
+            )
 
     def _check_amplitude(self) -> None:
         if self.amplitude is None:
             return
         if not isinstance(self.data, FrequencyResponse):
-            raise ValueError("amplitude is for frequency responses and the data are a record: leave it out.")
+            raise ValueError(
+                "amplitude is for frequency responses and the data are a record: leave it out."
+            )
         object.__setattr__(self, "amplitude", as_sine(self.amplitude))
         input, _ = pick_signals(self.model, self.data.input, self.data.output)
         check_sine(self.model, self.amplitude, input, self.data.omega)
@@ -225,11 +262,17 @@ class Problem:
     def _restated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `bounds`, `start` and `starts` to one declared parameter."""
         given = {
-            what: getattr(self, what)[name] for what in ("bounds", "start", "starts") if name in getattr(self, what)
+            what: getattr(self, what)[name]
+            for what in ("bounds", "start", "starts")
+            if name in getattr(self, what)
         }
         if name in self.tied and given.keys() - {"bounds"}:
             raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
-        if given and parameter.fixed and not (name in self.fixed_values or name in self.free or name in self.tied):
+        if (
+            given
+            and parameter.fixed
+            and not (name in self.fixed_values or name in self.free or name in self.tied)
+        ):
             raise ValueError(
                 f"{' and '.join(given)} names {name!r}, which {self.model.label} declares fixed: give free=[{name!r}] "
                 f"to estimate it, or fixed={{{name!r}: ...}} to hold it at another value."
@@ -243,10 +286,14 @@ class Problem:
 
         value = self.fixed_values[name]
         if isinstance(value, HeldEstimate):
-            require_known([self.outside(name)], value.estimate, "estimate", "the Fit given as fixed")
+            require_known(
+                [self.outside(name)], value.estimate, "estimate", "the Fit given as fixed"
+            )
             value = value.estimate[self.outside(name)]
         if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-            raise ValueError(f"fixed gives {name!r} the value {value!r}: give a finite number or a Fit.")
+            raise ValueError(
+                f"fixed gives {name!r} the value {value!r}: give a finite number or a Fit."
+            )
         low, high = parameter.bounds
         if not low <= value <= high:
             raise ValueError(
@@ -258,7 +305,11 @@ class Problem:
     def _check_prior(self) -> None:
         """Gather the a-priori knowledge, and require a likelihood where there is any."""
         outside = {name: self.outside(name) for name in self.declared}
-        stated = {name: p for name, p in self.__dict__["_stated_parameters"].items() if name in self.model.parameters}
+        stated = {
+            name: p
+            for name, p in self.__dict__["_stated_parameters"].items()
+            if name in self.model.parameters
+        }
         found = normal_priors(stated, self.tied, self.prior, outside)
         if found and not (self.criterion.is_likelihood or self.has_default_criterion):
             raise ValueError(
@@ -280,7 +331,9 @@ class Problem:
         for k, constraint in enumerate(self.constraints):
             _require_number(_call(constraint, p, f"constraints[{k}]"), f"constraints[{k}]")
         for name, function in self.model.derived.items():
-            _require_number(_call(function, p, f"derived[{name!r}] of {self.model.label}"), f"derived[{name!r}]")
+            _require_number(
+                _call(function, p, f"derived[{name!r}] of {self.model.label}"), f"derived[{name!r}]"
+            )
 
         self._trace_functions(starts)
 
@@ -288,8 +341,12 @@ class Problem:
         """Try the same with expressions, where `if`, `max` and `math.exp` fail."""
         p = self.local_values({name: ca.SX.sym(name) for name in names})
         functions = {f"tied[{name!r}]": lambda _, name=name: p[name] for name in self.tied}
-        functions |= {f"constraints[{k}]": constraint for k, constraint in enumerate(self.constraints)}
-        functions |= {f"derived[{name!r}] of {self.model.label}": f for name, f in self.model.derived.items()}
+        functions |= {
+            f"constraints[{k}]": constraint for k, constraint in enumerate(self.constraints)
+        }
+        functions |= {
+            f"derived[{name!r}] of {self.model.label}": f for name, f in self.model.derived.items()
+        }
         for what, function in functions.items():
             require_no_nan(what, ca.SX(traced(what, function, p)))
 
@@ -305,7 +362,9 @@ class Problem:
             return self.fixed
         if not isinstance(self.fixed, HeldEstimate):
             raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
-        shared = {name: self.fixed for name in self.declared if self.outside(name) in self.fixed.estimate}
+        shared = {
+            name: self.fixed for name in self.declared if self.outside(name) in self.fixed.estimate
+        }
         if not shared:
             raise ValueError(
                 f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which {self.model.label} has none; "
@@ -316,12 +375,19 @@ class Problem:
     @property
     def held_estimates(self) -> dict[str, HeldEstimate]:
         """The earlier answers among the fixed values, by outside name."""
-        return {self.outside(name): v for name, v in self.fixed_values.items() if isinstance(v, HeldEstimate)}
+        return {
+            self.outside(name): v
+            for name, v in self.fixed_values.items()
+            if isinstance(v, HeldEstimate)
+        }
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by their outside name, as stated here; tied ones are left out."""
-        return {self.outside(name): parameter for name, parameter in self.__dict__["_stated_parameters"].items()}
+        return {
+            self.outside(name): parameter
+            for name, parameter in self.__dict__["_stated_parameters"].items()
+        }
 
     @property
     def priors(self) -> tuple[NormalPrior, ...]:
@@ -341,7 +407,11 @@ class Problem:
             outputs = [name for name in self.model.output_names if name in self.data.signals]
             return sum(int(np.isfinite(self.data[name]).sum()) for name in outputs)
         if isinstance(self.data, TransientSpectrum):
-            return 2 * len(self.data) * sum(name in self.data.outputs for name in self.model.output_names)
+            return (
+                2
+                * len(self.data)
+                * sum(name in self.data.outputs for name in self.model.output_names)
+            )
         return 2 * len(self.data)
 
     @property
@@ -357,7 +427,9 @@ class Problem:
         """Name the model's parameters, ties evaluated, given numbers or expressions by outside name."""
         local = {name: values[self.outside(name)] for name in self.__dict__["_stated_parameters"]}
         for name, tie in self.tied.items():
-            local[name] = _call(tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]")
+            local[name] = _call(
+                tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]"
+            )
         return Names({name: local[name] for name in self.declared}, self.model.label)
 
     def __add__(self, other: Any) -> "Sum[Problem]":
@@ -386,7 +458,9 @@ class Problem:
         return replace(self, **{**left_out, **changes})
 
     def __repr__(self) -> str:
-        return one_line(self, repr(self.name), f"{self.model.label} to {self.data!r:.60}", self.criterion.name)
+        return one_line(
+            self, repr(self.name), f"{self.model.label} to {self.data!r:.60}", self.criterion.name
+        )
 
 
 def _wrong_data(given: Any) -> str:
@@ -422,7 +496,9 @@ def _require(value: Any, kind: Any, what: str, cure: str) -> None:
 def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
     """Evaluate a user's function of the parameters, naming it when it fails."""
     if not callable(function):
-        raise TypeError(f"{what} is {function!r:.60}: give a function such as lambda p: 2 * p.{next(iter(p), 'a')}.")
+        raise TypeError(
+            f"{what} is {function!r:.60}: give a function such as lambda p: 2 * p.{next(iter(p), 'a')}."
+        )
     try:
         return traced(what, function, p)
     except (AttributeError, KeyError, ArithmeticError) as error:
@@ -431,8 +507,14 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
 
 def _require_number(value: Any, what: str) -> None:
     if isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - p.T2.")
+        raise ValueError(
+            f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - p.T2."
+        )
     if not isinstance(value, (int, float, np.number)):
-        raise ValueError(f"{what} gives {value!r:.60}: it must give an expression of the parameters.")
+        raise ValueError(
+            f"{what} gives {value!r:.60}: it must give an expression of the parameters."
+        )
     if not math.isfinite(value):
-        raise ValueError(f"{what} is {value} at the start values: correct the function or the starts.")
+        raise ValueError(
+            f"{what} is {value} at the start values: correct the function or the starts."
+        )

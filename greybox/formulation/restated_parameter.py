@@ -16,9 +16,9 @@ def restated(
 ) -> Parameter:
     """Return a parameter with what is given in place of what its model declares.
 
-    A declared start that the new bounds or start box exclude moves to their nearest end. A declared start box is cut to
-    the new bounds; where nothing is left of it, starts are drawn within these. Where the new bounds have an infinite
-    end, starts are drawn within the declared ones as before.
+    A declared start that the new bounds or start box exclude moves to their nearest end. A declared
+    start box is cut to the new bounds; where nothing is left of it, starts are drawn within these.
+    Where the new bounds have an infinite end, starts are drawn within the declared ones as before.
 
     Raises
     ------
@@ -38,7 +38,9 @@ def restated(
         raise ValueError(f"{name}: {error}") from None
 
 
-def _cut(box: tuple[float, float] | None, bounds: tuple[float, float]) -> tuple[float, float] | None:
+def _cut(
+    box: tuple[float, float] | None, bounds: tuple[float, float]
+) -> tuple[float, float] | None:
     """Return the part of a start box within bounds, None where there is none."""
     if box is None:
         return None

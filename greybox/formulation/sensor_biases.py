@@ -14,15 +14,20 @@ from greybox.formulation.summand import Part, Summand
 def with_numbered_biases(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Return the parts with biases of one name numbered by the record, where more than one record has that name.
 
-    Parts of one record share its biases. A bias that a part renames, be it to its own name, or that is fixed at an
-    earlier fit, which knows it by its name, keeps that name, so that it can be shared.
+    Parts of one record share its biases. A bias that a part renames, be it to its own name, or that
+    is fixed at an earlier fit, which knows it by its name, keeps that name, so that it can be
+    shared.
     """
     records = _record_numbers([part.data for part in parts])
     new_names = _numbered_names(parts, records)
 
     result = []
     for part, record in zip(parts, records, strict=True):
-        renamed = {name: new_names[name, record] for name in _unnamed_biases(part) if (name, record) in new_names}
+        renamed = {
+            name: new_names[name, record]
+            for name in _unnamed_biases(part)
+            if (name, record) in new_names
+        }
         result.append(part.with_(rename={**part.rename, **renamed}) if renamed else part)
     return tuple(result)
 
@@ -38,18 +43,28 @@ def _numbered_names(parts: Sequence[Summand], records: Sequence[int]) -> dict[tu
         holders = {record for record, names in zip(records, outside, strict=True) if name in names}
         if len(holders) == 1:
             continue
-        for record in sorted({record for record, names in zip(records, unnamed, strict=True) if name in names}):
+        for record in sorted(
+            {record for record, names in zip(records, unnamed, strict=True) if name in names}
+        ):
             candidates = (f"{name}_{k}" for k in itertools.count(record))
-            result[name, record] = next(candidate for candidate in candidates if candidate not in taken)
+            result[name, record] = next(
+                candidate for candidate in candidates if candidate not in taken
+            )
             taken.add(result[name, record])
     return result
 
 
 def _unnamed_biases(part: Summand) -> list[str]:
     """Return the biases of a part that it neither renames nor holds at an earlier estimate."""
-    biases = [name for name in part.declared if name.endswith("_bias") and name not in part.model.parameters]
+    biases = [
+        name
+        for name in part.declared
+        if name.endswith("_bias") and name not in part.model.parameters
+    ]
     return [
-        name for name in biases if name not in part.rename and not isinstance(part.fixed_values.get(name), HeldEstimate)
+        name
+        for name in biases
+        if name not in part.rename and not isinstance(part.fixed_values.get(name), HeldEstimate)
     ]
 
 
@@ -59,7 +74,10 @@ def _record_numbers(data: Sequence[Any]) -> list[int]:
     for item in data:
         if isinstance(item, Record) and not any(_is_same(item, record) for record in different):
             different.append(item)
-    return [next((k for k, record in enumerate(different, 1) if _is_same(item, record)), 0) for item in data]
+    return [
+        next((k for k, record in enumerate(different, 1) if _is_same(item, record)), 0)
+        for item in data
+    ]
 
 
 def _is_same(a: Any, b: Record) -> bool:

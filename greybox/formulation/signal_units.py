@@ -22,7 +22,9 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
         For the first signal in another unit, with what converts it.
     """
     signals = (*model.input_names, *model.output_names)
-    require_known(model.units, dict.fromkeys((*signals, *getattr(model, "states", ()))), "signal", model.label)
+    require_known(
+        model.units, dict.fromkeys((*signals, *getattr(model, "states", ()))), "signal", model.label
+    )
     for name in dict.fromkeys(signals):
         declared, given = model.units.get(name, "").strip(), data.units.get(name, "").strip()
         if not declared or not given or name not in data.signals:
@@ -31,9 +33,13 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
         if wanted is None or found is None:
             continue
         noun = "record" if isinstance(data, Record) else "spectrum"
-        where = f"{name} is in {given} in the {noun} {data.name!r} and in {declared} in {model.label}"
+        where = (
+            f"{name} is in {given} in the {noun} {data.name!r} and in {declared} in {model.label}"
+        )
         if not are_of_one_kind(wanted, found):
-            raise ValueError(f"{where}: these are different quantities, correct the unit or give the right signal.")
+            raise ValueError(
+                f"{where}: these are different quantities, correct the unit or give the right signal."
+            )
         factor = found.factor / wanted.factor
         zero = (found.zero - wanted.zero) / wanted.factor
         if not math.isclose(factor, 1.0, rel_tol=ROUNDING) or abs(zero) > ROUNDING:
@@ -54,15 +60,26 @@ def check_response_units(model: Model, response: FrequencyResponse) -> None:
         For the first signal in another unit, with what converts the response.
     """
     names = pick_signals(model, response.input, response.output)
-    for name, given_name, what in zip(names, (response.input, response.output), ("input", "output"), strict=True):
-        declared, given = model.units.get(name, "").strip(), response.units.get(given_name, "").strip()
+    for name, given_name, what in zip(
+        names, (response.input, response.output), ("input", "output"), strict=True
+    ):
+        declared, given = (
+            model.units.get(name, "").strip(),
+            response.units.get(given_name, "").strip(),
+        )
         wanted, found = _known(declared) if declared else None, _known(given) if given else None
         if wanted is None or found is None:
             continue
-        where = f"the {what} {name} is in {given} in the response and in {declared} in {model.label}"
+        where = (
+            f"the {what} {name} is in {given} in the response and in {declared} in {model.label}"
+        )
         if not are_of_one_kind(wanted, found):
             rate = found.si != "1" and are_of_one_kind(wanted, to_si(f"{found.si}*s"))
-            cure = "take the model of the rate, or response.over_s()" if rate else "give the right signal"
+            cure = (
+                "take the model of the rate, or response.over_s()"
+                if rate
+                else "give the right signal"
+            )
             raise ValueError(f"{where}: these are different quantities, {cure}.")
         factor = found.factor / wanted.factor
         if not math.isclose(factor, 1.0, rel_tol=ROUNDING):
@@ -79,7 +96,13 @@ def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResp
     """
     if len(model.input_names) != 1 or len(model.output_names) != 1:
         return response
-    names = dict(zip((response.input, response.output), (*model.input_names, *model.output_names), strict=True))
+    names = dict(
+        zip(
+            (response.input, response.output),
+            (*model.input_names, *model.output_names),
+            strict=True,
+        )
+    )
     units = {names[name]: unit for name, unit in response.units.items() if name in names}
     named = replace(response, input=model.input_names[0], output=model.output_names[0], units=units)
     check_response_units(model, named)

@@ -18,23 +18,29 @@ from greybox.modeling.realization import dynamics
 class EquationError(TimeCriterion):
     """Maximum likelihood with all errors in the differential equation, as of turbulence: of a `TransientSpectrum`.
 
-    With one output y the errors are those of det(jωI - A) Y, with as many outputs as states, from which all states
-    follow, those of jωX - A X - B U. The likelihood is that of the outputs, whose variance then depends on the
-    parameters: the plain least squares of these errors are biased where the band leaves out a part of them. Noise that
-    is in the outputs biases the estimate; `OutputError` is for that.
+    With one output y the errors are those of det(jωI - A) Y, with as many outputs as states, from
+    which all states follow, those of jωX - A X - B U. The likelihood is that of the outputs, whose
+    variance then depends on the parameters: the plain least squares of these errors are biased
+    where the band leaves out a part of them. Noise that is in the outputs biases the estimate;
+    `OutputError` is for that.
 
-    Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 7; the likelihood: Pintelon and
-    Schoukens, System Identification, 2nd ed., section 9.11, with plant and noise of one denominator.
+    Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 7; the likelihood:
+    Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with plant and noise of
+    one denominator.
     """
 
     rule: ClassVar[str] = "equation error"
-    condition: ClassVar[str] = "white errors of the differential equation over the band, and known inputs"
+    condition: ClassVar[str] = (
+        "white errors of the differential equation over the band, and known inputs"
+    )
 
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
         if isinstance(self.noise, Mapping):
-            raise ValueError("EquationError estimates the size of the errors of the equation: leave out noise.")
+            raise ValueError(
+                "EquationError estimates the size of the errors of the equation: leave out noise."
+            )
 
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Refuse a record."""
@@ -48,7 +54,9 @@ class EquationError(TimeCriterion):
         return self.condition
 
 
-def outputs_in_spectrum(criterion: TimeCriterion, model: Model, spectrum: TransientSpectrum) -> tuple[str, ...]:
+def outputs_in_spectrum(
+    criterion: TimeCriterion, model: Model, spectrum: TransientSpectrum
+) -> tuple[str, ...]:
     """Return the outputs of the model that the spectrum holds.
 
     Raises
@@ -58,7 +66,9 @@ def outputs_in_spectrum(criterion: TimeCriterion, model: Model, spectrum: Transi
     """
     label, kind = model.label, type(criterion).__name__
     if not isinstance(criterion, OutputError | EquationError):
-        raise ValueError(f"{kind} is for records and the data are a TransientSpectrum: use OutputError().")
+        raise ValueError(
+            f"{kind} is for records and the data are a TransientSpectrum: use OutputError()."
+        )
     for option, stands in (
         ("inputs", criterion.inputs != "record"),
         ("biases", criterion.biases),
@@ -84,8 +94,13 @@ def outputs_in_spectrum(criterion: TimeCriterion, model: Model, spectrum: Transi
     if isinstance(criterion.noise, Mapping):
         missing = [name for name in outputs if name not in criterion.noise]
         if missing:
-            raise ValueError(f"noise gives no standard deviation for {missing[0]!r}: add it, or use noise='diagonal'.")
-    if isinstance(criterion, EquationError) and len(outputs) not in (1, len(dynamics(model).states)):
+            raise ValueError(
+                f"noise gives no standard deviation for {missing[0]!r}: add it, or use noise='diagonal'."
+            )
+    if isinstance(criterion, EquationError) and len(outputs) not in (
+        1,
+        len(dynamics(model).states),
+    ):
         raise ValueError(
             f"EquationError compares one output, or as many as {label} has states ({len(dynamics(model).states)}), "
             f"and the spectrum has {', '.join(outputs)}: use OutputError(), or leave outputs out of the spectrum."

@@ -50,7 +50,9 @@ class RandomStarts(Starts):
         for name, least in (("number", 1), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-                raise ValueError(f"{name} of starts is {value!r}: give a whole number of at least {least}.")
+                raise ValueError(
+                    f"{name} of starts is {value!r}: give a whole number of at least {least}."
+                )
 
     def __str__(self) -> str:
         return f"{self.number} by {type(self).__name__}, seed {self.seed}"
@@ -98,7 +100,9 @@ class UntilFoundAgain(Sobol):
         """Check all of them."""
         super().__post_init__()
         if not isinstance(self.error, (int, float, np.number)) or not 0 < self.error < 1:
-            raise ValueError(f"error of UntilFoundAgain is {self.error!r}: give a probability between 0 and 1.")
+            raise ValueError(
+                f"error of UntilFoundAgain is {self.error!r}: give a probability between 0 and 1."
+            )
 
     def __str__(self) -> str:
         return f"until found again with an error of {self.error:g}, at most {self.number}, seed {self.seed}"
@@ -139,11 +143,16 @@ class Listed(Starts):
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
         """Return the listed points, (number, p)."""
         if not self.points:
-            raise ValueError("the list of starts is empty: give at least one, Listed([{}]) for the declared one.")
+            raise ValueError(
+                "the list of starts is empty: give at least one, Listed([{}]) for the declared one."
+            )
         for point in self.points:
             for name, value in point.items():
                 _check_listed(name, value, parameters)
-        return np.array([[point.get(name, p.start) for name, p in parameters.items()] for point in self.points], float)
+        return np.array(
+            [[point.get(name, p.start) for name, p in parameters.items()] for point in self.points],
+            float,
+        )
 
 
 @dataclass(frozen=True)
@@ -154,7 +163,9 @@ class Chained(Starts):
 
     def __post_init__(self) -> None:
         """Take over the seed."""
-        object.__setattr__(self, "seed", next((rule.seed for rule in self.rules if rule.seed is not None), None))
+        object.__setattr__(
+            self, "seed", next((rule.seed for rule in self.rules if rule.seed is not None), None)
+        )
 
     def __repr__(self) -> str:
         return one_line(self, str(self))
@@ -167,7 +178,9 @@ class Chained(Starts):
         return np.vstack([rule.draw(parameters) for rule in self.rules])
 
 
-def as_starts(starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int | None = None) -> Starts:
+def as_starts(
+    starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int | None = None
+) -> Starts:
     """Read what a user gives: a number of Sobol points, a rule, or a list of points and rules.
 
     Raises
@@ -189,7 +202,9 @@ def as_starts(starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", s
         if starts and all(isinstance(item, Mapping) for item in starts):
             return Listed(tuple(item for item in starts if isinstance(item, Mapping)))
         if starts and all(isinstance(item, (Mapping, Starts)) for item in starts):
-            return Chained(tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts))
+            return Chained(
+                tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts)
+            )
     raise TypeError(
         f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list of {{name: value}}."
     )
@@ -206,9 +221,13 @@ def _require_finite_box(name: str, parameter: Parameter) -> None:
 
 def _check_listed(name: str, value: float, parameters: Mapping[str, Parameter]) -> None:
     if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-        raise ValueError(f"a listed start gives {name!r} the value {value!r}: give a finite number.")
+        raise ValueError(
+            f"a listed start gives {name!r} the value {value!r}: give a finite number."
+        )
     if name not in parameters:
-        raise ValueError(f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}.")
+        raise ValueError(
+            f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}."
+        )
     low, high = parameters[name].bounds
     if not low <= value <= high:
         raise ValueError(

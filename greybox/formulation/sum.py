@@ -15,8 +15,9 @@ from greybox.formulation.summand import Part
 from greybox.modeling.model import merge
 from greybox.modeling.parameter import Parameter
 
-# Two ties are the same when they agree at the starts and at this many random points. Formulas that differ agree at a
-# random point with probability zero; more than one point serves formulas that are undefined in places.
+# Two ties are the same when they agree at the starts and at this many random points. Formulas that
+# differ agree at a random point with probability zero; more than one point serves formulas that are
+# undefined in places.
 TIE_POINTS = 4
 WIDEST_TIE_RANGE = 1e3  # stands for larger and for infinite bounds when those points are drawn
 MOST_NAMES = 8  # of parts, in the name of their sum: what a person reads in a line
@@ -26,20 +27,20 @@ MOST_NAMES = 8  # of parts, in the name of their sum: what a person reads in a l
 class Sum(Generic[Part]):
     """Several problems solved at once: costs add by their weights, parameters of one name are one unknown.
 
-    The bias of a sensor is each record's own: where several records have it, ``x_bias`` becomes ``x_bias_1``,
-    ``x_bias_2`` ..., numbered as the records are. Parts of the same record share it; so do parts that give it one name,
-    ``rename={"x_bias": "x_bias"}``.
+    The bias of a sensor is each record's own: where several records have it, ``x_bias`` becomes
+    ``x_bias_1``, ``x_bias_2`` ..., numbered as the records are. Parts of the same record share it;
+    so do parts that give it one name, ``rename={"x_bias": "x_bias"}``.
 
-    Likelihoods add. Beside one, as that of every record is, a response whose criterion was left out is fitted by
-    `RelativeLikelihood`, not by `RelativeError`. Other criteria add where they are the same, with the same settings.
+    Likelihoods add. Beside one, as that of every record is, a response whose criterion was left out
+    is fitted by `RelativeLikelihood`, not by `RelativeError`. Other criteria add where they are the
+    same, with the same settings.
 
     Raises
     ------
     ValueError
-        If a criterion that was asked for is a likelihood and another one is not, two that are none differ, or a
-        response was estimated from a
-        record that is added to it. If parameters of one name have different units, or are fixed, tied or bounded in
-        ways that contradict.
+        If a criterion that was asked for is a likelihood and another one is not, two that are none
+        differ, or a response was estimated from a record that is added to it. If parameters of one
+        name have different units, or are fixed, tied or bounded in ways that contradict.
     """
 
     parts: tuple[Part, ...]
@@ -74,7 +75,10 @@ class Sum(Generic[Part]):
         for part in self.parts:
             for name in part.tied:
                 outside = part.outside(name)
-                values = [part.local_values(dict(zip(merged, point, strict=True)))[name] for point in points]
+                values = [
+                    part.local_values(dict(zip(merged, point, strict=True)))[name]
+                    for point in points
+                ]
                 alike = np.allclose(seen.setdefault(outside, values), values, equal_nan=True)
                 if outside in merged or not alike:
                     raise ValueError(
@@ -102,7 +106,8 @@ class Sum(Generic[Part]):
         return {name: held for part in self.parts for name, held in part.held_estimates.items()}
 
     def __add__(self, other: Any) -> "Sum[Part]":
-        # A single problem knows how to join a sum (`__radd__`), so that this file need not know its class.
+        # A single problem knows how to join a sum (`__radd__`), so that this file need not know its
+        # class.
         return Sum((*self.as_added, *other.as_added)) if isinstance(other, Sum) else NotImplemented
 
     def __radd__(self, other: Any) -> "Sum[Part]":

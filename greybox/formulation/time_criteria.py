@@ -23,33 +23,37 @@ SPECTRUM_CONDITION = "white errors of the outputs over the band, and known input
 class TimeCriterion(AnyCriterion):
     """What the criteria in time share: the likelihood of normal errors of the outputs.
 
-    What a delayed input did before the record, or during a gap, is not known. If the input is at rest at the beginning
-    of a gapless stretch (exactly constant over the first 5 samples and clearly longer than it holds its values later),
-    it is assumed to have been at rest before. If it moves, outputs are not compared for the largest delay that the
-    bounds of its parameter allow: a generous upper bound costs data, and a warning says when it costs more than 5 % of
-    a record.
+    What a delayed input did before the record, or during a gap, is not known. If the input is at
+    rest at the beginning of a gapless stretch (exactly constant over the first 5 samples and
+    clearly longer than it holds its values later), it is assumed to have been at rest before. If it
+    moves, outputs are not compared for the largest delay that the bounds of its parameter allow: a
+    generous upper bound costs data, and a warning says when it costs more than 5 % of a record.
 
     Parameters
     ----------
     noise : "diagonal", "full", or mapping of output to standard deviation
-        Variances estimated with the parameters (maximum likelihood: the cost is the logarithm of the determinant of
-        the residual covariance, minimized by relaxation, with weights from the last residuals), a full covariance
-        estimated in the same way, or known standard deviations in the units of the outputs.
+        Variances estimated with the parameters (maximum likelihood: the cost is the logarithm of
+        the determinant of the residual covariance, minimized by relaxation, with weights from the
+        last residuals), a full covariance estimated in the same way, or known standard deviations
+        in the units of the outputs.
     inputs : "record", "linear" or "held"
-        How inputs run between their samples: as the record says of each (`Record.hold`), which for an input that it
-        does not know is taken as linear, and said; or all of them linear, or held. Where a held input reaches an output
-        directly, the cost is discontinuous at integer-sample delays: give several starts.
+        How inputs run between their samples: as the record says of each (`Record.hold`), which for
+        an input that it does not know is taken as linear, and said; or all of them linear, or held.
+        Where a held input reaches an output directly, the cost is discontinuous at integer-sample
+        delays: give several starts.
     biases : sequence of str
-        Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter ``<name>_bias``,
-        the measured less the true value. In a sum of problems it is each record's own, see `Sum`.
+        Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter
+        ``<name>_bias``, the measured less the true value. In a sum of problems it is each record's
+        own, see `Sum`.
     initial : mapping of state to value or function of the parameters
-        Known states at the first sample of the record; all others, and those after a gap, are estimated.
+        Known states at the first sample of the record; all others, and those after a gap, are
+        estimated.
 
     Attributes
     ----------
     errors_are_white : bool
-        True when the standard errors take the residuals as white; False when they follow from the autocorrelation of
-        the residuals.
+        True when the standard errors take the residuals as white; False when they follow from the
+        autocorrelation of the residuals.
     corrects_states : bool
         True when the residuals of a sample correct the states, by the gains of `gains`.
 
@@ -70,8 +74,12 @@ class TimeCriterion(AnyCriterion):
         """Check the options."""
         if isinstance(self.noise, Mapping):
             for name, sigma in self.noise.items():
-                if not isinstance(sigma, (int, float, np.number)) or not (math.isfinite(sigma) and sigma > 0):
-                    raise ValueError(f"noise gives {name!r} the value {sigma!r}: give a standard deviation above 0.")
+                if not isinstance(sigma, (int, float, np.number)) or not (
+                    math.isfinite(sigma) and sigma > 0
+                ):
+                    raise ValueError(
+                        f"noise gives {name!r} the value {sigma!r}: give a standard deviation above 0."
+                    )
         elif self.noise not in ("diagonal", "full"):
             raise ValueError(
                 f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard deviation}}."
@@ -83,7 +91,9 @@ class TimeCriterion(AnyCriterion):
 
     def _check_initial(self) -> None:
         if not isinstance(self.initial, Mapping):
-            raise TypeError(f"initial is {self.initial!r:.60}: give {{state: value or function of the parameters}}.")
+            raise TypeError(
+                f"initial is {self.initial!r:.60}: give {{state: value or function of the parameters}}."
+            )
         for name, value in self.initial.items():
             number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
             if not (number or callable(value)):
@@ -110,8 +120,8 @@ class TimeCriterion(AnyCriterion):
         Raises
         ------
         ValueError
-            If an input is missing, none of the outputs is there, a named signal does not exist, or the model is not
-            static and the record has no time.
+            If an input is missing, none of the outputs is there, a named signal does not exist, or
+            the model is not static and the record has no time.
         """
         label = model.label
         if not model.is_static:
@@ -119,7 +129,9 @@ class TimeCriterion(AnyCriterion):
         signals = ", ".join(record.signals) or "none"
         for name in model.input_names:
             if name not in record.signals:
-                raise ValueError(f"{label} needs the input {name!r}, which the record does not have; it has {signals}.")
+                raise ValueError(
+                    f"{label} needs the input {name!r}, which the record does not have; it has {signals}."
+                )
 
         outputs = tuple(name for name in model.output_names if name in record.signals)
         if not outputs:
@@ -127,11 +139,15 @@ class TimeCriterion(AnyCriterion):
                 f"the record has none of the outputs of {label} ({', '.join(model.output_names)}); it has {signals}."
             )
 
-        require_known(self.biases, (*outputs, *model.input_names), "measured output or input", label)
+        require_known(
+            self.biases, (*outputs, *model.input_names), "measured output or input", label
+        )
         if isinstance(model, StateSpace):
             require_known(self.initial, model.states, "state", label)
         elif self.initial:
-            raise ValueError(f"{label} is a transfer function and has no named states: leave out initial.")
+            raise ValueError(
+                f"{label} is a transfer function and has no named states: leave out initial."
+            )
 
         if isinstance(self.noise, Mapping):
             require_known(self.noise, model.output_names, "output", label)
@@ -147,7 +163,10 @@ class TimeCriterion(AnyCriterion):
         result = {f"{name}_bias": bias_parameter(name, record) for name in self.biases}
         for state, output in self.gains(model, self.compared(model, record)):
             result[f"K_{state}_{output}"] = Parameter(
-                0.0, starts=(0.0, 0.0), unit=f"[{state}/{output}]", about=f"correction of {state} by {output}"
+                0.0,
+                starts=(0.0, 0.0),
+                unit=f"[{state}/{output}]",
+                about=f"correction of {state} by {output}",
             )
         return result
 
@@ -164,11 +183,11 @@ class TimeCriterion(AnyCriterion):
 class OutputError(TimeCriterion):
     """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state.
 
-    Of a `TransientSpectrum` it compares the transforms, with the states at both ends estimated along; `inputs`,
-    `biases` and `initial` are for records.
+    Of a `TransientSpectrum` it compares the transforms, with the states at both ends estimated
+    along; `inputs`, `biases` and `initial` are for records.
 
-    Outputs at the beginning of a record that depend on a delayed input from before it are left out, unless that input
-    is at rest there, see `TimeCriterion`.
+    Outputs at the beginning of a record that depend on a delayed input from before it are left out,
+    unless that input is at rest there, see `TimeCriterion`.
     """
 
     rule: ClassVar[str] = "output error"
@@ -178,26 +197,27 @@ class OutputError(TimeCriterion):
 class PredictionError(TimeCriterion):
     """Maximum likelihood with process noise (wind, turbulence): the model predicts one sample ahead.
 
-    Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted outputs and a
-    constant gain K that is estimated with the parameters; its entries are named ``K_<state>_<output>``.
-    With `process_noise` (filter error) K is that of the steady Kalman filter instead, and the covariance of e its own:
-    estimated are one number for each of these states and one for each output, ``w_<state>`` and ``v_<output>``, instead
-    of a gain for every pair. Without process noise, ``w_<state>`` of zero, this is output error.
-    Outputs at the beginning of a record that depend on a delayed input from before it are left out, unless that input
-    is at rest there, see `TimeCriterion`.
+    Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted
+    outputs and a constant gain K that is estimated with the parameters; its entries are named
+    ``K_<state>_<output>``. With `process_noise` (filter error) K is that of the steady Kalman
+    filter instead, and the covariance of e its own: estimated are one number for each of these
+    states and one for each output, ``w_<state>`` and ``v_<output>``, instead of a gain for every
+    pair. Without process noise, ``w_<state>`` of zero, this is output error. Outputs at the
+    beginning of a record that depend on a delayed input from before it are left out, unless that
+    input is at rest there, see `TimeCriterion`.
 
-    Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6; Jategaonkar, Flight
-    Vehicle System Identification, 2nd ed., chapter 5.
+    Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6;
+    Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5.
 
     Parameters
     ----------
     corrected : sequence of str
         The states that the innovations correct; by default all.
     process_noise : sequence of str
-        The states whose derivatives have white noise, of an intensity ``w_<state>`` in units of the state per √s, as
-        `virtual_flight` takes it. The noise of the sensors is white too, with a standard deviation ``v_<output>``. The
-        filter is that of the linearization about the means of the record; a sample at which an output is missing is not
-        compared.
+        The states whose derivatives have white noise, of an intensity ``w_<state>`` in units of the
+        state per √s, as `virtual_flight` takes it. The noise of the sensors is white too, with a
+        standard deviation ``v_<output>``. The filter is that of the linearization about the means
+        of the record; a sample at which an output is missing is not compared.
     """
 
     corrected: Sequence[str] = ()
@@ -226,7 +246,9 @@ class PredictionError(TimeCriterion):
         if not self.process_noise:
             return result
         outputs = self.compared(model, record)
-        result = {name: parameter for name, parameter in result.items() if not name.startswith("K_")}
+        result = {
+            name: parameter for name, parameter in result.items() if not name.startswith("K_")
+        }
         for state in self.process_noise:
             result[f"w_{state}"] = Parameter(
                 0.0,
@@ -246,21 +268,27 @@ class PredictionError(TimeCriterion):
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return every pair of a corrected state and an output; with process noise, of any state."""
         if not isinstance(model, StateSpace):
-            raise TypeError(f"{type(self).__name__} needs a StateSpace, whose states it corrects, not {model.label}.")
+            raise TypeError(
+                f"{type(self).__name__} needs a StateSpace, whose states it corrects, not {model.label}."
+            )
         if not model.states:
-            raise ValueError(f"{model.label} has no states, which {type(self).__name__} corrects: use OutputError().")
+            raise ValueError(
+                f"{model.label} has no states, which {type(self).__name__} corrects: use OutputError()."
+            )
         require_known((*self.corrected, *self.process_noise), model.states, "state", model.label)
-        return tuple((state, output) for state in self.corrected or model.states for output in outputs)
+        return tuple(
+            (state, output) for state in self.corrected or model.states for output in outputs
+        )
 
 
-# Measured ranges of the signal: bounds that stay out of the way, and starts near zero, since a larger error of a sensor
-# would be found by eye. A tenth and ten times of either leave 20 of 20 starts at the minimum (the spring of the tests
-# with biases of its position and its force).
+# Measured ranges of the signal: bounds that stay out of the way, and starts near zero, since a
+# larger error of a sensor would be found by eye. A tenth and ten times of either leave 20 of 20
+# starts at the minimum (the spring of the tests with biases of its position and its force).
 WIDEST_BIAS = 10.0
 USUAL_BIAS = 0.05
 
-# Of the deviation of a measured signal: that of its noise to begin with, until residuals tell it, and the least, far
-# below the resolution of sensors.
+# Of the deviation of a measured signal: that of its noise to begin with, until residuals tell it,
+# and the least, far below the resolution of sensors.
 USUAL_NOISE = 0.1
 LEAST_NOISE = 1e-5
 
@@ -282,7 +310,9 @@ def bias_parameter(name: str, record: Record) -> Parameter:
     """Return the unknown constant error of a signal, in a box around zero."""
     values = record[name][np.isfinite(record[name])]
     if not values.size:
-        raise ValueError(f"biases names {name!r}, of which the record has no measured value: leave it out.")
+        raise ValueError(
+            f"biases names {name!r}, of which the record has no measured value: leave it out."
+        )
     span = float(np.ptp(values)) or 1.0  # a constant signal has no range
     return Parameter(
         0.0,

@@ -20,9 +20,15 @@ OVERLAID = 6  # fits in one figure: there are six colors
 WIDEST = 12  # quantities in one table: more do not fit beside one another
 
 
-def comparison_section(entries: Sequence[Entry], comparison: Comparison | None, columns: int) -> list[Element]:
+def comparison_section(
+    entries: Sequence[Entry], comparison: Comparison | None, columns: int
+) -> list[Element]:
     """Return what the results say beside one another: estimates, tests, and figures of all."""
-    fits = [(entry.label, entry.fit) for entry in entries if entry.fit is not None and entry.fit.converged]
+    fits = [
+        (entry.label, entry.fit)
+        for entry in entries
+        if entry.fit is not None and entry.fit.converged
+    ]
     content = list(_estimates(entries))
     labels, converged = [label for label, _ in fits], [fit for _, fit in fits]
     if comparison is None and 2 <= len(fits) <= OVERLAID:
@@ -32,7 +38,9 @@ def comparison_section(entries: Sequence[Entry], comparison: Comparison | None, 
             content.append(tag("p", f"They are not compared by a test: {error.args[0]}"))
     if comparison is not None:
         content += _comparison(comparison)
-    drawn = list(_figures(converged, labels, comparison, columns)) if 2 <= len(fits) <= OVERLAID else []
+    drawn = (
+        list(_figures(converged, labels, comparison, columns)) if 2 <= len(fits) <= OVERLAID else []
+    )
     if drawn:
         content.append(figure_grid(drawn))
     return content
@@ -56,19 +64,37 @@ def overview(entries: Sequence[Entry]) -> Element:
                 Cell(", ".join(answer["model"])),
                 Cell(answer["criterion"]),
                 number_cell(answer["cost"], 6),
-                Cell(f"{agreeing} of {answer['starts']}" if answer["converged"] else "–", float(agreeing)),
+                Cell(
+                    f"{agreeing} of {answer['starts']}" if answer["converged"] else "–",
+                    float(agreeing),
+                ),
                 Cell(str(warnings), float(warnings)),
                 Cell(", ".join(answer["data"])),
             ]
         )
-    header = ["result", "verdict", "model", "criterion", "cost", "starts agreeing", "warnings", "data"]
+    header = [
+        "result",
+        "verdict",
+        "model",
+        "criterion",
+        "cost",
+        "starts agreeing",
+        "warnings",
+        "data",
+    ]
     return table(header, rows)
 
 
 def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
     """Yield the table of all estimates with their errors, or, of very different results, one for each structure."""
-    known = [entry for entry in entries if entry.answer.get("converged") and entry.answer["standard_error"]]
-    all_names = tuple(dict.fromkeys(name for entry in known for name in entry.answer["standard_error"]))
+    known = [
+        entry
+        for entry in entries
+        if entry.answer.get("converged") and entry.answer["standard_error"]
+    ]
+    all_names = tuple(
+        dict.fromkeys(name for entry in known for name in entry.answer["standard_error"])
+    )
     groups: dict[tuple[str, ...], list[Entry]] = {}
     for entry in known:
         names = all_names if len(all_names) <= WIDEST else tuple(entry.answer["standard_error"])
@@ -76,7 +102,10 @@ def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
     if groups:
         yield tag("h3", "Estimates with standard errors")
     for names, group in groups.items():
-        yield table(["result", *names], [[Cell(entry.label), *_estimate_cells(entry.answer, names)] for entry in group])
+        yield table(
+            ["result", *names],
+            [[Cell(entry.label), *_estimate_cells(entry.answer, names)] for entry in group],
+        )
 
 
 def _estimate_cells(answer: Mapping[str, Any], names: Sequence[str]) -> Iterator[Cell]:
@@ -97,7 +126,13 @@ def _comparison(comparison: Comparison) -> Iterator[Element]:
         yield tag("p", statement)
     header = ["data", "output", "measure", "unit", *comparison.labels]
     rows = [
-        [Cell(r.data), Cell(r.output), Cell(r.measure), Cell(r.unit), *(number_cell(value) for value in r.values)]
+        [
+            Cell(r.data),
+            Cell(r.output),
+            Cell(r.measure),
+            Cell(r.unit),
+            *(number_cell(value) for value in r.values),
+        ]
         for r in comparison.rows
     ]
     yield table(header, rows)

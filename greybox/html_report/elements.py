@@ -13,7 +13,8 @@ Child = Element | str | None | Iterable["Child"]
 def tag(name: str, *children: Child, **attributes: Any) -> Element:
     """Return an element; of an attribute that is None or False nothing is written, of True its name.
 
-    Names of attributes are written with hyphens for underscores, and without one at the end: ``class_``.
+    Names of attributes are written with hyphens for underscores, and without one at the end:
+    ``class_``.
     """
     element = Element(name)
     for key, value in attributes.items():

@@ -10,7 +10,12 @@ from greybox.html_report.mathml import formula, operator, parenthesized, symbol
 from greybox.modeling.expression_tree import Expression, Symbol, expressions, size, with_values
 from greybox.modeling.model import Model
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import parameter_names, traced, traced_derivative, traced_output
+from greybox.modeling.symbolic_reading import (
+    parameter_names,
+    traced,
+    traced_derivative,
+    traced_output,
+)
 from greybox.modeling.transfer_function import TransferFunction
 
 LONGEST = 400  # symbols and operations of one equation: about ten lines, more is not read
@@ -27,7 +32,9 @@ def equations(model: Model, values: Mapping[str, float] | None = None) -> list[E
     lines = list(_lines(model))
     longest = max(size(right) for _, right in lines)
     if longest > LONGEST:
-        raise ValueError(f"{model.label} has an equation of {longest} symbols and operations, too long to be read.")
+        raise ValueError(
+            f"{model.label} has an equation of {longest} symbols and operations, too long to be read."
+        )
     return [formula(left, with_values(right, values) if values else right) for left, right in lines]
 
 
@@ -36,7 +43,9 @@ def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
     p = ca.vertcat(*parameters.values())
     if isinstance(model, TransferFunction):
         s = ca.SX.sym("s")
-        response = ca.SX(traced(f"{model.label}.response", model.response, s, parameter_names(model, p)))
+        response = ca.SX(
+            traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
+        )
         (right,) = expressions(response, {"s": s, **parameters}, {})
         yield _ratio(model), right
         return

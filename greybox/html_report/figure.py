@@ -24,7 +24,8 @@ class Series:
     Attributes
     ----------
     name : str
-        In the legend; series of one name in several panels are shown and hidden together. Empty: not in the legend.
+        In the legend; series of one name in several panels are shown and hidden together. Empty:
+        not in the legend.
     kind : "line", "points", "band" or "rule"
         A band lies between `low` and `high`. A rule is a horizontal line at ``y[0]``.
     x, y : (n,) arrays
@@ -53,7 +54,14 @@ class Series:
         columns = {"x": self.x, "y": self.y, "low": self.low, "high": self.high}
         numbers = {name: _rounded(values) for name, values in columns.items() if values is not None}
         notes = {"notes": list(self.notes)} if self.notes else {}
-        return {"name": self.name, "kind": self.kind, "color": self.color, "style": self.style, **numbers, **notes}
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "color": self.color,
+            "style": self.style,
+            **numbers,
+            **notes,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +151,9 @@ class Figure:
         }
         data = json.dumps(plain, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
         plot = tag("div", class_="plot", data_figure=data)
-        caption = tag("figcaption", tag("strong", self.title), " " if self.caption else None, self.caption)
+        caption = tag(
+            "figcaption", tag("strong", self.title), " " if self.caption else None, self.caption
+        )
         return tag("figure", caption, plot)
 
 

@@ -41,8 +41,13 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
     if fit.records:
         yield "Time history", list(_histories(fit, columns))
     if fit.spectra:
-        yield "Manoeuvres", [figure_grid([spectrum_figure(part) for part in fit.spectra[:HISTORIES]])]
-    drawn = [figure for k in range(len(fit.parts)) if (figure := information_figure(fit, k)) is not None]
+        yield (
+            "Manoeuvres",
+            [figure_grid([spectrum_figure(part) for part in fit.spectra[:HISTORIES]])],
+        )
+    drawn = [
+        figure for k in range(len(fit.parts)) if (figure := information_figure(fit, k)) is not None
+    ]
     if drawn:
         yield "What the data tell", [figure_grid(drawn[:HISTORIES])]
     yield "Starts", [figure_grid([starts_figure(fit)])]
@@ -52,12 +57,18 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
 def verdict_box(fit: Fit) -> Element:
     """Return the verdict in its frame."""
     judged = verdict(fit)
-    return tag("div", *(tag("p", text) for text in judged.sentences), class_=f"verdict {judged.grade}")
+    return tag(
+        "div", *(tag("p", text) for text in judged.sentences), class_=f"verdict {judged.grade}"
+    )
 
 
 def _warnings(fit: Fit) -> list[Element]:
     kinds = [*((text, "warning") for text in fit.warnings), *((text, "note") for text in fit.notes)]
-    return [tag("ul", *(tag("li", text, class_=kind) for text, kind in kinds), class_="warnings")] if kinds else []
+    return (
+        [tag("ul", *(tag("li", text, class_=kind) for text, kind in kinds), class_="warnings")]
+        if kinds
+        else []
+    )
 
 
 def _remarks(fit: Fit) -> list[Element]:
@@ -79,7 +90,9 @@ def _remarks(fit: Fit) -> list[Element]:
     except ValueError:
         return []
     if judged.correlated:
-        pairs = ", ".join(f"{a} and {b} ({value:.2f})".replace("-", "−") for a, b, value in judged.correlated)
+        pairs = ", ".join(
+            f"{a} and {b} ({value:.2f})".replace("-", "−") for a, b, value in judged.correlated
+        )
         told.append(f"Correlated beyond 0.9: {pairs}.")
     if judged.combinations:
         told.append(f"Determined in combination: {'; '.join(map(str, judged.combinations))}.")
@@ -141,7 +154,10 @@ def _histories(fit: Fit, columns: int) -> Iterator[Element]:
     chosen: Sequence[int] = range(len(fit.records))
     if len(chosen) > HISTORIES:
         chosen = sorted(sorted(chosen, key=worst)[:HISTORIES])
-        yield tag("p", f"Of {counted(len(fit.records), 'record')} the {HISTORIES} that are fitted worst are drawn.")
+        yield tag(
+            "p",
+            f"Of {counted(len(fit.records), 'record')} the {HISTORIES} that are fitted worst are drawn.",
+        )
     labels = [f"fit of {part.label}" for part in fit.records]
     yield figure_grid([history_figure([fit], k, labels[k : k + 1], columns) for k in chosen])
     if fit.converged:

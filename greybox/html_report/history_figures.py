@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 GRAY, BLACK = -1, -2
 
 
-def history_figure(items: Sequence[Fit | Prediction], record: int, labels: Sequence[str], columns: int) -> Figure:
+def history_figure(
+    items: Sequence[Fit | Prediction], record: int, labels: Sequence[str], columns: int
+) -> Figure:
     """Return the history of one record; of long lines, the extremes of what falls into one of so many columns."""
     drawn = histories(items, record, labels)
     data = drawn[0].data
@@ -28,7 +30,12 @@ def history_figure(items: Sequence[Fit | Prediction], record: int, labels: Seque
     for name in inputs:
         held = next(history for history in drawn if name in history.data.signals)
         series = _curve(
-            held, "", held.data[name] * shown_scale(held.data, name), BLACK, columns, gapless_rows(held.data)
+            held,
+            "",
+            held.data[name] * shown_scale(held.data, name),
+            BLACK,
+            columns,
+            gapless_rows(held.data),
         )
         panels.append(Panel(_label(held, name), [series], height=0.5))
     names = ", ".join(dict.fromkeys(history.data.name for history in drawn if history.data.name))
@@ -40,7 +47,9 @@ def history_figure(items: Sequence[Fit | Prediction], record: int, labels: Seque
 def _caption(drawn: Sequence[History], columns: int) -> str | None:
     said = []
     if any(history.half_width for history in drawn):
-        said.append("Bands hold 95 % of the errors of parameters and initial state, without the noise of the sensors.")
+        said.append(
+            "Bands hold 95 % of the errors of parameters and initial state, without the noise of the sensors."
+        )
     if len(drawn[0].data) > 2 * columns:
         said.append(
             f"Of {len(drawn[0].data)} samples the smallest and largest of each {-(-len(drawn[0].data) // columns)} are "
@@ -70,13 +79,20 @@ def _output_panels(drawn: Sequence[History], name: str, columns: int) -> list[Pa
             _, high = drawn_line(along(history.data), fitted + half, rows, thin=False)
             values.append(Series(f"{history.label}, 95 %", "band", x, low, k, low=low, high=high))
         values.append(_curve(history, history.label, fitted, k, columns, history.pieces))
-        residuals.append(_curve(history, history.label, measured - fitted, k, columns, history.pieces))
+        residuals.append(
+            _curve(history, history.label, measured - fitted, k, columns, history.pieces)
+        )
     residual = f"Residual{f', {unit}' if unit else ''}"
     return [Panel(_label(holder, name), values), Panel(residual, residuals, height=0.5)]
 
 
 def _curve(
-    history: History, label: str, values: Array, color: int, columns: int, pieces: Sequence[NDArray[np.integer]]
+    history: History,
+    label: str,
+    values: Array,
+    color: int,
+    columns: int,
+    pieces: Sequence[NDArray[np.integer]],
 ) -> Series:
     if not history.data.has_time:
         return Series(label, "points", along(history.data), values, color)

@@ -33,7 +33,9 @@ def profile_figures(found: Profiles) -> Iterator[Figure]:
         sides = np.array([ends[0], profile.estimate, profile.estimate, ends[1]])
         inside = np.where(np.isfinite(profile.interval), profile.interval, ends)
         series = [
-            Series("interval", "band", inside, np.zeros(2), 0, low=np.zeros(2), high=np.full(2, limit)),
+            Series(
+                "interval", "band", inside, np.zeros(2), 0, low=np.zeros(2), high=np.full(2, limit)
+            ),
             Series("limit", "line", sides, limit + profile.bias * np.array([1, 1, -1, -1]), GRAY),
         ]
         if profile.standard_error > 0:
@@ -41,7 +43,10 @@ def profile_figures(found: Profiles) -> Iterator[Figure]:
             cone = profile.estimate + profile.standard_error * reached
             series.append(Series("by the standard error", "line", cone, np.abs(reached), GRAY, 1))
         size = np.abs(profile.roots)
-        series += [Series("profile", "line", profile.values, size), Series("", "points", profile.values, size)]
+        series += [
+            Series("profile", "line", profile.values, size),
+            Series("", "points", profile.values, size),
+        ]
         label = f"{name}, {profile.unit}" if profile.unit else name
         panel = Panel("|r|", series, limits=(0.0, 1.6 * limit))
         yield Figure(f"Profile of {name}", label, [panel], limits=(float(ends[0]), float(ends[1])))
@@ -68,8 +73,13 @@ def bootstrap_table(said: Mapping[str, Any]) -> list[Element]:
     about = f"{said['about']}; {counted(int(said['replicates']), 'replicate')}{failed}; seed {said['seed']}"
     rows = []
     for name, q in said["quantities"].items():
-        errors = (number_cell(q[key], 3) for key in ("standard_error", "fit_standard_error", "bias"))
-        ends = (Cell(interval_text(q[method]), (q[method] or [None])[0]) for method in ("percentile", "bca"))
+        errors = (
+            number_cell(q[key], 3) for key in ("standard_error", "fit_standard_error", "bias")
+        )
+        ends = (
+            Cell(interval_text(q[method]), (q[method] or [None])[0])
+            for method in ("percentile", "bca")
+        )
         rows.append([Cell(name), number_cell(q["estimate"]), *errors, Cell(q["unit"]), *ends])
     percent = f"{100 * said['level']:g} %"
     header = ["quantity", "estimate", "± error", "± error of the fit", "bias", "unit"]

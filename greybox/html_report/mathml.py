@@ -7,7 +7,15 @@ from xml.etree.ElementTree import Element
 
 from greybox.files.text_table import greek
 from greybox.html_report.elements import Child, tag
-from greybox.modeling.expression_tree import Expression, Function, Number, Power, Product, Sum, Symbol
+from greybox.modeling.expression_tree import (
+    Expression,
+    Function,
+    Number,
+    Power,
+    Product,
+    Sum,
+    Symbol,
+)
 
 DIGITS = 5  # of numbers in a formula
 
@@ -26,7 +34,11 @@ def symbol(name: str) -> Element:
     base, indices = (found[1], [found[2], *rest]) if found else (first, rest)
     if not indices:
         return tag("mi", greek(base))
-    return tag("msub", tag("mi", greek(base)), tag("mi", ",".join(map(greek, indices)), mathvariant="normal"))
+    return tag(
+        "msub",
+        tag("mi", greek(base)),
+        tag("mi", ",".join(map(greek, indices)), mathvariant="normal"),
+    )
 
 
 def operator(text: str) -> Element:
@@ -49,8 +61,12 @@ def written(expression: Expression) -> Element:  # noqa: PLR0911  (one return fo
         case Power(base, exponent):
             if exponent == Number(0.5):
                 return tag("msqrt", written(base))
-            is_atom = isinstance(base, Number | Symbol) and not (isinstance(base, Symbol) and base.delay)
-            return tag("msup", written(base) if is_atom else _in_parentheses(base), written(exponent))
+            is_atom = isinstance(base, Number | Symbol) and not (
+                isinstance(base, Symbol) and base.delay
+            )
+            return tag(
+                "msup", written(base) if is_atom else _in_parentheses(base), written(exponent)
+            )
         case Function(name, arguments):
             return _function(name, arguments)
 
@@ -81,7 +97,9 @@ def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Element
     beside = [factor for factor in over if isinstance(factor, Power) and factor.base == Symbol("e")]
     above = [factor for factor in over if factor not in beside] or [Number(1.0)]
     fraction = tag("mfrac", _factors(above), _factors(under))
-    return tag("mrow", fraction, *(part for factor in beside for part in (_space(), written(factor))))
+    return tag(
+        "mrow", fraction, *(part for factor in beside for part in (_space(), written(factor)))
+    )
 
 
 def _factors(factors: Sequence[Expression]) -> Element:
@@ -91,7 +109,11 @@ def _factors(factors: Sequence[Expression]) -> Element:
     for k, factor in enumerate(factors):
         if k:
             row.append(operator("·") if isinstance(factor, Number) else _space())
-        row.append(_in_parentheses(factor) if isinstance(factor, Sum) or _is_relation(factor) else written(factor))
+        row.append(
+            _in_parentheses(factor)
+            if isinstance(factor, Sum) or _is_relation(factor)
+            else written(factor)
+        )
     return tag("mrow", row)
 
 
@@ -106,7 +128,9 @@ def _function(name: str, arguments: Sequence[Expression]) -> Element:
         return tag("mrow", operator("["), texts[0], operator("]"), _space(), value)
     if name in RELATIONS:
         return tag("mrow", texts[0], operator(name), texts[1])
-    inside = [part for k, text in enumerate(texts) for part in ([operator(","), text] if k else [text])]
+    inside = [
+        part for k, text in enumerate(texts) for part in ([operator(","), text] if k else [text])
+    ]
     return tag("mrow", tag("mi", name, mathvariant="normal"), parenthesized(*inside))
 
 
@@ -122,7 +146,9 @@ def parenthesized(*children: Element) -> Element:
     """Return elements in parentheses, which are as tall as a fraction in them."""
     is_tall = any(child.tag == "mfrac" or child.find(".//mfrac") is not None for child in children)
     stretchy = "true" if is_tall else "false"
-    return tag("mrow", tag("mo", "(", stretchy=stretchy), *children, tag("mo", ")", stretchy=stretchy))
+    return tag(
+        "mrow", tag("mo", "(", stretchy=stretchy), *children, tag("mo", ")", stretchy=stretchy)
+    )
 
 
 def _space() -> Element:

@@ -37,7 +37,9 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
         return _document(title, sections)
 
     compared = comparison_section(entries, comparison, columns)
-    sections, entries = _details(entries, columns, sum(len(html(part).encode()) for part in compared))
+    sections, entries = _details(
+        entries, columns, sum(len(html(part).encode()) for part in compared)
+    )
     content: list[Child] = [overview(entries), compared]
     left_out = sum(entry.fit is not None and not entry.anchor for entry in entries)
     if any(entry.fit is None and not entry.error for entry in entries):
@@ -56,7 +58,9 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
     return _document(title, [_section("Comparison", content), *sections])
 
 
-def _details(entries: Sequence[Entry], columns: int, size: int) -> tuple[list[Element], list[Entry]]:
+def _details(
+    entries: Sequence[Entry], columns: int, size: int
+) -> tuple[list[Element], list[Entry]]:
     """Return the sections of as many results as the page of so many bytes holds, and all entries with their anchors."""
     sections: list[Element] = []
     anchored: list[Entry] = []
@@ -64,7 +68,9 @@ def _details(entries: Sequence[Entry], columns: int, size: int) -> tuple[list[El
         anchor = ""
         if entry.fit is not None and size < LARGEST:
             anchor = f"result-{k + 1}"
-            section = _details_of(entry.label, fit_section(entry, columns), anchor, len(entries) <= OPEN)
+            section = _details_of(
+                entry.label, fit_section(entry, columns), anchor, len(entries) <= OPEN
+            )
             size += len(html(section).encode())
             if size < LARGEST:
                 sections.append(section)
@@ -74,19 +80,27 @@ def _details(entries: Sequence[Entry], columns: int, size: int) -> tuple[list[El
     return sections, anchored
 
 
-def _details_of(label: str, parts: Iterable[tuple[str, list[Element]]], anchor: str, is_open: bool) -> Element:
+def _details_of(
+    label: str, parts: Iterable[tuple[str, list[Element]]], anchor: str, is_open: bool
+) -> Element:
     inside = [element for name, content in parts for element in (tag("h3", name), *content)]
-    return tag("section", tag("details", tag("summary", tag("h2", label)), inside, open=is_open), id=anchor)
+    return tag(
+        "section", tag("details", tag("summary", tag("h2", label)), inside, open=is_open), id=anchor
+    )
 
 
 def _columns(fits: Sequence[Fit]) -> int:
     """Return how many columns of every line of records the page has room for."""
-    lines = sum(3 * len(part.outputs) + len(part.data.signals) for fit in fits for part in fit.records[:6])
+    lines = sum(
+        3 * len(part.outputs) + len(part.data.signals) for fit in fits for part in fit.records[:6]
+    )
     return max(FEWEST, min(COLUMNS, LINES // (BYTES * max(lines, 1))))
 
 
 def _section(title: str, content: Child, anchor: str = "") -> Element:
-    return tag("section", tag("h2", title), content, id=anchor or re.sub(r"\W+", "-", title.lower()))
+    return tag(
+        "section", tag("h2", title), content, id=anchor or re.sub(r"\W+", "-", title.lower())
+    )
 
 
 def _document(title: str, sections: Sequence[Element]) -> str:
@@ -113,7 +127,10 @@ def _document(title: str, sections: Sequence[Element]) -> str:
         tag("button", "Colors: auto", type="button", id="theme", hidden=True),
     )
     nav = tag("nav", tag("ul", *(tag("li", link) for link in links)), aria_label="Sections")
-    without = tag("noscript", tag("p", "The figures need the script of this page, which is switched off here."))
+    without = tag(
+        "noscript",
+        tag("p", "The figures need the script of this page, which is switched off here."),
+    )
     body = tag("body", header, nav, without, tag("main", *sections), tag("script", script))
     return f"<!DOCTYPE html>\n{html(tag('html', head, body, lang='en'))}\n"
 

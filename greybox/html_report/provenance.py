@@ -39,17 +39,25 @@ def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[El
     if file:
         facts.append(("result file", file))
     facts += [
-        ("made by", tag("code", shlex.join(["greybox", *made_by])) if made_by else "gb.fit, from Python"),
+        (
+            "made by",
+            tag("code", shlex.join(["greybox", *made_by])) if made_by else "gb.fit, from Python",
+        ),
         ("cost", f"{number(fit.cost, 6)} ({fit.rule})"),
         ("delay", fit.delay),
-        ("starts", f"{fit.starts}; {len(fit.runs)} runs, {sum(run.converged for run in fit.runs)} converged"),
+        (
+            "starts",
+            f"{fit.starts}; {len(fit.runs)} runs, {sum(run.converged for run in fit.runs)} converged",
+        ),
         ("seed", "none" if fit.seed is None else str(fit.seed)),
         ("time taken", f"{fit.seconds:.2f} s"),
         ("versions", ", ".join(f"{name} {version}" for name, version in fit.versions.items())),
     ]
     if fit.dof > 0:
         facts.append(("standard errors", f"for {error_condition(fit)}"))
-    others = [f"{name} {number(cost)}" for name, cost in fit.costs.items() if _is_other(fit, name, cost)]
+    others = [
+        f"{name} {number(cost)}" for name, cost in fit.costs.items() if _is_other(fit, name, cost)
+    ]
     if others:
         facts.append(("other criteria", f"{', '.join(others)} at this estimate"))
     return [description(facts), _data_table(fit), *_restrictions(fit)]
@@ -82,7 +90,17 @@ def _data_table(fit: Fit) -> Element:
                 Cell(tag("code", data.checksum), mark="prose"),
             ]
         )
-    header = ["data", "model", "signals", "size", "span", "criterion", "weight", "source", "checksum (SHA-256)"]
+    header = [
+        "data",
+        "model",
+        "signals",
+        "size",
+        "span",
+        "criterion",
+        "weight",
+        "source",
+        "checksum (SHA-256)",
+    ]
     return table(header, rows)
 
 
@@ -99,7 +117,11 @@ def _signals(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
 def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
     if not isinstance(part, FittedRecord):
         return f"{part.data.omega.min():.3g} to {part.data.omega.max():.3g} rad/s"
-    return f"{part.data.duration:.4g} s at {part.data.rate:.4g} Hz" if part.data.has_time else "rows without a time"
+    return (
+        f"{part.data.duration:.4g} s at {part.data.rate:.4g} Hz"
+        if part.data.has_time
+        else "rows without a time"
+    )
 
 
 def _restrictions(fit: Fit) -> list[Element]:
@@ -113,7 +135,12 @@ def _restrictions(fit: Fit) -> list[Element]:
             names = ", ".join(f"{inside} is {outside}" for inside, outside in part.rename.items())
             facts.append((f"names{where}", names))
         if not isinstance(part, FittedRecord) and part.at:
-            facts.append((f"operating point{where}", ", ".join(f"{name} = {v:.5g}" for name, v in part.at.items())))
+            facts.append(
+                (
+                    f"operating point{where}",
+                    ", ".join(f"{name} = {v:.5g}" for name, v in part.at.items()),
+                )
+            )
         if isinstance(part, FittedRecord):
             facts.append((f"solved by{where}", part.method))
             facts += [(f"input {name}{where}", text) for name, text in part.between.items()]

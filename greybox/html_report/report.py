@@ -37,18 +37,18 @@ def report(
     Parameters
     ----------
     fits : Fit, Study or sequence of them
-        Several stand side by side. Of a fit that was loaded without its model the page shows what the file holds, and
-        says what it cannot draw.
+        Several stand side by side. Of a fit that was loaded without its model the page shows what
+        the file holds, and says what it cannot draw.
     path : str or Path
         An existing file is replaced once the new one is complete.
     comparison : Comparison, optional
-        With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are compared on their own
-        data.
+        With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
+        compared on their own data.
     bootstraps : sequence of Bootstrap
         Of some of the fits, which they stand beside; profiles are shown where a fit holds them.
     details : collection of str
-        Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default up to twelve: the
-        one of the lowest cost for each data set and criterion, then the next.
+        Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default up
+        to twelve: the one of the lowest cost for each data set and criterion, then the next.
     title : str
         By default the name of the fit.
 
@@ -62,19 +62,27 @@ def report(
     given = [fits] if isinstance(fits, Fit | Study) else list(fits)
     wrong = [thing for thing in given if not isinstance(thing, Fit | Study)]
     if wrong:
-        raise TypeError(f"cannot report {wrong[0]!r:.80}: give fits, such as gb.fit(problem) returns, or a study.")
+        raise TypeError(
+            f"cannot report {wrong[0]!r:.80}: give fits, such as gb.fit(problem) returns, or a study."
+        )
     if comparison is not None and not isinstance(comparison, Comparison):
         raise TypeError(f"comparison is {comparison!r:.80}: give what gb.compare returns.")
     alone = [thing for thing in given if isinstance(thing, Fit)]
     labels = iter(labels_of(alone))
     entries: list[Entry] = []
     for thing in given:
-        entries += [Entry(next(labels), thing)] if isinstance(thing, Fit) else study_entries(thing, details)
+        entries += (
+            [Entry(next(labels), thing)]
+            if isinstance(thing, Fit)
+            else study_entries(thing, details)
+        )
     said = [found.summary() for found in bootstraps]
     write_page(with_bootstraps(entries, said), Path(path), comparison, title)
 
 
-def write_page(entries: Sequence[Entry], path: Path, comparison: Comparison | None = None, title: str = "") -> None:
+def write_page(
+    entries: Sequence[Entry], path: Path, comparison: Comparison | None = None, title: str = ""
+) -> None:
     """Write the page of these results.
 
     Raises
@@ -85,7 +93,11 @@ def write_page(entries: Sequence[Entry], path: Path, comparison: Comparison | No
     if not entries:
         raise ValueError("there is nothing to report: give at least one fit.")
     (first, *more) = entries
-    by_default = f"{counted(len(entries), 'result')} side by side" if more else first.answer.get("problem", first.label)
+    by_default = (
+        f"{counted(len(entries), 'result')} side by side"
+        if more
+        else first.answer.get("problem", first.label)
+    )
     with np.errstate(all="ignore"):  # files come from anyone: what is not finite is not drawn
         text = page(entries, comparison, title or by_default)
     write_text(path, text)
@@ -105,12 +117,17 @@ def with_bootstraps(entries: Sequence[Entry], said: Sequence[Mapping[str, Any]])
             bootstrap_table(summary)
             name = summary["problem"]
         except (LookupError, TypeError, ValueError, AttributeError):
-            raise ValueError("a bootstrap is not understood: give what greybox bootstrap --json printed.") from None
+            raise ValueError(
+                "a bootstrap is not understood: give what greybox bootstrap --json printed."
+            ) from None
         if not any(entry.fit is not None and entry.fit.name == name for entry in entries):
-            raise ValueError(f"there is a bootstrap of {name!r:.60}, and no fit of that name on this page.")
+            raise ValueError(
+                f"there is a bootstrap of {name!r:.60}, and no fit of that name on this page."
+            )
         found[name] = summary
     return [
-        entry if entry.fit is None else replace(entry, bootstrap=found.get(entry.fit.name, {})) for entry in entries
+        entry if entry.fit is None else replace(entry, bootstrap=found.get(entry.fit.name, {}))
+        for entry in entries
     ]
 
 
@@ -127,8 +144,12 @@ def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
     if details:
         for name in details:
             if not any(_is_called(member, name) for member in done):
-                raise ValueError(f"the study has no answer of a member {name!r}: its members are in its table.")
-        shown = {member.name for member in done if any(_is_called(member, name) for name in details)}
+                raise ValueError(
+                    f"the study has no answer of a member {name!r}: its members are in its table."
+                )
+        shown = {
+            member.name for member in done if any(_is_called(member, name) for name in details)
+        }
     return [
         Entry(
             member.name,

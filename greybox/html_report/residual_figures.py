@@ -24,7 +24,9 @@ def residual_figures(part: FittedRecord) -> Iterator[Figure]:
                 continue
             itself = panel.name == "autocorrelation"
             name = "Autocorrelation" if itself else f"Correlation with {in_greek(panel.name)}"
-            told.append(f"with {'themselves' if itself else panel.name} {p_text(panel.test.p_value)}")
+            told.append(
+                f"with {'themselves' if itself else panel.name} {p_text(panel.test.p_value)}"
+            )
             panels.append(_correlations(name, panel.test))
         if panels:
             caption = (
@@ -32,7 +34,13 @@ def residual_figures(part: FittedRecord) -> Iterator[Figure]:
                 f"{', '.join(told)}."
             )
             where = f", {part.data.name}" if part.data.name else ""
-            yield Figure(f"Residuals of {in_greek(output)}{where}", "Lag, samples", panels, caption, is_whole=True)
+            yield Figure(
+                f"Residuals of {in_greek(output)}{where}",
+                "Lag, samples",
+                panels,
+                caption,
+                is_whole=True,
+            )
 
 
 def _correlations(name: str, test: CorrelationTest) -> Panel:

@@ -36,7 +36,10 @@ def response_figures(fits: Sequence[Fit], labels: Sequence[str] = ()) -> list[Fi
         return []
     series = response_series(fits, labels, LEVEL if all(fit.converged for fit in fits) else None)
     thinned = [_thinned(one) for one in series]
-    return [_bode(thinned, error_series(fits, series)), *(_nyquist(group) for group in panels(thinned))]
+    return [
+        _bode(thinned, error_series(fits, series)),
+        *(_nyquist(group) for group in panels(thinned)),
+    ]
 
 
 def _bode(series: Sequence[ResponseSeries], errors: Sequence[ErrorSeries]) -> Figure:
@@ -70,14 +73,19 @@ def _known(series: Sequence[ResponseSeries]) -> tuple[list[Series], list[Series]
         has_bars = one.response.variance is not None
         if has_bars:
             down, up, turn = error_bars(one.response)
-        for found, values, ends in ((magnitude, decibel, (down, up)), (phase, degrees, (turn, turn))):
+        for found, values, ends in (
+            (magnitude, decibel, (down, up)),
+            (phase, degrees, (turn, turn)),
+        ):
             bars = (values - ends[0], values + ends[1]) if has_bars else (None, None)
             found.append(_series(one, values, *bars))
         if one.response.coherence is not None:
             coherence.append(_series(one, one.response.coherence))
         if one.band is not None:
             omega, low, high = band_limits(one.band)
-            for found, values, down, up in zip((magnitude, phase), (decibel, degrees), low, high, strict=True):
+            for found, values, down, up in zip(
+                (magnitude, phase), (decibel, degrees), low, high, strict=True
+            ):
                 curve = interpolated(omega, one.response.omega, values)
                 found.insert(0, _band(one, omega, curve + down, curve + up))
     return magnitude, phase, coherence
@@ -104,14 +112,18 @@ def _error_panels(series: Sequence[ResponseSeries], errors: Sequence[ErrorSeries
         color, marker = _color(error.look["color"]), MARKERS.index(error.look["marker"])
         name = error.look["label"].lstrip("_").replace(r"\$", "$")
         for found, y, (low, high) in zip((magnitude, phase), values, bars, strict=True):
-            found.append(Series(name, "points", error.data.omega, y, color, marker, low=low, high=high))
+            found.append(
+                Series(name, "points", error.data.omega, y, color, marker, low=low, high=high)
+            )
     return [Panel("Error, dB", magnitude, height=0.55), Panel("Error, °", phase, height=0.55)]
 
 
 def _band(one: ResponseSeries, omega: Array, low: Array, high: Array) -> Series:
     name = f"{_name(one.label)}, {100 * LEVEL:g} %"
     kept = _spread(len(omega))
-    return Series(name, "band", omega[kept], low[kept], _color(one.color), low=low[kept], high=high[kept])
+    return Series(
+        name, "band", omega[kept], low[kept], _color(one.color), low=low[kept], high=high[kept]
+    )
 
 
 def _nyquist(series: Sequence[ResponseSeries]) -> Figure:
@@ -120,16 +132,22 @@ def _nyquist(series: Sequence[ResponseSeries]) -> Figure:
         response = one.response
         notes = [
             f"{real:.4g} {'−' if imaginary < 0 else '+'} {abs(imaginary):.4g} j at {omega:.4g} rad/s"
-            for omega, real, imaginary in zip(response.omega, response.alpha, response.beta, strict=True)
+            for omega, real, imaginary in zip(
+                response.omega, response.alpha, response.beta, strict=True
+            )
         ]
-        drawn.append(_series(one, response.beta, x=response.alpha, notes=notes if one.measured else ()))
+        drawn.append(
+            _series(one, response.beta, x=response.alpha, notes=notes if one.measured else ())
+        )
     panel = Panel(f"Imaginary part of {ratio(series)}", drawn)
     limits, note = _limits(series)
     if limits is not None:
         panel = Panel(panel.label, drawn, limits=limits[1])
     title = f"Nyquist diagram{f', {ratio(series)}' if ratio(series) != 'P(jω)' else ''}"
     horizontal = None if limits is None else limits[0]
-    return Figure(title, f"Real part of {ratio(series)}", [panel], note, is_plane=True, limits=horizontal)
+    return Figure(
+        title, f"Real part of {ratio(series)}", [panel], note, is_plane=True, limits=horizontal
+    )
 
 
 def _limits(
@@ -143,7 +161,9 @@ def _limits(
     if not 0 < UNLIKE * size < reach:
         return None, None
     spots = np.concatenate([np.zeros(1, dtype=complex), *measured])
-    across, along = ((float(part.min()), float(part.max())) for part in (np.real(spots), np.imag(spots)))
+    across, along = (
+        (float(part.min()), float(part.max())) for part in (np.real(spots), np.imag(spots))
+    )
     ends = tuple((low - size / 2, high + size / 2) for low, high in (across, along))
     return (ends[0], ends[1]), f"Curves reach a magnitude of {reach:.3g}, beyond this figure."
 

@@ -20,11 +20,15 @@ def sensitivity_figure(fit: Fit, part: FittedResponse, model: Model) -> Figure |
     """
     curve = part.data if part.sine is not None or part.curve is None else part.curve
     omega = np.unique(curve.omega)
-    omega = omega[np.unique(np.linspace(0, omega.size - 1, min(omega.size, POINTS)).round().astype(int))]
+    omega = omega[
+        np.unique(np.linspace(0, omega.size - 1, min(omega.size, POINTS)).round().astype(int))
+    ]
     outside = {name: part.rename.get(name, name) for name in model.parameters}
     values = {name: fit.estimate[known_as] for name, known_as in outside.items()}
     signals = {"input": curve.input, "output": curve.output, "at": part.at, "delay": part.delay}
-    response, slope = response_and_slope(model, values, omega, part.sine, part.data.omega, **signals)
+    response, slope = response_and_slope(
+        model, values, omega, part.sine, part.data.omega, **signals
+    )
 
     magnitude, phase = [], []
     for k, (name, known_as) in enumerate(outside.items()):
@@ -33,7 +37,9 @@ def sensitivity_figure(fit: Fit, part: FittedResponse, model: Model) -> Figure |
         with np.errstate(divide="ignore", invalid="ignore"):
             change = STEP * values[name] * slope[:, k] / response.response
         style, color = divmod(len(magnitude), COLORS)
-        magnitude.append(Series(known_as, "line", omega, 20 / np.log(10) * np.real(change), color, style))
+        magnitude.append(
+            Series(known_as, "line", omega, 20 / np.log(10) * np.real(change), color, style)
+        )
         phase.append(Series(known_as, "line", omega, np.degrees(np.imag(change)), color, style))
     if not magnitude:
         return None
@@ -45,8 +51,8 @@ def sensitivity_figure(fit: Fit, part: FittedResponse, model: Model) -> Figure |
 def information_figure(fit: Fit, part: int) -> Figure | None:
     """Return what each frequency, or each time of a record, tells of every free parameter; None where it is not known.
 
-    With the other parameters estimated along, and with the others known: where the second is high and the first is low,
-    another parameter has the same effect.
+    With the other parameters estimated along, and with the others known: where the second is high
+    and the first is low, another parameter has the same effect.
     """
     try:
         found = fit.sensitivity(part)
@@ -66,8 +72,13 @@ def information_figure(fit: Fit, part: int) -> Figure | None:
         return None
     data = fit.parts[part].data.name or fit.parts[part].name
     label = {"rad/s": "ω, rad/s", "s": "Time, s", "row": "Row"}[found.unit]
-    caption = (
-        "Share of all that the data of the fit tell of a parameter, by the point or the part of the record it is in."
-    )
+    caption = "Share of all that the data of the fit tell of a parameter, by the point or the part of the record it is in."
     title = f"What tells of each parameter{f', {data}' if data else ''}"
-    return Figure(title, label, panels, caption, is_logarithmic=found.unit == "rad/s", is_wide=found.unit != "rad/s")
+    return Figure(
+        title,
+        label,
+        panels,
+        caption,
+        is_logarithmic=found.unit == "rad/s",
+        is_wide=found.unit != "rad/s",
+    )

@@ -24,7 +24,11 @@ def starts_figure(fit: Fit) -> Figure:
     for k, minimum in enumerate(fit.minima):
         runs = sorted((by_index[i] for i in minimum.runs), key=lambda run: place[run.index])
         is_colored = k < COLORED
-        name = f"minimum {k + 1}: {len(runs)} × cost {minimum.cost:.5g}" if is_colored else "further minima"
+        name = (
+            f"minimum {k + 1}: {len(runs)} × cost {minimum.cost:.5g}"
+            if is_colored
+            else "further minima"
+        )
         series.append(
             Series(
                 name=name,
@@ -34,7 +38,8 @@ def starts_figure(fit: Fit) -> Figure:
                 color=k if is_colored else -1,
                 style=k if is_colored else 0,
                 notes=[
-                    f"start {run.index}, cost {run.cost:.6g}, {counted(run.iterations, 'iteration')}" for run in runs
+                    f"start {run.index}, cost {run.cost:.6g}, {counted(run.iterations, 'iteration')}"
+                    for run in runs
                 ],
             )
         )
@@ -42,7 +47,9 @@ def starts_figure(fit: Fit) -> Figure:
     is_logarithmic = bool(costs) and costs[0] > 0 and costs[-1] > LOG_SPAN * costs[0]
     limits = _limits(costs, is_logarithmic)
     if failed:
-        top = (limits[1] - 0.07 * (limits[1] - limits[0])) if not is_logarithmic else limits[1] / 1.2
+        top = (
+            (limits[1] - 0.07 * (limits[1] - limits[0])) if not is_logarithmic else limits[1] / 1.2
+        )
         count = len(ended)
         series.append(
             Series(
@@ -64,7 +71,14 @@ def starts_figure(fit: Fit) -> Figure:
     if failed:
         caption += " Failed runs stand at the right; their height means nothing."
     panel = Panel("Cost", series, height=1.3, is_logarithmic=is_logarithmic, limits=limits)
-    return Figure("Starts", "Runs, sorted by cost", [panel], caption, is_whole=True, limits=(0.0, len(brought) + 1.0))
+    return Figure(
+        "Starts",
+        "Runs, sorted by cost",
+        [panel],
+        caption,
+        is_whole=True,
+        limits=(0.0, len(brought) + 1.0),
+    )
 
 
 def _limits(costs: list[float], is_logarithmic: bool) -> tuple[float, float]:

@@ -26,9 +26,16 @@ class Cell:
 def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
     """Return a table; columns of numbers are flush right."""
     numeric = [any(row[k].value is not None for row in rows) for k in range(len(header))]
-    head = tag("tr", *(_header(text, is_number) for text, is_number in zip(header, numeric, strict=True)))
+    head = tag(
+        "tr", *(_header(text, is_number) for text, is_number in zip(header, numeric, strict=True))
+    )
     body = tag("tbody", *(tag("tr", *map(_cell, row, numeric)) for row in rows))
-    return tag("div", tag("table", tag("thead", head), body, class_="sortable"), class_="scroll", tabindex="0")
+    return tag(
+        "div",
+        tag("table", tag("thead", head), body, class_="sortable"),
+        class_="scroll",
+        tabindex="0",
+    )
 
 
 def parameter_table(fit: Fit) -> Element:
@@ -55,7 +62,17 @@ def parameter_table(fit: Fit) -> Element:
                 Cell(q.about),
             ]
         )
-    header = "parameter", "estimate", "± error", "95 % interval", "unit", "CR, %", "insensitivity, %", "bounds", "kind"
+    header = (
+        "parameter",
+        "estimate",
+        "± error",
+        "95 % interval",
+        "unit",
+        "CR, %",
+        "insensitivity, %",
+        "bounds",
+        "kind",
+    )
     return table([*header, "meaning"], rows)
 
 
@@ -69,7 +86,14 @@ def number_cell(value: float | None, digits: int = 5) -> Cell:
 def _best_effort(fit: Fit) -> Element:
     values = fit.best_effort or {}
     rows = [
-        [Cell(q.name), number_cell(values.get(q.name)), Cell(q.unit), Cell(_bounds(q)), Cell(q.kind), Cell(q.about)]
+        [
+            Cell(q.name),
+            number_cell(values.get(q.name)),
+            Cell(q.unit),
+            Cell(_bounds(q)),
+            Cell(q.kind),
+            Cell(q.about),
+        ]
         for q in fit.quantities
         if q.name in values or not values
     ]
@@ -91,7 +115,11 @@ def _share(share: float | None, guideline: float) -> Cell:
     if share is None or math.isnan(share):
         return Cell("–")
     text = "∞" if math.isinf(share) else percent(share)
-    return Cell(f"{text} !" if share > guideline else text, min(share, 1e300), "doubt" if share > guideline else "")
+    return Cell(
+        f"{text} !" if share > guideline else text,
+        min(share, 1e300),
+        "doubt" if share > guideline else "",
+    )
 
 
 def _interval(low: float, high: float) -> str:
@@ -103,7 +131,11 @@ def _interval(low: float, high: float) -> str:
 
 
 def _bounds(q: Quantity) -> str:
-    return f"{q.bounds[0]:g} to {q.bounds[1]:g}".replace("-", "−").replace("inf", "∞") if q.kind == "free" else ""
+    return (
+        f"{q.bounds[0]:g} to {q.bounds[1]:g}".replace("-", "−").replace("inf", "∞")
+        if q.kind == "free"
+        else ""
+    )
 
 
 def _header(text: str, is_number: bool) -> Element:

@@ -13,7 +13,8 @@ from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.segment_detection import announcing
 
-# Of the rate of the best-sampled signal: those as fast are as good, and the first of the list is taken.
+# Of the rate of the best-sampled signal: those as fast are as good, and the first of the list is
+# taken.
 AS_FAST = 0.95
 
 
@@ -35,14 +36,17 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     Raises
     ------
     KeyError, ValueError
-        If there is no test, or no control or output is known for its axis; the sentence names the option that helps.
+        If there is no test, or no control or output is known for its axis; the sentence names the
+        option that helps.
     """
     choices = []
     announced = stated.get("announced", "")
     if not announced and not stated.get("setpoint") and "SIDS" not in recording:
         announced = next(iter(announcing(recording)), "")
         if announced:
-            choices.append(Choice(f"tests of {announced}", "the message announces them", "--announced"))
+            choices.append(
+                Choice(f"tests of {announced}", "the message announces them", "--announced")
+            )
     stated = {**stated, "announced": announced}
 
     wanted = stated.pop("axis", "")
@@ -56,7 +60,10 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
             f"no usable test was found in {recording.source or 'the log'}{f' ({why})' if why else ''}: say where they "
             "are, --announced MESSAGE or --setpoint SIGNAL, or take the --whole log with its --instrument."
         )
-    axes = {raw: _body_axis(recording, [t for t in usable if t.axis == raw]) for raw in {t.axis: 0 for t in usable}}
+    axes = {
+        raw: _body_axis(recording, [t for t in usable if t.axis == raw])
+        for raw in {t.axis: 0 for t in usable}
+    }
     raw = _chosen_axis(usable, axes, wanted)
     axis = axes[raw]
     used = [test for test in usable if test.axis == raw]
@@ -69,7 +76,9 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     if not stated.get("input"):
         control = _first(recording, AXES[axis].controls) if axis else ""
         if not control:
-            raise ValueError(f"no control is known for the axis {raw!r}: give the input, --input u=MESSAGE.Field.")
+            raise ValueError(
+                f"no control is known for the axis {raw!r}: give the input, --input u=MESSAGE.Field."
+            )
         stated["input"] = f"u={control}"
         choices.append(Choice(f"input {stated['input']}", f"the control of {axis}", "--input"))
     if not stated.get("output"):
@@ -90,7 +99,11 @@ def _without_signals(stated: dict[str, Any]) -> dict[str, Any]:
 
 
 def _known_axes(recording: Recording) -> list[str]:
-    return [axis for axis, own in AXES.items() if any(_has(recording, s) for s in (*own.controls, *own.setpoints))]
+    return [
+        axis
+        for axis, own in AXES.items()
+        if any(_has(recording, s) for s in (*own.controls, *own.setpoints))
+    ]
 
 
 def _has(recording: Recording, signal: str) -> bool:
@@ -109,9 +122,15 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
     said = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
     if said or tests[0].source == "SIDS":
         return said
-    motion = {axis: _motion(recording, _first(recording, own.setpoints), tests) for axis, own in AXES.items()}
+    motion = {
+        axis: _motion(recording, _first(recording, own.setpoints), tests)
+        for axis, own in AXES.items()
+    }
     if not any(motion.values()):
-        motion = {axis: _motion(recording, _first(recording, own.controls), tests) for axis, own in AXES.items()}
+        motion = {
+            axis: _motion(recording, _first(recording, own.controls), tests)
+            for axis, own in AXES.items()
+        }
     return max(motion, key=motion.__getitem__) if any(motion.values()) else ""
 
 
@@ -152,18 +171,30 @@ def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[s
     kinds = ("angle", "rate")
     groups = zip(kinds, NAMES[axis], (own.angles, own.rates), strict=True) if own else ()
     for kind, name, signals in groups:
-        rates = {signal: _rate(recording, signal, used) for signal in signals if _has(recording, signal)}
+        rates = {
+            signal: _rate(recording, signal, used) for signal in signals if _has(recording, signal)
+        }
         if not rates or not max(rates.values()):
             continue
-        best = next(signal for signal, rate in rates.items() if rate >= AS_FAST * max(rates.values()))
-        slower = [f"{signal} at {rate:.4g} Hz" for signal, rate in rates.items() if rate < AS_FAST * rates[best]]
+        best = next(
+            signal for signal, rate in rates.items() if rate >= AS_FAST * max(rates.values())
+        )
+        slower = [
+            f"{signal} at {rate:.4g} Hz"
+            for signal, rate in rates.items()
+            if rate < AS_FAST * rates[best]
+        ]
         beside = f", {', '.join(slower)}" if slower else ""
         return f"{name}={best}", f"the {axis} {kind}, at {rates[best]:.4g} Hz{beside}"
-    raise ValueError(f"no angle or rate is known for the axis {axis or used[0].axis!r}: give --output NAME=SIGNAL.")
+    raise ValueError(
+        f"no angle or rate is known for the axis {axis or used[0].axis!r}: give --output NAME=SIGNAL."
+    )
 
 
 def _rate(recording: Recording, signal: str, used: Sequence[Segment]) -> float:
     """Return the sampling rate during the tests, Hz."""
     time = recording.locate(signal)[0].time
-    samples = [np.ptp(np.interp((test.start, test.end), time, np.arange(time.size))) for test in used]
+    samples = [
+        np.ptp(np.interp((test.start, test.end), time, np.arange(time.size))) for test in used
+    ]
     return float(sum(samples) / sum(test.duration for test in used))

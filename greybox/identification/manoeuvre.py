@@ -14,7 +14,8 @@ from greybox.logs.manoeuvre_detection import chosen_manoeuvre, find_manoeuvres
 from greybox.logs.prepare import prepare
 from greybox.spectral.transients import HIGHEST, transient_spectrum
 
-# s. States at the ends are estimated, so that neither must be at rest: some samples before, and the answer after.
+# s. States at the ends are estimated, so that neither must be at rest: some samples before, and the
+# answer after.
 BEFORE, AFTER = 0.5, 2.0
 
 
@@ -42,7 +43,12 @@ class ManoeuvreMeasurement:
     choices: tuple[str, ...]
 
     def __repr__(self) -> str:
-        return one_line(self, self.manoeuvre.kind, f"{self.manoeuvre.start:.6g} s", f"{len(self.spectrum)} lines")
+        return one_line(
+            self,
+            self.manoeuvre.kind,
+            f"{self.manoeuvre.start:.6g} s",
+            f"{len(self.spectrum)} lines",
+        )
 
     def __str__(self) -> str:
         low, high = self.spectrum.omega[[0, -1]]
@@ -82,8 +88,9 @@ def measure_manoeuvre(
         By default from the first line to where the input fades.
     rate : float, Hz, optional
     held : sequence of str
-        Inputs, by name, that keep their values between samples, as the controls of most computers do; known of some
-        logs, and otherwise taken as linear between samples, half a sample earlier.
+        Inputs, by name, that keep their values between samples, as the controls of most computers
+        do; known of some logs, and otherwise taken as linear between samples, half a sample
+        earlier.
 
     Raises
     ------
@@ -109,9 +116,13 @@ def measure_manoeuvre(
     spectrum = transient_spectrum(record, names[: len(inputs)], names[len(inputs) :], limits)
     label = f"{chosen.kind} of {chosen.axis} at {chosen.start:.4g} s"
     spectrum = replace(spectrum, name=label, source=recording.source)
-    said = [f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s, the answer after the input included."]
+    said = [
+        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s, the answer after the input included."
+    ]
     if band is None:
-        said.append(f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; --band chooses another.")
+        said.append(
+            f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; --band chooses another."
+        )
     unknown = [name for name in names[: len(inputs)] if name not in record.hold]
     if unknown:
         said.append(

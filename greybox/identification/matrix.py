@@ -43,7 +43,9 @@ class MatrixMeasurement:
 
     def __str__(self) -> str:
         header = ("output", "input", "points", "from rad/s", "to rad/s", "error %")
-        return "\n".join([text_table(header, [_row(r) for r in self.responses], left=(0, 1)), "", *self.choices])
+        return "\n".join(
+            [text_table(header, [_row(r) for r in self.responses], left=(0, 1)), "", *self.choices]
+        )
 
 
 def measure_matrix(
@@ -67,10 +69,11 @@ def measure_matrix(
     period : float, s
         Of the multisines.
     excitations : sequence of str
-        The injected signals, one for each input: the test is where they move, and they tell whose lines are whose. By
-        default the inputs, of the whole log.
+        The injected signals, one for each input: the test is where they move, and they tell whose
+        lines are whose. By default the inputs, of the whole log.
     rate : float, Hz, optional
-        By default that of the slowest signal, or a little less, so that a period is a whole number of samples.
+        By default that of the slowest signal, or a little less, so that a period is a whole number
+        of samples.
     band : (low, high), rad/s, optional
     settle : float, s
         Left out at the beginning of the test, at least.
@@ -83,7 +86,11 @@ def measure_matrix(
     injected = [f"{EXCITATION.format(k)}={signal}" for k, signal in enumerate(excitations, start=1)]
     signals = named_signals((*inputs, *outputs, *injected))
     names = list(signals)
-    u, y, e = names[: len(inputs)], names[len(inputs) : len(inputs) + len(outputs)], names[len(inputs) + len(outputs) :]
+    u, y, e = (
+        names[: len(inputs)],
+        names[len(inputs) : len(inputs) + len(outputs)],
+        names[len(inputs) + len(outputs) :],
+    )
     record = prepare(recording, signals, rate)
     if rate is None and period * record.rate >= 2:
         record = prepare(recording, signals, math.floor(period * record.rate * (1 + 1e-9)) / period)
@@ -99,9 +106,15 @@ def measure_matrix(
     ]
     measured = [signals[name] for name in (*u, *y)]
     controller = controller_in(recording, measured[: len(u)], measured)
-    loop = f"closed loop ({controller} is in the log)" if controller else "open loop (no controller is seen in the log)"
+    loop = (
+        f"closed loop ({controller} is in the log)"
+        if controller
+        else "open loop (no controller is seen in the log)"
+    )
     by = f"the excitations {', '.join(excitations)} tell" if e else "the inputs themselves tell"
-    said.append(f"{loop}: averages over whole periods; {by} which lines are whose, --instrument names others.")
+    said.append(
+        f"{loop}: averages over whole periods; {by} which lines are whose, --instrument names others."
+    )
     return MatrixMeasurement(record, responses, tuple(said))
 
 
@@ -111,7 +124,9 @@ def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
     limit = 1e-9 * np.maximum(np.ptp([record[name] for name in names], axis=1), 1e-300)[:, None]
     moves = np.flatnonzero((np.abs(steps) > limit).any(axis=0))
     if not moves.size:
-        raise ValueError("no excitation moves in the log: name the injected signals, one --instrument for each input.")
+        raise ValueError(
+            "no excitation moves in the log: name the injected signals, one --instrument for each input."
+        )
     return float(record.time[moves[0]]), float(record.time[moves[-1] + 1])
 
 

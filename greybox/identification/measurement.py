@@ -13,7 +13,11 @@ from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import to_si
 from greybox.files.text_table import alternatives, counted, number, one_line
 from greybox.identification.loop import DirectDifference, controller_in, direct_difference
-from greybox.identification.systematic_errors import motor_saturation, systematic_errors, with_systematic_errors
+from greybox.identification.systematic_errors import (
+    motor_saturation,
+    systematic_errors,
+    with_systematic_errors,
+)
 from greybox.logs.ardupilot.truncated_angles import STEP, is_truncated
 from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.known_filters import KnownFilter, in_series
@@ -44,7 +48,8 @@ class Settings:
     input, output : str
         ``"MESSAGE.Field"``, or with a name of one's own ``"u=RATE.POut"``.
     instrument : str
-        The injected signal; by default what the log says was injected, or the setpoint in which the tests were found.
+        The injected signal; by default what the log says was injected, or the setpoint in which the
+        tests were found.
     announced, fields, setpoint
         How to find the tests, see `greybox.logs.find_segments`.
     axis, tests : str
@@ -87,7 +92,9 @@ class Settings:
             if value is not None and not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"--{name} {value} must be a number of seconds of at least 0.")
         if self.method not in METHODS:
-            raise ValueError(f"--method {self.method!r} is not known: use {alternatives(self.method, METHODS)}")
+            raise ValueError(
+                f"--method {self.method!r} is not known: use {alternatives(self.method, METHODS)}"
+            )
         if not 2 <= self.points <= 10_000:
             raise ValueError(f"--points {self.points} must lie between 2 and 10000.")
         if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
@@ -105,7 +112,9 @@ class Settings:
             )
         for name in (u, y):
             if name in RESERVED:
-                raise ValueError(f"the name {name!r} is reserved: give the signal another name, NAME=SIGNAL.")
+                raise ValueError(
+                    f"the name {name!r} is reserved: give the signal another name, NAME=SIGNAL."
+                )
 
     @property
     def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -193,13 +202,19 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     sines = [segment for segment in usable if segment.kind == "sine"]
     used = sines or usable
     if not used and not tests and not (settings.whole or settings.period or settings.instrument):
-        raise ValueError("no test was found: give --setpoint, --announced or --instrument, or use the --whole log.")
+        raise ValueError(
+            "no test was found: give --setpoint, --announced or --instrument, or use the --whole log."
+        )
     _require_one_axis(used)
     if sines and settings.band is not None:
         used = _within_band(sines, settings.band)
 
     (u, control), (y, output) = settings.names
-    controller = "" if settings.open_loop else controller_in(recording, [control], [output]) or settings.setpoint
+    controller = (
+        ""
+        if settings.open_loop
+        else controller_in(recording, [control], [output]) or settings.setpoint
+    )
     instrument = _instrument(recording, settings, used)
     if controller and not (sines or instrument or settings.period):
         for name in (control, output):
@@ -233,9 +248,13 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
             detail = points.with_variance(response.variance).table if points else detail
-            spans = [(segment.start, segment.end) for segment in used] or [(record.time[0], record.time[-1])]
+            spans = [(segment.start, segment.end) for segment in used] or [
+                (record.time[0], record.time[-1])
+            ]
             quality = quality_of(response).with_findings(
-                *_on_points(points), *motor_saturation(recording, control, spans), *(error.finding for error in errors)
+                *_on_points(points),
+                *motor_saturation(recording, control, spans),
+                *(error.finding for error in errors),
             )
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
@@ -243,7 +262,9 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     if response is not None:
         if instrument and not sines and not settings.period:
             difference = direct_difference(response, pieces, u, y)
-        response = replace(response, about=_about(recording, record, response, signals, used, settings))
+        response = replace(
+            response, about=_about(recording, record, response, signals, used, settings)
+        )
     choices = _choices(recording, settings, used, controller, signals, response, difference)
     return Measurement(
         settings,
@@ -263,17 +284,23 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
 
 def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]:
     """Return the tests that the settings find."""
-    return find_segments(recording, settings.announced, dict(settings.fields) or None, settings.setpoint)
+    return find_segments(
+        recording, settings.announced, dict(settings.fields) or None, settings.setpoint
+    )
 
 
 def _chosen(segments: Sequence[Segment], settings: Settings) -> list[Segment]:
-    wanted = _numbers(settings.tests, len(segments)) if settings.tests else range(1, len(segments) + 1)
+    wanted = (
+        _numbers(settings.tests, len(segments)) if settings.tests else range(1, len(segments) + 1)
+    )
     chosen = [segments[k - 1] for k in wanted]
     if settings.axis:
         axes = list(dict.fromkeys(segment.axis for segment in chosen))
         chosen = [segment for segment in chosen if segment.axis == settings.axis]
         if not chosen:
-            raise ValueError(f"no test has the axis {settings.axis!r}; there are {', '.join(axes) or 'none'}.")
+            raise ValueError(
+                f"no test has the axis {settings.axis!r}; there are {', '.join(axes) or 'none'}."
+            )
     return chosen
 
 
@@ -282,7 +309,9 @@ def _numbers(text: str, count: int) -> list[int]:
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if not match:
-            raise ValueError(f"--tests {text!r} is not understood: write numbers and ranges, e.g. 1,3-5.")
+            raise ValueError(
+                f"--tests {text!r} is not understood: write numbers and ranges, e.g. 1,3-5."
+            )
         first, last = int(match[1]), int(match[2] or match[1])
         outside = [k for k in (first, last) if not 1 <= k <= count]
         if outside:
@@ -296,14 +325,18 @@ def _numbers(text: str, count: int) -> list[int]:
 def _require_one_axis(used: Sequence[Segment]) -> None:
     axes = list(dict.fromkeys(segment.axis for segment in used))
     if len(axes) > 1:
-        raise ValueError(f"the tests are of several axes ({', '.join(axes)}): choose one, --axis {axes[0]!r}.")
+        raise ValueError(
+            f"the tests are of several axes ({', '.join(axes)}): choose one, --axis {axes[0]!r}."
+        )
 
 
 def _within_band(sines: Sequence[Segment], band: tuple[float, float]) -> list[Segment]:
     inside = [segment for segment in sines if band[0] <= segment.omega <= band[1]]
     if not inside:
         there = ", ".join(f"{segment.omega:.4g}" for segment in sines)
-        raise ValueError(f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {there} rad/s.")
+        raise ValueError(
+            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {there} rad/s."
+        )
     return inside
 
 
@@ -312,8 +345,16 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
     if settings.instrument or settings.open_loop or not used or used[0].kind == "sine":
         return settings.instrument or ("" if settings.open_loop or used else settings.setpoint)
     if used[0].source == "SIDS":
-        return "SIDD.Targ" if "SIDD" in recording and "Targ" in recording["SIDD"].signals else settings.setpoint
-    return used[0].source.removeprefix("setpoint ") if used[0].source.startswith("setpoint ") else settings.setpoint
+        return (
+            "SIDD.Targ"
+            if "SIDD" in recording and "Targ" in recording["SIDD"].signals
+            else settings.setpoint
+        )
+    return (
+        used[0].source.removeprefix("setpoint ")
+        if used[0].source.startswith("setpoint ")
+        else settings.setpoint
+    )
 
 
 def _estimated(
@@ -323,19 +364,39 @@ def _estimated(
     if sines:
         setpoint = SETPOINT if SETPOINT in record.signals else ""
         estimate = finite_frequency(
-            record, sines, input=u, output=y, setpoint=setpoint, settle=settings.settle, method=settings.method
+            record,
+            sines,
+            input=u,
+            output=y,
+            setpoint=setpoint,
+            settle=settings.settle,
+            method=settings.method,
         )
-        dropped = {"dropped": f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"} if estimate.left_out else {}
+        dropped = (
+            {"dropped": f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"}
+            if estimate.left_out
+            else {}
+        )
         return replace(estimate.response, about=dropped), estimate.table, estimate
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
     if settings.period:
-        measured = periodic_response(pieces, settings.period, u, y, instrument=instrument, name=record.name)
+        measured = periodic_response(
+            pieces, settings.period, u, y, instrument=instrument, name=record.name
+        )
         if settings.band is not None:
-            measured = measured.where((measured.omega >= settings.band[0]) & (measured.omega <= settings.band[1]))
+            measured = measured.where(
+                (measured.omega >= settings.band[0]) & (measured.omega <= settings.band[1])
+            )
     else:
         measured = spectral_response(
-            pieces, u, y, instrument=instrument, band=settings.band, points=settings.points, name=record.name
+            pieces,
+            u,
+            y,
+            instrument=instrument,
+            band=settings.band,
+            points=settings.points,
+            name=record.name,
         )
     return measured, str(measured), None
 
@@ -370,8 +431,13 @@ def _about(
             for name in (response.input, response.output)
             for known in record.filters.get(name, ())
         ),
-        **{name: in_series(known) for name, known in named_filters(recording, axis_of(settings.names[0][1])).items()},
-        "band": "" if settings.band is None else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
+        **{
+            name: in_series(known)
+            for name, known in named_filters(recording, axis_of(settings.names[0][1])).items()
+        },
+        "band": ""
+        if settings.band is None
+        else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
         **response.about,
     }
     return {key: text for key, text in about.items() if text}
@@ -381,7 +447,11 @@ def _kind(signals: Mapping[str, str], used: Sequence[Segment], settings: Setting
     if used and used[0].kind == "sine":
         return f"single sines, {settings.method}"
     way = "periodic" if settings.period else "spectral"
-    return f"{way}, joint input-output with {signals[INSTRUMENT]}" if INSTRUMENT in signals else f"{way}, direct"
+    return (
+        f"{way}, joint input-output with {signals[INSTRUMENT]}"
+        if INSTRUMENT in signals
+        else f"{way}, direct"
+    )
 
 
 def _excitation(used: Sequence[Segment]) -> str:
@@ -389,7 +459,11 @@ def _excitation(used: Sequence[Segment]) -> str:
         return ""
     low, high = min(s.band[0] for s in used), max(s.band[1] for s in used)
     sizes = sorted({s.amplitude for s in used if math.isfinite(s.amplitude)})
-    size = f", amplitude {' to '.join(dict.fromkeys(number(a, 3) for a in (sizes[0], sizes[-1])))}" if sizes else ""
+    size = (
+        f", amplitude {' to '.join(dict.fromkeys(number(a, 3) for a in (sizes[0], sizes[-1])))}"
+        if sizes
+        else ""
+    )
     unit = f" {used[0].unit}" if used[0].unit and sizes else ""
     axis = f" of {used[0].axis}" if used[0].axis else ""
     times = f"{min(s.start for s in used):.2f} to {max(s.end for s in used):.2f} s"
@@ -424,26 +498,50 @@ def _choices(
 ) -> tuple[str, ...]:
     said = []
     sines = bool(used) and used[0].kind == "sine"
-    loop = f"closed loop ({controller} is in the log)" if controller else "open loop (no controller is seen in the log)"
+    loop = (
+        f"closed loop ({controller} is in the log)"
+        if controller
+        else "open loop (no controller is seen in the log)"
+    )
     loop = "open loop, as was said" if settings.open_loop else loop
     if sines:
-        said.append(f"{loop}: amplitudes at the frequency of the excitation, whose ratio feedback does not bias.")
+        said.append(
+            f"{loop}: amplitudes at the frequency of the excitation, whose ratio feedback does not bias."
+        )
     elif settings.period:
         said.append(
             f"{loop}: averages over whole periods, whose ratio feedback biases less, the more periods there are."
         )
     elif INSTRUMENT in signals:
         why = f" {FEEDBACK}; here {difference}." if difference else f" {FEEDBACK}."
-        chosen = "" if settings.instrument else ", which was injected" if "SIDD" in signals[INSTRUMENT] else ""
-        said.append(f"{loop}: joint input-output estimate with the instrument {signals[INSTRUMENT]}{chosen}.{why}")
+        chosen = (
+            ""
+            if settings.instrument
+            else ", which was injected"
+            if "SIDD" in signals[INSTRUMENT]
+            else ""
+        )
+        said.append(
+            f"{loop}: joint input-output estimate with the instrument {signals[INSTRUMENT]}{chosen}.{why}"
+        )
     else:
-        said.append(f"{loop}: direct estimate; with the injected signal, --instrument, it is the joint one.")
+        said.append(
+            f"{loop}: direct estimate; with the injected signal, --instrument, it is the joint one."
+        )
     if response is not None and "dropped" in response.about:
         said.append(f"dropped: {response.about['dropped']}.")
-    converted = _conversions(recording, {name: s for name, s in signals.items() if name not in RESERVED})
+    converted = _conversions(
+        recording, {name: s for name, s in signals.items() if name not in RESERVED}
+    )
     if converted:
         said.append(f"converted: {', '.join(converted)}.")
-    others = [name for name in announcing(recording) if name not in {settings.announced, *(s.source for s in used)}]
+    others = [
+        name
+        for name in announcing(recording)
+        if name not in {settings.announced, *(s.source for s in used)}
+    ]
     if others:
-        said.append(f"{others[0]} looks like a message that announces tests too: use it with --announced {others[0]}.")
+        said.append(
+            f"{others[0]} looks like a message that announces tests too: use it with --announced {others[0]}."
+        )
     return tuple(said)

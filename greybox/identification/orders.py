@@ -20,13 +20,16 @@ from greybox.regression.poles_and_zeros import NearPair, near_pairs
 from greybox.validation.parsimony import parsimony, smallest_supported
 from greybox.validation.same_data import count_numbers, count_unknowns
 
-# Poles and zeros may lie this many times above the highest frequency: beyond it they are constants there.
+# Poles and zeros may lie this many times above the highest frequency: beyond it they are constants
+# there.
 REACH = 10.0
 
-# Shares of the largest delay that are taken out of the data before a start is found by linear least squares.
+# Shares of the largest delay that are taken out of the data before a start is found by linear least
+# squares.
 DELAYS = (0.0, 0.2, 0.5)
 
-# Reweightings of that start, after which it minimizes nearly the error of the response (Sanathanan and Koerner 1963).
+# Reweightings of that start, after which it minimizes nearly the error of the response (Sanathanan
+# and Koerner 1963).
 ITERATIONS = 5
 
 
@@ -99,8 +102,14 @@ class OrderSelection:
     def verdict(self) -> str:
         """Which structure the data support, in one sentence as `gb.compare` says it, and whether it is too large."""
         of = self.candidates
-        _, text = parsimony([c.label for c in of], [c.bic for c in of], [c.parameters for c in of], {})
-        pairs = f"; but {self.chosen.pairs[0]}" if self.chosen.pairs else ", and no pole and zero nearly cancel"
+        _, text = parsimony(
+            [c.label for c in of], [c.bic for c in of], [c.parameters for c in of], {}
+        )
+        pairs = (
+            f"; but {self.chosen.pairs[0]}"
+            if self.chosen.pairs
+            else ", and no pole and zero nearly cancel"
+        )
         return f"{text.removesuffix('.')}{pairs}."
 
     def __repr__(self) -> str:
@@ -136,8 +145,9 @@ def select_orders(
 ) -> OrderSelection:
     """Fit rational transfer functions (2.13) of all these orders, and choose the smallest that the data support.
 
-    Every structure is fitted by maximum likelihood: `MaximumLikelihood` where the data have variances, otherwise
-    `RelativeLikelihood`. Starts are those of linear least squares, `levy`, and some points besides.
+    Every structure is fitted by maximum likelihood: `MaximumLikelihood` where the data have
+    variances, otherwise `RelativeLikelihood`. Starts are those of linear least squares, `levy`, and
+    some points besides.
 
     Parameters
     ----------
@@ -155,7 +165,8 @@ def select_orders(
     Raises
     ------
     ValueError
-        If no structure of the grid has fewer unknowns than the data have numbers, or none has a fit.
+        If no structure of the grid has fewer unknowns than the data have numbers, or none has a
+        fit.
     """
     grid = [
         (order, zeros, count, delay)
@@ -163,14 +174,20 @@ def select_orders(
         for zeros in (range(order) if m is None else m)
         for count in integrators
         for delay in delays
-        if zeros < order and count <= order and order - count + zeros + 1 + (delay > 0) + 1 < 2 * len(data)
+        if zeros < order
+        and count <= order
+        and order - count + zeros + 1 + (delay > 0) + 1 < 2 * len(data)
     ]
     if not grid:
-        raise ValueError(f"no structure of the grid has fewer unknowns than {2 * len(data)} real numbers: lower n.")
+        raise ValueError(
+            f"no structure of the grid has fewer unknowns than {2 * len(data)} real numbers: lower n."
+        )
     tried = [_fitted(data, *structure, starts, seed) for structure in grid]
     found = sorted((c for c in tried if c.fit is not None), key=lambda c: (c.parameters, c.bic))
     if not found:
-        raise ValueError(f"none of {counted(len(tried), 'structure')} has a fit: look at the response first.")
+        raise ValueError(
+            f"none of {counted(len(tried), 'structure')} has a fit: look at the response first."
+        )
     k = smallest_supported([c.bic for c in found], [c.parameters for c in found])
     return OrderSelection(tuple(found), found[k], len(tried) - len(found))
 
@@ -179,7 +196,9 @@ def _fitted(
     data: FrequencyResponse, n: int, m: int, integrators: int, delay: float, starts: int, seed: int
 ) -> OrderCandidate:
     radius = REACH * float(data.omega.max())
-    polynomial: Any = import_module("greybox.models.polynomial").Polynomial  # a model, which this folder knows none of
+    polynomial: Any = import_module(
+        "greybox.models.polynomial"
+    ).Polynomial  # a model, which this folder knows none of
     model = polynomial(n, m, integrators, radius, radius / REACH, data.output or "y", delay)
     # The model's bounds are those of poles and zeros, for a gain of one.
     gain = float(np.max(np.abs(data.response)))
@@ -223,7 +242,11 @@ def _linear_starts(
 
 
 def _inside(start: dict[str, float], problem: Problem) -> dict[str, float]:
-    return {name: float(np.clip(start[name], *p.bounds)) for name, p in problem.parameters.items() if name in start}
+    return {
+        name: float(np.clip(start[name], *p.bounds))
+        for name, p in problem.parameters.items()
+        if name in start
+    }
 
 
 def _times(interval: tuple[float, float], factor: float) -> tuple[float, float]:

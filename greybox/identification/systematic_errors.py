@@ -18,8 +18,8 @@ from greybox.spectral.test_quality import SATURATED, Finding
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
 
-# Of the response: an error that is smaller everywhere is not worth a word. A tenth of what sine tests of ten periods
-# state, 0.2 to 1 %.
+# Of the response: an error that is smaller everywhere is not worth a word. A tenth of what sine
+# tests of ten periods state, 0.2 to 1 %.
 WORTH_A_WORD = 1e-3
 
 # PWM steps, the amplitude below which the gain may be anything from zero to twice its value.
@@ -30,7 +30,8 @@ ONE_STEP = 1.0
 class SystematicError:
     """One error: what it is of, its standard deviation relative to the response (n,), and what is found.
 
-    `common` (m, n) has it point by point, relative to the response, where all points have it in common.
+    `common` (m, n) has it point by point, relative to the response, where all points have it in
+    common.
     """
 
     about: str
@@ -61,7 +62,8 @@ def systematic_errors(
     used : sequence of Segment
         The tests; none for the whole record.
     amplitudes : (n,) array, optional
-        Of the control at every frequency, where they are known: of sines. By default that of its whole motion.
+        Of the control at every frequency, where they are known: of sines. By default that of its
+        whole motion.
     """
     axis = axis_of(control)
     if not axis:
@@ -74,18 +76,22 @@ def systematic_errors(
     return [error for error in found if error is not None and error.relative.max() > WORTH_A_WORD]
 
 
-def with_systematic_errors(response: FrequencyResponse, errors: Sequence[SystematicError]) -> FrequencyResponse:
+def with_systematic_errors(
+    response: FrequencyResponse, errors: Sequence[SystematicError]
+) -> FrequencyResponse:
     """Return the response with the errors in its variance; its degrees of freedom become those of the sum.
 
-    Errors of known size have no uncertainty of their own, so that the sum has the more degrees of freedom the larger
-    they are (Welch and Satterthwaite).
+    Errors of known size have no uncertainty of their own, so that the sum has the more degrees of
+    freedom the larger they are (Welch and Satterthwaite).
     """
     if response.variance is None or not errors:
         return response
     added = np.sum([error.relative**2 for error in errors], axis=0) * np.abs(response.response) ** 2
     total = response.variance + added
     dof = None if response.dof is None else response.dof * (total / response.variance) ** 2
-    about = {error.about: _size(error.relative) + " of the response, in its variance" for error in errors}
+    about = {
+        error.about: _size(error.relative) + " of the response, in its variance" for error in errors
+    }
     common = [error.common * response.response for error in errors if error.common is not None]
     return replace(
         response,
@@ -96,21 +102,34 @@ def with_systematic_errors(response: FrequencyResponse, errors: Sequence[Systema
     )
 
 
-def motor_saturation(recording: Recording, control: str, spans: Sequence[tuple[float, float]]) -> list[Finding]:
+def motor_saturation(
+    recording: Recording, control: str, spans: Sequence[tuple[float, float]]
+) -> list[Finding]:
     """Judge how long a motor was at its limit, where the log has the outputs of the motors."""
     share = saturation(recording, spans) if axis_of(control) else math.nan
     if not share > SATURATED[0]:
         return []
     text = f"a motor is at its limit for {100 * share:.0f} % of the time: a linear model is wrong there"
     return [
-        Finding("motors", "refusal" if share > SATURATED[1] else "warning", share, f"{text}; use a smaller amplitude.")
+        Finding(
+            "motors",
+            "refusal" if share > SATURATED[1] else "warning",
+            share,
+            f"{text}; use a smaller amplitude.",
+        )
     ]
 
 
 def _thinned(
-    recording: Recording, response: FrequencyResponse, control: str, axis: str, spans: Sequence[tuple[float, float]]
+    recording: Recording,
+    response: FrequencyResponse,
+    control: str,
+    axis: str,
+    spans: Sequence[tuple[float, float]],
 ) -> SystematicError | None:
-    found = thinning(recording, control, min(start for start, _ in spans), max(end for _, end in spans))
+    found = thinning(
+        recording, control, min(start for start, _ in spans), max(end for _, end in spans)
+    )
     if found is None:
         return None
     common = thinning_error(found, recording, axis, response)
@@ -119,7 +138,9 @@ def _thinned(
         f"{found}: {_size(relative)} are added to the standard errors, as an error that all frequencies have in common "
         f"and a fitted gain has too; to log every pass, {found.cure}."
     )
-    return SystematicError("thinned log", relative, Finding("logging", "note", float(relative.max()), text), common)
+    return SystematicError(
+        "thinned log", relative, Finding("logging", "note", float(relative.max()), text), common
+    )
 
 
 def _rounded(
@@ -136,11 +157,15 @@ def _rounded(
     pieces = [record.between(*span)[response.input] for span in spans]
     motion = np.array([_motion(recording, steps, *one) for one in zip(pieces, spans, strict=True)])
     if amplitudes is None:
-        a = np.full(len(response), steps * np.sqrt(2) * max(float(np.std(values)) for values in pieces))
+        a = np.full(
+            len(response), steps * np.sqrt(2) * max(float(np.std(values)) for values in pieces)
+        )
         moved = np.full(len(response), motion.min())
     else:
         a = steps * amplitudes
-        moved = motion[[int(np.argmin([abs(s.omega - omega) for s in used])) for omega in response.omega]]
+        moved = motion[
+            [int(np.argmin([abs(s.omega - omega) for s in used])) for omega in response.omega]
+        ]
     relative = rounding_error(a, np.sqrt(np.maximum(moved**2 - a**2 / 2, 0)))
     below = response.omega[(a < ONE_STEP) & (relative > WORTH_A_WORD)]
     text = f"motor outputs are whole µs: {_size(relative)} are added to the standard errors"
@@ -148,7 +173,9 @@ def _rounded(
         places = ", ".join(f"{omega:.3g}" for omega in below)
         text += f", as the control is below one step at {places} rad/s; excite more there"
     severity = "warning" if below.size else "note"
-    return SystematicError("rounded outputs", relative, Finding("resolution", severity, float(a.min()), f"{text}."))
+    return SystematicError(
+        "rounded outputs", relative, Finding("resolution", severity, float(a.min()), f"{text}.")
+    )
 
 
 def _motion(recording: Recording, steps: float, control: Array, span: tuple[float, float]) -> float:

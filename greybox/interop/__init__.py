@@ -1,10 +1,11 @@
 """To and from other libraries and languages; each is imported when it is first asked for.
 
-`python_control` and `scipy_signal` convert responses and linear systems, and models as ODEs for python-control; both go
-through `linear_systems`, which brings a model and its values into matrices and polynomials. `casadi_function` gives a
-model at its estimate as a CasADi function, `c_code` as C source, `matlab_file` writes what MATLAB reads; names that
-these accept are made by `source_names`. Records and responses become pandas data frames by `to_pandas()` of their own,
-fits JSON by `Fit.to_json`.
+`python_control` and `scipy_signal` convert responses and linear systems, and models as ODEs for
+python-control; both go through `linear_systems`, which brings a model and its values into matrices
+and polynomials. `casadi_function` gives a model at its estimate as a CasADi function, `c_code` as C
+source, `matlab_file` writes what MATLAB reads; names that these accept are made by `source_names`.
+Records and responses become pandas data frames by `to_pandas()` of their own, fits JSON by
+`Fit.to_json`.
 """
 
 from greybox.interop.c_code import write_c as write_c

@@ -74,8 +74,9 @@ def write_c(
 ) -> tuple[Path, Path]:
     """Write a model at its estimate as C source that needs no other library, and return the two files.
 
-    ``tilt.c`` and ``tilt.h`` have ``tilt_derivative``, ``tilt_output`` and ``tilt_step``, which advances the states by
-    a step of your choice; a complete example stands at the beginning of ``tilt.h``. Files that exist are replaced.
+    ``tilt.c`` and ``tilt.h`` have ``tilt_derivative``, ``tilt_output`` and ``tilt_step``, which
+    advances the states by a step of your choice; a complete example stands at the beginning of
+    ``tilt.h``. Files that exist are replaced.
 
     Parameters
     ----------
@@ -85,7 +86,8 @@ def write_c(
     values : mapping of name to float, optional
         Of a model: values of its parameters, by default the declared starts.
     pade : int, optional
-        Order of the Padé approximation of delays; 0 leaves delays out, for who delays the input before the call.
+        Order of the Padé approximation of delays; 0 leaves delays out, for who delays the input
+        before the call.
     part : int
         Of a fit.
 
@@ -109,13 +111,17 @@ def write_c(
 
 def _header(given: GivenModel, system: Dynamics, p: Array, file: str, name: str) -> str:
     numbers = ", ".join(
-        f"{parameter} = {value:.6g}" for parameter, value in zip(system.parameters, p.tolist(), strict=True)
+        f"{parameter} = {value:.6g}"
+        for parameter, value in zip(system.parameters, p.tolist(), strict=True)
     )
     title = f"{given.model.label}{f', fitted to {given.name}' if given.name else ''}, written by greybox."
     kinds = {"state": system.states, "input": system.inputs, "output": system.outputs}
     indices = []
     for kind, names in kinds.items():
-        places = [f"{name.upper()}_{kind.upper()}_{known} = {i}" for i, known in enumerate(identifiers(names).values())]
+        places = [
+            f"{name.upper()}_{kind.upper()}_{known} = {i}"
+            for i, known in enumerate(identifiers(names).values())
+        ]
         indices += [f"enum {{ {', '.join(places)} }};"] if places else []
     texts = {"title": _comment(title), "about": _comment(numbers or "It has no parameters.")}
     sizes = {"n": len(system.states), "m": len(system.inputs), "k": len(system.outputs)}
@@ -150,7 +156,9 @@ def _source(system: Dynamics, p: Array, file: str, name: str) -> str:
     return "\n".join([f'#include "{file}.h"\n', generator.dump(), *wrappers])
 
 
-def _wrapper(function: ca.Function, name: str, signature: str, arguments: tuple[str, ...], result: str) -> str:
+def _wrapper(
+    function: ca.Function, name: str, signature: str, arguments: tuple[str, ...], result: str
+) -> str:
     """Return a function with plain arrays around one of CasADi's, which wants memory to work in."""
     sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
     arg, res, iw, w = (max(size, 1) for size in sizes)

@@ -19,8 +19,8 @@ def to_casadi(
 ) -> ca.Function:
     """Return ``(x, u) -> (derivative, y)`` of a model at its estimate as a `casadi.Function`.
 
-    A transfer function has the states of its observer canonical form. The order of states, inputs and outputs is that
-    of the model.
+    A transfer function has the states of its observer canonical form. The order of states, inputs
+    and outputs is that of the model.
 
     Parameters
     ----------
@@ -28,11 +28,13 @@ def to_casadi(
     values : mapping of name to float, optional
         Of a model: values of its parameters, by default the declared starts.
     pade : int, optional
-        Order of the Padé approximation of delays, which the function cannot hold; 0 leaves delays out.
+        Order of the Padé approximation of delays, which the function cannot hold; 0 leaves delays
+        out.
     part : int
         Of a fit.
     with_parameters : bool
-        Whether the parameters are a third argument ``p``, in the order of the model's, instead of numbers.
+        Whether the parameters are a third argument ``p``, in the order of the model's, instead of
+        numbers.
 
     Raises
     ------

@@ -39,19 +39,27 @@ class GivenModel:
     at: Mapping[str, float]
     name: str = ""
 
-    def polynomials(self, pade: int | None, input: str, output: str, kind: str) -> tuple[Array, Array]:
+    def polynomials(
+        self, pade: int | None, input: str, output: str, kind: str
+    ) -> tuple[Array, Array]:
         """Return numerator and denominator, highest power of s first; `kind` names in a sentence what has no delay."""
         input, output = pick_signals(self.model, input, output)
         at = self.at if isinstance(self.model, StateSpace) else None
         order = pade or None
-        found: Rational = rational(self.model, self.values, input=input, output=output, at=at, pade=order)
+        found: Rational = rational(
+            self.model, self.values, input=input, output=output, at=at, pade=order
+        )
         if pade != 0:
             self._require_no_delay({input: float(found.delay)}, kind)
         return np.array(found.numerator, dtype=float), np.array(found.denominator, dtype=float)
 
     def matrices(self, pade: int | None, kind: str) -> LinearSystem:
         """Return the linearized system, with states for delays if `pade` is an order."""
-        system = linearize(self.model, self.values, self.at) if isinstance(self.model, StateSpace) else self._realized()
+        system = (
+            linearize(self.model, self.values, self.at)
+            if isinstance(self.model, StateSpace)
+            else self._realized()
+        )
         delays = dict(zip(system.inputs, system.delays.tolist(), strict=True))
         if pade is None:
             self._require_no_delay(delays, kind)
@@ -73,7 +81,9 @@ class GivenModel:
         f, h = system.derivative(x, u, p), system.output(x, u, p)
         zero = [np.zeros(len(system.states)), np.zeros(len(system.inputs))]
         blocks = ca.Function(
-            "blocks", [x, u], [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
+            "blocks",
+            [x, u],
+            [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)],
         )
         return LinearSystem(
             *(np.asarray(ca.DM(block)) for block in blocks(*zero)),
@@ -107,18 +117,24 @@ def given_model(
     """
     if isinstance(thing, Fit):
         if values is not None:
-            raise TypeError("values were given beside a Fit, which has its own: leave them out, or give the model.")
+            raise TypeError(
+                "values were given beside a Fit, which has its own: leave them out, or give the model."
+            )
         estimate = thing.at_estimate(part=part)
         fitted = thing.parts[part]
         model = thing.model_of(part)
         stated = {
-            name: float(v) for name, v in zip(estimate.names, estimate.q, strict=True) if name in model.parameters
+            name: float(v)
+            for name, v in zip(estimate.names, estimate.q, strict=True)
+            if name in model.parameters
         }
         own = fitted.at if isinstance(fitted, FittedResponse) else {}
         return GivenModel(model, stated, own if at is None else at, thing.name)
     if isinstance(thing, Model):
         return GivenModel(thing, dict(thing.values(values)), at or {})
-    raise TypeError(f"{thing!r:.60} cannot be converted: give a Fit, a model with its values, or a FrequencyResponse.")
+    raise TypeError(
+        f"{thing!r:.60} cannot be converted: give a Fit, a model with its values, or a FrequencyResponse."
+    )
 
 
 def _with_delay_states(system: LinearSystem, order: int) -> LinearSystem:

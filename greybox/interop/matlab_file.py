@@ -19,15 +19,17 @@ LONGEST_NAME = 63  # characters, of MATLAB's variables and fields
 def write_mat(thing: Fit | Record | FrequencyResponse, path: str | Path) -> None:
     """Write a MATLAB file, version 5, that ``load`` in MATLAB or Octave and `scipy.io.loadmat` read.
 
-    Names of signals and parameters become valid ones, ``RATE.POut`` is ``RATE_POut``. An existing file is replaced.
+    Names of signals and parameters become valid ones, ``RATE.POut`` is ``RATE_POut``. An existing
+    file is replaced.
 
     Parameters
     ----------
     thing : Fit, Record or FrequencyResponse
-        A record gives the variables ``time`` and its signals, columns of n numbers, and a struct ``units``; `gb.read`
-        reads it back. A response gives ``omega`` in rad/s, complex ``response`` and what else is known, as
-        ``idfrd(response, omega, 0)`` takes it. A fit gives a struct ``fit`` with the fields of `Fit.to_dict`, NaN for
-        what is not known, and the data of every part beside what the model gives.
+        A record gives the variables ``time`` and its signals, columns of n numbers, and a struct
+        ``units``; `gb.read` reads it back. A response gives ``omega`` in rad/s, complex
+        ``response`` and what else is known, as ``idfrd(response, omega, 0)`` takes it. A fit gives
+        a struct ``fit`` with the fields of `Fit.to_dict`, NaN for what is not known, and the data
+        of every part beside what the model gives.
     path : str or Path
         Ending in .mat.
 
@@ -48,7 +50,9 @@ def write_mat(thing: Fit | Record | FrequencyResponse, path: str | Path) -> None
     elif isinstance(thing, FrequencyResponse):
         contents = _response(thing)
     else:
-        raise TypeError(f"{thing!r:.60} cannot be written for MATLAB: give a Fit, a Record or a FrequencyResponse.")
+        raise TypeError(
+            f"{thing!r:.60} cannot be written for MATLAB: give a Fit, a Record or a FrequencyResponse."
+        )
     from scipy.io import savemat  # noqa: PLC0415  (takes a quarter of a second to import)
 
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -67,7 +71,10 @@ def _fit(fit: Fit) -> dict[str, Any]:
 
 
 def _record(record: Record) -> dict[str, Any]:
-    names = {name: plain[:LONGEST_NAME] for name, plain in identifiers(["time", "units", *record.signals]).items()}
+    names = {
+        name: plain[:LONGEST_NAME]
+        for name, plain in identifiers(["time", "units", *record.signals]).items()
+    }
     signals = {names[name]: values for name, values in record.signals.items()}
     units = {names[name]: record.units.get(name, "") for name in record.signals}
     time = {"time": record.time} if record.has_time else {}
@@ -76,7 +83,8 @@ def _record(record: Record) -> dict[str, Any]:
 
 def _response(response: FrequencyResponse) -> dict[str, Any]:
     columns = {
-        name: getattr(response, name) for name in ("omega", "response", "coherence", "variance", "dof", "common_errors")
+        name: getattr(response, name)
+        for name in ("omega", "response", "coherence", "variance", "dof", "common_errors")
     }
     texts = {name: getattr(response, name) for name in ("input", "output", "name", "source")}
     return {name: values for name, values in columns.items() if values is not None} | texts

@@ -37,11 +37,13 @@ def to_control(
     values : mapping of name to float, optional
         Of a model: values of its parameters, by default the declared starts.
     kind : "transfer-function", "state-space" or "nonlinear"
-        The `control.TransferFunction` of one input-output pair, the `control.StateSpace` of the linearization, or the
-        `control.NonlinearIOSystem` of the ODE, whose parameters ``params`` can be changed. By default the first for a
-        `TransferFunction`, the second for a `StateSpace`.
+        The `control.TransferFunction` of one input-output pair, the `control.StateSpace` of the
+        linearization, or the `control.NonlinearIOSystem` of the ODE, whose parameters ``params``
+        can be changed. By default the first for a `TransferFunction`, the second for a
+        `StateSpace`.
     pade : int, optional
-        Order of the Padé approximation of delays, which none of these can hold; 0 leaves delays out.
+        Order of the Padé approximation of delays, which none of these can hold; 0 leaves delays
+        out.
     at : mapping of name to float, optional
         Operating point of the linearization; by default that of the fit.
     input, output : str
@@ -67,30 +69,44 @@ def to_control(
         order = np.argsort(thing.omega)
         names = {"inputs": [thing.input or "u"], "outputs": [thing.output or "y"]}
         response = thing.response[order].reshape(1, 1, -1)
-        return control.FrequencyResponseData(response, thing.omega[order], **names, **_named(thing.name))
+        return control.FrequencyResponseData(
+            response, thing.omega[order], **names, **_named(thing.name)
+        )
     given = given_model(thing, values, at, part)
-    kind = kind or ("transfer-function" if isinstance(given.model, TransferFunction) else "state-space")
+    kind = kind or (
+        "transfer-function" if isinstance(given.model, TransferFunction) else "state-space"
+    )
     name = _named(given.name or given.model.label)
     if kind == "transfer-function":
-        numerator, denominator = given.polynomials(pade, input, output, "a transfer function of python-control")
+        numerator, denominator = given.polynomials(
+            pade, input, output, "a transfer function of python-control"
+        )
         u, y = pick_signals(given.model, input, output)
         return control.TransferFunction(numerator, denominator, inputs=[u], outputs=[y], **name)
     if kind == "state-space":
         found = given.matrices(pade, "a state space of python-control")
         labels = {"states": found.states, "inputs": found.inputs, "outputs": found.outputs}
-        return control.StateSpace(found.A, found.B, found.C, found.D, **{k: list(v) for k, v in labels.items()}, **name)
+        return control.StateSpace(
+            found.A, found.B, found.C, found.D, **{k: list(v) for k, v in labels.items()}, **name
+        )
     if kind == "nonlinear":
         return _nonlinear(control, given, pade, name)
     raise ValueError(f"kind is {kind!r:.40}: give one of {', '.join(map(repr, get_args(Kind)))}.")
 
 
 def from_control(
-    system: Any, *, inputs: Sequence[str] = (), outputs: Sequence[str] = (), prefix: str = "", name: str = ""
+    system: Any,
+    *,
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
+    prefix: str = "",
+    name: str = "",
 ) -> FrequencyResponse | KnownTransferFunction | KnownStateSpace:
     """Return a system of python-control as a frequency response or as a model.
 
-    The numbers of a model are parameters that are fixed, `KnownTransferFunction` or `KnownStateSpace`: it serves as a
-    known filter, ``from_control(filter) * Plant()``, and ``Problem(..., free=["a1"])`` estimates one of them.
+    The numbers of a model are parameters that are fixed, `KnownTransferFunction` or
+    `KnownStateSpace`: it serves as a known filter, ``from_control(filter) * Plant()``, and
+    ``Problem(..., free=["a1"])`` estimates one of them.
 
     Parameters
     ----------
@@ -113,29 +129,46 @@ def from_control(
     control = required("control", "control", "from_control()")
     if isinstance(system, control.FrequencyResponseData):
         _require_one_pair(system.ninputs, system.noutputs)
-        u, y = (_signal_names(*pair) for pair in ((inputs, system.input_labels), (outputs, system.output_labels)))
+        u, y = (
+            _signal_names(*pair)
+            for pair in ((inputs, system.input_labels), (outputs, system.output_labels))
+        )
         response = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)[0, 0]
-        return FrequencyResponse(system.omega, response, input=u[0], output=y[0], name=name or (system.name or ""))
+        return FrequencyResponse(
+            system.omega, response, input=u[0], output=y[0], name=name or (system.name or "")
+        )
     if not isinstance(system, control.TransferFunction | control.StateSpace):
         kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
         raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
     if system.isdtime(strict=True):
-        raise ValueError(f"the system has a sampling time of {system.dt} s, and models here are continuous in time.")
-    u, y = (_signal_names(*pair) for pair in ((inputs, system.input_labels), (outputs, system.output_labels)))
+        raise ValueError(
+            f"the system has a sampling time of {system.dt} s, and models here are continuous in time."
+        )
+    u, y = (
+        _signal_names(*pair)
+        for pair in ((inputs, system.input_labels), (outputs, system.output_labels))
+    )
     if isinstance(system, control.TransferFunction):
         _require_one_pair(system.ninputs, system.noutputs)
-        numerator, denominator = (polynomial[0][0].tolist() for polynomial in (system.num, system.den))
+        numerator, denominator = (
+            polynomial[0][0].tolist() for polynomial in (system.num, system.den)
+        )
         return KnownTransferFunction(numerator, denominator, u[0], y[0], prefix)
     x = _signal_names((), system.state_labels)
-    return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y, prefix=prefix)
+    return KnownStateSpace(
+        system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y, prefix=prefix
+    )
 
 
 def _nonlinear(control: Any, given: GivenModel, pade: int | None, name: Mapping[str, str]) -> Any:
     system, p = given.ode(pade, "a nonlinear system of python-control")
     x, u, q = (
-        ca.SX.sym(letter, len(names)) for letter, names in zip("xup", (system.states, system.inputs, p), strict=True)
+        ca.SX.sym(letter, len(names))
+        for letter, names in zip("xup", (system.states, system.inputs, p), strict=True)
     )
-    functions = [ca.Function("f", [x, u, q], [one(x, u, q)]) for one in (system.derivative, system.output)]
+    functions = [
+        ca.Function("f", [x, u, q], [one(x, u, q)]) for one in (system.derivative, system.output)
+    ]
 
     def values(params: Mapping[str, float]) -> list[float]:
         return [params[one] for one in system.parameters]
@@ -180,4 +213,6 @@ def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...
 
 def _require_one_pair(inputs: int, outputs: int) -> None:
     if (inputs, outputs) != (1, 1):
-        raise ValueError(f"the system has {inputs} inputs and {outputs} outputs: give one of its pairs, system[0, 0].")
+        raise ValueError(
+            f"the system has {inputs} inputs and {outputs} outputs: give one of its pairs, system[0, 0]."
+        )

@@ -35,9 +35,13 @@ def to_scipy(
     from scipy import signal  # noqa: PLC0415  (takes a third of a second to import)
 
     given = given_model(thing, values, at, part)
-    kind = kind or ("transfer-function" if isinstance(given.model, TransferFunction) else "state-space")
+    kind = kind or (
+        "transfer-function" if isinstance(given.model, TransferFunction) else "state-space"
+    )
     if kind == "transfer-function":
-        return signal.TransferFunction(*given.polynomials(pade, input, output, "a transfer function of scipy"))
+        return signal.TransferFunction(
+            *given.polynomials(pade, input, output, "a transfer function of scipy")
+        )
     if kind == "state-space":
         found = given.matrices(pade, "a state space of scipy")
         return signal.StateSpace(found.A, found.B, found.C, found.D)
@@ -66,7 +70,9 @@ def from_scipy(
     from scipy import signal  # noqa: PLC0415  (takes a third of a second to import)
 
     if isinstance(system, signal.dlti):
-        raise ValueError(f"the system has a sampling time of {system.dt} s, and models here are continuous in time.")
+        raise ValueError(
+            f"the system has a sampling time of {system.dt} s, and models here are continuous in time."
+        )
     if not isinstance(system, signal.lti):
         raise TypeError(f"system is {system!r:.60}: give a scipy.signal.lti.")
     found: Any = system  # whose attributes scipy does not declare
@@ -76,8 +82,14 @@ def from_scipy(
             [name] if count == 1 else [f"{name}{k + 1}" for k in range(count)]
             for name, count in ((input, inputs), (output, outputs))
         ]
-        return KnownStateSpace(found.A, found.B, found.C, found.D, inputs=u, outputs=y, prefix=prefix)
+        return KnownStateSpace(
+            found.A, found.B, found.C, found.D, inputs=u, outputs=y, prefix=prefix
+        )
     rational = found.to_tf()
     if rational.num.ndim > 1:
-        raise ValueError(f"the system has {rational.num.shape[0]} outputs: give a system of one, or a StateSpace.")
-    return KnownTransferFunction(rational.num.tolist(), rational.den.tolist(), input, output, prefix)
+        raise ValueError(
+            f"the system has {rational.num.shape[0]} outputs: give a system of one, or a StateSpace."
+        )
+    return KnownTransferFunction(
+        rational.num.tolist(), rational.den.tolist(), input, output, prefix
+    )

@@ -15,4 +15,8 @@ class AxisSignals:
     sticks: tuple[str, ...] = ()
 
 
-NAMES = {"roll": ("phi", "p"), "pitch": ("theta", "q"), "yaw": ("psi", "r")}  # of angle and rate in models
+NAMES = {
+    "roll": ("phi", "p"),
+    "pitch": ("theta", "q"),
+    "yaw": ("psi", "r"),
+}  # of angle and rate in models

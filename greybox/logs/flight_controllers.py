@@ -10,14 +10,23 @@ from greybox.logs.px4 import named_filters as px4_filters
 from greybox.logs.px4 import passed_filters as passed_in_px4
 
 AXES = {
-    axis: AxisSignals(*(getattr(own, kind) + getattr(PX4_AXES[axis], kind) for kind in AxisSignals.__match_args__))
+    axis: AxisSignals(
+        *(getattr(own, kind) + getattr(PX4_AXES[axis], kind) for kind in AxisSignals.__match_args__)
+    )
     for axis, own in ARDUPILOT_AXES.items()
 }
 
 
 def axis_of(signal: str) -> str:
     """Return the axis whose control or setpoint a signal is: "roll", "pitch" or "yaw"; empty for others."""
-    return next((axis for axis, own in AXES.items() if signal in (*own.controls, *own.setpoints, *own.terms)), "")
+    return next(
+        (
+            axis
+            for axis, own in AXES.items()
+            if signal in (*own.controls, *own.setpoints, *own.terms)
+        ),
+        "",
+    )
 
 
 def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:

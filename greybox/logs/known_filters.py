@@ -1,8 +1,8 @@
 """Filters of a flight controller whose parameters its log holds, as values that models are made of.
 
-`greybox.models.filters` has a model of the same name for each. They are written into the files of responses as
-``LowPass(20.0, 0.71)``, several in series as ``Notch(80.0, 1.9, 40.0) * LowPass(20.0, 0.71)``, and read from there as
-numbers for these three names alone.
+`greybox.models.filters` has a model of the same name for each. They are written into the files of
+responses as ``LowPass(20.0, 0.71)``, several in series as ``Notch(80.0, 1.9, 40.0) * LowPass(20.0,
+0.71)``, and read from there as numbers for these three names alone.
 """
 
 import ast

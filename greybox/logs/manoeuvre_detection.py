@@ -1,8 +1,9 @@
 """Manoeuvres: 2-1-1, 3-2-1-1, doublets, pulses, steps and other inputs that leave a rest and return to one.
 
-A signal is at rest where it keeps one level for a second. What lies between two rests of the same level is one
-manoeuvre, and so is the way to a level that is then kept for good, a step. Its pulses are where the signal is off the
-first rest by more than half of the largest deviation, and their signs and durations name it.
+A signal is at rest where it keeps one level for a second. What lies between two rests of the same
+level is one manoeuvre, and so is the way to a level that is then kept for good, a step. Its pulses
+are where the signal is off the first rest by more than half of the largest deviation, and their
+signs and durations name it.
 """
 
 import math
@@ -33,19 +34,20 @@ PATTERNS = {(1,): "pulse", (1, 1): "doublet", (2, 1, 1): "2-1-1", (3, 2, 1, 1): 
 STEP, OTHER = "step", "stick input"
 MOST_PULSES = max(map(len, PATTERNS))  # of a manoeuvre with a name: more may be a sine or a sweep
 
-# Relative deviation of a duration from its pattern: half the way between the durations 2 and 3 is 0.2 of the longer
-# one, and pilots are off by as much.
+# Relative deviation of a duration from its pattern: half the way between the durations 2 and 3 is
+# 0.2 of the longer one, and pilots are off by as much.
 OFF_PATTERN = 0.3
 
 REST = 1.0  # s at one level: the fastest pulses of an aircraft's 3-2-1-1 last as long, its longest one three times that
 NEW_REST = 6.0  # s after which another level is a new rest, twice the longest of these pulses
 
-# Of the range of a signal: how far it may move at rest. Ripple on sticks and trim drift are below a hundredth.
+# Of the range of a signal: how far it may move at rest. Ripple on sticks and trim drift are below a
+# hundredth.
 AT_REST = 0.02
 NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
 
-# Of the longest pulse: shorter ones are overshoots, and shorter ways from one to the next no pause, as actuators and
-# hands take time.
+# Of the longest pulse: shorter ones are overshoots, and shorter ways from one to the next no pause,
+# as actuators and hands take time.
 BRIEF, PAUSE = 0.2, 0.6
 STRONG = 0.1  # of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited
 HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
@@ -61,18 +63,20 @@ class _Rest(NamedTuple):
     ends: float
 
 
-def find_manoeuvres(data: Recording | Record, signal: str | Sequence[str] = ()) -> tuple[Segment, ...]:
+def find_manoeuvres(
+    data: Recording | Record, signal: str | Sequence[str] = ()
+) -> tuple[Segment, ...]:
     """Return the manoeuvres in the inputs of a flight, in order of time.
 
-    Their kind is that of their pulses: "2-1-1", "3-2-1-1", "doublet", "pulse", "step", or "stick input" for any other.
-    Sines and sweeps are no manoeuvres, see `find_segments`.
+    Their kind is that of their pulses: "2-1-1", "3-2-1-1", "doublet", "pulse", "step", or "stick
+    input" for any other. Sines and sweeps are no manoeuvres, see `find_segments`.
 
     Parameters
     ----------
     data : Recording or Record
     signal : str or sequence of str
-        Signals to search, such as ``"RCIN.C2"``; by default the sticks of a log or, where it has none, setpoints, and
-        the controls of a record.
+        Signals to search, such as ``"RCIN.C2"``; by default the sticks of a log or, where it has
+        none, setpoints, and the controls of a record.
 
     Raises
     ------
@@ -90,14 +94,18 @@ def find_manoeuvres(data: Recording | Record, signal: str | Sequence[str] = ()) 
         for piece in record.pieces:
             known = np.isfinite(piece[field])
             values = piece[field][known]
-            runs = manoeuvres_in(piece.time[known], np.unwrap(values, period=turn) if turn else values)
+            runs = manoeuvres_in(
+                piece.time[known], np.unwrap(values, period=turn) if turn else values
+            )
             found += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]
     return tuple(sorted(found, key=lambda s: (s.start, s.axis)))
 
 
 def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     """Return the manoeuvres in one signal, (n,) arrays."""
-    if time.size < 2 or not 1e-100 < np.ptp(values) < 1e100:  # squares must neither vanish nor overflow
+    if (
+        time.size < 2 or not 1e-100 < np.ptp(values) < 1e100
+    ):  # squares must neither vanish nor overflow
         return []
     low, high = np.quantile(values, [0.001, 0.999])
     noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
@@ -141,9 +149,13 @@ def _is_reached(time: Array, rests: Sequence[_Rest], k: int, end: int, drift: fl
     return returned or end == len(rests) - 1 or bool(time[rest.last] - time[rest.first] > NEW_REST)
 
 
-def _named(time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float) -> Segment | None:
+def _named(
+    time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
+) -> Segment | None:
     """Return what lies between two rests; None for less than the noise, and for sines and sweeps."""
-    rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)  # noise lets rests overlap
+    rows = slice(
+        min(before.last, after.first), max(before.last, after.first) + 1
+    )  # noise lets rests overlap
     deviation = values[rows] - before.ends
     change = after.begins - before.ends
     returned = abs(change) <= 2 * drift
@@ -198,12 +210,16 @@ def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
         unit = sum(durations) / sum(pattern)
         if len(pattern) != len(durations) or not unit > 0:
             continue
-        if all(abs(d / (unit * n) - 1) <= OFF_PATTERN for d, n in zip(durations, pattern, strict=True)):
+        if all(
+            abs(d / (unit * n) - 1) <= OFF_PATTERN for d, n in zip(durations, pattern, strict=True)
+        ):
             return name
     return OTHER
 
 
-def _segment(time: Array, values: Array, before: _Rest, after: _Rest, kind: str, amplitude: float) -> Segment:
+def _segment(
+    time: Array, values: Array, before: _Rest, after: _Rest, kind: str, amplitude: float
+) -> Segment:
     start, end = float(time[before.last]), float(time[after.first])
     return Segment(
         start,
@@ -215,7 +231,9 @@ def _segment(time: Array, values: Array, before: _Rest, after: _Rest, kind: str,
     )
 
 
-def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) -> tuple[float, float]:
+def _band(
+    time: Array, values: Array, before: _Rest, after: _Rest, kind: str
+) -> tuple[float, float]:
     """Return the frequencies, rad/s, at which the input is strong: its derivative, of a step.
 
     From one period over the manoeuvre and the second of rest on both sides.
@@ -237,7 +255,9 @@ def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) ->
     strong = np.flatnonzero(size >= STRONG * size.max())
     # Up to the first hole beyond which nothing is strong for an octave.
     weak = np.flatnonzero(np.diff(strong) > 1)
-    stop = next((strong[k] for k in weak if omega[strong[k + 1]] > 2 * omega[strong[k]]), strong[-1])
+    stop = next(
+        (strong[k] for k in weak if omega[strong[k + 1]] > 2 * omega[strong[k]]), strong[-1]
+    )
     return low, float(max(omega[stop], 2 * low))
 
 
@@ -246,7 +266,9 @@ def _usual_inputs(data: Recording | Record) -> list[str]:
     if isinstance(data, Record):
         return [name for name in (*SETPOINTS, *CONTROLS) if name in data.signals]
     fields = {f"{key}.{name}" for key, record in data.items() for name in record.signals}
-    table = set(next(iter(data.values())).signals) if len(data) == 1 else set()  # its columns go by their bare names
+    table = (
+        set(next(iter(data.values())).signals) if len(data) == 1 else set()
+    )  # its columns go by their bare names
     sticks = [name for name in STICKS if name in fields]
     return sticks or [name for name in (*SETPOINTS, *CONTROLS) if name in fields | table]
 

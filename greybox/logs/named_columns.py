@@ -20,9 +20,13 @@ def with_columns(log: Recording, columns: Mapping[str, str]) -> Recording:
         If a column is not there, or its unit is not known.
     """
     if len(log) != 1:
-        raise ValueError(f"{log.source} has {len(log)} messages, and --columns names the columns of one table.")
+        raise ValueError(
+            f"{log.source} has {len(log)} messages, and --columns names the columns of one table."
+        )
     ((key, record),) = log.items()
-    header = [f"{name} [{unit}]" if (unit := record.units.get(name)) else name for name in record.signals]
+    header = [
+        f"{name} [{unit}]" if (unit := record.units.get(name)) else name for name in record.signals
+    ]
     signals: dict[str, Any] = {}
     units: dict[str, str] = {}
     hold: dict[str, float] = {}

@@ -17,14 +17,17 @@ from greybox.logs.flight_controllers import passed_filters
 
 Array = NDArray[np.float64]
 
-# Of the new rate: the anti-alias filter passes up to the first and stops from the second, the new Nyquist frequency. A
-# wider pass band takes more samples from the ends of a stretch: the filter has 5.0 / (STOP - PASS) new samples.
+# Of the new rate: the anti-alias filter passes up to the first and stops from the second, the new
+# Nyquist frequency. A wider pass band takes more samples from the ends of a stretch: the filter has
+# 5.0 / (STOP - PASS) new samples.
 PASS = 0.35
 STOP = 0.5
 ATTENUATION = 80.0  # dB: 1e-4 of the amplitude of what would be aliased
 
 SAME_RATE = 0.95  # of the source's rate, from which no filter is applied: it would change only the uppermost 5 %
-FASTEST = 10  # times the rate of the fastest signal, beyond which `rate` is refused as a mistake in units
+FASTEST = (
+    10  # times the rate of the fastest signal, beyond which `rate` is refused as a mistake in units
+)
 
 
 @dataclass(frozen=True)
@@ -44,14 +47,19 @@ def horizontal_velocity(
 ) -> Derived:
     """Return the horizontal velocity along a body axis, for `prepare`, from north and east velocity and the yaw angle.
 
-    "pitch" and "roll" are the paper's v, which grows with a positive tilt angle: a nose that goes up accelerates
-    backward, so that it is the negative of "forward"; with the right side down it accelerates to the "right".
+    "pitch" and "roll" are the paper's v, which grows with a positive tilt angle: a nose that goes
+    up accelerates backward, so that it is the negative of "forward"; with the right side down it
+    accelerates to the "right".
     """
     if axis in ("pitch", "forward"):
         sign = -1 if axis == "pitch" else 1
-        return Derived((north, east, yaw), lambda n, e, psi: sign * (n * np.cos(psi) + e * np.sin(psi)), "m/s")
+        return Derived(
+            (north, east, yaw), lambda n, e, psi: sign * (n * np.cos(psi) + e * np.sin(psi)), "m/s"
+        )
     if axis in ("roll", "right"):
-        return Derived((north, east, yaw), lambda n, e, psi: e * np.cos(psi) - n * np.sin(psi), "m/s")
+        return Derived(
+            (north, east, yaw), lambda n, e, psi: e * np.cos(psi) - n * np.sin(psi), "m/s"
+        )
     raise ValueError(f"axis {axis!r} is not known: use 'pitch', 'roll', 'forward' or 'right'.")
 
 
@@ -75,17 +83,18 @@ def prepare(
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
 
-    Angles are unwrapped and units become SI, see `greybox.data.units`; the findings name those that did not, since they
-    are not known or may mean two things. A signal without a unit remains as it is. Where a signal is sampled faster
-    than `rate`, a zero-phase anti-alias filter comes first (flat to 0.35 of the new rate). Nothing is interpolated
-    across a gap: there the record has a gap itself, and `Record.pieces` are the stretches between.
+    Angles are unwrapped and units become SI, see `greybox.data.units`; the findings name those that
+    did not, since they are not known or may mean two things. A signal without a unit remains as it
+    is. Where a signal is sampled faster than `rate`, a zero-phase anti-alias filter comes first
+    (flat to 0.35 of the new rate). Nothing is interpolated across a gap: there the record has a gap
+    itself, and `Record.pieces` are the stretches between.
 
-    Angles of ArduPilot that the log cuts to whole hundredths of a degree get the lost half of one, see
-    `greybox.logs.ardupilot.truncated_angles`.
+    Angles of ArduPilot that the log cuts to whole hundredths of a degree get the lost half of one,
+    see `greybox.logs.ardupilot.truncated_angles`.
 
-    A signal that is held from sample to sample, as the output of a controller, remains so at its own rate or above:
-    each new sample is its mean until the next one. Below its rate the filter takes the steps away, and
-    `Record.hold` keeps for how long they lasted.
+    A signal that is held from sample to sample, as the output of a controller, remains so at its
+    own rate or above: each new sample is its mean until the next one. Below its rate the filter
+    takes the steps away, and `Record.hold` keeps for how long they lasted.
 
     Parameters
     ----------
@@ -102,12 +111,14 @@ def prepare(
     interpolation : "cubic" or "linear"
         Between samples of signals that are not held.
     held : sequence of str
-        New names of the signals that are held until their next sample, where the log does not say so itself.
+        New names of the signals that are held until their next sample, where the log does not say
+        so itself.
 
     Returns
     -------
     Record
-        With `checksum`, `source` and `metadata` of the recording, and the known filters and holds of each signal.
+        With `checksum`, `source` and `metadata` of the recording, and the known filters and holds
+        of each signal.
 
     Raises
     ------
@@ -130,10 +141,17 @@ def prepare(
     held = (held,) if isinstance(held, str) else held
     unknown = [name for name in held if name not in signals]
     if unknown:
-        raise ValueError(f"held names {unknown[0]!r}, which is not among the signals {', '.join(signals)}.")
+        raise ValueError(
+            f"held names {unknown[0]!r}, which is not among the signals {', '.join(signals)}."
+        )
 
-    needed = {name: item.inputs if isinstance(item, Derived) else (item,) for name, item in signals.items()}
-    sources = {name: _source(recording, name, start, end) for names in needed.values() for name in names}
+    needed = {
+        name: item.inputs if isinstance(item, Derived) else (item,)
+        for name, item in signals.items()
+    }
+    sources = {
+        name: _source(recording, name, start, end) for names in needed.values() for name in names
+    }
     for name in {source for signal in held for source in needed[signal]}:
         sources[name] = replace(sources[name], hold=HELD)
     grid = _grid(sources, rate, start, end)
@@ -150,7 +168,9 @@ def prepare(
     for name, item in signals.items():
         columns = [sampled[source][keep] for source in needed[name]]
         values[name] = item.compute(*columns) if isinstance(item, Derived) else columns[0]
-        units[name] = (item.unit if isinstance(item, Derived) else "") or sources[needed[name][0]].unit
+        units[name] = (item.unit if isinstance(item, Derived) else "") or sources[
+            needed[name][0]
+        ].unit
     record = Record(
         grid[keep],
         values,
@@ -159,9 +179,15 @@ def prepare(
         source=recording.source,
         checksum=recording.checksum,
         metadata=recording.metadata,
-        hold={n: h for n, names in needed.items() if (h := _known_hold([sources[s] for s in names], grid)) is not None},
+        hold={
+            n: h
+            for n, names in needed.items()
+            if (h := _known_hold([sources[s] for s in names], grid)) is not None
+        },
         filters={n: f for n, names in needed.items() if (f := _known_filters(recording, names))},
-        findings=tuple(dict.fromkeys(text for source in sources.values() for text in source.findings)),
+        findings=tuple(
+            dict.fromkeys(text for source in sources.values() for text in source.findings)
+        ),
     )
     return record if detrend == "none" else _detrended(record, detrend)
 
@@ -200,7 +226,9 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     time = record.time[known]
     values = record[field][known]
     if time.size < 2:
-        raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
+        raise ValueError(
+            f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base."
+        )
     unit = record.units.get(field, "")
     findings = record.findings
     try:
@@ -219,7 +247,9 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
 
 def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:
     if math.isnan(start) or math.isnan(end):
-        raise ValueError(f"start {start} and end {end} must be numbers of seconds on the log's clock.")
+        raise ValueError(
+            f"start {start} and end {end} must be numbers of seconds on the log's clock."
+        )
     first = max(start, *(source.time[0] for source in sources.values()))
     last = min(end, *(source.time[-1] for source in sources.values()))
     if rate is None:
@@ -233,8 +263,12 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
         )
     count = math.floor((last - first) * rate + 1e-6) + 1
     if count < 2:
-        spans = "; ".join(f"{n} from {s.time[0]:.1f} to {s.time[-1]:.1f} s" for n, s in sources.items())
-        raise ValueError(f"the signals do not overlap in time ({spans}): check start, end and the messages.")
+        spans = "; ".join(
+            f"{n} from {s.time[0]:.1f} to {s.time[-1]:.1f} s" for n, s in sources.items()
+        )
+        raise ValueError(
+            f"the signals do not overlap in time ({spans}): check start, end and the messages."
+        )
     return first + np.arange(count) / rate
 
 
@@ -243,7 +277,9 @@ def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
     result = np.full(grid.size, np.nan)
     rate = _rate(grid)
     cuts = np.flatnonzero(np.diff(source.time) > GAP * source.step) + 1
-    for time, values in zip(np.split(source.time, cuts), np.split(source.values, cuts), strict=True):
+    for time, values in zip(
+        np.split(source.time, cuts), np.split(source.values, cuts), strict=True
+    ):
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
         if time.size < 2 or not inside.any():
             continue
@@ -251,7 +287,11 @@ def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
         if source.is_held and not source.is_filtered(rate):
             result[inside] = _held_mean(time, values, here, 1 / rate)
             continue
-        smooth = _low_passed(time, values, source.step, rate) if source.is_filtered(rate) else (time, values)
+        smooth = (
+            _low_passed(time, values, source.step, rate)
+            if source.is_filtered(rate)
+            else (time, values)
+        )
         result[inside] = _interpolated(*smooth, here, interpolation)
     return result
 
@@ -290,7 +330,9 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     samples = np.interp(uniform, time, values)
     nyquist = 0.5 / step
     taps, beta = kaiserord(ATTENUATION, (STOP - PASS) * rate / nyquist)
-    taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)  # odd, and no longer than the reflection can feed
+    taps = min(
+        taps | 1, 2 * ((samples.size - 1) // 2) + 1
+    )  # odd, and no longer than the reflection can feed
     window: Any = ("kaiser", beta)
     kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=window, fs=2 * nyquist)
     half = taps // 2
@@ -304,7 +346,9 @@ def _detrended(record: Record, how: str) -> Record:
     columns: dict[str, list[Array]] = {name: [] for name in record.signals}
     for piece in record.pieces:
         for name, values in piece.signals.items():
-            line = np.polyfit(piece.time - piece.time[0], values, 0 if how == "mean" or len(piece) < 3 else 1)
+            line = np.polyfit(
+                piece.time - piece.time[0], values, 0 if how == "mean" or len(piece) < 3 else 1
+            )
             columns[name].append(values - np.polyval(line, piece.time - piece.time[0]))
     signals = {name: np.concatenate(parts) for name, parts in columns.items()}
     return replace(record, signals=signals)

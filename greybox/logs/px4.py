@@ -1,7 +1,8 @@
 """What PX4 does to signals and tests: the signals of an axis, and the filters of the gyro.
 
-Sources: the topics at https://docs.px4.io/main/en/msg_docs/; IMU_GYRO_CUTOFF, IMU_GYRO_NF0_FRQ, IMU_GYRO_NF0_BW and
-IMU_DGYRO_CUTOFF at https://docs.px4.io/main/en/advanced_config/parameter_reference; LowPassFilter2p.hpp and
+Sources: the topics at https://docs.px4.io/main/en/msg_docs/; IMU_GYRO_CUTOFF, IMU_GYRO_NF0_FRQ,
+IMU_GYRO_NF0_BW and IMU_DGYRO_CUTOFF at
+https://docs.px4.io/main/en/advanced_config/parameter_reference; LowPassFilter2p.hpp and
 NotchFilter.hpp of the firmware, for what they mean.
 """
 
@@ -12,8 +13,8 @@ from greybox.logs.known_filters import KnownFilter, LowPass, Notch
 FILTERED = ("vehicle_angular_velocity",)  # topics behind the filters of the gyro
 COMPLETE = 200.0  # dB: the notch of PX4 takes all at its center
 
-# Torque setpoints are from version 1.13 on, actuator controls before. Angles are those that the reader computes from
-# quaternions.
+# Torque setpoints are from version 1.13 on, actuator controls before. Angles are those that the
+# reader computes from quaternions.
 AXES = {
     axis: AxisSignals(
         controls=(f"vehicle_torque_setpoint.xyz[{k}]", f"actuator_controls_0.control[{k}]"),
@@ -46,6 +47,13 @@ def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
     for name, key in (("gyro-filter", "IMU_GYRO_CUTOFF"), ("d-term-filter", "IMU_DGYRO_CUTOFF")):
         cutoff = parameters.get(key, 0)
         found |= {name: (LowPass(float(cutoff)),)} if cutoff > 0 else {}
-    pairs = [(parameters.get(f"IMU_GYRO_NF{k}_FRQ", 0), parameters.get(f"IMU_GYRO_NF{k}_BW", 0)) for k in (0, 1)]
-    notches = tuple(Notch(float(center), center / width, COMPLETE) for center, width in pairs if center > 0 < width)
+    pairs = [
+        (parameters.get(f"IMU_GYRO_NF{k}_FRQ", 0), parameters.get(f"IMU_GYRO_NF{k}_BW", 0))
+        for k in (0, 1)
+    ]
+    notches = tuple(
+        Notch(float(center), center / width, COMPLETE)
+        for center, width in pairs
+        if center > 0 < width
+    )
     return found | ({"gyro-notch": notches} if notches else {})

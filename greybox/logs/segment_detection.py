@@ -26,13 +26,15 @@ SETPOINTS = (  # searched when none is named
 PAUSE = 1.0  # s without its announcement end a test, or five intervals of a slow message
 EDGE = 0.1  # s: times of start and end, from messages and modes, are logged no more often than ten times a second
 
-# A test ended early if it has both less than half of the median number of periods and less than 3/4 of the median
-# duration: sines of low frequency have fewer periods, those of high frequency less time.
+# A test ended early if it has both less than half of the median number of periods and less than 3/4
+# of the median duration: sines of low frequency have fewer periods, those of high frequency less
+# time.
 EARLY_PERIODS = 0.5
 EARLY_DURATION = 0.75
 
-# Of the travel of a stick, in the unit of its message, peak to peak: a stick at rest wanders by 1 to 5 µs, a dead zone
-# is of 20 to 30 µs, and a stick that flies a sine that can be told from gusts moves by more than that.
+# Of the travel of a stick, in the unit of its message, peak to peak: a stick at rest wanders by 1
+# to 5 µs, a dead zone is of 20 to 30 µs, and a stick that flies a sine that can be told from gusts
+# moves by more than that.
 STICK_MOVES = 0.05
 STICK_TRAVEL = {"RCIN": 1000.0, "manual_control_setpoint": 2.0}
 
@@ -47,8 +49,9 @@ def find_segments(
 ) -> tuple[Segment, ...]:
     """Return the excited segments of a flight, in order of time.
 
-    They are searched in this order: runs of ArduPilot's System Identification mode (messages SIDS and SIDD); tests
-    announced in `message`; if neither gave anything, sines and sweeps in the setpoint itself.
+    They are searched in this order: runs of ArduPilot's System Identification mode (messages SIDS
+    and SIDD); tests announced in `message`; if neither gave anything, sines and sweeps in the
+    setpoint itself.
 
     Parameters
     ----------
@@ -57,21 +60,25 @@ def find_segments(
     message : str
         Message that announces a sine test while it runs.
     fields : mapping
-        The fields of that message: keys ``omega`` (rad/s) or ``frequency`` (Hz), and, if there are such
-        fields, ``segment`` (number of the test), ``axis``, ``amplitude``, ``offset``. Default: `ANNOUNCED`, as far as
-        the message has them. A test ends where one of these changes, or where the message pauses for a second.
+        The fields of that message: keys ``omega`` (rad/s) or ``frequency`` (Hz), and, if there are
+        such fields, ``segment`` (number of the test), ``axis``, ``amplitude``, ``offset``. Default:
+        `ANNOUNCED`, as far as the message has them. A test ends where one of these changes, or
+        where the message pauses for a second.
     setpoint : str or sequence of str
         Signals to search for sines, ``"ATT.DesPitch"``; default: those of `SETPOINTS` that exist.
 
     Raises
     ------
     KeyError, ValueError
-        If the message, a field or a setpoint that was named does not exist; the sentence says what there is.
+        If the message, a field or a setpoint that was named does not exist; the sentence says what
+        there is.
     """
     if isinstance(data, Record):
         require_time(data, "a test segment")
     else:
-        data = replace(data, records={name: record for name, record in data.items() if record.has_time})
+        data = replace(
+            data, records={name: record for name, record in data.items() if record.has_time}
+        )
     segments = _system_identification(data)
     if message or (fields and isinstance(data, Record)):
         segments += _announced(data, message, fields)
@@ -88,7 +95,10 @@ def _system_identification(data: Recording | Record) -> list[Segment]:
         return []
     settings = data["SIDS"]
     ends = [*settings.time[1:].tolist(), math.inf]
-    runs = [{name: float(values[k]) for name, values in settings.signals.items()} for k in range(len(ends))]
+    runs = [
+        {name: float(values[k]) for name, values in settings.signals.items()}
+        for k in range(len(ends))
+    ]
     return [
         _one_run(data, float(start) + SYSTEMID_DELAY, end, run)
         for start, end, run in zip(settings.time, ends, runs, strict=True)
@@ -126,17 +136,25 @@ def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, st
     during = time[(time >= start) & (time <= until)]
     last = float(during[-1]) if during.size else start
     for moment, text in data.metadata.get("texts", ()):
-        if start < moment < min(until, last) and text.startswith(("SystemID Stop", "SystemID Land", "SystemID Par")):
+        if start < moment < min(until, last) and text.startswith(
+            ("SystemID Stop", "SystemID Land", "SystemID Par")
+        ):
             return float(moment), f" ({text})"
     return last, ""
 
 
-def _announced(data: Recording | Record, message: str, fields: Mapping[str, str] | None) -> list[Segment]:
+def _announced(
+    data: Recording | Record, message: str, fields: Mapping[str, str] | None
+) -> list[Segment]:
     record = data[message] if isinstance(data, Recording) else data
     chosen = dict(fields) if fields else {k: v for k, v in ANNOUNCED.items() if v in record.signals}
     unknown = set(chosen) - {*ANNOUNCED, "frequency"}
     if unknown or not {"omega", "frequency"} & set(chosen):
-        what = f"{sorted(unknown)[0]!r} is not one of them" if unknown else "neither omega nor frequency is among them"
+        what = (
+            f"{sorted(unknown)[0]!r} is not one of them"
+            if unknown
+            else "neither omega nor frequency is among them"
+        )
         raise ValueError(
             f"the fields of {message or 'the record'} must be given as {', '.join(ANNOUNCED)} or frequency, but {what}"
             f': write fields={{"omega": "W"}}; the message has {", ".join(record.signals)}.'
@@ -145,7 +163,9 @@ def _announced(data: Recording | Record, message: str, fields: Mapping[str, str]
     if "frequency" in columns:
         columns["omega"] = 2 * np.pi * columns.pop("frequency")
     unit = record.units.get(chosen.get("amplitude", ""), "")
-    return [_one_test(record, rows, columns, unit, message) for rows in _tests(record.time, columns)]
+    return [
+        _one_test(record, rows, columns, unit, message) for rows in _tests(record.time, columns)
+    ]
 
 
 def _tests(time: Array, columns: Mapping[str, Array]) -> list[NDArray[np.intp]]:
@@ -160,7 +180,9 @@ def _tests(time: Array, columns: Mapping[str, Array]) -> list[NDArray[np.intp]]:
     return [rows for rows in groups if rows.size > 1 and columns["omega"][rows[0]] > 0]
 
 
-def _one_test(record: Record, rows: NDArray[np.intp], columns: Mapping[str, Array], unit: str, message: str) -> Segment:
+def _one_test(
+    record: Record, rows: NDArray[np.intp], columns: Mapping[str, Array], unit: str, message: str
+) -> Segment:
     value = {key: float(values[rows[0]]) for key, values in columns.items()}
     return Segment(
         start=float(record.time[rows[0]]),
@@ -183,7 +205,9 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
         texts.append("barely excited: the amplitude is 0")
     stick = _moving_stick(segment, data) if segment.source.startswith("setpoint ") else ""
     if stick:
-        texts.append(f"flown by hand: the stick {stick} moves with it, and a hand has no one frequency")
+        texts.append(
+            f"flown by hand: the stick {stick} moves with it, and a hand has no one frequency"
+        )
     for moment, mode in data.metadata.get("modes", ()):
         if segment.start + EDGE < moment < segment.end - EDGE and segment.source != "SIDS":
             texts.append(f"the mode changed to {mode} at {moment:.1f} s, during the test")
@@ -196,13 +220,23 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
     sticks = AXES[axis].sticks if axis and isinstance(data, Recording) else ()
     for stick in sticks:
         message, _, field = stick.rpartition(".")
-        if not isinstance(data, Recording) or message not in data or field not in data[message].signals:
+        if (
+            not isinstance(data, Recording)
+            or message not in data
+            or field not in data[message].signals
+        ):
             continue
         record = data[message]
         during = (record.time >= segment.start) & (record.time <= segment.end)
-        reach = np.ptp(record[field][np.isfinite(record[field])]) if np.isfinite(record[field]).any() else 0.0
+        reach = (
+            np.ptp(record[field][np.isfinite(record[field])])
+            if np.isfinite(record[field]).any()
+            else 0.0
+        )
         values = record[field][during & np.isfinite(record[field])]
-        if values.size > 2 and np.ptp(values) > STICK_MOVES * max(float(reach), STICK_TRAVEL.get(message, 1.0)):
+        if values.size > 2 and np.ptp(values) > STICK_MOVES * max(
+            float(reach), STICK_TRAVEL.get(message, 1.0)
+        ):
             return stick
     return ""
 
@@ -221,9 +255,13 @@ def _compared(segments: list[Segment]) -> list[Segment]:
             return s
         texts = []
         if s.periods < EARLY_PERIODS * periods and s.duration < EARLY_DURATION * duration:
-            texts.append(f"ended early, after {s.periods:.1f} periods where others have about {periods:.0f}")
+            texts.append(
+                f"ended early, after {s.periods:.1f} periods where others have about {periods:.0f}"
+            )
         if 0 < s.amplitude < BARELY_EXCITED * largest[s.unit]:
-            texts.append(f"barely excited: amplitude {s.amplitude:.3g} where others reach {largest[s.unit]:.3g}")
+            texts.append(
+                f"barely excited: amplitude {s.amplitude:.3g} where others reach {largest[s.unit]:.3g}"
+            )
         return s.refused(*texts) if texts else s
 
     return [compared(s) for s in segments]
@@ -234,7 +272,9 @@ def _usual_setpoints(data: Recording | Record) -> list[str]:
     if isinstance(data, Record):
         return [name for name in SETPOINTS if name in data.signals]
     fields = {f"{key}.{name}" for key, record in data.items() for name in record.signals}
-    table = set(next(iter(data.values())).signals) if len(data) == 1 else set()  # its columns go by their bare names
+    table = (
+        set(next(iter(data.values())).signals) if len(data) == 1 else set()
+    )  # its columns go by their bare names
     return [name for name in SETPOINTS if name in fields | table]
 
 
@@ -244,9 +284,12 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
     unit = record.units.get(field, "")
     turn = whole_turn(unit)
     known = np.isfinite(record[field])
-    # A shorter gap ends no test: what is sought are crossings in time, and one that is lost ends a sine by itself.
+    # A shorter gap ends no test: what is sought are crossings in time, and one that is lost ends a
+    # sine by itself.
     cuts = np.flatnonzero(np.diff(record.time[known]) > max(PAUSE, GAP * record.step)) + 1
-    for time, values in zip(np.split(record.time[known], cuts), np.split(record[field][known], cuts), strict=True):
+    for time, values in zip(
+        np.split(record.time[known], cuts), np.split(record[field][known], cuts), strict=True
+    ):
         found += sines_and_sweeps(time, np.unwrap(values, period=turn) if turn else values)
     return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in found]
 
@@ -262,7 +305,11 @@ def whole_turn(unit: str) -> float:
 
 def announcing(recording: Recording) -> tuple[str, ...]:
     """Return the messages that look like announcements of tests, with the fields of `ANNOUNCED`."""
-    fields = {key: name for key, name in ANNOUNCED.items() if key in ("segment", "omega", "amplitude")}
+    fields = {
+        key: name for key, name in ANNOUNCED.items() if key in ("segment", "omega", "amplitude")
+    }
     return tuple(
-        name for name, record in recording.items() if record.has_time and set(fields.values()) <= set(record.signals)
+        name
+        for name, record in recording.items()
+        if record.has_time and set(fields.values()) <= set(record.signals)
     )

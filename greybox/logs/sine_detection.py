@@ -11,80 +11,93 @@ from greybox.data.test_segment import Segment
 
 Array = NDArray[np.float64]
 
-# What the following constants decide is measured by `benchmarks/signal_constants.py`: "of 20" are pairs of noisy sines,
-# "of 15" clean, offset, quantized or held schedules, "of 24" sweeps, "of 16" signals without a sine.
+# What the following constants decide is measured by `benchmarks/signal_constants.py`: "of 20" are
+# pairs of noisy sines, "of 15" clean, offset, quantized or held schedules, "of 24" sweeps, "of 16"
+# signals without a sine.
 
-# Amplitude of a sine, of the signal's range; a turning point is twice as high. All heights up to half of the range are
-# tried, so that neither noise on a sine nor a large step beside it hides the turning points: with 0.01 alone none of 20
-# is found, with 0.1 alone 13, with 0.5 alone 12 of 15.
+# Amplitude of a sine, of the signal's range; a turning point is twice as high. All heights up to
+# half of the range are tried, so that neither noise on a sine nor a large step beside it hides the
+# turning points: with 0.01 alone none of 20 is found, with 0.1 alone 13, with 0.5 alone 12 of 15.
 LEAST_AMPLITUDE = 0.005
 HEIGHTS = np.array([2 * LEAST_AMPLITUDE, 0.03, 0.1, 0.25, 0.5])
 
-# Of the middle, at least: two periods. With three, sines are found in 5 of 16; nine would do as well for long tests.
+# Of the middle, at least: two periods. With three, sines are found in 5 of 16; nine would do as
+# well for long tests.
 CROSSINGS = 5
 
-# That the next crossing is predicted from. Time grows with its square; from 40 to 4000 the same sines are found.
+# That the next crossing is predicted from. Time grows with its square; from 40 to 4000 the same
+# sines are found.
 MOST_CROSSINGS = 400
 
-# Half periods by which a crossing may be off the line through those before. At 0.1, 18 of 20 are found and 3 of 24
-# sweeps are called sines; at 0.4, 10 of 15, since successive frequencies run into one another.
+# Half periods by which a crossing may be off the line through those before. At 0.1, 18 of 20 are
+# found and 3 of 24 sweeps are called sines; at 0.4, 10 of 15, since successive frequencies run into
+# one another.
 OFF_LINE = 0.2
 
-# One swing over the median of those before: separates sines of one frequency whose amplitudes differ by a factor of two
-# (not of 1.5). At 0.9 to 1.1, 17 of 20 are found.
+# One swing over the median of those before: separates sines of one frequency whose amplitudes
+# differ by a factor of two (not of 1.5). At 0.9 to 1.1, 17 of 20 are found.
 SWING = (0.6, 1.6)
 
-# Half periods; crossings at the ends that are farther off the median line are cut. At 0.01, 14 of 15 are found, at 0.3
-# five.
+# Half periods; crossings at the ends that are farther off the median line are cut. At 0.01, 14 of
+# 15 are found, at 0.3 five.
 TRANSIENT = 0.03
 
-# In a sine, and per period of it, at least: with 40, no schedule is found at 20 rad/s and 100 Hz; from 2 to 16 all are.
+# In a sine, and per period of it, at least: with 40, no schedule is found at 20 rad/s and 100 Hz;
+# from 2 to 16 all are.
 SAMPLES = 8
 
-# Of the variance, at most, of a sine. At 0.015, 15 of 20 are found; at 0.3, sines are found in 6 of 16: a square wave's
-# fundamental leaves 1 - 8/π² = 0.19.
+# Of the variance, at most, of a sine. At 0.015, 15 of 20 are found; at 0.3, sines are found in 6 of
+# 16: a square wave's fundamental leaves 1 - 8/π² = 0.19.
 UNEXPLAINED = 0.15
 
-# Phase at the ends of a piece relative to a straight line, rad, above which the piece is of a sweep. At 0.012, 17 of 20
-# are found; at 0.4, 5 of 24 sweeps are called sines.
+# Phase at the ends of a piece relative to a straight line, rad, above which the piece is of a
+# sweep. At 0.012, 17 of 20 are found; at 0.4, 5 of 24 sweeps are called sines.
 BENT = 0.12
 
-# Of the variance, at most, of a piece of a sweep, of which a bend of b rad leaves 4/45 b² besides the noise: two rad.
+# Of the variance, at most, of a piece of a sweep, of which a bend of b rad leaves 4/45 b² besides
+# the noise: two rad.
 BENT_UNEXPLAINED = 0.5
 
-# Of the amplitude: where the signal is farther off the fitted sine, the sine ends. From 0.005 to 0.15 all ends are
-# found within a half period, at 0.5 those of 10 of 15.
+# Of the amplitude: where the signal is farther off the fitted sine, the sine ends. From 0.005 to
+# 0.15 all ends are found within a half period, at 0.5 those of 10 of 15.
 FOLLOWS = 0.05
 
 SHORTEST = 1.0  # s, of a sine; from 0.1 to 10 s the same are found
 
-# Of a run, that another may cover: at 0.01, neighboring sines suppress each other (11 of 15); from 0.03 to 0.9 none do.
+# Of a run, that another may cover: at 0.01, neighboring sines suppress each other (11 of 15); from
+# 0.03 to 0.9 none do.
 OVERLAP = 0.1
 
-SWEEP_PIECES = 3  # whose frequency moves one way: with two, every change of frequency would be a sweep
+SWEEP_PIECES = (
+    3  # whose frequency moves one way: with two, every change of frequency would be a sweep
+)
 
-# Of the frequencies at the ends of a sweep, at least. At 1.1, 16 of 24 are found as one sweep; at 2, 23, but narrower
-# sweeps are lost.
+# Of the frequencies at the ends of a sweep, at least. At 1.1, 16 of 24 are found as one sweep; at
+# 2, 23, but narrower sweeps are lost.
 SWEEP_RATIO = 1.3
 
-# Half periods at an end of a sweep, from which the next is predicted, and by how much of itself it may be off: the
-# frequency of a logarithmic sweep is linear in the number of half periods, that of a linear one its square.
+# Half periods at an end of a sweep, from which the next is predicted, and by how much of itself it
+# may be off: the frequency of a logarithmic sweep is linear in the number of half periods, that of
+# a linear one its square.
 KNOWN_PERIODS = 4
 OFF_SWEEP = 0.25
 
-# Mean over peak of a half wave, at least: 2/π of a sine, 0.55 of one that fades in from zero, 1/2 of a triangle. Where
-# there is a rest beside another motion it is less.
+# Mean over peak of a half wave, at least: 2/π of a sine, 0.55 of one that fades in from zero, 1/2
+# of a triangle. Where there is a rest beside another motion it is less.
 FULL = 0.45
 
 
 def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
     """Return the sines (two periods at least) and sweeps in one signal, (n,) arrays.
 
-    Half periods end where the signal crosses the middle between turning points, of several least heights. Crossings on
-    one line form a piece. A piece whose fitted sine explains 85 % of the variance is a sine, unless its phase bends;
-    three or more bent pieces in a row, with rising or falling frequency, are a sweep.
+    Half periods end where the signal crosses the middle between turning points, of several least
+    heights. Crossings on one line form a piece. A piece whose fitted sine explains 85 % of the
+    variance is a sine, unless its phase bends; three or more bent pieces in a row, with rising or
+    falling frequency, are a sweep.
     """
-    if time.size < SAMPLES or not 1e-100 < np.ptp(values) < 1e100:  # squares must neither vanish nor overflow
+    if (
+        time.size < SAMPLES or not 1e-100 < np.ptp(values) < 1e100
+    ):  # squares must neither vanish nor overflow
         return []
 
     corners = np.arange(time.size)
@@ -99,7 +112,9 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
 
     kept: list[Segment] = []
     for run in sorted(candidates, key=lambda s: -s.duration):
-        if all(min(run.end, k.end) - max(run.start, k.start) < OVERLAP * run.duration for k in kept):
+        if all(
+            min(run.end, k.end) - max(run.start, k.start) < OVERLAP * run.duration for k in kept
+        ):
             kept.append(run)
     sweeps = [run for run in kept if run.kind == "sweep"]
     alone = [run for run in kept if not any(_part_of(run, sweep) for sweep in sweeps)]
@@ -149,7 +164,9 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
     end = 3  # as few as a line can be extrapolated from and checked
     while end <= crossings.size:
         known = slice(start, end + 1)
-        if end < crossings.size and _continues(crossings[known][-MOST_CROSSINGS:], swings[known][-CROSSINGS:]):
+        if end < crossings.size and _continues(
+            crossings[known][-MOST_CROSSINGS:], swings[known][-CROSSINGS:]
+        ):
             end += 1
             continue
         if end - start >= CROSSINGS:
@@ -202,10 +219,14 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     deviation = np.abs(values - _waves(time - middle, omega, 4) @ c)
     noise = float(np.sqrt(np.mean(deviation[rows] ** 2)))
     unexplained = BENT_UNEXPLAINED if bend > BENT else UNEXPLAINED
-    if amplitude < LEAST_AMPLITUDE * float(np.ptp(values)) or noise**2 > unexplained * (amplitude**2 / 2 + noise**2):
+    if amplitude < LEAST_AMPLITUDE * float(np.ptp(values)) or noise**2 > unexplained * (
+        amplitude**2 / 2 + noise**2
+    ):
         return None
     if bend > BENT:
-        return Segment(start, float(crossings[-1]), "sweep", band=(omega, omega), amplitude=amplitude)
+        return Segment(
+            start, float(crossings[-1]), "sweep", band=(omega, omega), amplitude=amplitude
+        )
 
     off = time[deviation > max(FOLLOWS * amplitude, 4 * noise)]
     first = off[off < start].max(initial=time[0])
@@ -235,7 +256,11 @@ def _sweeps(pieces: list[Segment]) -> list[Segment]:
     for piece in pieces:
         chain = chains[-1] if chains else [piece]
         rising = {b.band[0] > a.band[0] for a, b in pairwise([*chain, piece])}
-        if chains and len(rising) == 1 and piece.start - chain[-1].end < 2 * math.pi / piece.band[0]:
+        if (
+            chains
+            and len(rising) == 1
+            and piece.start - chain[-1].end < 2 * math.pi / piece.band[0]
+        ):
             chain.append(piece)
         else:
             chains.append([piece])
@@ -249,14 +274,21 @@ def _sweeps(pieces: list[Segment]) -> list[Segment]:
 
 
 def _whole(
-    time: Array, values: Array, corners: NDArray[np.intp], crossings: Array, swings: Array, sweep: Segment
+    time: Array,
+    values: Array,
+    corners: NDArray[np.intp],
+    crossings: Array,
+    swings: Array,
+    sweep: Segment,
 ) -> Segment:
     """Return a sweep with its ends, where the frequency changes too fast from one half period to the next for a piece.
 
     The half wave in which a sweep begins or ends, from a rest or to one, is a part of it.
     """
     step = float(np.median(np.diff(time)))
-    first, last = (int(np.argmin(np.abs(crossings - moment))) for moment in (sweep.start, sweep.end))
+    first, last = (
+        int(np.argmin(np.abs(crossings - moment))) for moment in (sweep.start, sweep.end)
+    )
     if last - first <= KNOWN_PERIODS:
         return sweep
 
@@ -268,12 +300,18 @@ def _whole(
         return bool(b > a and np.mean(values[a:b] - middle) / peak > FULL)
 
     def end(k: int, way: int) -> int:
-        while 0 <= k + way < crossings.size and _follows(crossings, swings, k, way, step) and is_full(k, way):
+        while (
+            0 <= k + way < crossings.size
+            and _follows(crossings, swings, k, way, step)
+            and is_full(k, way)
+        ):
             k += way
         return k
 
     first, last = end(first, -1), end(last, 1)
-    start = _first_half_wave(time, values, corners[first], corners[first + 1], crossings[first : first + 3])
+    start = _first_half_wave(
+        time, values, corners[first], corners[first + 1], crossings[first : first + 3]
+    )
     stop = -_first_half_wave(
         -time[::-1],
         values[::-1],
@@ -281,7 +319,10 @@ def _whole(
         time.size - 1 - corners[last],
         -crossings[last - 2 : last + 1][::-1],
     )
-    ends = (crossings[first : first + KNOWN_PERIODS + 1], crossings[last - KNOWN_PERIODS : last + 1][::-1])
+    ends = (
+        crossings[first : first + KNOWN_PERIODS + 1],
+        crossings[last - KNOWN_PERIODS : last + 1][::-1],
+    )
     slow, fast = sorted((_end_frequency(each) for each in ends), key=max)
     return replace(sweep, start=start, end=stop, band=(min(slow), max(fast)))
 
@@ -308,7 +349,9 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
     square = math.sqrt(max(float(_beyond(1.0) @ frequency**2), least**2))
     short, long = sorted((1 / linear, 1 / square))
     period = abs(crossings[k + way] - crossings[k])
-    ratio = swings[k + way] / swings[k]  # 1/2 on the way from a rest, whose middle is not that of the sweep
+    ratio = (
+        swings[k + way] / swings[k]
+    )  # 1/2 on the way from a rest, whose middle is not that of the sweep
     predicted = (1 - OFF_SWEEP) * short - step < period < (1 + OFF_SWEEP) * long + step
     return bool(predicted and SWING[0] < ratio < SWING[1])
 
@@ -316,7 +359,8 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
 def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossings: Array) -> float:
     """Return when the signal left the middle before its first turning point `peak`, whose `other` is the second.
 
-    That is at most as long before the first of the `crossings` as the next half periods let expect; else it is that.
+    That is at most as long before the first of the `crossings` as the next half periods let expect;
+    else it is that.
     """
     middle = (values[peak] + values[other]) / 2
     periods = np.diff(crossings)
@@ -329,8 +373,9 @@ def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossing
 def _part_of(sine: Segment, sweep: Segment) -> bool:
     """Tell whether a "sine" is the slow start or the end of a sweep: short, and next to it.
 
-    The end of a sweep may be far from its last piece when it is very short; a sine of up to four periods, or one of
-    the sweep's own frequencies (within a factor of 1.5) and up to 15 % of its duration, counts as short.
+    The end of a sweep may be far from its last piece when it is very short; a sine of up to four
+    periods, or one of the sweep's own frequencies (within a factor of 1.5) and up to 15 % of its
+    duration, counts as short.
     """
     reach = 0.3 * sweep.duration if sine.duration < 0.05 * sweep.duration else 2 * sine.duration
     near = max(sweep.start - sine.end, sine.start - sweep.end) < reach
@@ -343,4 +388,6 @@ def _waves(x: Array, omega: float, columns: int) -> Array:
     """Return the columns 1, x, sin, cos, x cos, -x sin, x² sin, x² cos, as many as asked for."""
     s = np.sin(omega * x)
     c = np.cos(omega * x)
-    return np.stack([np.ones_like(x), x, s, c, x * c, -x * s, x * x * s, x * x * c][:columns], axis=-1)
+    return np.stack(
+        [np.ones_like(x), x, s, c, x * c, -x * s, x * x * s, x * x * c][:columns], axis=-1
+    )

@@ -13,8 +13,8 @@ from greybox.modeling.pade_delay import pade_exponential
 class Complex(FunctionOfS):
     """A complex number, or a column of them, kept as real and imaginary part.
 
-    The parts are CasADi expressions or numpy arrays. With `pade` set, `exp` is replaced by its Padé approximation of
-    that order: this is how a delay becomes rational without touching the formula.
+    The parts are CasADi expressions or numpy arrays. With `pade` set, `exp` is replaced by its Padé
+    approximation of that order: this is how a delay becomes rational without touching the formula.
     """
 
     def __init__(self, re: Any, im: Any, pade: int | None = None) -> None:

@@ -1,9 +1,10 @@
 """Solving (s I - A) x = b by elimination, in numbers or in expressions.
 
-Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but wherever a leading sub-block of A has
-an eigenvalue at s, as the undamped position and velocity inside a damped system do. So the order of elimination is
-chosen beforehand: the first one that agrees with a pivoted solution in numbers, at sample values of the parameters. The
-characteristic polynomial would need no pivots, but loses all digits when eigenvalues differ by a few decades.
+Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but wherever a leading
+sub-block of A has an eigenvalue at s, as the undamped position and velocity inside a damped system
+do. So the order of elimination is chosen beforehand: the first one that agrees with a pivoted
+solution in numbers, at sample values of the parameters. The characteristic polynomial would need no
+pivots, but loses all digits when eigenvalues differ by a few decades.
 """
 
 from collections.abc import Iterator, Sequence
@@ -44,7 +45,10 @@ def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[
 
 
 def elimination_order(
-    samples: NDArray[np.float64], b: NDArray[np.float64], zero: NDArray[np.bool_], omega: NDArray[np.float64]
+    samples: NDArray[np.float64],
+    b: NDArray[np.float64],
+    zero: NDArray[np.bool_],
+    omega: NDArray[np.float64],
 ) -> tuple[int, ...]:
     """Return the order in which to eliminate.
 
@@ -74,7 +78,9 @@ def elimination_order(
         for order in _orders(n):
             solution = np.stack([v + 0 * s for v in solve(entries, right, s, order)], axis=-1)
             error = np.max(
-                np.nan_to_num(np.abs(solution - exact) / size, nan=1e300), where=np.isfinite(size), initial=0.0
+                np.nan_to_num(np.abs(solution - exact) / size, nan=1e300),
+                where=np.isfinite(size),
+                initial=0.0,
             )
             if error < least:
                 best = order

@@ -62,7 +62,14 @@ class Function:
 
 Expression = Number | Symbol | Sum | Product | Power | Function
 
-RELATIONS = {ca.OP_LT: "<", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠", ca.OP_AND: "and", ca.OP_OR: "or"}
+RELATIONS = {
+    ca.OP_LT: "<",
+    ca.OP_LE: "≤",
+    ca.OP_EQ: "=",
+    ca.OP_NE: "≠",
+    ca.OP_AND: "and",
+    ca.OP_OR: "or",
+}
 FUNCTIONS = {
     ca.OP_LOG: "ln",
     ca.OP_SIN: "sin",
@@ -93,7 +100,9 @@ FUNCTIONS = {
 }
 
 
-def expressions(formula: ca.SX, symbols: Mapping[str, ca.SX], delays: Mapping[str, str]) -> list[Expression]:
+def expressions(
+    formula: ca.SX, symbols: Mapping[str, ca.SX], delays: Mapping[str, str]
+) -> list[Expression]:
     """Return every entry of `formula` (k, 1) as a tree.
 
     `symbols` are those that stand in it, by name; `delays` what some of them are delayed by.
@@ -104,7 +113,13 @@ def expressions(formula: ca.SX, symbols: Mapping[str, ca.SX], delays: Mapping[st
         For an operation that has no way to be written here.
     """
     named: list[Any] = [Symbol(name, delays.get(name, "")) for name in symbols]
-    return walk(formula, ca.vertcat(*symbols.values()), named, lambda constant: _number(float(constant)), _operate)
+    return walk(
+        formula,
+        ca.vertcat(*symbols.values()),
+        named,
+        lambda constant: _number(float(constant)),
+        _operate,
+    )
 
 
 def size(expression: Expression) -> int:
@@ -214,7 +229,9 @@ def _powers(factors: Sequence[Expression]) -> list[Expression]:
     exponents: dict[Expression, float] = {}
     others: list[Expression] = []
     for factor in factors:
-        base, exponent = (factor.base, factor.exponent) if isinstance(factor, Power) else (factor, Number(1.0))
+        base, exponent = (
+            (factor.base, factor.exponent) if isinstance(factor, Power) else (factor, Number(1.0))
+        )
         if isinstance(base, Symbol) and isinstance(exponent, Number):
             if base not in exponents:
                 others.append(base)
@@ -222,7 +239,9 @@ def _powers(factors: Sequence[Expression]) -> list[Expression]:
         elif not isinstance(factor, Number):
             others.append(factor)
     return [
-        Power(factor, Number(exponents[factor])) if isinstance(factor, Symbol) and exponents[factor] != 1 else factor
+        Power(factor, Number(exponents[factor]))
+        if isinstance(factor, Symbol) and exponents[factor] != 1
+        else factor
         for factor in others
     ]
 

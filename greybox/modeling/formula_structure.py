@@ -1,11 +1,12 @@
 """What a formula is made of, read from its operations: the signals in which it is linear, and where it switches.
 
-Derivatives cannot tell: that of a sign, a comparison or a rounding is zero wherever it exists, so a relay would pass
-for a constant. The operations themselves are read, one by one.
+Derivatives cannot tell: that of a sign, a comparison or a rounding is zero wherever it exists, so a
+relay would pass for a constant. The operations themselves are read, one by one.
 
-A switch, sampled, is a step function of whatever moves it, without a slope that a solver could follow, and its error is
-of the order of the interval. So every sampling interval is cut where a switch turns in it: the formula is evaluated in
-the middle of each piece, with the switches held, and the lengths of the pieces carry the slope.
+A switch, sampled, is a step function of whatever moves it, without a slope that a solver could
+follow, and its error is of the order of the interval. So every sampling interval is cut where a
+switch turns in it: the formula is evaluated in the middle of each piece, with the switches held,
+and the lengths of the pieces carry the slope.
 """
 
 from collections.abc import Callable
@@ -36,7 +37,9 @@ class _Term:
 
     def mapped(self, change: Callable[[ca.SX], ca.SX]) -> "_Term":
         """Apply a linear operation."""
-        return _Term({j: change(slope) for j, slope in self.slopes.items()}, change(self.rest), self.moving)
+        return _Term(
+            {j: change(slope) for j, slope in self.slopes.items()}, change(self.rest), self.moving
+        )
 
     def plus(self, other: "_Term") -> "_Term":
         """Add another term."""
@@ -120,20 +123,24 @@ def _resolved(argument: ca.SX, switches: "list[_Switch]") -> ca.SX:
     return argument
 
 
-def interval_mean(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interval: float) -> tuple[ca.SX, ca.SX]:
+def interval_mean(
+    formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interval: float
+) -> tuple[ca.SX, ca.SX]:
     """Return the mean of `formula` (k, 1) over a sampling interval, and that of its product with the time from there.
 
-    In the middle of the interval the signals are `z`, with `slopes`. A switch whose argument hardly moves, as the speed
-    in friction that holds, would turn at once: it takes as long as one whose signals had the slopes `sizes`. The sum of
-    both, over equal intervals and with the end corrections of Euler and Maclaurin where a switch turns, is an integral
-    of third order.
+    In the middle of the interval the signals are `z`, with `slopes`. A switch whose argument hardly
+    moves, as the speed in friction that holds, would turn at once: it takes as long as one whose
+    signals had the slopes `sizes`. The sum of both, over equal intervals and with the end
+    corrections of Euler and Maclaurin where a switch turns, is an integral of third order.
     """
     held, switches = _rough_switches(formula, z)
     slope = ca.jtimes(held, z, slopes)
     turns: list[_Turn] = []
     for switch in switches:
         argument = ca.substitute(
-            switch.argument, _column([s.side for s in switches[: len(turns)]]), _column([t.now for t in turns])
+            switch.argument,
+            _column([s.side for s in switches[: len(turns)]]),
+            _column([t.now for t in turns]),
         )
         turns.append(_turn(argument, z, slopes, sizes, interval))
 
@@ -148,7 +155,9 @@ def interval_mean(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interva
         time = interval * (begin + end) / 2
         length = ca.fmax(end - begin, 0)
         here = ca.vertcat(z + slopes * time, *sides)
-        value, change = ca.substitute([held, slope], [ca.vertcat(z, *[s.side for s in switches])], [here])
+        value, change = ca.substitute(
+            [held, slope], [ca.vertcat(z, *[s.side for s in switches])], [here]
+        )
         ends = interval / 24 * (ca.if_else(begin == -0.5, 1, 0) - ca.if_else(end == 0.5, 1, 0))
         exists = length > 0
         mean += ca.if_else(exists, length * value + ends * change, 0)
@@ -186,7 +195,12 @@ def _turn(argument: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interval: floa
     time = -argument * upward / (interval * ca.sqrt(slope**2 + least + TINY))
     now = ca.if_else(argument >= 0, 1, -1)
     turns = ca.fabs(time) < 0.5
-    return _Turn(ca.if_else(turns, time, 0.5), ca.if_else(turns, -upward, now), ca.if_else(turns, upward, now), now)
+    return _Turn(
+        ca.if_else(turns, time, 0.5),
+        ca.if_else(turns, -upward, now),
+        ca.if_else(turns, upward, now),
+        now,
+    )
 
 
 def _rough_switches(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, list[_Switch]]:
@@ -202,33 +216,49 @@ def _rough_switches(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, list[_Switch]]:
         else:
             held = ca.substitute(held, switch.side, ca.if_else(switch.argument >= 0, 1, -1))
             rough = [
-                _Switch(ca.substitute(other.argument, switch.side, ca.if_else(switch.argument >= 0, 1, -1)), other.side)
+                _Switch(
+                    ca.substitute(
+                        other.argument, switch.side, ca.if_else(switch.argument >= 0, 1, -1)
+                    ),
+                    other.side,
+                )
                 for other in rough
             ]
     return held, rough
 
 
-def _is_rough(held: ca.SX, switch: _Switch, switches: list[_Switch], z: ca.SX, *, kinks: bool = True) -> bool:
+def _is_rough(
+    held: ca.SX, switch: _Switch, switches: list[_Switch], z: ca.SX, *, kinks: bool = True
+) -> bool:
     """Tell whether `held` or its slope differ on both sides of a switch, by trying generic points where it turns."""
     jump = ca.substitute(held, switch.side, 1) - ca.substitute(held, switch.side, -1)
     size = ca.fabs(ca.substitute(held, switch.side, 1))
     differences = ca.vertcat(jump, ca.vec(ca.jacobian(jump, z))) if kinks else jump
     sizes = ca.vertcat(size, ca.vec(ca.fabs(ca.jacobian(size, z)))) if kinks else size
-    others = [s for s in ca.symvar(ca.vertcat(held, sizes, switch.argument)) if not ca.depends_on(s, z)]
+    others = [
+        s for s in ca.symvar(ca.vertcat(held, sizes, switch.argument)) if not ca.depends_on(s, z)
+    ]
     sides = [any(ca.is_equal(s, other.side) for other in switches) for s in others]
     function = ca.Function(
-        "sides", [z, ca.vertcat(*others)], [switch.argument, ca.gradient(switch.argument, z), differences, sizes]
+        "sides",
+        [z, ca.vertcat(*others)],
+        [switch.argument, ca.gradient(switch.argument, z), differences, sizes],
     )
     random = np.random.default_rng(0)
     tried = 0
     for _ in range(DRAWS):
         point = random.normal(size=z.numel())
-        given = np.where(sides, random.choice([-1.0, 1.0], len(others)), random.uniform(0.5, 1.5, len(others)))
+        given = np.where(
+            sides, random.choice([-1.0, 1.0], len(others)), random.uniform(0.5, 1.5, len(others))
+        )
         for _ in range(ROOT_STEPS):
             value, gradient = (np.asarray(v).ravel() for v in function(point, given)[:2])
             point = point - value * gradient / max(float(gradient @ gradient), TINY)
         value, _, difference, size = (np.asarray(ca.DM(v)).ravel() for v in function(point, given))
-        if not np.all(np.isfinite(np.concatenate([point, value, difference]))) or abs(value[0]) > SAME:
+        if (
+            not np.all(np.isfinite(np.concatenate([point, value, difference])))
+            or abs(value[0]) > SAME
+        ):
             continue
         tried += 1
         if np.any(np.abs(difference) > SAME * (1 + np.abs(np.nan_to_num(size)))):
@@ -276,7 +306,9 @@ def walk(
         if operation == ca.OP_CONST:
             registers[outputs[0]] = constant(ca.SX(program.instruction_constant(k)))
         elif operation == ca.OP_INPUT:
-            registers[outputs[0]] = symbols[inputs[1]] if inputs[0] == 0 else constant(others[inputs[1]])
+            registers[outputs[0]] = (
+                symbols[inputs[1]] if inputs[0] == 0 else constant(others[inputs[1]])
+            )
         elif operation == ca.OP_OUTPUT:
             results[outputs[1]] = registers[inputs[0]]
         else:
@@ -289,7 +321,8 @@ def _apply(operation: int, terms: list[ca.SX]) -> ca.SX:
     return ca.SX.unary(operation, *terms) if len(terms) == 1 else ca.SX.binary(operation, *terms)
 
 
-# --- what an operation is while its switch is held: the side of an argument, one or minus one, is its sign
+# --- what an operation is while its switch is held: the side of an argument, one or minus one, is
+# its sign
 
 _Side = Callable[[ca.SX], ca.SX]
 

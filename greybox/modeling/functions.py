@@ -1,7 +1,7 @@
 """The functions that formulas are written with: each serves numbers, CasADi expressions and functions of s.
 
-A model writes ``gb.exp(-s * p.T)`` once. Read with numpy arrays it gives numbers; with `Complex`, CasADi expressions of
-real and imaginary part; with `Rational`, numerator, denominator and delay.
+A model writes ``gb.exp(-s * p.T)`` once. Read with numpy arrays it gives numbers; with `Complex`,
+CasADi expressions of real and imaginary part; with `Rational`, numerator, denominator and delay.
 """
 
 from collections.abc import Callable
@@ -15,12 +15,16 @@ from greybox.modeling.function_of_s import FunctionOfS, is_casadi
 g = 9.8065  # m/s², the paper's value, below (4.24)
 
 
-def _function(name: str, casadi: Callable[..., Any], numpy: Callable[..., Any], doc: str) -> Callable[..., Any]:
+def _function(
+    name: str, casadi: Callable[..., Any], numpy: Callable[..., Any], doc: str
+) -> Callable[..., Any]:
     def apply(x: Any) -> Any:
         if isinstance(x, FunctionOfS):
             method = getattr(x, name, None)
             if method is None:
-                raise ValueError(f"{name} of a function of s has no {type(x).__name__.lower()} form.")
+                raise ValueError(
+                    f"{name} of a function of s has no {type(x).__name__.lower()} form."
+                )
             return method()
         return casadi(x) if is_casadi(x) else numpy(x)
 

@@ -1,15 +1,16 @@
 """The response of a nonlinear ODE to a sine of finite amplitude, by harmonic balance.
 
-Every signal is a truncated Fourier series; what the ODE leaves over, sampled along one period, must have no harmonics
-(alternating frequency-time: Cameron and Griffin 1989, Journal of Applied Mechanics 56). Newton's method eliminates the
-harmonics and the implicit function theorem differentiates them, so a solver sees the parameters alone. As unknowns of
-the solver they took it five times as many iterations and cost it a fifth of the starts. Terms that are linear in the
+Every signal is a truncated Fourier series; what the ODE leaves over, sampled along one period, must
+have no harmonics (alternating frequency-time: Cameron and Griffin 1989, Journal of Applied
+Mechanics 56). Newton's method eliminates the harmonics and the implicit function theorem
+differentiates them, so a solver sees the parameters alone. As unknowns of the solver they took it
+five times as many iterations and cost it a fifth of the starts. Terms that are linear in the
 signals are balanced exactly and never sampled: a linear model keeps its linear response.
 
-Where a formula switches, the instants of the switches are unknowns of the samples too: every interval in which a sign,
-a comparison or a rounding turns is cut there (`formula_structure`). Where a state decides a jump, as the speed in dry
-friction, its harmonics fall so slowly that the response is extrapolated, from two numbers of harmonics, to infinitely
-many.
+Where a formula switches, the instants of the switches are unknowns of the samples too: every
+interval in which a sign, a comparison or a rounding turns is cut there (`formula_structure`). Where
+a state decides a jump, as the speed in dry friction, its harmonics fall so slowly that the response
+is extrapolated, from two numbers of harmonics, to infinitely many.
 """
 
 import threading
@@ -32,34 +33,43 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_of
 
-# Samples over one period, at least. Odd, so that a kink such as that of |v| v, sampled at a symmetric orbit, counts as
-# if sampled twice as often; and four a harmonic, for products of up to three signals without aliasing.
+# Samples over one period, at least. Odd, so that a kink such as that of |v| v, sampled at a
+# symmetric orbit, counts as if sampled twice as often; and four a harmonic, for products of up to
+# three signals without aliasing.
 POINTS = 33
-# Of the amplitude, where Newton's method fails at once: from 1/128 of it, where a model is nearly linear, doubled.
+# Of the amplitude, where Newton's method fails at once: from 1/128 of it, where a model is nearly
+# linear, doubled.
 HALVINGS = 7
-# The harmonics, per amplitude, where Newton's method begins: its first step then goes to the linear response. Not zero,
-# where a kink has no slope.
+# The harmonics, per amplitude, where Newton's method begins: its first step then goes to the linear
+# response. Not zero, where a kink has no slope.
 SMALL = 1e-6
 # Tried in turn: each about doubles the last.
 HARMONICS = (1, 3, 7, 15, 31, MOST_HARMONICS)
-ENOUGH = 3e-4  # change of the response by the next number of harmonics, relative, that does not matter
-TOLERANCE = 1e-8  # of the balance, relative to the size of the harmonics: Newton's last step squares it
+ENOUGH = (
+    3e-4  # change of the response by the next number of harmonics, relative, that does not matter
+)
+TOLERANCE = (
+    1e-8  # of the balance, relative to the size of the harmonics: Newton's last step squares it
+)
 SINGULAR = 1e-9  # singular value of the balance, rows scaled to one, that is rounding: it leaves a direction open
-DETERMINED = 1e-7  # part of a condition in the open directions from which it determines one, above rounding
+DETERMINED = (
+    1e-7  # part of a condition in the open directions from which it determines one, above rounding
+)
 # Harmonics below which nothing is extrapolated.
 MOST_SMOOTH = 2
 TINY = 1e-300  # instead of a division by zero
-# Samples over one period where a formula switches, see `formula_structure`: a relay is then exact to 1e-7, a saturation
-# to 2e-5.
+# Samples over one period where a formula switches, see `formula_structure`: a relay is then exact
+# to 1e-7, a saturation to 2e-5.
 SWITCHED_POINTS = 65
-# Of these samples, in intervals: where a sine or its derivative is zero, a switch then is an eighth from an end of an
-# interval at least. At an end it might count in neither of the two, or in both.
+# Of these samples, in intervals: where a sine or its derivative is zero, a switch then is an eighth
+# from an end of an interval at least. At an end it might count in neither of the two, or in both.
 SHIFT = 0.125
 WIDENINGS = 12  # of the width, in steps of two, from one that is most of a period
-# Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows with their cube.
+# Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows
+# with their cube.
 MOST_SCALARS = 9
-# Balances that a thread keeps compiled: every fit asks for the same three or four numbers of harmonics several times,
-# for the response, its curve, and how much more of them change.
+# Balances that a thread keeps compiled: every fit asks for the same three or four numbers of
+# harmonics several times, for the response, its curve, and how much more of them change.
 KEPT = 16
 WIDTH = 0.05  # of a switch whose argument rests there
 
@@ -92,12 +102,18 @@ def harmonic_function(
 
 
 def enough_harmonics(
-    model: Model, omega: NDArray[np.float64], sine: Sine, values: Mapping[str, float] | None = None, **signals: Any
+    model: Model,
+    omega: NDArray[np.float64],
+    sine: Sine,
+    values: Mapping[str, float] | None = None,
+    **signals: Any,
 ) -> Sine:
     """Return the sine with as many harmonics as matter at the values, by default the starts; `MOST_SCALARS` at most."""
     if sine.harmonics is not None:
         return sine
-    _, number = directly_found(model, values, omega, sine, least=HARMONICS[1], most=MOST_SCALARS, **signals)
+    _, number = directly_found(
+        model, values, omega, sine, least=HARMONICS[1], most=MOST_SCALARS, **signals
+    )
     return replace(sine, harmonics=number)
 
 
@@ -113,7 +129,9 @@ def directly_found(
 ) -> tuple[NDArray[np.complex128], int]:
     """Return the response as a fit evaluates it, NaN where no motion is found, and the number of harmonics."""
     vector = list(model.values(values).values())
-    numbers = [n for n in HARMONICS if least <= n <= most] if sine.harmonics is None else [sine.harmonics]
+    numbers = (
+        [n for n in HARMONICS if least <= n <= most] if sine.harmonics is None else [sine.harmonics]
+    )
     last = None
     before = numbers[0]
     response = np.full(omega.size, np.nan + 0j)
@@ -154,8 +172,8 @@ def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64])
 class Equations:
     """What a balance is written from, in plain values, so that equal models and sines have one balance.
 
-    `formulas` is the serialized function (states and inputs, parameters) -> derivative, outputs; `delay` the position
-    of the parameter that delays the input.
+    `formulas` is the serialized function (states and inputs, parameters) -> derivative, outputs;
+    `delay` the position of the parameter that delays the input.
     """
 
     formulas: str
@@ -170,18 +188,24 @@ class Equations:
     pade: int | None
 
     @classmethod
-    def of(cls, model: StateSpace, signal: str, input: str, output: str, pade: int | None) -> "Equations":
+    def of(
+        cls, model: StateSpace, signal: str, input: str, output: str, pade: int | None
+    ) -> "Equations":
         """Read the model."""
         z = ca.SX.sym("z", len(model.states) + len(model.inputs))
         p = ca.SX.sym("p", len(model.parameters))
-        formulas = ca.Function("formulas", [z, p], [traced_derivative(model, z, p), traced_output(model, z, p)])
+        formulas = ca.Function(
+            "formulas", [z, p], [traced_derivative(model, z, p), traced_output(model, z, p)]
+        )
         return cls(
             formulas=formulas.serialize(),
             states=tuple(model.states),
             inputs=model.input_names,
             outputs=model.output_names,
             parameters=len(model.parameters),
-            delay=list(model.parameters).index(model.delays[input]) if input in model.delays else None,
+            delay=list(model.parameters).index(model.delays[input])
+            if input in model.delays
+            else None,
             signal=signal,
             input=input,
             output=output,
@@ -193,13 +217,14 @@ class Equations:
 class Balance:
     """The balance at one frequency, in unknown harmonics per amplitude.
 
-    `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the means of the
-    other inputs, about the operating point, divided by the amplitude; `given` holds parameters, operating point,
-    omega, amplitude and the `WIDTH` of switches; `balance` must vanish; of the conditions `means` on the means as
-    many must vanish as the ODE leaves open; `response` is real and imaginary part; `coefficients` (signals, 2h + 1)
-    are those of states and inputs in their own units; `slopes` gives the derivatives of `balance` and `means` by
-    the unknown. `places` tell signal and coefficient of an unknown, `orders` the square of the harmonic's number,
-    `mirror` -1 for even ones.
+    `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the
+    means of the other inputs, about the operating point, divided by the amplitude; `given` holds
+    parameters, operating point, omega, amplitude and the `WIDTH` of switches; `balance` must
+    vanish; of the conditions `means` on the means as many must vanish as the ODE leaves open;
+    `response` is real and imaginary part; `coefficients` (signals, 2h + 1) are those of states and
+    inputs in their own units; `slopes` gives the derivatives of `balance` and `means` by the
+    unknown. `places` tell signal and coefficient of an unknown, `orders` the square of the
+    harmonic's number, `mirror` -1 for even ones.
     """
 
     harmonics: int
@@ -228,7 +253,11 @@ class Balance:
         parameters = ca.SX.sym("p", equations.parameters)
         rates, read = ca.Function.deserialize(equations.formulas)(symbols, parameters)
         output_names = equations.outputs
-        wanted = [output_names.index(name) for name in (equations.output, equations.signal) if name in output_names]
+        wanted = [
+            output_names.index(name)
+            for name in (equations.output, equations.signal)
+            if name in output_names
+        ]
         formulas = ca.vertcat(rates, *[read[k] for k in wanted])
         at_point = ca.Function("read", [symbols, parameters], [read[wanted[-1]]])
 
@@ -275,12 +304,18 @@ class Balance:
             response=ca.vertcat(first.re, first.im),
             coefficients=series,
             switches=switches,
-            places=np.array([k // columns * (2 * MOST_HARMONICS + 1) + k % columns for k in places.row()]),
-            orders=np.array([max((k % columns + 1) // 2, 1) ** 2 for k in places.row()], dtype=float),
+            places=np.array(
+                [k // columns * (2 * MOST_HARMONICS + 1) + k % columns for k in places.row()]
+            ),
+            orders=np.array(
+                [max((k % columns + 1) // 2, 1) ** 2 for k in places.row()], dtype=float
+            ),
             mirror=np.array([1.0 if (k % columns + 1) // 2 % 2 else -1.0 for k in places.row()]),
             amplitude=amplitude,
             jumps=switches
-            and has_jumps(rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])),
+            and has_jumps(
+                rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])
+            ),
             linear=not ca.depends_on(separated(formulas, symbols)[1], symbols),
             slopes=ca.Function("slopes", [unknown, given], blocks),
         )
@@ -299,8 +334,12 @@ def _places(moving: Sequence[int], rows: int, width: int, held: int | None) -> t
 
     What is `held` to a sine or does not move has a mean alone.
     """
-    where = [k * width + i for k in range(rows) for i in range(width if k in moving and k != held else 1)]
-    places = ca.DM.triplet(where, list(range(len(where))), [1.0] * len(where), rows * width, len(where))
+    where = [
+        k * width + i for k in range(rows) for i in range(width if k in moving and k != held else 1)
+    ]
+    places = ca.DM.triplet(
+        where, list(range(len(where))), [1.0] * len(where), rows * width, len(where)
+    )
     constant = ca.DM(rows * width, 1)
     if held is not None:
         constant[held * width + 1] = 1
@@ -340,25 +379,33 @@ def _harmonics(
     signals = ca.vertcat(*[z[j] for j in used])
     moving = ca.vertcat(*[series[j, :] for j in used])
     switches = has_switches(rest, signals)
-    to_samples, to_series = _transforms(harmonics, *((SWITCHED_POINTS, SHIFT) if switches else (POINTS, 0.0)))
+    to_samples, to_series = _transforms(
+        harmonics, *((SWITCHED_POINTS, SHIFT) if switches else (POINTS, 0.0))
+    )
     points = to_samples.size2()
 
     if switches:
         speeds = moving @ _derivative(harmonics)
         sizes = ca.sqrt(ca.sum2(speeds**2) / 2 + TINY)
-        term = _mean_term(rest, signals, parameters, points).map("terms", "serial", points, [2, 3, 4], [])
+        term = _mean_term(rest, signals, parameters, points).map(
+            "terms", "serial", points, [2, 3, 4], []
+        )
         mean, moment = term(moving @ to_samples, speeds @ to_samples, sizes, width, p)
         found = mean @ to_series + moment @ (to_series @ _derivative(harmonics).T)
     else:
         term = ca.Function("term", [signals, parameters], [rest])
         found = term.map("terms", "serial", points, [1], [])(moving @ to_samples, p) @ to_series
-    scatter = ca.DM.triplet(rows, list(range(len(rows))), [1.0] * len(rows), formulas.numel(), len(rows))
+    scatter = ca.DM.triplet(
+        rows, list(range(len(rows))), [1.0] * len(rows), formulas.numel(), len(rows)
+    )
     return result + scatter @ found, switches
 
 
 def _free_of(rest: ca.SX, z: ca.SX) -> ca.SX:
     """Return the rows that do not depend on z, zero in place of the others."""
-    return ca.vertcat(*[ca.SX(0) if ca.depends_on(rest[k], z) else rest[k] for k in range(rest.numel())])
+    return ca.vertcat(
+        *[ca.SX(0) if ca.depends_on(rest[k], z) else rest[k] for k in range(rest.numel())]
+    )
 
 
 def _mean_term(rest: ca.SX, signals: ca.SX, parameters: ca.SX, points: int) -> ca.Function:
@@ -384,12 +431,17 @@ def _transforms(harmonics: int, least: int, shift: float) -> tuple[ca.DM, ca.DM]
 def _mean_conditions(balance: Balance, given: NDArray[np.float64]) -> tuple[int, ...] | None:
     """Choose what fixes the means: the first conditions that the balance, at some orbit, does not determine already.
 
-    The mean of the sine's own signal comes first. It determines nothing where an integrator follows it, as the angle
-    follows the rate: then that of a state. None where the balance leaves more open.
+    The mean of the sine's own signal comes first. It determines nothing where an integrator follows
+    it, as the angle follows the rate: then that of a state. None where the balance leaves more
+    open.
     """
     generic = np.random.default_rng(0).normal(size=balance.unknown.numel())
-    rows, conditions = (np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, given))
-    rows, conditions = (e / np.maximum(np.linalg.norm(e, axis=1, keepdims=True), TINY) for e in (rows, conditions))
+    rows, conditions = (
+        np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, given)
+    )
+    rows, conditions = (
+        e / np.maximum(np.linalg.norm(e, axis=1, keepdims=True), TINY) for e in (rows, conditions)
+    )
     _, singular, basis = np.linalg.svd(rows)
     open_directions = basis[int(np.sum(singular > SINGULAR)) :]
     chosen: list[int] = []
@@ -405,10 +457,10 @@ def _mean_conditions(balance: Balance, given: NDArray[np.float64]) -> tuple[int,
 class Newton:
     """Newton's method on the balance, by functions of the harmonics and what is given, in this order.
 
-    `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives the response and
-    whether the harmonics are a motion; `linearized` what is left of the balance, its Jacobian and its derivative by the
-    logarithm of the amplitude; `coefficients` (signals, 2h + 1) those of all signals. `guess` finds harmonics from what
-    is given alone.
+    `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
+    the response and whether the harmonics are a motion; `linearized` what is left of the balance,
+    its Jacobian and its derivative by the logarithm of the amplitude; `coefficients` (signals, 2h +
+    1) those of all signals. `guess` finds harmonics from what is given alone.
     """
 
     balance: Balance
@@ -425,11 +477,18 @@ class Newton:
         x = balance.unknown
         equations = ca.vertcat(balance.balance, *[balance.means[k] for k in conditions])
         statement = {"x": x, "p": balance.given, "g": equations}
-        options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
+        options = {
+            "error_on_fail": False,
+            "abstol": 1e-11,
+            "max_iter": 30,
+            "show_eval_warnings": False,
+        }
         size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
         by_logarithm = balance.amplitude * ca.jacobian(equations, balance.amplitude)
         both = [x, balance.given]
-        newton = ca.rootfinder("newton", "newton", statement, {**options, "line_search": False})  # twice as fast
+        newton = ca.rootfinder(
+            "newton", "newton", statement, {**options, "line_search": False}
+        )  # twice as fast
         careful = ca.rootfinder("careful", "newton", statement, options)
         finish = ca.Function("finish", both, [balance.response, size < TOLERANCE])
         return cls(
@@ -437,13 +496,17 @@ class Newton:
             newton=newton,
             careful=careful,
             finish=finish,
-            linearized=ca.Function("linearized", both, [equations, ca.jacobian(equations, x), by_logarithm]),
+            linearized=ca.Function(
+                "linearized", both, [equations, ca.jacobian(equations, x), by_logarithm]
+            ),
             coefficients=ca.Function("coefficients", both, [balance.coefficients]),
             guess=_guess(newton, careful, finish, switches=balance.switches),
         )
 
 
-def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function, *, switches: bool) -> ca.Function:
+def _guess(
+    newton: ca.Function, careful: ca.Function, finish: ca.Function, *, switches: bool
+) -> ca.Function:
     """Return the function from what is given to the harmonics: at once, or else in steps, see `_in_steps`."""
     given: Any = ca.MX.sym("given", newton.numel_in("p"))
     root: Any = ca.MX.sym("root", newton.numel_in("x0"))
@@ -458,17 +521,25 @@ def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function, *, sw
 
 
 def _in_steps(
-    name: str, careful: ca.Function, finish: ca.Function, from_end: int, small: ca.DM, *, give_up: bool
+    name: str,
+    careful: ca.Function,
+    finish: ca.Function,
+    from_end: int,
+    small: ca.DM,
+    *,
+    give_up: bool,
 ) -> ca.Function:
     """Return the function from what is given to the harmonics, from where the model is nearly linear.
 
-    That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its argument. With
-    `give_up` nothing is tried after a step that failed: of masses that mostly stick it loses 4 % of the frequencies and
-    takes a fifth of the time.
+    That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its
+    argument. With `give_up` nothing is tried after a step that failed: of masses that mostly stick
+    it loses 4 % of the frequencies and takes a fifth of the time.
     """
     given: Any = ca.MX.sym("given", careful.numel_in("p"))
     if from_end == 0:
-        steps = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(HALVINGS, -1, -1)]
+        steps = [
+            ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(HALVINGS, -1, -1)
+        ]
     else:
         steps = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(WIDENINGS, -1, -1)]
 
@@ -522,7 +593,9 @@ class CompiledBalance(Newton):
         assert isinstance(model, StateSpace)
         assert sine.harmonics is not None
         trim = trim_of(model, at or {}).closed()
-        balance = _kept.balance(Equations.of(model, sine.signal, input, output, pade), sine.harmonics)
+        balance = _kept.balance(
+            Equations.of(model, sine.signal, input, output, pade), sine.harmonics
+        )
 
         start = [q.start for q in model.parameters.values()]
         point = np.concatenate([np.asarray(part).ravel() for part in trim(start)])
@@ -536,12 +609,18 @@ class CompiledBalance(Newton):
                 "signal that it drives, or check `at`."
             )
         newton = _kept.newton(balance, conditions)
-        return cls(**vars(newton), model=model, sine=sine, trim=trim, driven_directly=sine.signal == input)
+        return cls(
+            **vars(newton), model=model, sine=sine, trim=trim, driven_directly=sine.signal == input
+        )
 
     @property
     def fewer(self) -> int | None:
         """How many harmonics the response is extrapolated from besides these; None where that is not needed."""
-        return (self.harmonics - 1) // 2 if self.balance.jumps and self.harmonics > MOST_SMOOTH else None
+        return (
+            (self.harmonics - 1) // 2
+            if self.balance.jumps and self.harmonics > MOST_SMOOTH
+            else None
+        )
 
     @property
     def harmonics(self) -> int:
@@ -551,8 +630,9 @@ class CompiledBalance(Newton):
     def extrapolated(self, many: Any, few: Any) -> Any:
         """Return the response as its error goes with one over the harmonics, from these and the `fewer`.
 
-        A jump that a state decides, as in friction, puts a kink into that state just where it matters: its harmonics
-        fall with the square of their number, and what is cut off with the number.
+        A jump that a state decides, as in friction, puts a kink into that state just where it
+        matters: its harmonics fall with the square of their number, and what is cut off with the
+        number.
         """
         assert self.fewer is not None
         return many + (many - few) * (self.fewer + 1) / (self.harmonics - self.fewer)
@@ -573,8 +653,11 @@ class CompiledBalance(Newton):
         """Return real and imaginary part of the response, (2, n), for columns of what is given at every frequency."""
         n = given.size2()
         guesses = self.guess.map(n)(given)
-        # Newton's method once more, from its own solution: derivatives then go through this call and leave out the
-        # guess.
-        response, converged = self.finish.map(n)(self.newton.map(n)(x0=guesses, p=given)["x"], given)
-        # A motion that was not found becomes infinite, so that the run that met it fails instead of using it.
+        # Newton's method once more, from its own solution: derivatives then go through this call
+        # and leave out the guess.
+        response, converged = self.finish.map(n)(
+            self.newton.map(n)(x0=guesses, p=given)["x"], given
+        )
+        # A motion that was not found becomes infinite, so that the run that met it fails instead of
+        # using it.
         return response / ca.repmat(converged, 2, 1)

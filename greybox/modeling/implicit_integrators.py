@@ -1,7 +1,8 @@
 """Implicit integrators: stages that a system of equations determines, solved by Newton's method within every step.
 
-A collocation method is an implicit integrator whose stages are left to the solver of the whole problem; both have the
-same solution. So a problem that was solved by collocation is judged by these steps.
+A collocation method is an implicit integrator whose stages are left to the solver of the whole
+problem; both have the same solution. So a problem that was solved by collocation is judged by these
+steps.
 """
 
 from abc import abstractmethod
@@ -13,12 +14,13 @@ import casadi as ca
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.realization import Dynamics
 
-# Largest residual of the stage equations, relative to the largest state, with which a step counts as solved: far above
-# the rounding in which Newton's method ends, and far below what an integrator of any order leaves.
+# Largest residual of the stage equations, relative to the largest state, with which a step counts
+# as solved: far above the rounding in which Newton's method ends, and far below what an integrator
+# of any order leaves.
 SOLVED = 1e-9
 
-# Of Newton's method: what it may leave of the equations, and iterations, of which a step that is short enough needs
-# three or four.
+# Of Newton's method: what it may leave of the equations, and iterations, of which a step that is
+# short enough needs three or four.
 TOLERANCE = 1e-13
 ITERATIONS = 30
 
@@ -36,7 +38,9 @@ class ImplicitIntegrator(Integrator):
         """Number of stages."""
 
     @abstractmethod
-    def equations(self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+    def equations(
+        self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any
+    ) -> Any:
         """Return what must be zero, as many numbers as `stages` (n, stages) has; the others as for `advance`."""
 
     @abstractmethod
@@ -89,7 +93,9 @@ class Radau(ImplicitIntegrator):
         """One at each collocation point."""
         return self.degree
 
-    def equations(self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+    def equations(
+        self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any
+    ) -> Any:
         """Return the slopes of the polynomial through x and the stages less the derivatives, times h."""
         points = ca.collocation_points(self.degree, "radau")
         slopes, _, _ = ca.collocation_coeff(points)

@@ -1,7 +1,8 @@
 """From one sample to the next: fixed-step integrators, compiled as one CasADi function.
 
-Within a step the inputs are linear in time, u(t) = mean + slope · (t / step - 1/2), which holds both a held and an
-interpolated input, delayed by any fraction of a step (see `greybox.compiled.sampled_data`).
+Within a step the inputs are linear in time, u(t) = mean + slope · (t / step - 1/2), which holds
+both a held and an interpolated input, delayed by any fraction of a step (see
+`greybox.compiled.sampled_data`).
 """
 
 from abc import ABC, abstractmethod
@@ -24,9 +25,10 @@ class Integrator(ABC):
     reach : float
         Largest |pole| · step for which a step is stable.
     wave : float
-        Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough to begin with: at
-        0.7 a Runge-Kutta step changes the amplitude by 0.7⁶ / 144 and the phase by 0.7⁵ / 120, which is 0.7 % and 0.013
-        rad in a period; whether that matters is judged by the data.
+        Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough
+        to begin with: at
+        0.7 a Runge-Kutta step changes the amplitude by 0.7⁶ / 144 and the phase by 0.7⁵ / 120,
+        which is 0.7 % and 0.013 rad in a period; whether that matters is judged by the data.
     implicit : bool
         True where a step solves equations by iteration, which CasADi expresses by MX alone.
     """
@@ -59,7 +61,9 @@ class RungeKutta(Integrator):
     """The classical explicit method of order four (Hairer, Nørsett, Wanner: Solving ODEs I, II.1)."""
 
     order: ClassVar[int] = 4
-    reach: ClassVar[float] = 2.7  # its stability region ends at -2.785 on the real and 2.828 j on the imaginary axis
+    reach: ClassVar[float] = (
+        2.7  # its stability region ends at -2.785 on the real and 2.828 j on the imaginary axis
+    )
     name: ClassVar[str] = "RK4"  # type: ignore[misc]
 
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
@@ -77,12 +81,14 @@ class RungeKutta(Integrator):
 class Rosenbrock(Integrator):
     """The linearly implicit, L-stable method Rodas3 of order three, for stiff models.
 
-    Source: Sandu, Verwer, Blom, Spee, Carmichael, Potra (1997), Benchmarking stiff ODE solvers for atmospheric
-    chemistry problems II, Atmospheric Environment 31.
+    Source: Sandu, Verwer, Blom, Spee, Carmichael, Potra (1997), Benchmarking stiff ODE solvers for
+    atmospheric chemistry problems II, Atmospheric Environment 31.
     """
 
     order: ClassVar[int] = 3
-    reach: ClassVar[float] = 50.0  # stable beyond too, but a mode that fast is then no longer followed at all
+    reach: ClassVar[float] = (
+        50.0  # stable beyond too, but a mode that fast is then no longer followed at all
+    )
 
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
         """Return x one step later."""
@@ -90,7 +96,9 @@ class Rosenbrock(Integrator):
         state = ca.SX.sym("x", n)
         input = ca.SX.sym("u", len(system.inputs))
         f = system.derivative(state, input, p)
-        jacobians = ca.Function("jacobians", [state, input, p], [ca.jacobian(f, state), ca.jacobian(f, input)])
+        jacobians = ca.Function(
+            "jacobians", [state, input, p], [ca.jacobian(f, state), ca.jacobian(f, input)]
+        )
         jacobian, by_input = jacobians(x, u, p)
         by_time = by_input @ slope
         matrix = 2 / h * ca.SX.eye(n) - jacobian
@@ -99,7 +107,9 @@ class Rosenbrock(Integrator):
         k1 = ca.solve(matrix, k1)
         k2 = ca.solve(matrix, system.derivative(x, u, p) + 4 / h * k1 + 3 * h / 2 * by_time)
         k3 = ca.solve(matrix, system.derivative(x + 2 * k1, end, p) + (k1 - k2) / h)
-        k4 = ca.solve(matrix, system.derivative(x + 2 * k1 + k3, end, p) + (k1 - k2 - 8 / 3 * k3) / h)
+        k4 = ca.solve(
+            matrix, system.derivative(x + 2 * k1 + k3, end, p) + (k1 - k2 - 8 / 3 * k3) / h
+        )
         return x + 2 * k1 + k3 + k4
 
 

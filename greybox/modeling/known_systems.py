@@ -1,6 +1,7 @@
 """Linear systems whose numbers are known, such as a filter or an actuator, as models.
 
-Their coefficients are parameters that are fixed, so that a problem may free one of them, ``free=["a1"]``.
+Their coefficients are parameters that are fixed, so that a problem may free one of them,
+``free=["a1"]``.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,8 @@ class KnownTransferFunction(TransferFunction):
     input, output : str
         Names of the signals.
     prefix : str
-        Begins the names of the coefficients, ``<prefix>b0`` and so on: where two such models are connected, each needs
-        one of its own.
+        Begins the names of the coefficients, ``<prefix>b0`` and so on: where two such models are
+        connected, each needs one of its own.
 
     Raises
     ------
@@ -52,18 +53,23 @@ class KnownTransferFunction(TransferFunction):
         self.input = input
         self.output = output
         self.parameters = {
-            f"{prefix}{letter}{len(values) - 1 - k}": Parameter(value, fixed=True, about=f"of s^{len(values) - 1 - k}")
+            f"{prefix}{letter}{len(values) - 1 - k}": Parameter(
+                value, fixed=True, about=f"of s^{len(values) - 1 - k}"
+            )
             for letter, values in (("b", b), ("a", a))
             for k, value in enumerate(values)
         }
         self._names = tuple(
-            [f"{prefix}{letter}{k}" for k in reversed(range(len(values)))] for letter, values in (("b", b), ("a", a))
+            [f"{prefix}{letter}{k}" for k in reversed(range(len(values)))]
+            for letter, values in (("b", b), ("a", a))
         )
 
     def response(self, s: Any, p: Any) -> Any:
         """Return the ratio."""
         b, a = self._names
-        return polynomial_value([p[name] for name in b], s) / polynomial_value([p[name] for name in a], s)
+        return polynomial_value([p[name] for name in b], s) / polynomial_value(
+            [p[name] for name in a], s
+        )
 
 
 class KnownStateSpace(StateSpace):
@@ -80,7 +86,8 @@ class KnownStateSpace(StateSpace):
     Raises
     ------
     ValueError
-        For matrices that do not fit together, numbers that are not finite, or names of another number.
+        For matrices that do not fit together, numbers that are not finite, or names of another
+        number.
     """
 
     def __init__(
@@ -96,14 +103,17 @@ class KnownStateSpace(StateSpace):
         prefix: str = "",
     ) -> None:
         given = {
-            name: np.atleast_2d(np.array(value, dtype=float)) for name, value in zip("ABCD", (A, B, C, D), strict=True)
+            name: np.atleast_2d(np.array(value, dtype=float))
+            for name, value in zip("ABCD", (A, B, C, D), strict=True)
         }
         k, m = given["D"].shape
         n = given["A"].shape[0] if given["A"].size else 0
         for name, shape in zip("ABCD", ((n, n), (n, m), (k, n), (k, m)), strict=True):
             given[name] = given[name].reshape(shape) if given[name].size == n == 0 else given[name]
             if given[name].shape != shape:
-                raise ValueError(f"{name} has shape {given[name].shape} where the others need {shape}.")
+                raise ValueError(
+                    f"{name} has shape {given[name].shape} where the others need {shape}."
+                )
             if not np.all(np.isfinite(given[name])):
                 raise ValueError(f"{name} has an entry that is not finite: give finite numbers.")
         self.states = _signal_names(states, "x", n, numbered=True)
@@ -111,10 +121,17 @@ class KnownStateSpace(StateSpace):
         self.outputs = _signal_names(outputs, "y", k)
         self.matrices = given
         plain = [given[name].tolist() for name in "ABCD"]
-        names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs, "prefix": prefix}
+        names = {
+            "states": self.states,
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+            "prefix": prefix,
+        }
         self.arguments = (tuple(plain), names)
         self._names = {
-            name: {(i, j): f"{prefix}{name}_{i + 1}_{j + 1}" for i, j in np.argwhere(matrix).tolist()}
+            name: {
+                (i, j): f"{prefix}{name}_{i + 1}_{j + 1}" for i, j in np.argwhere(matrix).tolist()
+            }
             for name, matrix in given.items()
         }
         self.parameters = {
@@ -144,13 +161,21 @@ def _coefficients(values: Sequence[float], what: str) -> list[float]:
     """Return the coefficients without leading zeros."""
     numbers: NDArray[np.float64] = np.atleast_1d(np.array(values, dtype=float))
     if numbers.ndim != 1 or not numbers.size or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"the {what} is {values!r:.60}: give finite coefficients, highest power of s first.")
+        raise ValueError(
+            f"the {what} is {values!r:.60}: give finite coefficients, highest power of s first."
+        )
     return np.trim_zeros(numbers, "f").tolist() or [0.0]
 
 
-def _signal_names(names: Sequence[str], letter: str, count: int, *, numbered: bool = False) -> tuple[str, ...]:
+def _signal_names(
+    names: Sequence[str], letter: str, count: int, *, numbered: bool = False
+) -> tuple[str, ...]:
     if not names:
-        return (letter,) if count == 1 and not numbered else tuple(f"{letter}{k + 1}" for k in range(count))
+        return (
+            (letter,)
+            if count == 1 and not numbered
+            else tuple(f"{letter}{k + 1}" for k in range(count))
+        )
     if isinstance(names, str) or len(names) != count:
         raise ValueError(f"{names!r:.60} are the names of {count} signals: give as many.")
     return tuple(names)

@@ -22,13 +22,18 @@ class LateSensors(StateSpace):
     ----------
     model : StateSpace
     sensors : (output, "delay" or "lag", (low, high))
-        One for each late output, with the bounds of the parameter ``<output>_delay`` or ``<output>_lag`` in s.
+        One for each late output, with the bounds of the parameter ``<output>_delay`` or
+        ``<output>_lag`` in s.
     """
 
     def __init__(self, model: StateSpace, *sensors: tuple[str, str, tuple[float, float]]) -> None:
         """Add states and parameters."""
         self.model = model
-        self.inputs, self.outputs, self.delays = tuple(model.inputs), tuple(model.outputs), dict(model.delays)
+        self.inputs, self.outputs, self.delays = (
+            tuple(model.inputs),
+            tuple(model.outputs),
+            dict(model.delays),
+        )
         self.units = model.units
         self.parameters = dict(model.parameters)
         self.states = tuple(model.states)
@@ -36,18 +41,27 @@ class LateSensors(StateSpace):
         for output, kind, bounds in sensors:
             low, high = bounds
             if output not in self.outputs:
-                raise ValueError(f"{model.label} has no output {output!r}; it has {', '.join(self.outputs)}.")
+                raise ValueError(
+                    f"{model.label} has no output {output!r}; it has {', '.join(self.outputs)}."
+                )
             if output in self.late:
                 raise ValueError(f"{output!r} has a delay and a lag: give one of them.")
             if not 0 < low < high < math.inf:
-                raise ValueError(f"the {kind} of {output!r} has the bounds {bounds}: give 0 < low < high, in s.")
+                raise ValueError(
+                    f"the {kind} of {output!r} has the bounds {bounds}: give 0 < low < high, in s."
+                )
             name = f"{output}_{kind}"
             added = tuple(f"{name}_{k}" for k in range(1 if kind == "lag" else ORDER))
             for taken in (name, *added):
                 if taken in (*self.parameters, *self.states, *self.inputs):
-                    raise ValueError(f"{model.label} has {taken!r} already, which names the {kind} of {output!r}.")
+                    raise ValueError(
+                        f"{model.label} has {taken!r} already, which names the {kind} of {output!r}."
+                    )
             self.parameters[name] = Parameter(
-                math.sqrt(low * high), bounds=(low, high), unit="s", about=f"{kind} of the sensor of {output}"
+                math.sqrt(low * high),
+                bounds=(low, high),
+                unit="s",
+                about=f"{kind} of the sensor of {output}",
             )
             self.states += added
             self.late[output] = name, added
@@ -114,14 +128,21 @@ def late_sensors(
     ----------
     model : StateSpace
     delays, lags : mapping of output to (low, high)
-        The bounds, in s, of a delay, a Padé approximation of second order, or of the time constant of a lag of first
-        order. They are the parameters ``<output>_delay`` and ``<output>_lag``; a problem may fix them, or tie those of
-        two vanes. A parameter in `StateSpace.delays` is the delay of an input.
+        The bounds, in s, of a delay, a Padé approximation of second order, or of the time constant
+        of a lag of first order. They are the parameters ``<output>_delay`` and ``<output>_lag``; a
+        problem may fix them, or tie those of two vanes. A parameter in `StateSpace.delays` is the
+        delay of an input.
 
     Raises
     ------
     ValueError
         For outputs that the model does not have, and bounds that are not above zero.
     """
-    each = [(name, kind, bounds) for kind, of in (("delay", delays), ("lag", lags)) for name, bounds in of.items()]
-    return LateSensors(model, *((name, kind, (float(low), float(high))) for name, kind, (low, high) in each))
+    each = [
+        (name, kind, bounds)
+        for kind, of in (("delay", delays), ("lag", lags))
+        for name, bounds in of.items()
+    ]
+    return LateSensors(
+        model, *((name, kind, (float(low), float(high))) for name, kind, (low, high) in each)
+    )

@@ -10,8 +10,8 @@ from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.transfer_function import TransferFunction
 
-# Of the size that the parameter had: half of the digits, so that what the limit leaves out and what rounding takes from
-# it are both 1e-8 of what is kept.
+# Of the size that the parameter had: half of the digits, so that what the limit leaves out and what
+# rounding takes from it are both 1e-8 of what is kept.
 BEYOND = 2.0**26
 
 # Bounds of a ratio, times its first value: what would be as good as zero or infinity beside it.
@@ -21,9 +21,9 @@ SPAN = 1e3
 class _AtLimit(Model):
     """A structure in the limit in which a parameter goes to zero or infinity.
 
-    Others may go with it: of each the product or ratio that stays is a parameter in its place, such as
-    ``a1_per_a2`` for a₁/a₂. With a₂ → ∞ and a₁/a₂ and a₃/a₂ kept, a₃ (s + a₄)/((s + a₄)(s + a₂) + a₁) becomes
-    (a₃/a₂)(s + a₄)/(s + a₄ + a₁/a₂): three parameters instead of four.
+    Others may go with it: of each the product or ratio that stays is a parameter in its place, such
+    as ``a1_per_a2`` for a₁/a₂. With a₂ → ∞ and a₁/a₂ and a₃/a₂ kept, a₃ (s + a₄)/((s + a₄)(s + a₂)
+    + a₁) becomes (a₃/a₂)(s + a₄)/(s + a₄ + a₁/a₂): three parameters instead of four.
 
     Parameters
     ----------
@@ -52,7 +52,9 @@ class _AtLimit(Model):
     ) -> None:
         for known in (name, *(member for member, _, _ in kept)):
             if known not in model.parameters:
-                raise ValueError(f"{model.label} has no parameter {known!r}; it has {', '.join(model.parameters)}.")
+                raise ValueError(
+                    f"{model.label} has no parameter {known!r}; it has {', '.join(model.parameters)}."
+                )
         if end not in ("infinity", "zero"):
             raise ValueError(f"end is {end!r}: give 'infinity' or 'zero'.")
         self.model = model
@@ -61,7 +63,9 @@ class _AtLimit(Model):
         self.kept = {member: int(power) for member, power, _ in kept}
         self.value = size * BEYOND if end == "infinity" else size / BEYOND if kept else 0.0
         self.units = model.units
-        self.parameters = {known: p for known, p in model.parameters.items() if known not in (name, *self.kept)}
+        self.parameters = {
+            known: p for known, p in model.parameters.items() if known not in (name, *self.kept)
+        }
         for member, power, value in kept:
             invariant = invariant_name(member, name, power)
             if invariant in self.parameters:
@@ -72,7 +76,11 @@ class _AtLimit(Model):
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
         """Those of what is left."""
         values = Names({name: p.start for name, p in self.parameters.items()})
-        return {name: function for name, function in self.model.derived.items() if _is_defined(function, values)}
+        return {
+            name: function
+            for name, function in self.model.derived.items()
+            if _is_defined(function, values)
+        }
 
     def values_before(self, p: Mapping[str, Any], value: float | None = None) -> dict[str, Any]:
         """Return the values of the model's parameters where the first has a `value`, by default that of the limit."""
@@ -110,8 +118,12 @@ class StateSpaceLimit(_AtLimit, StateSpace):  # type: ignore[misc]
         super().__init__(model, *limit)
         self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
         gone = {self.name, *self.kept}
-        if any(name in gone for name in model.delays.values()) and (self.kept or self.end == "infinity"):
-            raise ValueError(f"{self.name} delays an input of {model.label}: a delay can go to zero alone.")
+        if any(name in gone for name in model.delays.values()) and (
+            self.kept or self.end == "infinity"
+        ):
+            raise ValueError(
+                f"{self.name} delays an input of {model.label}: a delay can go to zero alone."
+            )
         self.delays = {signal: name for signal, name in model.delays.items() if name not in gone}
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
@@ -131,7 +143,9 @@ class StateSpaceLimit(_AtLimit, StateSpace):  # type: ignore[misc]
         return self.model.trim(at, self._before(p))
 
 
-def at_limit(model: Model, name: str, size: float, end: str, kept: Sequence[tuple[str, int, float]] = ()) -> Model:
+def at_limit(
+    model: Model, name: str, size: float, end: str, kept: Sequence[tuple[str, int, float]] = ()
+) -> Model:
     """Return a structure in the limit in which a parameter goes to zero or infinity.
 
     Raises
@@ -149,11 +163,17 @@ def invariant_name(member: str, of: str, power: int) -> str:
     return f"{member}_{'per' if power > 0 else 'times'}_{of}{times}"
 
 
-def _invariant(model: Model, name: str, size: float, member: str, power: int, value: float) -> Parameter:
+def _invariant(
+    model: Model, name: str, size: float, member: str, power: int, value: float
+) -> Parameter:
     declared, other = model.parameters[member], model.parameters[name]
     start = value / size**power
     reach = SPAN * abs(start)
-    low, high = (-reach, reach) if declared.bounds[0] < 0 < declared.bounds[1] else sorted((start / SPAN, start * SPAN))
+    low, high = (
+        (-reach, reach)
+        if declared.bounds[0] < 0 < declared.bounds[1]
+        else sorted((start / SPAN, start * SPAN))
+    )
     box = (-3 * abs(start), 3 * abs(start)) if low < 0 < high else (low, high)
     operator = f"{member}/{name}" if power > 0 else f"{member}·{name}"
     return Parameter(

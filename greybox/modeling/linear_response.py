@@ -19,8 +19,9 @@ from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, t
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
 from greybox.modeling.trim import Trimmed, trim_of
 
-# The order of elimination is checked with this many draws of the parameters besides the start values, and at this many
-# frequencies: a pivot that vanishes whatever the parameters vanishes with any of them.
+# The order of elimination is checked with this many draws of the parameters besides the start
+# values, and at this many frequencies: a pivot that vanishes whatever the parameters vanishes with
+# any of them.
 DRAWS = 3
 FREQUENCIES = 50
 
@@ -37,13 +38,14 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Evaluate the frequency response of `model` in numbers, at `omega` (n,) in rad/s.
 
-    `values` are parameter values by name; what they leave out, as `{}` does all, is at its declared start. `at` is the
-    operating point of an ODE.
+    `values` are parameter values by name; what they leave out, as `{}` does all, is at its declared
+    start. `at` is the operating point of an ODE.
 
     Raises
     ------
     ValueError
-        For a name that is not known, or where the response is not finite, as at a pole on the imaginary axis.
+        For a name that is not known, or where the response is not finite, as at a pole on the
+        imaginary axis.
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     input, output = pick_signals(model, input, output)
@@ -57,8 +59,12 @@ def frequency_response(
             response = _state_space_values(linearize(model, values, at), omega, input, output, pade)
     if not np.all(np.isfinite(response)):
         worst = omega[np.argmin(np.isfinite(response))]
-        raise ValueError(f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there.")
-    return FrequencyResponse(omega, response, input=input, output=output, name=model.label, source="model")
+        raise ValueError(
+            f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there."
+        )
+    return FrequencyResponse(
+        omega, response, input=input, output=output, name=model.label, source="model"
+    )
 
 
 def _transfer_function_values(
@@ -69,7 +75,9 @@ def _transfer_function_values(
     if isinstance(result, Complex):
         result = result.re + 1j * result.im
     if not isinstance(result, (int, float, complex, np.number, np.ndarray)):
-        raise ValueError(f"{model.label}.response returns a {type(result).__name__}: return one expression of s and p.")
+        raise ValueError(
+            f"{model.label}.response returns a {type(result).__name__}: return one expression of s and p."
+        )
     values = np.asarray(result, dtype=complex)
     if values.shape not in ((), omega.shape):
         raise ValueError(
@@ -103,7 +111,8 @@ def response_formula(
 ) -> Trimmed:
     """Compile the frequency response at `omega` (n,): real and imaginary part.
 
-    With a `symbol`, at that frequency alone, which the function takes too; `omega` are those that will occur.
+    With a `symbol`, at that frequency alone, which the function takes too; `omega` are those that
+    will occur.
     """
     symbols = [] if symbol is None else [symbol]
     frequencies = ca.SX(ca.DM(omega)) if symbol is None else symbol
@@ -130,7 +139,9 @@ def response_formula(
     entries = [[None if A[r, c].is_zero() else A[r, c] for c in range(n)] for r in range(n)]
     order = _elimination_order(model, matrices, trim, i, omega)
     states = solve(entries, [B[r, i] for r in range(n)], s, order)
-    result = sum((state * C[k, r] for r, state in enumerate(states) if not C[k, r].is_zero()), D[k, i])
+    result = sum(
+        (state * C[k, r] for r, state in enumerate(states) if not C[k, r].is_zero()), D[k, i]
+    )
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
     at_point = ca.Function("response", [p, x, u, *symbols], _parts(result, s, model.label))
@@ -139,11 +150,13 @@ def response_formula(
     return Trimmed(trim.root, ca.Function("response", [p, w, *symbols], both))
 
 
-def formula_at_one_frequency(model: Model, omega: NDArray[np.float64], **options: Any) -> ca.Function | None:
+def formula_at_one_frequency(
+    model: Model, omega: NDArray[np.float64], **options: Any
+) -> ca.Function | None:
     """Compile the frequency response at one frequency: (parameters, frequency) to real and imaginary part.
 
-    The arguments are those of `response_formula`. None where the formula has numbers of its own for each frequency, or
-    the trim is found by Newton's method.
+    The arguments are those of `response_formula`. None where the formula has numbers of its own for
+    each frequency, or the trim is found by Newton's method.
     """
     try:
         formula = response_formula(model, omega, ca.SX.sym("omega"), **options)
@@ -159,21 +172,33 @@ def _elimination_order(
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(DRAWS)]
-    found = [trim.function(point, [] if trim.root is None else trim.root(point)) for point in points]
+    found = [
+        trim.function(point, [] if trim.root is None else trim.root(point)) for point in points
+    ]
     each = (matrices(point, *at)[:2] for point, at in zip(points, found, strict=True))
     blocks = [[np.asarray(ca.DM(block)) for block in pair] for pair in each]
-    usable = [(A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))]
+    usable = [
+        (A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))
+    ]
     if not usable:
         return tuple(range(len(model.states)))
     zero = np.all([A == 0 for A, _ in usable], axis=0)
-    looked_at = omega if omega.size <= FREQUENCIES else omega[np.linspace(0, omega.size - 1, FREQUENCIES).astype(int)]
-    return elimination_order(np.array([A for A, _ in usable]), np.array([b for _, b in usable]), zero, looked_at)
+    looked_at = (
+        omega
+        if omega.size <= FREQUENCIES
+        else omega[np.linspace(0, omega.size - 1, FREQUENCIES).astype(int)]
+    )
+    return elimination_order(
+        np.array([A for A, _ in usable]), np.array([b for _, b in usable]), zero, looked_at
+    )
 
 
 def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
     """Return real and imaginary part of a traced response, one entry per frequency."""
     if not isinstance(result, (Complex, int, float, np.number, np.ndarray, ca.SX, ca.DM)):
-        raise ValueError(f"{owner}.response returns a {type(result).__name__}: return one expression of s and p.")
+        raise ValueError(
+            f"{owner}.response returns a {type(result).__name__}: return one expression of s and p."
+        )
     both: Any = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
     parts = [ca.SX(part) for part in both]
     for k, part in enumerate(parts):

@@ -40,13 +40,21 @@ class LinearSystem:
     point: Mapping[str, float]
 
     def __repr__(self) -> str:
-        return one_line(self, *(f"{kind} {', '.join(getattr(self, kind))}" for kind in ("states", "inputs", "outputs")))
+        return one_line(
+            self,
+            *(
+                f"{kind} {', '.join(getattr(self, kind))}"
+                for kind in ("states", "inputs", "outputs")
+            ),
+        )
 
     def __str__(self) -> str:
         names = ("x' = A x + B u(t - delay)", "y  = C x + D u(t - delay)")
         signals = f"states {', '.join(self.states)}; inputs {', '.join(self.inputs)}; outputs {', '.join(self.outputs)}"
         point = ", ".join(f"{name} = {value:.6g}" for name, value in self.point.items())
-        matrices = [f"{name} =\n{np.array2string(getattr(self, name), precision=6)}" for name in "ABCD"]
+        matrices = [
+            f"{name} =\n{np.array2string(getattr(self, name), precision=6)}" for name in "ABCD"
+        ]
         return "\n".join([*names, signals, f"about {point}", *matrices, f"delay = {self.delays} s"])
 
     @property
@@ -69,7 +77,9 @@ def jacobians(model: StateSpace) -> ca.Function:
 
 
 def linearize(
-    model: StateSpace, values: Mapping[str, float] | None = None, at: Mapping[str, float] | None = None
+    model: StateSpace,
+    values: Mapping[str, float] | None = None,
+    at: Mapping[str, float] | None = None,
 ) -> LinearSystem:
     """Linearize `model` at the operating point `at` for the parameter `values` (by default the declared starts).
 

@@ -24,7 +24,9 @@ class Names(Mapping[str, Any]):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        raise AttributeError(f"{self._what} has no {name!r}; it has {alternatives(name, self) if self else 'nothing.'}")
+        raise AttributeError(
+            f"{self._what} has no {name!r}; it has {alternatives(name, self) if self else 'nothing.'}"
+        )
 
     def __getitem__(self, name: str) -> Any:
         return getattr(self, name) if name in self.__dict__ else self.__dict__[name]
@@ -46,7 +48,9 @@ def require_usable(names: Iterable[str], owner: str, taken: type = Names) -> Non
     """Raise ValueError for a name that would hide what the framework calls on `taken`."""
     for name in names:
         if hasattr(taken, name):
-            raise ValueError(f"{owner} cannot have a parameter or signal called {name!r}: choose another name.")
+            raise ValueError(
+                f"{owner} cannot have a parameter or signal called {name!r}: choose another name."
+            )
 
 
 class Model(ABC):
@@ -57,10 +61,11 @@ class Model(ABC):
     parameters : mapping of name to `Parameter`
         Collected from the class body, in the order of declaration.
     derived : mapping of name to function
-        Quantities computed from the parameters, ``{"a3_tilde": lambda p: gb.g * p.a3}``; each gets its own standard
-        error.
+        Quantities computed from the parameters, ``{"a3_tilde": lambda p: gb.g * p.a3}``; each gets
+        its own standard error.
     units : mapping of signal name to str
-        Of inputs and outputs, ``{"theta": "rad"}``, as far as declared: records in other units are refused.
+        Of inputs and outputs, ``{"theta": "rad"}``, as far as declared: records in other units are
+        refused.
     """
 
     parameters: Mapping[str, Parameter] = MappingProxyType({})
@@ -73,13 +78,22 @@ class Model(ABC):
         super().__init_subclass__(**kwargs)
         parameters: dict[str, Parameter] = {}
         for owner in reversed(cls.__mro__):
-            hidden = [n for n, value in vars(owner).items() if n in parameters and isinstance(value, (int, float))]
+            hidden = [
+                n
+                for n, value in vars(owner).items()
+                if n in parameters and isinstance(value, (int, float))
+            ]
             if hidden:
                 raise TypeError(
                     f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use Parameter(...)."
                 )
-            parameters |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
-        for taken in (Names, *(base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE))):
+            parameters |= {
+                name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
+            }
+        for taken in (
+            Names,
+            *(base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE)),
+        ):
             require_usable(parameters, cls.__name__, taken)
         cls.parameters = MappingProxyType(parameters)
 
@@ -125,12 +139,18 @@ class Model(ABC):
             For a name that the model does not have.
         """
         if not isinstance(given, Mapping | None):
-            raise TypeError(f"the values of {self.label} are {given!r:.60}: give {{name: value}}, after the model.")
+            raise TypeError(
+                f"the values of {self.label} are {given!r:.60}: give {{name: value}}, after the model."
+            )
         given = {**(given or {}), **more}
         require_known(given, self.parameters, "parameter", self.label)
         for name, value in given.items():
-            if isinstance(value, (str, type(None))) or (isinstance(value, float) and not math.isfinite(value)):
-                raise ValueError(f"{name} = {value!r} of {self.label} is not a finite number: give one.")
+            if isinstance(value, (str, type(None))) or (
+                isinstance(value, float) and not math.isfinite(value)
+            ):
+                raise ValueError(
+                    f"{name} = {value!r} of {self.label} is not a finite number: give one."
+                )
         return Names({n: given.get(n, p.start) for n, p in self.parameters.items()}, self.label)
 
     def __repr__(self) -> str:
@@ -163,7 +183,9 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
             f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as one of them."
         )
     if len(known) > 1:
-        raise ValueError(f"{owner} has several {what}s ({', '.join(known)}): specify which one, {what}=...")
+        raise ValueError(
+            f"{owner} has several {what}s ({', '.join(known)}): specify which one, {what}=..."
+        )
     return known[0]
 
 
@@ -219,7 +241,9 @@ def equation(model: Model | type[Model]) -> str:
     return inspect.cleandoc(owner.__doc__ or "")
 
 
-def _intersect(name: str, what: str, a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+def _intersect(
+    name: str, what: str, a: tuple[float, float], b: tuple[float, float]
+) -> tuple[float, float]:
     low, high = max(a[0], b[0]), min(a[1], b[1])
     if low > high or (low == high and what == "bounds"):
         raise ValueError(

@@ -26,10 +26,15 @@ def module_from_file(path: Path) -> ModuleType:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     loaded = sys.modules.get(path.stem)
-    if loaded is not None and Path(getattr(loaded, "__file__", "") or "").resolve() == path.resolve():
+    if (
+        loaded is not None
+        and Path(getattr(loaded, "__file__", "") or "").resolve() == path.resolve()
+    ):
         return loaded
     if loaded is not None or path.stem in sys.stdlib_module_names:
-        raise ValueError(f"{path} has the name of another Python module, {path.stem!r}: rename the file.")
+        raise ValueError(
+            f"{path} has the name of another Python module, {path.stem!r}: rename the file."
+        )
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
@@ -49,5 +54,7 @@ def models_of(module: ModuleType) -> list[type[Model]]:
 
 
 def _is_own_model(thing: Any, module: ModuleType) -> bool:
-    own = isinstance(thing, type) and issubclass(thing, Model) and thing.__module__ == module.__name__
+    own = (
+        isinstance(thing, type) and issubclass(thing, Model) and thing.__module__ == module.__name__
+    )
     return own and not inspect.isabstract(thing)

@@ -55,7 +55,9 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
     cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=Mine()"
     known = _given(stored["class"], given) or _included(module_name, class_name)
     if known is None:
-        raise UnknownModelError(f"{missing} among those that greybox includes or that were given", cure)
+        raise UnknownModelError(
+            f"{missing} among those that greybox includes or that were given", cure
+        )
     if isinstance(known, Model):
         return known
     try:
@@ -63,7 +65,9 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         keywords = {name: _alive(value, given) for name, value in stored["keywords"].items()}
         return known(*arguments, **keywords)
     except (TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise LookupError(f"{missing} as it was: {error}; give the model itself, model=...") from None
+        raise LookupError(
+            f"{missing} as it was: {error}; give the model itself, model=..."
+        ) from None
 
 
 def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Model] | None:
@@ -72,7 +76,9 @@ def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Mode
     names = [f"{known.__module__}:{known.__qualname__}" for known in classes]
     if name in names:
         return given[names.index(name)]
-    alike = [k for k, other in enumerate(names) if other.partition(":")[2] == name.partition(":")[2]]
+    alike = [
+        k for k, other in enumerate(names) if other.partition(":")[2] == name.partition(":")[2]
+    ]
     return given[alike[0]] if alike else None
 
 
@@ -87,7 +93,9 @@ def _included(module_name: str, class_name: str) -> type[Model] | None:
         StateSpaceLimit,
         LateSensors,
     )
-    general: dict[str, type[Model]] = {f"{kind.__module__}:{kind.__qualname__}": kind for kind in kinds}
+    general: dict[str, type[Model]] = {
+        f"{kind.__module__}:{kind.__qualname__}": kind for kind in kinds
+    }
     if f"{module_name}:{class_name}" in general:
         return general[f"{module_name}:{class_name}"]
     package = importlib.import_module("greybox.models")
@@ -121,5 +129,7 @@ def _alive(value: Any, given: Sequence[Model | type[Model]]) -> Any:
         return resolve(value["model"], given)
     if isinstance(value, dict):
         text = printable(str(value.get("text")))
-        raise LookupError(f"an argument of the model, {text}, was stored as text only: give model=... itself.")
+        raise LookupError(
+            f"an argument of the model, {text}, was stored as text only: give model=... itself."
+        )
     return tuple(_alive(item, given) for item in value) if isinstance(value, list) else value

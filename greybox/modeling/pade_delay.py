@@ -1,8 +1,9 @@
 """The Padé approximation of a delay: its coefficients, in the frequency domain, and as states in the time domain.
 
-exp(-s T) ≈ Σ c_k (-s T)^k / Σ c_k (s T)^k, k = 0 ... n. A problem asks for it with ``delay="pade:n"``. In a formula,
-`Complex` and `Rational` replace their `exp` by `pade_exponential`; in the time domain, `realization` replaces a delayed
-input by the output of `pade_states`.
+exp(-s T) ≈ Σ c_k (-s T)^k / Σ c_k (s T)^k, k = 0 ... n. A problem asks for it with
+``delay="pade:n"``. In a formula, `Complex` and `Rational` replace their `exp` by
+`pade_exponential`; in the time domain, `realization` replaces a delayed input by the output of
+`pade_states`.
 """
 
 import math
@@ -21,7 +22,9 @@ def delay_order(delay: str) -> int | None:
         return None
     match = re.fullmatch(r"pade:([1-9]\d?)", delay) if isinstance(delay, str) else None
     if match is None:
-        raise ValueError(f"delay {delay!r} is not known: use 'exact' or 'pade:n' with an order n from 1 to 99.")
+        raise ValueError(
+            f"delay {delay!r} is not known: use 'exact' or 'pade:n' with an order n from 1 to 99."
+        )
     return int(match[1])
 
 
@@ -58,7 +61,12 @@ def pade_rows(x: Sequence[Any], u: Any, delay: Any, order: int) -> tuple[Any, li
     """Return what `pade_states` does of states one by one, in any arithmetic."""
     a, b, feedthrough = _observer_form(order)
     rows = [
-        ((x[k + 1] if k + 1 < order else 0) - a[k + 1] * x[0] + (b[k + 1] - feedthrough * a[k + 1]) * u) / delay
+        (
+            (x[k + 1] if k + 1 < order else 0)
+            - a[k + 1] * x[0]
+            + (b[k + 1] - feedthrough * a[k + 1]) * u
+        )
+        / delay
         for k in range(order)
     ]
     return x[0] + feedthrough * u, rows

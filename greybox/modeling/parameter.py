@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-# Sizes of the start (at least 1) at which `Parameter.draw` closes an open end of the box: a decade about the start,
-# which is all that is known of such a parameter.
+# Sizes of the start (at least 1) at which `Parameter.draw` closes an open end of the box: a decade
+# about the start, which is all that is known of such a parameter.
 OPEN_END = 10.0
 
 
@@ -30,14 +30,16 @@ class Parameter:
     starts : (float, float), optional
         The box in which random starts are drawn; by default the bounds.
     scale : "linear" or "log"
-        "log" optimizes the logarithm and draws starts evenly in it, for positive parameters that span decades.
+        "log" optimizes the logarithm and draws starts evenly in it, for positive parameters that
+        span decades.
     prior : (float, float), optional
         Mean and standard deviation of what is known before the data, see `Problem`.
 
     Raises
     ------
     ValueError
-        If a number is not finite where it must be, bounds are reversed, or a start lies outside them.
+        If a number is not finite where it must be, bounds are reversed, or a start lies outside
+        them.
     """
 
     start: float
@@ -53,9 +55,13 @@ class Parameter:
         """Check the numbers against one another."""
         low, high = number_pair(self.bounds, "bounds")
         if not low < high:
-            raise ValueError(f"bounds {self.bounds} are reversed or empty: give (low, high) with low < high.")
+            raise ValueError(
+                f"bounds {self.bounds} are reversed or empty: give (low, high) with low < high."
+            )
         if not isinstance(self.start, (int, float, np.number)) or not math.isfinite(self.start):
-            raise ValueError(f"start {self.start!r} is not a finite number: give a value inside bounds {self.bounds}.")
+            raise ValueError(
+                f"start {self.start!r} is not a finite number: give a value inside bounds {self.bounds}."
+            )
         if not low <= self.start <= high:
             raise ValueError(
                 f"start {self.start:g} lies outside bounds ({low:g}, {high:g}): move the start or widen them."
@@ -71,12 +77,16 @@ class Parameter:
         if self.prior is not None:
             mean, sigma = number_pair(self.prior, "prior")
             if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):
-                raise ValueError(f"prior {self.prior} must be (mean, standard deviation), the second above 0.")
+                raise ValueError(
+                    f"prior {self.prior} must be (mean, standard deviation), the second above 0."
+                )
 
     def _check_box(self, low: float, high: float) -> None:
         first, last = number_pair(self.starts, "starts")
         if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-            raise ValueError(f"starts {self.starts} must be two finite numbers (low, high) with low <= high.")
+            raise ValueError(
+                f"starts {self.starts} must be two finite numbers (low, high) with low <= high."
+            )
         if first < low or last > high:
             raise ValueError(
                 f"starts ({first:g}, {last:g}) reach outside bounds ({low:g}, {high:g}): "

@@ -1,11 +1,12 @@
 """The periodic motions of a nonlinear ODE under a sine: how many harmonics they need, and which of several is meant.
 
-A nonlinear ODE may have several motions under one sine. The one meant is what a test would show that raises the
-amplitude slowly: the motion at a small amplitude, where the model is nearly linear, is followed along its curve, around
-the turning points at which it jumps in a test (pseudo-arclength: Keller 1977); where that motion is unstable and the
-input is the sine, the stable motion next to it. Others are found where that curve, past the amplitude, turns and comes
-back to it, and from random harmonics. Those of an unstable plant are not reported where all are unstable: no test
-without a loop shows any of them.
+A nonlinear ODE may have several motions under one sine. The one meant is what a test would show
+that raises the amplitude slowly: the motion at a small amplitude, where the model is nearly linear,
+is followed along its curve, around the turning points at which it jumps in a test
+(pseudo-arclength: Keller 1977); where that motion is unstable and the input is the sine, the stable
+motion next to it. Others are found where that curve, past the amplitude, turns and comes back to
+it, and from random harmonics. Those of an unstable plant are not reported where all are unstable:
+no test without a loop shows any of them.
 """
 
 import warnings
@@ -28,17 +29,24 @@ from greybox.modeling.symbolic_reading import traced_derivative
 Array = NDArray[np.float64]
 
 RANGE = 1e3  # from where, relative to the amplitude, a motion is followed
-# How far a curve is followed past the amplitude, to where it may turn and come back: a resonance jumps, and falls back,
-# at amplitudes up to about its quality factor apart. There it may also lead nowhere: steps that are this short end it.
+# How far a curve is followed past the amplitude, to where it may turn and come back: a resonance
+# jumps, and falls back, at amplitudes up to about its quality factor apart. There it may also lead
+# nowhere: steps that are this short end it.
 BEYOND, SHORT_STEP = 10.0, 0.01
-STEP, LONGEST_STEP, SHORTEST_STEP = 0.2, 0.5, 1e-5  # along the curve, in natural logarithms of amplitude and harmonics
+STEP, LONGEST_STEP, SHORTEST_STEP = (
+    0.2,
+    0.5,
+    1e-5,
+)  # along the curve, in natural logarithms of amplitude and harmonics
 STEPS = 400  # a curve that needs more winds too much to be followed
 CORRECTIONS = 8  # Newton steps back to the curve
 CONVERGED = 1e-9  # of the balance, relative to the harmonics
 TINY = 1e-9  # size of harmonics, per amplitude, below which a step is not relative to them
 LARGE = 1e6  # step, relative to the harmonics, that leads nowhere
 DRAWN = 8  # random motions from which others are sought
-LARGEST_DRAWN = 8.0  # the size of the last, relative to the motion that is known; the first is as large as that
+LARGEST_DRAWN = (
+    8.0  # the size of the last, relative to the motion that is known; the first is as large as that
+)
 DISTINCT = 1e-3  # difference of the harmonics of two motions, relative
 STABILITY_POINTS = 512  # steps of the trapezoidal rule over one period
 MARGIN = 1e-3  # above one, in a Floquet multiplier: the error of that rule
@@ -57,15 +65,16 @@ def harmonic_response(
 ) -> FrequencyResponse:
     """Evaluate the response of an ODE to a sine of finite amplitude, at `omega` (n,) in rad/s.
 
-    The response is the first harmonic of the output over that of the input: the describing function of a nonlinear
-    model, the frequency response of a linear one. Where there are several periodic motions, a UserWarning names them;
-    the response is that of a test whose amplitude is raised slowly.
+    The response is the first harmonic of the output over that of the input: the describing function
+    of a nonlinear model, the frequency response of a linear one. Where there are several periodic
+    motions, a UserWarning names them; the response is that of a test whose amplitude is raised
+    slowly.
 
     Parameters
     ----------
     amplitude : ``{signal: amplitude}`` or Sine
-        Which signal is the sine: the input, or a state or an output that a loop holds to it. Its mean, and all other
-        inputs, are what they are at the operating point `at`.
+        Which signal is the sine: the input, or a state or an output that a loop holds to it. Its
+        mean, and all other inputs, are what they are at the operating point `at`.
     values, input, output, at, delay
         As for `frequency_response`.
 
@@ -82,7 +91,9 @@ def harmonic_response(
     _require_finite(model, omega, sine, found.response)
     for sentence in found.several:
         warnings.warn(sentence, UserWarning, stacklevel=2)
-    return FrequencyResponse(omega, found.response, input=input, output=output, name=model.label, source="model")
+    return FrequencyResponse(
+        omega, found.response, input=input, output=output, name=model.label, source="model"
+    )
 
 
 def response_of_test(
@@ -101,15 +112,22 @@ def response_of_test(
     response, _ = directly_found(model, values, omega, sine, **_with_order(signals))
     _require_finite(model, omega, sine, response)
     input, output = pick_signals(model, signals.get("input", ""), signals.get("output", ""))
-    return FrequencyResponse(omega, response, input=input, output=output, name=model.label, source="model")
+    return FrequencyResponse(
+        omega, response, input=input, output=output, name=model.label, source="model"
+    )
 
 
 def _with_order(signals: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options with the order of the Padé approximation in place of its name."""
-    return {**{k: v for k, v in signals.items() if k != "delay"}, "pade": delay_order(signals.get("delay", "exact"))}
+    return {
+        **{k: v for k, v in signals.items() if k != "delay"},
+        "pade": delay_order(signals.get("delay", "exact")),
+    }
 
 
-def _require_finite(model: Model, omega: Array, sine: Sine, response: NDArray[np.complex128]) -> None:
+def _require_finite(
+    model: Model, omega: Array, sine: Sine, response: NDArray[np.complex128]
+) -> None:
     finite = np.isfinite(response)
     if not finite.all():
         k = int(np.argmin(finite))
@@ -140,8 +158,16 @@ class _Motion:
 class _Levels:
     """The balances of one sine with several numbers of harmonics, compiled where they are asked for."""
 
-    def __init__(self, model: Model, vector: list[float], omega: Array, sine: Sine, options: dict[str, Any]) -> None:
-        self._model, self._vector, self._omega, self._sine, self._options = model, vector, omega, sine, options
+    def __init__(
+        self, model: Model, vector: list[float], omega: Array, sine: Sine, options: dict[str, Any]
+    ) -> None:
+        self._model, self._vector, self._omega, self._sine, self._options = (
+            model,
+            vector,
+            omega,
+            sine,
+            options,
+        )
         self._balances: dict[int, CompiledBalance] = {}
         self._given: dict[int, Array] = {}
 
@@ -151,7 +177,9 @@ class _Levels:
             sine = replace(self._sine, harmonics=harmonics)
             balance = CompiledBalance.at(self._model, self._omega, sine, **self._options)
             self._balances[harmonics] = balance
-            self._given[harmonics] = np.asarray(ca.DM(balance.given(ca.DM(self._vector), self._omega)))
+            self._given[harmonics] = np.asarray(
+                ca.DM(balance.given(ca.DM(self._vector), self._omega))
+            )
         return self._balances[harmonics]
 
     def given(self, harmonics: int, k: int) -> Array:
@@ -204,10 +232,13 @@ def periodic_motions(
     return PeriodicMotions(response, tuple(several))
 
 
-def _said(model: Model, sine: Sine, omega: Array, k: int, motions: list[_Motion], chosen: _Motion) -> str:
+def _said(
+    model: Model, sine: Sine, omega: Array, k: int, motions: list[_Motion], chosen: _Motion
+) -> str:
     kinds = {True: ", stable", False: ", unstable", None: ""}
     found = dict.fromkeys(
-        f"{abs(m.response):.4g} at {np.angle(m.response, deg=True):.1f}°{kinds[m.stable]}" for m in motions
+        f"{abs(m.response):.4g} at {np.angle(m.response, deg=True):.1f}°{kinds[m.stable]}"
+        for m in motions
     )
     return (
         f"{model.label} has {len(motions)} periodic motions at omega = {omega[k]:g} rad/s in which {sine.signal} is a "
@@ -227,17 +258,28 @@ def _chosen(motions: list[_Motion]) -> _Motion:
 def _motions(level: _Levels, begin: int, k: int, more: bool) -> list[_Motion]:
     """Return the motions at one frequency, first that which is followed from small amplitudes.
 
-    With `more` harmonics than at the beginning until they do not matter; what the cut-off alone had made is lost then.
+    With `more` harmonics than at the beginning until they do not matter; what the cut-off alone had
+    made is lost then.
     """
     number = begin
-    found = [(x, level.response(number, x, k)) for x in _candidates(level.balance(number), level.given(number, k))]
+    found = [
+        (x, level.response(number, x, k))
+        for x in _candidates(level.balance(number), level.given(number, k))
+    ]
     following = [n for n in HARMONICS if n > number] if more or len(found) > 1 else []
     for finer in following:
-        refined = [level.solved(finer, _padded(x, level.balance(number), level.balance(finer)), k) for x, _ in found]
-        pairs = [(x, before, y) for (x, before), y in zip(found, refined, strict=True) if y is not None]
+        refined = [
+            level.solved(finer, _padded(x, level.balance(number), level.balance(finer)), k)
+            for x, _ in found
+        ]
+        pairs = [
+            (x, before, y) for (x, before), y in zip(found, refined, strict=True) if y is not None
+        ]
         if not pairs:
             break
-        if not more:  # as many as were asked for: the next ones only tell which are motions of the model
+        if (
+            not more
+        ):  # as many as were asked for: the next ones only tell which are motions of the model
             found = [(x, before) for x, before, _ in pairs]
             break
         responses = [(y, level.response(finer, y, k), before) for _, before, y in pairs]
@@ -246,7 +288,9 @@ def _motions(level: _Levels, begin: int, k: int, more: bool) -> list[_Motion]:
         number = finer
         if all(abs(after - before) <= ENOUGH * abs(after) for _, after, before in responses):
             break
-    return [_motion(level.balance(number), x, response, level.given(number, k)) for x, response in found]
+    return [
+        _motion(level.balance(number), x, response, level.given(number, k)) for x, response in found
+    ]
 
 
 def _candidates(balance: CompiledBalance, given: Array) -> list[Array]:
@@ -263,7 +307,8 @@ def _candidates(balance: CompiledBalance, given: Array) -> list[Array]:
         if reached is not None:
             found.append(reached)
     motions = _distinct(found)
-    # Where the model is symmetric, a motion that is not has a twin: the other way up, half a period later.
+    # Where the model is symmetric, a motion that is not has a twin: the other way up, half a period
+    # later.
     twins = [_solved(balance, x * balance.balance.mirror, given) for x in motions]
     return _distinct([*motions, *[x for x in twins if x is not None]])
 
@@ -355,7 +400,9 @@ class _Curve:
     def tangent(self, y: Array, direction: Array, scale: Array) -> Array | None:
         """Return the tangent on the side of `direction`, of length one in units of `scale`."""
         _, jacobian = self._evaluated(y)
-        found = _solution(np.vstack([jacobian * scale, direction * scale]), np.append(np.zeros(y.size - 1), 1.0))
+        found = _solution(
+            np.vstack([jacobian * scale, direction * scale]), np.append(np.zeros(y.size - 1), 1.0)
+        )
         return None if found is None else found / np.linalg.norm(found) * scale
 
     def corrected(self, guess: Array, tangent: Array, scale: Array) -> Array | None:
@@ -366,7 +413,10 @@ class _Curve:
             rest, jacobian = self._evaluated(y)
             if np.all(np.abs(rest) < CONVERGED * (1 + np.abs(y[:-1]).max(initial=0))):
                 return y
-            change = _solution(np.vstack([jacobian * scale, across]), -np.append(rest, across @ ((y - guess) / scale)))
+            change = _solution(
+                np.vstack([jacobian * scale, across]),
+                -np.append(rest, across @ ((y - guess) / scale)),
+            )
             if change is None:
                 return None
             y = y + change * scale
@@ -374,7 +424,9 @@ class _Curve:
 
     def _evaluated(self, y: Array) -> tuple[Array, Array]:
         given = self.given_at(y[-1])
-        rest, jacobian, by_logarithm = (np.asarray(ca.DM(v)) for v in self.balance.linearized(y[:-1], given))
+        rest, jacobian, by_logarithm = (
+            np.asarray(ca.DM(v)) for v in self.balance.linearized(y[:-1], given)
+        )
         return rest.ravel(), np.hstack([jacobian, by_logarithm])
 
 
@@ -390,7 +442,9 @@ def _solution(matrix: Array, right: Array) -> Array | None:
 
 
 def _motion(balance: CompiledBalance, x: Array, response: complex, given: Array) -> _Motion:
-    stable = _is_stable(balance, x, given) if balance.driven_directly and balance.model.states else None
+    stable = (
+        _is_stable(balance, x, given) if balance.driven_directly and balance.model.states else None
+    )
     return _Motion(x, response, stable)
 
 
@@ -400,7 +454,9 @@ def _is_stable(balance: CompiledBalance, x: Array, given: Array) -> bool:
     n = len(model.states)
     z = ca.SX.sym("z", n + len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))
-    slope = ca.Function("slope", [z, p], [ca.densify(ca.jacobian(traced_derivative(model, z, p), z[:n]))])
+    slope = ca.Function(
+        "slope", [z, p], [ca.densify(ca.jacobian(traced_derivative(model, z, p), z[:n]))]
+    )
 
     series = np.asarray(ca.DM(balance.coefficients(x, given)))
     phase = 2 * np.pi * (np.arange(STABILITY_POINTS) + 0.5) / STABILITY_POINTS

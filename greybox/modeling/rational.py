@@ -33,7 +33,11 @@ class Rational(FunctionOfS):
     """
 
     def __init__(
-        self, numerator: Sequence[Any], denominator: Sequence[Any] = (1.0,), delay: Any = 0.0, pade: int | None = None
+        self,
+        numerator: Sequence[Any],
+        denominator: Sequence[Any] = (1.0,),
+        delay: Any = 0.0,
+        pade: int | None = None,
     ):
         self.numerator = _without_leading_zeros(numerator)
         self.denominator = _without_leading_zeros(denominator)
@@ -58,7 +62,10 @@ class Rational(FunctionOfS):
         pade = self.pade or other.pade
         if _equal_polynomials(self.denominator, other.denominator):
             return Rational(_sum(self.numerator, other.numerator), self.denominator, delay, pade)
-        numerator = _sum(_convolve(self.numerator, other.denominator), _convolve(other.numerator, self.denominator))
+        numerator = _sum(
+            _convolve(self.numerator, other.denominator),
+            _convolve(other.numerator, self.denominator),
+        )
         return Rational(numerator, _convolve(self.denominator, other.denominator), delay, pade)
 
     def __mul__(self, other: Any) -> "Rational":
@@ -67,7 +74,9 @@ class Rational(FunctionOfS):
             return NotImplemented
         n1, d2 = _cancel(self.numerator, other.denominator)
         n2, d1 = _cancel(other.numerator, self.denominator)
-        return Rational(_convolve(n1, n2), _convolve(d1, d2), self.delay + other.delay, self.pade or other.pade)
+        return Rational(
+            _convolve(n1, n2), _convolve(d1, d2), self.delay + other.delay, self.pade or other.pade
+        )
 
     def _inverse(self) -> "Rational":
         return Rational(self.denominator, self.numerator, -self.delay, self.pade)
@@ -97,7 +106,9 @@ class Rational(FunctionOfS):
 
     def __pow__(self, power: Any) -> "Rational":
         if not is_whole(power):
-            raise ValueError(f"the power {power} of s has no rational form: only whole powers have.")
+            raise ValueError(
+                f"the power {power} of s has no rational form: only whole powers have."
+            )
         return whole_power(self, int(power), Rational([1.0], pade=self.pade))
 
     def exp(self) -> "Rational":
@@ -105,9 +116,18 @@ class Rational(FunctionOfS):
         if self.pade is not None:
             return pade_exponential(self, self.pade)
         constant = len(self.denominator) == 1 and not is_casadi(self.delay) and self.delay == 0
-        if not constant or len(self.numerator) > 2 or (len(self.numerator) and not _is_zero(self.numerator[-1])):
-            raise ValueError("only exp(-s T) with a T that does not depend on s has a rational form with a delay.")
-        return Rational([1.0], delay=-self.numerator[0] / self.denominator[0] if len(self.numerator) == 2 else 0.0)
+        if (
+            not constant
+            or len(self.numerator) > 2
+            or (len(self.numerator) and not _is_zero(self.numerator[-1]))
+        ):
+            raise ValueError(
+                "only exp(-s T) with a T that does not depend on s has a rational form with a delay."
+            )
+        return Rational(
+            [1.0],
+            delay=-self.numerator[0] / self.denominator[0] if len(self.numerator) == 2 else 0.0,
+        )
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -125,7 +145,11 @@ class Rational(FunctionOfS):
 
     def __call__(self, s: Any) -> Any:
         """Evaluate at `s`, numbers or `Complex`."""
-        return polynomial_value(self.numerator, s) / polynomial_value(self.denominator, s) * exp(-s * self.delay)
+        return (
+            polynomial_value(self.numerator, s)
+            / polynomial_value(self.denominator, s)
+            * exp(-s * self.delay)
+        )
 
 
 def rational(
@@ -170,7 +194,10 @@ def rational(
 def _rational(value: Any) -> Rational | None:
     if isinstance(value, Rational):
         return value
-    if isinstance(value, (int, float, np.floating, np.integer, *CASADI_TYPES)) or np.ndim(value) == 0:
+    if (
+        isinstance(value, (int, float, np.floating, np.integer, *CASADI_TYPES))
+        or np.ndim(value) == 0
+    ):
         return Rational([value])
     return None
 
@@ -193,7 +220,11 @@ def _written(polynomial: Sequence[Any]) -> str:
     for power, c in zip(reversed(range(len(polynomial))), polynomial, strict=True):
         if not _is_zero(c) or len(polynomial) == 1:
             size = str(c) if is_casadi(c) else f"{c:.6g}"
-            terms.append(size + ("", " s")[power > 0] + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1))
+            terms.append(
+                size
+                + ("", " s")[power > 0]
+                + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1)
+            )
     return " + ".join(terms).replace("+ -", "- ")
 
 

@@ -11,7 +11,13 @@ from greybox.modeling.model import Model
 from greybox.modeling.pade_delay import pade_states
 from greybox.modeling.rational import Rational
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced, traced_derivative, traced_output
+from greybox.modeling.symbolic_reading import (
+    parameter_names,
+    require_no_nan,
+    traced,
+    traced_derivative,
+    traced_output,
+)
 from greybox.modeling.transfer_function import TransferFunction
 
 NO_POLE = 1e-9  # rad/s: a pole below is an integrator's, as far as rounding lets the roots be known
@@ -25,8 +31,8 @@ class Dynamics:
     Attributes
     ----------
     states, inputs, outputs, parameters : tuple of str
-        Names, in the order of the vectors; states that stand for a Padé delay or a realized transfer function are
-        named after their input or output.
+        Names, in the order of the vectors; states that stand for a Padé delay or a realized
+        transfer function are named after their input or output.
     derivative, output : casadi.Function
         (x, u, p) -> (n,) and (k,).
     delay : casadi.Function
@@ -51,14 +57,17 @@ class Dynamics:
         if not any(seconds):
             return self
         p = ca.SX.sym("p", len(self.parameters))
-        return replace(self, delay=ca.Function("delay", [p], [self.delay(p) + ca.DM(list(seconds))]))
+        return replace(
+            self, delay=ca.Function("delay", [p], [self.delay(p) + ca.DM(list(seconds))])
+        )
 
 
 def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     """Compile a model for the time domain; with `pade`, delays become states, approximated to that order.
 
-    A transfer function is realized in observer canonical form (Kailath 1980, Linear Systems, section 2.1), whose
-    states are always observable, with time scaled by its poles at the start values.
+    A transfer function is realized in observer canonical form (Kailath 1980, Linear Systems,
+    section 2.1), whose states are always observable, with time scaled by its poles at the start
+    values.
 
     Raises
     ------
@@ -72,7 +81,9 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     x = ca.SX.sym("x", len(model.states))
     u = ca.SX.sym("u", len(model.inputs))
     names = list(model.parameters)
-    delays = [p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs]
+    delays = [
+        p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs
+    ]
     z = ca.vertcat(x, u)
     f = traced_derivative(model, z, p) if model.states else ca.SX(0, 1)
     return _with_pade_states(
@@ -94,7 +105,11 @@ def has_branches(model: Model) -> bool:
     if not isinstance(model, StateSpace):
         return False
     system = dynamics(model)
-    operations = {f.instruction_id(k) for f in (system.derivative, system.output) for k in range(f.n_instructions())}
+    operations = {
+        f.instruction_id(k)
+        for f in (system.derivative, system.output)
+        for k in range(f.n_instructions())
+    }
     return bool(SWITCHES & operations)
 
 
@@ -119,7 +134,12 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     x = ca.SX.sym("x", n)
     u = ca.SX.sym("u", 1)
     rows = [
-        scale * ((x[k + 1] if k + 1 < n else 0) - a[k + 1] / scale ** (k + 1) * x[0] + b[k + 1] / scale ** (k + 1) * u)
+        scale
+        * (
+            (x[k + 1] if k + 1 < n else 0)
+            - a[k + 1] / scale ** (k + 1) * x[0]
+            + b[k + 1] / scale ** (k + 1) * u
+        )
         for k in range(n)
     ]
     f = ca.vertcat(ca.SX(0, 1), *rows)
@@ -177,7 +197,9 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         inputs=exact.inputs,
         outputs=exact.outputs,
         parameters=exact.parameters,
-        derivative=ca.Function("derivative", [full, u, p], [ca.vertcat(exact.derivative(x, delayed, p), *rows)]),
+        derivative=ca.Function(
+            "derivative", [full, u, p], [ca.vertcat(exact.derivative(x, delayed, p), *rows)]
+        ),
         output=ca.Function("output", [full, u, p], [exact.output(x, delayed, p)]),
         delay=ca.Function("delay", [p], [ca.SX.zeros(m)]),
     )

@@ -20,13 +20,16 @@ class Sine:
     Parameters
     ----------
     signal : str
-        The input of the data, where it was the sine; or a state or an output, where a loop held it to a sine, as the
-        setpoint sines (3.14) do with the angle. All other signals then have harmonics.
+        The input of the data, where it was the sine; or a state or an output, where a loop held it
+        to a sine, as the setpoint sines (3.14) do with the angle. All other signals then have
+        harmonics.
     amplitude : float or (n,) array, in the signal's unit
         Half the distance from peak to peak; one for all frequencies or one for each.
     harmonics : int, optional
-        How many harmonics of the other signals are modeled. By default as many as change the response by more than
-        0.03 %, at most 50; with a number of one's own, a fit warns when more would change its estimate.
+        How many harmonics of the other signals are modeled. By default as many as change the
+        response by more than
+        0.03 %, at most 50; with a number of one's own, a fit warns when more would change its
+        estimate.
 
     Raises
     ------
@@ -44,10 +47,16 @@ class Sine:
             raise TypeError(f"the signal of a sine is {self.signal!r:.60}: give its name.")
         try:
             amplitude = np.array(self.amplitude)
-            amplitude = amplitude.astype(float) if amplitude.dtype.kind in "iuf" else np.array(np.nan)
+            amplitude = (
+                amplitude.astype(float) if amplitude.dtype.kind in "iuf" else np.array(np.nan)
+            )
         except (TypeError, ValueError):
             amplitude = np.array(np.nan)
-        if amplitude.ndim > 1 or not amplitude.size or not np.all(np.isfinite(amplitude) & (amplitude > 0)):
+        if (
+            amplitude.ndim > 1
+            or not amplitude.size
+            or not np.all(np.isfinite(amplitude) & (amplitude > 0))
+        ):
             raise ValueError(
                 f"the amplitude of {self.signal!r} is {self.amplitude!r:.60}: give a finite number above 0, or one for "
                 "each frequency."
@@ -56,20 +65,30 @@ class Sine:
         object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
         if self.harmonics is None:
             return
-        whole = isinstance(self.harmonics, (int, np.integer)) and not isinstance(self.harmonics, bool)
+        whole = isinstance(self.harmonics, (int, np.integer)) and not isinstance(
+            self.harmonics, bool
+        )
         if not whole or not 1 <= self.harmonics <= MOST_HARMONICS:
-            raise ValueError(f"harmonics {self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}.")
+            raise ValueError(
+                f"harmonics {self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}."
+            )
 
     def __repr__(self) -> str:
         low, high = np.min(self.amplitude), np.max(self.amplitude)
         size = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-        number = "as many harmonics as matter" if self.harmonics is None else counted(self.harmonics, "harmonic")
+        number = (
+            "as many harmonics as matter"
+            if self.harmonics is None
+            else counted(self.harmonics, "harmonic")
+        )
         return one_line(self, self.signal, f"amplitude {size}", number)
 
     @property
     def plain(self) -> dict[str, Any]:
         """The fields for JSON."""
-        amplitude = self.amplitude.tolist() if isinstance(self.amplitude, np.ndarray) else self.amplitude
+        amplitude = (
+            self.amplitude.tolist() if isinstance(self.amplitude, np.ndarray) else self.amplitude
+        )
         harmonics = None if self.harmonics is None else int(self.harmonics)
         return {"signal": self.signal, "amplitude": amplitude, "harmonics": harmonics}
 

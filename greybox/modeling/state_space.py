@@ -11,15 +11,17 @@ from greybox.modeling.model import Model, require_known, require_usable
 class StateSpace(Model):
     """An ODE ``x' = derivative(x, u, p)``, ``y = output(x, u, p)``, e.g. equation (4.23).
 
-    A subclass declares `states`, `inputs` and `outputs`, `delays` (input name to the name of the parameter that delays
-    it), its parameters, `derivative` and `output`, and, for records in other units to be refused, the `units` of its
-    signals. With ``states = ()`` it is a static model and needs no derivative.
+    A subclass declares `states`, `inputs` and `outputs`, `delays` (input name to the name of the
+    parameter that delays it), its parameters, `derivative` and `output`, and, for records in other
+    units to be refused, the `units` of its signals. With ``states = ()`` it is a static model and
+    needs no derivative.
 
-    It may declare ``trim(self, at, p)``, which returns the remaining states and inputs at the operating point `at` by
-    name; without it they follow from ``derivative = 0``.
+    It may declare ``trim(self, at, p)``, which returns the remaining states and inputs at the
+    operating point `at` by name; without it they follow from ``derivative = 0``.
 
-    What a delayed input did before a record is known only if it rests at the beginning: if it moves, a fit leaves out
-    as many seconds there as the upper bound of its delay, so give delays tight upper bounds (see `TimeCriterion`).
+    What a delayed input did before a record is known only if it rests at the beginning: if it
+    moves, a fit leaves out as many seconds there as the upper bound of its delay, so give delays
+    tight upper bounds (see `TimeCriterion`).
     """
 
     states: Sequence[str] = ()
@@ -35,15 +37,21 @@ class StateSpace(Model):
         for attribute in ("states", "inputs", "outputs"):
             names = getattr(cls, attribute)
             if isinstance(names, str) or len(set(names)) != len(names):
-                raise ValueError(f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names.")
+                raise ValueError(
+                    f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names."
+                )
             require_usable(names, cls.__name__)
         twice = set(cls.states) & set(cls.inputs)
         if twice:
-            raise ValueError(f"{cls.__name__} has {twice.pop()!r} both as state and as input: use two names.")
+            raise ValueError(
+                f"{cls.__name__} has {twice.pop()!r} both as state and as input: use two names."
+            )
         require_known(cls.delays, cls.inputs, "input", f"{cls.__name__}.inputs")
         require_known(cls.delays.values(), cls.parameters, "parameter", cls.__name__)
         if cls.states and cls.derivative is StateSpace.derivative:
-            raise TypeError(f"{cls.__name__} has states but no derivative(self, x, u, p): declare it.")
+            raise TypeError(
+                f"{cls.__name__} has states but no derivative(self, x, u, p): declare it."
+            )
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return the time derivative of every state, in the order of `states`; a static model has none."""

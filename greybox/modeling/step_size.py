@@ -1,16 +1,18 @@
 """How many equal substeps a fixed-step integrator takes: the one rule.
 
-Stability asks for steps within the scheme's region: |λ| h ≤ reach for every pole λ, and |Im λ| h ≤ wave, so that an
-oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the steps with half their length
-(Richardson): for a scheme of order q the error of n substeps falls as n^-q, so the difference between n and 2n of them
-is the error of n but for a factor 1 - 2^-q, and gives the number that meets a tolerance (`accurate_substeps`). Where
-the model is then run again, the growth per run is limited (`substep_growth`).
+Stability asks for steps within the scheme's region: |λ| h ≤ reach for every pole λ, and |Im λ| h ≤
+wave, so that an oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the
+steps with half their length (Richardson): for a scheme of order q the error of n substeps falls as
+n^-q, so the difference between n and 2n of them is the error of n but for a factor 1 - 2^-q, and
+gives the number that meets a tolerance (`accurate_substeps`). Where the model is then run again,
+the growth per run is limited (`substep_growth`).
 
-The tolerance, what it is relative to, and the most substeps differ from place to place: they are arguments.
+The tolerance, what it is relative to, and the most substeps differ from place to place: they are
+arguments.
 
-Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 2nd ed., section II.4: Richardson's error
-estimate (4.4), the step size that meets a tolerance, and limits of its change, (4.12) to (4.13). Stability: volume II,
-section IV.2.
+Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 2nd ed., section II.4:
+Richardson's error estimate (4.4), the step size that meets a tolerance, and limits of its change,
+(4.12) to (4.13). Stability: volume II, section IV.2.
 """
 
 import math
@@ -20,21 +22,27 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170 per sample; a model
-# with faster ones is stiff, and the implicit `Rosenbrock` takes fewer steps.
+# Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170
+# per sample; a model with faster ones is stiff, and the implicit `Rosenbrock` takes fewer steps.
 MOST_SUBSTEPS = 64
 # A repetition builds and runs everything anew, so it shall bring at least a halving of the steps.
 LEAST_GROWTH = 2
-# Steps far outside the range in which the error falls with the order hide how many are needed. (4.13) limits the change
-# of a step by facmax, 1.5 to 5 for steps that are merely repeated; with a dearer repetition it is three halvings.
+# Steps far outside the range in which the error falls with the order hide how many are needed.
+# (4.13) limits the change of a step by facmax, 1.5 to 5 for steps that are merely repeated; with a
+# dearer repetition it is three halvings.
 MOST_GROWTH = 8
-# A state this much smaller than the largest one may be rounding alone: changes of 1e-16 of the largest state are then
-# 1e-10 of it, far below all tolerances here.
+# A state this much smaller than the largest one may be rounding alone: changes of 1e-16 of the
+# largest state are then 1e-10 of it, far below all tolerances here.
 NEGLIGIBLE = 1e-6
 
 
 def stable_substeps(
-    poles: NDArray[np.complex128], step: float, *, reach: float, wave: float = math.inf, most: int = MOST_SUBSTEPS
+    poles: NDArray[np.complex128],
+    step: float,
+    *,
+    reach: float,
+    wave: float = math.inf,
+    most: int = MOST_SUBSTEPS,
 ) -> int:
     """Return the substeps (1 to `most`) of a sample of `step` s that the fastest of the poles (...) in rad/s asks for.
 
@@ -46,7 +54,9 @@ def stable_substeps(
     return _whole(fastest * step, most)
 
 
-def accurate_substeps(count: int, error: float, tolerance: float, order: int, most: int = MOST_SUBSTEPS) -> int:
+def accurate_substeps(
+    count: int, error: float, tolerance: float, order: int, most: int = MOST_SUBSTEPS
+) -> int:
     """Return the substeps (`count` to `most`) that bring the `error` of `count` substeps to the tolerance."""
     return count if error <= tolerance else _whole(count * _factor(error, tolerance, order), most)
 
@@ -59,7 +69,9 @@ def substep_growth(error: float, tolerance: float, order: int) -> int:
 
 def relative_change(change: Array, size: Array) -> float:
     """Return the largest change (n, samples) of any state in units of its `size` (n,); NaN if one is NaN."""
-    return float((np.abs(change).max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)).max(initial=0.0))
+    return float(
+        (np.abs(change).max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)).max(initial=0.0)
+    )
 
 
 def state_sizes(*states: Array) -> Array:

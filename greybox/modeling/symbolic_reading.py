@@ -14,7 +14,8 @@ from greybox.modeling.state_space import StateSpace
 
 CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
 
-# The filters of warnings are those of all threads: two that change them at once could leave them changed.
+# The filters of warnings are those of all threads: two that change them at once could leave them
+# changed.
 _FILTERS = threading.RLock()
 
 
@@ -41,7 +42,9 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
     """
     try:
         with _FILTERS, warnings.catch_warnings():
-            warnings.simplefilter("ignore", FutureWarning)  # CasADi's long notice about numpy functions, which do work
+            warnings.simplefilter(
+                "ignore", FutureWarning
+            )  # CasADi's long notice about numpy functions, which do work
             return formula(*arguments)
     except (RuntimeError, NotImplementedError, TypeError) as error:
         reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
@@ -74,9 +77,13 @@ def column(owner: str, values: Sequence[Any]) -> ca.SX:
     """Stack scalar expressions, saying which one is not an expression."""
     for k, value in enumerate(values):
         if not isinstance(value, (int, float, np.number, ca.SX, ca.DM)):
-            raise ValueError(f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {CURE}")
+            raise ValueError(
+                f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {CURE}"
+            )
         if isinstance(value, (ca.SX, ca.DM)) and not value.is_scalar():
-            raise ValueError(f"{owner} gives {value.numel()} numbers as value {k}: return one scalar for each.")
+            raise ValueError(
+                f"{owner} gives {value.numel()} numbers as value {k}: return one scalar for each."
+            )
     return require_no_nan(owner, ca.SX(ca.vertcat(*values)) if values else ca.SX(0, 1))
 
 
@@ -85,12 +92,19 @@ def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:
     function = ca.Function("scan", ca.symvar(expression), [expression])
     for k in range(function.n_instructions()):
         if function.instruction_id(k) == ca.OP_CONST and np.isnan(function.instruction_constant(k)):
-            raise ValueError(f"{owner} becomes NaN when it is compiled, as math.sin of an expression does: {CURE}")
+            raise ValueError(
+                f"{owner} becomes NaN when it is compiled, as math.sin of an expression does: {CURE}"
+            )
     return expression
 
 
 def _traced_column(
-    model: StateSpace, what: str, formula: Callable[..., Any], names: Sequence[str], z: ca.SX, p: ca.SX
+    model: StateSpace,
+    what: str,
+    formula: Callable[..., Any],
+    names: Sequence[str],
+    z: ca.SX,
+    p: ca.SX,
 ) -> ca.SX:
     owner = f"{model.label}.{what}"
     result = traced(owner, formula, *split(model, z), parameter_names(model, p))

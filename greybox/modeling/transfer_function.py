@@ -10,8 +10,8 @@ from greybox.modeling.model import Model, merged_parameters
 class TransferFunction(Model):
     """A transfer function in s from one input to one output, e.g. equation (4.25).
 
-    A subclass declares `input` and `output`, its parameters, and `response`. Transfer functions multiply:
-    ``rotor * tilt`` is the series connection in which the signal passes `rotor` first.
+    A subclass declares `input` and `output`, its parameters, and `response`. Transfer functions
+    multiply: ``rotor * tilt`` is the series connection in which the signal passes `rotor` first.
     """
 
     input: str = "u"
@@ -21,8 +21,8 @@ class TransferFunction(Model):
     def response(self, s: Any, p: Any) -> Any:
         """Return the value at `s` for the parameter values `p`.
 
-        `s` is a complex array, a `Complex` or a `Rational`; write the formula with ``+ - * / **`` and functions such as
-        `gb.exp`, and every reading works.
+        `s` is a complex array, a `Complex` or a `Rational`; write the formula with ``+ - * / **``
+        and functions such as `gb.exp`, and every reading works.
         """
 
     @property
@@ -36,7 +36,9 @@ class TransferFunction(Model):
         return (self.output,)
 
     def __mul__(self, other: Any) -> "TransferFunction":
-        return SeriesConnection(self, other) if isinstance(other, TransferFunction) else NotImplemented
+        return (
+            SeriesConnection(self, other) if isinstance(other, TransferFunction) else NotImplemented
+        )
 
     def through(self, other: "TransferFunction") -> "TransferFunction":
         """Return the series connection with a filter of the output, which keeps its name and unit.
@@ -80,10 +82,13 @@ class SeriesConnection(TransferFunction):
 class FeedbackLoop(TransferFunction):
     """Closed loop forward / (1 - sign · forward · back); negative feedback with the default sign.
 
-    A loop around a delay has exact readings in numbers and in CasADi; its rational reading needs a Padé approximation.
+    A loop around a delay has exact readings in numbers and in CasADi; its rational reading needs a
+    Padé approximation.
     """
 
-    def __init__(self, forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1) -> None:
+    def __init__(
+        self, forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1
+    ) -> None:
         _require_transfer_functions(forward, *(() if back is None else (back,)))
         if sign not in (-1, 1):
             raise ValueError(f"sign {sign!r} must be -1 (negative feedback) or 1.")
@@ -112,7 +117,9 @@ class FeedbackLoop(TransferFunction):
         return f"Feedback({self.forward.label}" + (f", {self.back.label})" if self.back else ")")
 
 
-def feedback(forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1) -> TransferFunction:
+def feedback(
+    forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1
+) -> TransferFunction:
     """Close the loop around `forward`, through `back` if given; `sign` is that of the feedback."""
     return FeedbackLoop(forward, back, sign)
 
@@ -120,10 +127,14 @@ def feedback(forward: TransferFunction, back: TransferFunction | None = None, si
 def require_no_operating_point(model: Model, at: Mapping[str, float] | None) -> None:
     """Raise ValueError where an operating point is given to a transfer function."""
     if at:
-        raise ValueError(f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}.")
+        raise ValueError(
+            f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}."
+        )
 
 
 def _require_transfer_functions(*models: Any) -> None:
     for model in models:
         if not isinstance(model, TransferFunction):
-            raise TypeError(f"{model!r} is not a TransferFunction: only transfer functions can be connected.")
+            raise TypeError(
+                f"{model!r} is not a TransferFunction: only transfer functions can be connected."
+            )

@@ -10,14 +10,18 @@ from numpy.typing import NDArray
 
 from greybox.modeling.model import Names, require_known
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import column, derivative_function, parameter_names, traced, traced_derivative
+from greybox.modeling.symbolic_reading import (
+    column,
+    derivative_function,
+    parameter_names,
+    traced,
+    traced_derivative,
+)
 
 TOLERANCE = 1e-9  # of the derivative at a trim, relative to the states and inputs there
 OWN_TOLERANCE = 1e-6  # the same for a trim that the user wrote, whose constants may be rounded
 ROUNDING = 1e-12  # derivative at the origin that is rounding
-DRAWS = (
-    8  # parameter vectors at which the origin must be an equilibrium: one generic vector decides, save for accidents
-)
+DRAWS = 8  # parameter vectors at which the origin must be an equilibrium: one generic vector decides, save for accidents
 STEPS = 10  # from the trim at the start values to that at the values asked for, where one step does not converge
 POLISHING = 30  # Newton steps: at a double root each only halves the distance, and with it the slope, to a billionth
 SINGULAR = 1e-9  # pivot of a Jacobian, relative to the largest, that is rounding
@@ -31,11 +35,13 @@ class Trimmed:
     Attributes
     ----------
     root : casadi.Function or None
-        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None where there are none, and w is empty.
+        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None where there are none,
+        and w is empty.
     function : casadi.Function
-        (p, w, ...) -> what depends on it, an SX function. Its first and second derivatives by p are those at the
-        operating point, with w held: from a root, a step of Newton's method gives the root with its first derivatives,
-        and a second step has the second ones too. They take a fraction of the time of CasADi's through its root finder.
+        (p, w, ...) -> what depends on it, an SX function. Its first and second derivatives by p are
+        those at the operating point, with w held: from a root, a step of Newton's method gives the
+        root with its first derivatives, and a second step has the second ones too. They take a
+        fraction of the time of CasADi's through its root finder.
     """
 
     root: ca.Function | None
@@ -44,7 +50,9 @@ class Trimmed:
     def closed(self) -> ca.Function:
         """Return the function of (p, ...) alone."""
         kind: Any = ca.SX if self.root is None else ca.MX
-        p, _, *others = (kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in()))
+        p, _, *others = (
+            kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in())
+        )
         w = kind(0, 1) if self.root is None else self.root(p)
         return ca.Function(self.function.name(), [p, *others], self.function(p, w, *others))
 
@@ -52,14 +60,16 @@ class Trimmed:
 def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     """Return the states and inputs at the operating point `at` as functions of the parameter vector.
 
-    The point is, in this order: what the model's own `trim` says; the origin, where that is an equilibrium for every
-    parameter value (so a hover, where ``C_x |v| v = 0`` has a double root, has finite derivatives); otherwise the
-    solution of ``derivative = 0``, differentiated by the implicit function theorem.
+    The point is, in this order: what the model's own `trim` says; the origin, where that is an
+    equilibrium for every parameter value (so a hover, where ``C_x |v| v = 0`` has a double root,
+    has finite derivatives); otherwise the solution of ``derivative = 0``, differentiated by the
+    implicit function theorem.
 
     Raises
     ------
     ValueError
-        For a name in `at` that is neither state nor input, or if the given values do not fix an operating point.
+        For a name in `at` that is neither state nor input, or if the given values do not fix an
+        operating point.
     """
     require_known(at, (*model.states, *model.inputs), "state or input", model.label)
     for name, value in at.items():
@@ -76,17 +86,24 @@ def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
 
 def _closed_form(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> Trimmed:
     n, owner = len(model.states), f"{model.label}.trim"
-    return Trimmed(None, ca.Function("trim", [p, ca.SX(0, 1)], [column(owner, point[:n]), column(owner, point[n:])]))
+    return Trimmed(
+        None,
+        ca.Function("trim", [p, ca.SX(0, 1)], [column(owner, point[:n]), column(owner, point[n:])]),
+    )
 
 
 def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
     assert model.trim is not None
     returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
     if not isinstance(returned, Mapping):
-        raise ValueError(f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by name.")
+        raise ValueError(
+            f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by name."
+        )
     given = dict(returned)
     require_known(given, (*model.states, *model.inputs), "state or input", model.label)
-    trim = _closed_form(model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)])
+    trim = _closed_form(
+        model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)]
+    )
     start = [q.start for q in model.parameters.values()]
     point = ca.vertcat(*trim.function(start, []))
     rest = np.asarray(derivative_function(model)(point, start)).ravel()
@@ -116,7 +133,11 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     z = ca.SX.sym("z", len(names))
     p = ca.SX.sym("p", len(model.parameters))
     rest = traced_derivative(model, z, p)
-    used = ca.sum1(ca.DM(ca.jacobian_sparsity(rest, z), 1.0)) if len(model.states) else ca.DM.zeros(1, len(names))
+    used = (
+        ca.sum1(ca.DM(ca.jacobian_sparsity(rest, z), 1.0))
+        if len(model.states)
+        else ca.DM.zeros(1, len(names))
+    )
     unknown = [k for k, name in enumerate(names) if name not in at and float(used[k]) > 0]
     excess = len(unknown) - len(model.states)
     if excess > 0:
@@ -137,18 +158,26 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
 
 
 def _presolve(
-    model: StateSpace, at: Mapping[str, float], residual: ca.Function, start: NDArray[np.float64], size: int
+    model: StateSpace,
+    at: Mapping[str, float],
+    residual: ca.Function,
+    start: NDArray[np.float64],
+    size: int,
 ) -> tuple[NDArray[np.float64], list[int]]:
     """Solve the trim at the start values; return it with as many independent equations as there are unknowns."""
     from scipy.optimize import least_squares  # noqa: PLC0415  (takes a fifth of a second to import)
 
     random = np.random.default_rng(0)
-    guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)] + list(random.normal(0, 3, (15, size)))
+    guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)] + list(
+        random.normal(0, 3, (15, size))
+    )
     for guess in guesses:
         if not np.all(np.isfinite(np.asarray(residual(guess, start)[0]))):
             continue
         solution = least_squares(
-            lambda w: np.nan_to_num(np.asarray(residual(w, start)[0]).ravel(), nan=1e9, posinf=1e9, neginf=-1e9),
+            lambda w: np.nan_to_num(
+                np.asarray(residual(w, start)[0]).ravel(), nan=1e9, posinf=1e9, neginf=-1e9
+            ),
             guess,
             jac=lambda w: np.nan_to_num(np.asarray(residual(w, start)[1])),  # type: ignore[arg-type]
             xtol=1e-15,
@@ -163,7 +192,9 @@ def _presolve(
             root = root - np.linalg.lstsq(jacobian, rest.ravel(), rcond=None)[0]
         diagonal, order = _pivots(residual(root, start)[1])
         nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
-        if diagonal.size and diagonal.min() < max(SINGULAR * diagonal.max(), VANISHING * np.nan_to_num(nearby).min()):
+        if diagonal.size and diagonal.min() < max(
+            SINGULAR * diagonal.max(), VANISHING * np.nan_to_num(nearby).min()
+        ):
             raise ValueError(
                 f"{model.label} at {dict(at)} has a singular operating point (its derivative does not fix every "
                 "state there): give more of the point in at, or declare trim(self, at, p)."
@@ -185,7 +216,13 @@ def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
 
 
 def _rootfinder(
-    model: StateSpace, w: ca.SX, p: ca.SX, point: ca.SX, rest: ca.SX, guess: NDArray[np.float64], rows: list[int]
+    model: StateSpace,
+    w: ca.SX,
+    p: ca.SX,
+    point: ca.SX,
+    rest: ca.SX,
+    guess: NDArray[np.float64],
+    rows: list[int],
 ) -> Trimmed:
     options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
     equations = ca.vertcat(*[rest[k] for k in rows])
@@ -202,7 +239,8 @@ def _rootfinder(
     in_steps = ca.Function("in_steps", [parameters], [root])
     root = ca.if_else(found(direct, parameters), direct, in_steps(parameters), True)
 
-    # A root that was not found becomes infinite, so that the run that met it fails instead of using it.
+    # A root that was not found becomes infinite, so that the run that met it fails instead of using
+    # it.
     step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
     exact = step(step(w, p), p)
     full = ca.substitute(point, w, exact) / found(w, p)

@@ -38,9 +38,17 @@ from greybox.plotting.style import (
 )
 
 DB_PER_NEPER = 20 / np.log(10)
-HEIGHTS = {"magnitude": 3.0, "phase": 3.0, "coherence": 1.6, "magnitude error": 1.3, "phase error": 1.3}  # inches
+HEIGHTS = {
+    "magnitude": 3.0,
+    "phase": 3.0,
+    "coherence": 1.6,
+    "magnitude error": 1.3,
+    "phase error": 1.3,
+}  # inches
 
-_Phase = tuple[NDArray[np.float64], NDArray[np.float64]]  # sorted omega (n,) in rad/s, phase (n,) in degrees
+_Phase = tuple[
+    NDArray[np.float64], NDArray[np.float64]
+]  # sorted omega (n,) in rad/s, phase (n,) in degrees
 
 
 def bode(
@@ -52,33 +60,37 @@ def bode(
 ) -> AxesArray:
     """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s, and below the errors.
 
-    Curves are unwrapped along omega and every measured phase is moved by multiples of 360° next to its curve, unless
-    the curve is far off: then the data are unwrapped by themselves. For each input-output pair the first curve begins
-    within (-180°, 180°] and the others are moved next to it as a whole. Where the data have a variance, error bars show
-    one standard deviation of one component, sqrt(variance / 2), in magnitude (20 dB at most) and phase. Shaded is the
-    confidence band of a fit (`Fit.response_band`), around zero in the panels of errors, which are measured less fitted
-    values in dB and degrees.
+    Curves are unwrapped along omega and every measured phase is moved by multiples of 360° next to
+    its curve, unless the curve is far off: then the data are unwrapped by themselves. For each
+    input-output pair the first curve begins within (-180°, 180°] and the others are moved next to
+    it as a whole. Where the data have a variance, error bars show one standard deviation of one
+    component, sqrt(variance / 2), in magnitude (20 dB at most) and phase. Shaded is the confidence
+    band of a fit (`Fit.response_band`), around zero in the panels of errors, which are measured
+    less fitted values in dB and degrees.
 
     Parameters
     ----------
     *fits : Fit or FrequencyResponse
-        All are drawn into one diagram; data that several fits share are drawn once. A measured response is drawn as
-        points, one that was evaluated from a model (`Fit.response`, `frequency_response`) as a line.
+        All are drawn into one diagram; data that several fits share are drawn once. A measured
+        response is drawn as points, one that was evaluated from a model (`Fit.response`,
+        `frequency_response`) as a line.
     labels : sequence of str, optional
         One legend entry for each of `fits`, e.g. ``("published", "refitted")``.
     axes : array-like of Axes, optional
-        For magnitude and phase; a third for the coherence, where it is known; two more for the errors of fits. Without
-        it a new figure is made.
+        For magnitude and phase; a third for the coherence, where it is known; two more for the
+        errors of fits. Without it a new figure is made.
     legend : bool
-        False leaves the legend out. It stands below a new figure, and in the magnitude's panel of given axes.
+        False leaves the legend out. It stands below a new figure, and in the magnitude's panel of
+        given axes.
     level : float or None
         Of the bands; None draws none.
 
     Returns
     -------
     numpy.ndarray of Axes, shape (n,)
-        Magnitude, phase and, of a new figure, coherence where it is known, and the errors of magnitude and phase where
-        there is a fit. The last line of a notebook cell is ``gb.plotting.bode(fit)[0].figure``.
+        Magnitude, phase and, of a new figure, coherence where it is known, and the errors of
+        magnitude and phase where there is a fit. The last line of a notebook cell is
+        ``gb.plotting.bode(fit)[0].figure``.
 
     Raises
     ------
@@ -156,15 +168,22 @@ def draw_bode(
     drawn[0].set_title(text, fontsize=TITLE_SIZE)
 
     span = float(np.ptp(drawn[1].get_ylim()))
-    step = next((step for step in (15, 30, 45, 90, 180, 360) if span <= 7 * step), 720 * np.ceil(span / 5040))
-    drawn[1].yaxis.set_major_locator(MultipleLocator(step) if span > 60 else MaxNLocator(7, steps=[1, 2, 5, 10]))
+    step = next(
+        (step for step in (15, 30, 45, 90, 180, 360) if span <= 7 * step),
+        720 * np.ceil(span / 5040),
+    )
+    drawn[1].yaxis.set_major_locator(
+        MultipleLocator(step) if span > 60 else MaxNLocator(7, steps=[1, 2, 5, 10])
+    )
 
     if "coherence" in place:
         place["coherence"].set_ylim(0, 1.05)
     _frequency_axes(drawn)
 
 
-def _draw_series(place: Mapping[str, Axes], one: ResponseSeries, phase: NDArray[np.float64]) -> None:
+def _draw_series(
+    place: Mapping[str, Axes], one: ResponseSeries, phase: NDArray[np.float64]
+) -> None:
     """Draw magnitude, `phase` (n,) in degrees, and what is known of coherence, variance and band."""
     response = one.response
     size = np.abs(response.response)
@@ -183,12 +202,19 @@ def _draw_series(place: Mapping[str, Axes], one: ResponseSeries, phase: NDArray[
 
     if one.band is not None:
         omega, low, high = band_limits(one.band)
-        curve = interpolated(omega, response.omega, decibel), interpolated(omega, response.omega, phase)
-        for ax, of, down, up in zip((place["magnitude"], place["phase"]), curve, low, high, strict=True):
+        curve = (
+            interpolated(omega, response.omega, decibel),
+            interpolated(omega, response.omega, phase),
+        )
+        for ax, of, down, up in zip(
+            (place["magnitude"], place["phase"]), curve, low, high, strict=True
+        ):
             ax.fill_between(omega, of + down, of + up, **_band_look(one.color))
 
 
-def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], series: Sequence[ResponseSeries]) -> None:
+def _draw_errors(
+    magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], series: Sequence[ResponseSeries]
+) -> None:
     """Draw measured less fitted values, and the bands of the fits around zero."""
     for one in series:
         if one.band is not None:
@@ -215,7 +241,9 @@ def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], se
         ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
 
 
-def band_limits(band: ResponseBand) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def band_limits(
+    band: ResponseBand,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return rising frequencies (n,), and the limits (2, n) from the response on, in dB and degrees, along them."""
     order = np.argsort(band.omega)
     factors = np.array([[DB_PER_NEPER], [180 / np.pi]])
@@ -227,7 +255,9 @@ def _band_look(color: str) -> dict[str, Any]:
     return {"color": color, "alpha": BAND_ALPHA, "linewidth": 0, "zorder": 1.1}
 
 
-def error_bars(data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def error_bars(
+    data: FrequencyResponse,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return one standard deviation of one component, (n,): down and up in dB, and in degrees."""
     assert data.variance is not None
     relative = np.sqrt(data.variance / 2) / np.maximum(np.abs(data.response), 1e-300)
@@ -239,7 +269,12 @@ def error_bars(data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np
 
 def _bar_look(data: FrequencyResponse, color: str) -> dict[str, Any]:
     few = len(data) < CROWD
-    look = {"fmt": "none", "ecolor": color, "zorder": 2 if few else 1.2, "capsize": 2.0 if few else 0.0}
+    look = {
+        "fmt": "none",
+        "ecolor": color,
+        "zorder": 2 if few else 1.2,
+        "capsize": 2.0 if few else 0.0,
+    }
     return look | {"elinewidth": 1.0, "alpha": 0.7 if few else 0.3}
 
 
@@ -282,7 +317,9 @@ def _unwrapped(response: FrequencyResponse) -> _Phase:
 def _moved(alone: _Phase, beside: _Phase) -> _Phase:
     """Move a phase as a whole by multiples of 360° next to another, over the frequencies that both have."""
     low = max(alone[0][0], beside[0][0])
-    common = np.geomspace(low, max(low, min(alone[0][-1], beside[0][-1])), 100)  # dense spots of a grid count no more
+    common = np.geomspace(
+        low, max(low, min(alone[0][-1], beside[0][-1])), 100
+    )  # dense spots of a grid count no more
     apart = np.mean(interpolated(common, *beside) - interpolated(common, *alone))
     return alone[0], alone[1] + 360 * np.round(apart / 360)
 
@@ -295,7 +332,9 @@ def _wrapped_to(guide: _Phase, response: FrequencyResponse) -> NDArray[np.float6
 
 def _is_guide(guide: _Phase, response: FrequencyResponse) -> bool:
     """Return whether most points lie within a quarter of a turn of the guide."""
-    return bool(np.median(np.abs(_wrapped_to(guide, response) - interpolated(response.omega, *guide))) <= 90)
+    return bool(
+        np.median(np.abs(_wrapped_to(guide, response) - interpolated(response.omega, *guide))) <= 90
+    )
 
 
 def _distance(one: ResponseSeries, curve: ResponseSeries) -> float:
@@ -303,4 +342,6 @@ def _distance(one: ResponseSeries, curve: ResponseSeries) -> float:
     if one.checksum == curve.checksum:
         return 0.0
     reference = interpolated(one.response.omega, curve.response.omega, curve.response.response)
-    return float(np.mean(np.abs(one.response.response - reference) / np.maximum(np.abs(reference), 1e-300)))
+    return float(
+        np.mean(np.abs(one.response.response - reference) / np.maximum(np.abs(reference), 1e-300))
+    )

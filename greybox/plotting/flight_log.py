@@ -38,8 +38,8 @@ def traces(
 ) -> AxesArray:
     """Draw every signal of a record over time, one panel for each unit.
 
-    With a `segment`, only its last `periods` periods are drawn, as in the paper's Fig. 3.2: setpoint and output share
-    a panel, the control has its own.
+    With a `segment`, only its last `periods` periods are drawn, as in the paper's Fig. 3.2:
+    setpoint and output share a panel, the control has its own.
 
     Parameters
     ----------
@@ -68,7 +68,9 @@ def traces(
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
         record = record.between(segment.end - span, segment.end)
     units = list(dict.fromkeys(record.units.get(name, "") for name in record.signals))
-    drawn = stacked_axes(axes, [unit or "no unit" for unit in units], "this record", 9.0, 1.2 + 2.0 * len(units))
+    drawn = stacked_axes(
+        axes, [unit or "no unit" for unit in units], "this record", 9.0, 1.2 + 2.0 * len(units)
+    )
 
     for ax, unit in zip(drawn, units, strict=True):
         names = [name for name in record.signals if record.units.get(name, "") == unit]
@@ -101,7 +103,8 @@ def recording(
     segments : sequence of Segment, optional
         Its tests, as `find_segments` returns them.
     axes : array-like of Axes, optional
-        One for each angle of the log, or for each of its first six signals. Without it a new figure is made.
+        One for each angle of the log, or for each of its first six signals. Without it a new figure
+        is made.
     legend : bool
         False leaves the legends inside the panels out.
 
@@ -115,18 +118,28 @@ def recording(
     TypeError, ValueError
         If there is no signal, or for a wrong number of axes.
     """
-    panels = [[n for n in pair if _holds(recording, n)] for pair in ATTITUDE if _holds(recording, pair[1])]
+    panels = [
+        [n for n in pair if _holds(recording, n)] for pair in ATTITUDE if _holds(recording, pair[1])
+    ]
     if not panels:
-        everything = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
+        everything = [
+            f"{key}.{name}" for key, record in recording.items() for name in record.signals
+        ]
         panels = [[name] for name in everything[:PANELS]]
     if not panels:
         raise ValueError(f"{recording.source or 'the recording'} holds no signal to draw.")
-    drawn = stacked_axes(axes, [names[-1] for names in panels], "this log", 10.0, 1.2 + 1.8 * len(panels))
+    drawn = stacked_axes(
+        axes, [names[-1] for names in panels], "this log", 10.0, 1.2 + 1.8 * len(panels)
+    )
 
     for ax, names in zip(drawn, panels, strict=True):
         for k, signal in enumerate(names):
             record, name = recording.locate(signal)
-            values = np.unwrap(record[name], period=360) if record.units.get(name) == "deg" else record[name]
+            values = (
+                np.unwrap(record[name], period=360)
+                if record.units.get(name) == "deg"
+                else record[name]
+            )
             _line(ax, record.time, values, plain(signal), k)
         shade_tests(ax, segments)
         record, name = recording.locate(names[0])
@@ -147,4 +160,6 @@ def _holds(recording: Recording, signal: str) -> bool:
 
 def _line(ax: Axes, time: np.ndarray, values: np.ndarray, label: str, k: int) -> None:
     gap = GAP * float(np.median(np.diff(time))) if time.size > 2 else math.inf
-    ax.plot(*drawn_line(time, values, pieces(time, gap)), color=color_of(k), linewidth=1.0, label=label)
+    ax.plot(
+        *drawn_line(time, values, pieces(time, gap)), color=color_of(k), linewidth=1.0, label=label
+    )

@@ -22,14 +22,17 @@ def drawn_line(
 ) -> tuple[Array, Array]:
     """Return the pieces of a line, one after the other with a NaN between.
 
-    Of a long line only the extremes of what falls into one of so many columns are returned, unless `thin` is False.
+    Of a long line only the extremes of what falls into one of so many columns are returned, unless
+    `thin` is False.
     """
     size = -(-sum(map(len, rows)) // columns) if thin else 1
     times: list[Array] = []
     kept_values: list[Array] = []
 
     for piece in rows:
-        kept = piece[_extremes(values[piece], size)] if size > 2 else piece  # two samples are their own extremes
+        kept = (
+            piece[_extremes(values[piece], size)] if size > 2 else piece
+        )  # two samples are their own extremes
         times += [time[kept], np.array([np.nan])]
         kept_values += [values[kept], np.array([np.nan])]
 

@@ -48,8 +48,9 @@ Array = NDArray[np.float64]
 
 WIDTH, BODE_WIDTH, PANEL, SINES, SPECTRUM = 8.2, 6.2, 1.25, 1.6, 2.6  # inches
 
-# Of the duration of a sweep, a window of its spectrogram: a logarithmic sweep over two decades passes a quarter of an
-# octave in it, and the window holds two periods of 2π/10 of the lowest frequencies that such sweeps begin with.
+# Of the duration of a sweep, a window of its spectrogram: a logarithmic sweep over two decades
+# passes a quarter of an octave in it, and the window holds two periods of 2π/10 of the lowest
+# frequencies that such sweeps begin with.
 WINDOW = 0.05
 DYNAMIC = 60.0  # dB, shown below the strongest
 PERIODS = 4.0  # of a sine that are shown: in more, raw values and sine lie on one another
@@ -59,10 +60,11 @@ LIMIT = "#D55E00"  # of what is at its limit
 def measurement(measured: Measurement, recording: Recording | None = None) -> Figure:
     """Draw what was measured from a log.
 
-    Input, output and instrument over time, each on an axis of its own, with the tests shaded and what is at a limit
-    marked; with the `recording` the outputs of the motors too, where it has them. Below them the spectrogram of a
-    sweep, or the demodulated sine over the raw signals for the test with the largest error. Beside them the response
-    with coherence and error bars, and, where the output has passed known filters, the response without them.
+    Input, output and instrument over time, each on an axis of its own, with the tests shaded and
+    what is at a limit marked; with the `recording` the outputs of the motors too, where it has
+    them. Below them the spectrogram of a sweep, or the demodulated sine over the raw signals for
+    the test with the largest error. Beside them the response with coherence and error bars, and,
+    where the output has passed known filters, the response without them.
 
     Parameters
     ----------
@@ -73,11 +75,16 @@ def measurement(measured: Measurement, recording: Recording | None = None) -> Fi
     Returns
     -------
     Figure
-        It is not known to pyplot: show it as the last line of a notebook cell, or save it with ``savefig``.
+        It is not known to pyplot: show it as the last line of a notebook cell, or save it with
+        ``savefig``.
     """
     record = measured.record
     names = list(record.signals)
-    motors = None if recording is None else motor_outputs(recording, float(record.time[0]), float(record.time[-1]))
+    motors = (
+        None
+        if recording is None
+        else motor_outputs(recording, float(record.time[0]), float(record.time[-1]))
+    )
     sines = [s for s in measured.used if s.kind == "sine"]
     rows = len(names) + (motors is not None)
     below = SINES * min(len(names), 2) if sines else SPECTRUM
@@ -92,13 +99,17 @@ def measurement(measured: Measurement, recording: Recording | None = None) -> Fi
         1, 2 if panels else 1, width_ratios=(WIDTH, BODE_WIDTH)[: 2 if panels else 1], squeeze=False
     )
     left = parts[0, 0]
-    upper, lower = left.subfigures(2, 1, height_ratios=(PANEL * rows + 0.5, below + 0.4), squeeze=False)[:, 0]
+    upper, lower = left.subfigures(
+        2, 1, height_ratios=(PANEL * rows + 0.5, below + 0.4), squeeze=False
+    )[:, 0]
 
     axes = upper.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     for k, (ax, name) in enumerate(zip(axes, names, strict=False)):
         _draw_signal(ax, record, name, measured.tests, color_of(k), limited=k == 0)
     if motors is not None and recording is not None:
-        _draw_motors(axes[-1], motors, limits(recording.metadata.get("parameters", {})), measured.tests)
+        _draw_motors(
+            axes[-1], motors, limits(recording.metadata.get("parameters", {})), measured.tests
+        )
     label_horizontal(axes, "Time, s (shaded: tests; marked: at a limit)")
     upper.align_ylabels(axes)
     _draw_test(lower, measured, sines)
@@ -113,7 +124,9 @@ def measurement(measured: Measurement, recording: Recording | None = None) -> Fi
     return figure
 
 
-def spectrogram(record: Record, signal: str, segment: Segment | None = None, *, ax: Axes | None = None) -> Axes:
+def spectrogram(
+    record: Record, signal: str, segment: Segment | None = None, *, ax: Axes | None = None
+) -> Axes:
     """Draw the power of a signal over time and frequency.
 
     Parameters
@@ -141,8 +154,12 @@ def spectrogram(record: Record, signal: str, segment: Segment | None = None, *, 
     values = part[signal] - part[signal].mean()
     count = int(np.clip(WINDOW * len(part), 16, len(part)))
     if count > len(part) or len(part) < 32:
-        raise ValueError(f"{len(part)} samples of {signal!r} are too few for a spectrogram: give a longer stretch.")
-    hz, times, density = power(values, part.rate, "hann", count, count * 7 // 8, nfft=4 * count, detrend="linear")
+        raise ValueError(
+            f"{len(part)} samples of {signal!r} are too few for a spectrogram: give a longer stretch."
+        )
+    hz, times, density = power(
+        values, part.rate, "hann", count, count * 7 // 8, nfft=4 * count, detrend="linear"
+    )
     ax = new_figure(8.0, 3.0).subplots() if ax is None else ax
     omega = 2 * np.pi * hz[1:]
     density = np.maximum(density[1:], 1e-300)
@@ -156,7 +173,9 @@ def spectrogram(record: Record, signal: str, segment: Segment | None = None, *, 
         shading="nearest",
         rasterized=True,
     )
-    low, high = (omega[0], omega[-1]) if segment is None else (segment.band[0] / 1.5, segment.band[1] * 2)
+    low, high = (
+        (omega[0], omega[-1]) if segment is None else (segment.band[0] / 1.5, segment.band[1] * 2)
+    )
     ax.set_yscale("log")
     ax.set_ylim(max(low, omega[0]), min(high, omega[-1]))
     finish(ax, "ω, rad/s")
@@ -166,7 +185,12 @@ def spectrogram(record: Record, signal: str, segment: Segment | None = None, *, 
 
 
 def demodulated(
-    record: Record, segment: Segment, signals: Sequence[str], *, axes: GivenAxes | None = None, legend: bool = True
+    record: Record,
+    segment: Segment,
+    signals: Sequence[str],
+    *,
+    axes: GivenAxes | None = None,
+    legend: bool = True,
 ) -> AxesArray:
     """Draw the last periods of a sine test: the raw signals and the sine, mean and trend that were fitted to each.
 
@@ -214,10 +238,16 @@ def demodulated(
     return drawn
 
 
-def _draw_signal(ax: Axes, record: Record, name: str, tests: Sequence[Segment], color: str, *, limited: bool) -> None:
+def _draw_signal(
+    ax: Axes, record: Record, name: str, tests: Sequence[Segment], color: str, *, limited: bool
+) -> None:
     unit = record.units.get(name, "")
     values = record[name] * shown_unit(unit)[0]
-    ax.plot(*drawn_line(record.time, values, pieces(record.time, 2.5 * record.step)), color=color, linewidth=0.8)
+    ax.plot(
+        *drawn_line(record.time, values, pieces(record.time, 2.5 * record.step)),
+        color=color,
+        linewidth=0.8,
+    )
     shade_tests(ax, tests)
     if limited:
         rows = at_limit(record[name])
@@ -225,9 +255,15 @@ def _draw_signal(ax: Axes, record: Record, name: str, tests: Sequence[Segment], 
     finish(ax, signal_label(name, unit))
 
 
-def _draw_motors(ax: Axes, motors: Record, ends: tuple[float, float], tests: Sequence[Segment]) -> None:
+def _draw_motors(
+    ax: Axes, motors: Record, ends: tuple[float, float], tests: Sequence[Segment]
+) -> None:
     for k, values in enumerate(motors.signals.values()):
-        ax.plot(*drawn_line(motors.time, values, pieces(motors.time, 10 * motors.step)), color=color_of(k), lw=0.8)
+        ax.plot(
+            *drawn_line(motors.time, values, pieces(motors.time, 10 * motors.step)),
+            color=color_of(k),
+            lw=0.8,
+        )
         rows = (values <= ends[0]) | (values >= ends[1] - 1)
         ax.plot(motors.time[rows], values[rows], "|", color=LIMIT, ms=8)
     shade_tests(ax, tests)
@@ -248,7 +284,9 @@ def _draw_test(part: SubFigure, measured: Measurement, sines: Sequence[Segment])
         test = min(sines, key=lambda s: abs(s.omega - worst))
     axes = part.subplots(2, 1, sharex=True)
     demodulated(measured.record, test, (u, y), axes=axes)
-    axes[0].set_title(f"the sine with the largest error, {test.omega:.4g} rad/s", fontsize=TITLE_SIZE)
+    axes[0].set_title(
+        f"the sine with the largest error, {test.omega:.4g} rad/s", fontsize=TITLE_SIZE
+    )
     part.align_ylabels(axes)
 
 
@@ -260,7 +298,12 @@ def _responses(measured: Measurement) -> tuple[list[FrequencyResponse], list[str
     filters = list(chain(measured.record.filters.get(response.output, ())))
     if not filters:
         return [response], []
-    passed = np.prod([frequency_response(filter_model(f), {}, response.omega).response for f in filters], axis=0)
+    passed = np.prod(
+        [frequency_response(filter_model(f), {}, response.omega).response for f in filters], axis=0
+    )
     variance = None if response.variance is None else response.variance / np.abs(passed) ** 2
     corrected = replace(response, response=response.response / passed, variance=variance)
-    return [response, corrected], ["as logged", f"without the {' and the '.join(map(str, filters))}"]
+    return [response, corrected], [
+        "as logged",
+        f"without the {' and the '.join(map(str, filters))}",
+    ]

@@ -40,7 +40,9 @@ from greybox.plotting.style import (
 UNLIKE = 5.0  # ratio of magnitudes above which the smaller one would vanish beside the larger
 REPEAT_DISTANCE = 45.0  # points (1/72 inch) within which a number is not repeated
 ANNOTATED = 12  # points of one data set up to which all have their number
-BAND_REACH = 0.5  # of the extent of points and curves, which a band may add to it: a wider one is cut off
+BAND_REACH = (
+    0.5  # of the extent of points and curves, which a band may add to it: a wider one is cut off
+)
 ZERO = "zero"  # marks the lines through the origin
 
 
@@ -53,18 +55,19 @@ def nyquist(
 ) -> AxesArray:
     """Draw the Nyquist diagram: measured points, numbered by their frequency in rad/s, and the fitted curves.
 
-    Around every point of known variance is the region that holds the true response at this level, a circle since both
-    components have half of the variance. Shaded around a fitted curve is what the confidence ellipses of its points
-    cover (`Fit.response_band`).
+    Around every point of known variance is the region that holds the true response at this level, a
+    circle since both components have half of the variance. Shaded around a fitted curve is what the
+    confidence ellipses of its points cover (`Fit.response_band`).
 
-    Input-output pairs whose magnitudes differ by more than a factor of 5 have one panel each. A curve that extends so
-    far that the data would be a dot is cut off, and the title says so.
+    Input-output pairs whose magnitudes differ by more than a factor of 5 have one panel each. A
+    curve that extends so far that the data would be a dot is cut off, and the title says so.
 
     Parameters
     ----------
     *fits : Fit or FrequencyResponse
-        All are drawn into one diagram; data that several fits share are drawn once. A measured response is drawn as
-        points, one that was evaluated from a model (`Fit.response`, `frequency_response`) as a line.
+        All are drawn into one diagram; data that several fits share are drawn once. A measured
+        response is drawn as points, one that was evaluated from a model (`Fit.response`,
+        `frequency_response`) as a line.
     labels : sequence of str, optional
         One legend entry for each of `fits`, e.g. ``("published", "refitted")``.
     axes : Axes or array-like of Axes, optional
@@ -77,7 +80,8 @@ def nyquist(
     Returns
     -------
     numpy.ndarray of Axes, shape (n,)
-        One for each panel; the last line of a notebook cell is ``gb.plotting.nyquist(fit)[0].figure``.
+        One for each panel; the last line of a notebook cell is
+        ``gb.plotting.nyquist(fit)[0].figure``.
 
     Raises
     ------
@@ -119,7 +123,9 @@ def panels(series: Sequence[ResponseSeries]) -> list[list[ResponseSeries]]:
 
 
 def _by_pair(series: Sequence[ResponseSeries]) -> list[list[ResponseSeries]]:
-    known = dict.fromkeys(one.pair for one in sorted(series, key=lambda one: not one.measured))  # in the data's order
+    known = dict.fromkeys(
+        one.pair for one in sorted(series, key=lambda one: not one.measured)
+    )  # in the data's order
     return [[one for one in series if one.pair == pair] for pair in known]
 
 
@@ -151,12 +157,16 @@ def panel_axes(figure: Figure | SubFigure, count: int) -> AxesArray:
 def add_title(figure: Figure | SubFigure, drawn: AxesArray, text: str) -> None:
     """Write the title over the only panel, or over all."""
     if len(drawn) == 1:
-        drawn[0].set_title("\n".join(filter(None, [text, drawn[0].get_title()])), fontsize=TITLE_SIZE)
+        drawn[0].set_title(
+            "\n".join(filter(None, [text, drawn[0].get_title()])), fontsize=TITLE_SIZE
+        )
     else:
         figure.suptitle(text, fontsize=TITLE_SIZE)
 
 
-def draw_nyquist(drawn: AxesArray, groups: Sequence[Sequence[ResponseSeries]], level: float | None) -> None:
+def draw_nyquist(
+    drawn: AxesArray, groups: Sequence[Sequence[ResponseSeries]], level: float | None
+) -> None:
     """Draw each group of series into its panel; the title of a panel says if curves are cut off."""
     for ax, members in zip(drawn, groups, strict=True):
         _draw_panel(ax, members, level)
@@ -186,7 +196,9 @@ def _draw_regions(ax: Axes, series: Sequence[ResponseSeries], level: float) -> N
             shapes = [np.column_stack([e.real, e.imag]) for e in outlines if np.all(np.isfinite(e))]
             # Opaque, and of a pale color: where ellipses overlap, transparent ones would add up.
             pale = tuple(1 - BAND_ALPHA * (1 - part) for part in to_rgb(one.color))
-            ax.add_collection(PolyCollection(shapes, facecolors=[pale], linewidths=0, zorder=0.5), autolim=False)
+            ax.add_collection(
+                PolyCollection(shapes, facecolors=[pale], linewidths=0, zorder=0.5), autolim=False
+            )
             reach = ax.dataLim.expanded(1 + BAND_REACH, 1 + BAND_REACH)
             ax.update_datalim(np.clip(np.vstack([np.zeros((0, 2)), *shapes]), reach.min, reach.max))
         if one.measured and one.response.variance is not None:
@@ -195,9 +207,16 @@ def _draw_regions(ax: Axes, series: Sequence[ResponseSeries], level: float) -> N
             dof = np.full(len(data), np.inf) if data.dof is None else data.dof
             radii = np.sqrt(data.variance / 2) * [radius(level, each) for each in dof]
             circles = [
-                Circle(place, r) for place, r in zip(zip(data.alpha, data.beta, strict=True), radii, strict=True)
+                Circle(place, r)
+                for place, r in zip(zip(data.alpha, data.beta, strict=True), radii, strict=True)
             ]
-            look = {"facecolors": "none", "edgecolors": one.color, "linewidths": 0.8, "alpha": 0.6, "zorder": 2}
+            look = {
+                "facecolors": "none",
+                "edgecolors": one.color,
+                "linewidths": 0.8,
+                "alpha": 0.6,
+                "zorder": 2,
+            }
             ax.add_collection(PatchCollection(circles, **look), autolim=False)
 
 
@@ -224,7 +243,9 @@ def _keep_data_visible(ax: Axes, series: Sequence[ResponseSeries]) -> str:
 
 def number_points(drawn: AxesArray, groups: Sequence[Sequence[ResponseSeries]]) -> None:
     """Write the frequencies beside the points of the panels, wherever there is room for one."""
-    drawn[0].figure.figure.draw_without_rendering()  # lays the axes out, so that places on the page are known
+    drawn[
+        0
+    ].figure.figure.draw_without_rendering()  # lays the axes out, so that places on the page are known
     for ax, members in zip(drawn, groups, strict=True):
         _number_panel(ax, [one.response for one in members if one.measured])
 
@@ -239,7 +260,11 @@ def _number_panel(ax: Axes, measured: Sequence[FrequencyResponse]) -> None:
         chosen = _spread(spots)
         for k in [*chosen[:1], *chosen[:0:-1]]:  # the ends first
             unit = "" if room.used else " rad/s"
-            room.write(_brief(omega[k]) + unit, spots[k], spots[k] - spots[max(0, k - 1) : k + 2].mean(axis=0))
+            room.write(
+                _brief(omega[k]) + unit,
+                spots[k],
+                spots[k] - spots[max(0, k - 1) : k + 2].mean(axis=0),
+            )
 
 
 def _spread(spots: NDArray) -> list[int]:
@@ -281,16 +306,29 @@ class _Room:
 
     def write(self, text: str, spot: NDArray, outward: NDArray) -> None:
         """Write `text` beside the point at `spot` (2,), best in the direction `outward` (2,), if not just said."""
-        near = [t for t, place, _ in self._written if np.hypot(*(spot - place)) < REPEAT_DISTANCE * self._pixel]
+        near = [
+            t
+            for t, place, _ in self._written
+            if np.hypot(*(spot - place)) < REPEAT_DISTANCE * self._pixel
+        ]
         if text.removesuffix(" rad/s") in [other.removesuffix(" rad/s") for other in near]:
             return
-        look = {"fontsize": 8.5, "color": "0.25", "path_effects": [withStroke(linewidth=2, foreground="white")]}
+        look = {
+            "fontsize": 8.5,
+            "color": "0.25",
+            "path_effects": [withStroke(linewidth=2, foreground="white")],
+        }
         x, y = self._ax.transData.inverted().transform(spot)
-        note = self._ax.annotate(text, (x, y), (0, 0), textcoords="offset points", ha="center", va="center", **look)
+        note = self._ax.annotate(
+            text, (x, y), (0, 0), textcoords="offset points", ha="center", va="center", **look
+        )
         half = np.array(note.get_window_extent().size) / 2
         offsets = self._offsets(half, outward)
         # Where nothing else is free, on the lines through the origin.
-        for offset, lines in [*((d, self._lines) for d in offsets), *((d, self._curves) for d in offsets)]:
+        for offset, lines in [
+            *((d, self._lines) for d in offsets),
+            *((d, self._curves) for d in offsets),
+        ]:
             box = Bbox(np.array([spot + offset - half, spot + offset + half]))
             if self._is_free(box, lines):
                 note.set_position(tuple(offset / self._pixel))
@@ -303,7 +341,10 @@ class _Room:
         angles = np.radians(np.arange(0, 360, 30))
         directions = np.column_stack([np.cos(angles), np.sin(angles)])
         directions = directions[np.argsort(-directions @ outward, kind="stable")]
-        return [d * (MARKER_SIZE * self._pixel + np.min(half / np.maximum(np.abs(d), 1e-9))) for d in directions]
+        return [
+            d * (MARKER_SIZE * self._pixel + np.min(half / np.maximum(np.abs(d), 1e-9)))
+            for d in directions
+        ]
 
     def _is_free(self, box: Bbox, lines: Sequence[Path]) -> bool:
         wide = box.padded(self._pixel * MARKER_SIZE / 2)
@@ -312,4 +353,6 @@ class _Room:
         within = np.all(box.min >= frame.min) and np.all(box.max <= frame.max)
         covers = np.any(np.all((self._points > wide.min) & (self._points < wide.max), axis=1))
         crossed = any(path.intersects_bbox(near, filled=False) for path in lines)
-        return bool(within and not covers and not crossed) and not any(near.overlaps(b) for *_, b in self._written)
+        return bool(within and not covers and not crossed) and not any(
+            near.overlaps(b) for *_, b in self._written
+        )

@@ -50,20 +50,37 @@ def orders(found: OrderSelection, ax: Axes | None = None, legend: bool = True) -
             "marker": MARKERS[k % len(MARKERS)],
             "linestyle": "none",
         }
-        ax.plot([c.parameters for c in members], [c.bic - least for c in members], markersize=5, **style)
+        ax.plot(
+            [c.parameters for c in members], [c.bic - least for c in members], markersize=5, **style
+        )
         name = counted(group[0], "integrator") if group[0] else "no integrator"
         entries[f"{name}{', delay' if group[1] else ''}"] = (Line2D([], [], **style),)
     ax.set_yscale("symlog", linthresh=NEAR)
     ax.axhline(BARE_MENTION, color=GRAYS[0], linewidth=0.8, linestyle="--")
     chosen = found.chosen
-    (ring,) = ax.plot(chosen.parameters, chosen.bic - least, "o", markersize=12, markerfacecolor="none", color=DARK)
+    (ring,) = ax.plot(
+        chosen.parameters,
+        chosen.bic - least,
+        "o",
+        markersize=12,
+        markerfacecolor="none",
+        color=DARK,
+    )
     entries["chosen"] = (ring,)
-    best = {c.parameters: c for c in reversed(found.candidates)}  # of each number, those of one are sorted by BIC
+    best = {
+        c.parameters: c for c in reversed(found.candidates)
+    }  # of each number, those of one are sorted by BIC
     for c in best.values():
         if c.bic - least <= NEAR:
             place = (c.parameters, c.bic - least)
             ax.annotate(
-                f"{c.n}, {c.m}", place, xytext=(-8, 7), textcoords="offset points", ha="right", fontsize=8, color=DARK
+                f"{c.n}, {c.m}",
+                place,
+                xytext=(-8, 7),
+                textcoords="offset points",
+                ha="right",
+                fontsize=8,
+                color=DARK,
             )
     ax.set_ylim(bottom=-0.6)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -4,12 +4,38 @@ from matplotlib.figure import Figure, SubFigure
 
 from greybox.estimate.result import Fit
 from greybox.plotting.bode import bode_axes, bode_panels, draw_bode
-from greybox.plotting.nyquist import add_title, draw_nyquist, grid, number_points, panel_axes, panels
-from greybox.plotting.response_series import ResponseSeries, error_series, legend_entries, response_series, title
-from greybox.plotting.spectrum import as_drawn, draw_spectrum, spectrum_axes, spectrum_height, spectrum_legend
+from greybox.plotting.nyquist import (
+    add_title,
+    draw_nyquist,
+    grid,
+    number_points,
+    panel_axes,
+    panels,
+)
+from greybox.plotting.response_series import (
+    ResponseSeries,
+    error_series,
+    legend_entries,
+    response_series,
+    title,
+)
+from greybox.plotting.spectrum import (
+    as_drawn,
+    draw_spectrum,
+    spectrum_axes,
+    spectrum_height,
+    spectrum_legend,
+)
 from greybox.plotting.starts import draw_starts
 from greybox.plotting.style import TITLE_SIZE, legend_below, new_figure, plain
-from greybox.plotting.time_history import WIDTH, draw_history, histories, history_axes, history_height, history_legend
+from greybox.plotting.time_history import (
+    WIDTH,
+    draw_history,
+    histories,
+    history_axes,
+    history_height,
+    history_legend,
+)
 
 BODE_WIDTH = 6.2  # inches
 STARTS_HEIGHT = 3.4  # inches
@@ -19,14 +45,14 @@ LEVEL = 0.95  # of the bands, as in the diagrams alone
 def plot(fit: Fit) -> Figure:
     """Draw an overview of a fit: of responses the Nyquist diagram, the Bode diagram and the starts.
 
-    Of records their time histories and the starts, of manoeuvres their spectra and the starts; where the data are
-    several of these, side by side.
+    Of records their time histories and the starts, of manoeuvres their spectra and the starts;
+    where the data are several of these, side by side.
 
     Returns
     -------
     Figure
-        Not axes, as from the other functions, since it arranges several diagrams. It is not known to pyplot: show it
-        as the last line of a notebook cell, or save it with ``savefig``.
+        Not axes, as from the other functions, since it arranges several diagrams. It is not known
+        to pyplot: show it as the last line of a notebook cell, or save it with ``savefig``.
     """
     return _plot_records(fit) if fit.records or fit.spectra else _plot_responses(fit)
 
@@ -69,7 +95,9 @@ def _plot_responses(fit: Fit) -> Figure:
 
     figure = new_figure(width + BODE_WIDTH, height + STARTS_HEIGHT)
     figure.suptitle(title((fit,)), fontsize=13)
-    left, right = figure.subfigures(1, 2, wspace=0.03, width_ratios=(width, BODE_WIDTH), squeeze=False)[0]
+    left, right = figure.subfigures(
+        1, 2, wspace=0.03, width_ratios=(width, BODE_WIDTH), squeeze=False
+    )[0]
     top, bottom = left.subfigures(2, 1, height_ratios=(height, STARTS_HEIGHT), squeeze=False)[:, 0]
 
     drawn = panel_axes(top, len(groups))

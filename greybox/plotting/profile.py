@@ -60,9 +60,18 @@ def contour(found: Contour, axes: Any = None) -> Axes:
     ax.plot(*points.T, color=COLORS[0], linewidth=1.4)
     closed = np.array([end == "crossed" for end in found.ends])
     ax.plot(*found.points[closed].T, color=COLORS[0], marker="o", markersize=3, linestyle="")
-    ax.plot(*found.points[~closed].T, color=COLORS[0], marker="o", markersize=4, linestyle="", markerfacecolor="white")
+    ax.plot(
+        *found.points[~closed].T,
+        color=COLORS[0],
+        marker="o",
+        markersize=4,
+        linestyle="",
+        markerfacecolor="white",
+    )
     if np.all(np.isfinite(found.covariance)):
-        ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # of the region: the ellipse may be many times as long
+        ax.set(
+            xlim=ax.get_xlim(), ylim=ax.get_ylim()
+        )  # of the region: the ellipse may be many times as long
         ax.plot(*found.ellipse().T, color=GRAYS[0], linestyle="--", linewidth=0.9)
     ax.plot(*found.estimate, color=DARK, marker="+", markersize=7)
     for axis, name, unit in zip((ax.xaxis, ax.yaxis), found.names, found.units, strict=True):
@@ -75,10 +84,18 @@ def _draw(ax: Axes, profile: ProfileOf, limit: float) -> None:
     size = np.abs(profile.roots)
     low, high = (
         end if math.isfinite(end) else value
-        for end, value in zip(profile.interval, (profile.values[0], profile.values[-1]), strict=True)
+        for end, value in zip(
+            profile.interval, (profile.values[0], profile.values[-1]), strict=True
+        )
     )
     sides = [profile.values[0], profile.estimate, profile.values[-1]]
-    ax.stairs([limit + profile.bias, limit - profile.bias], sides, baseline=None, color=GRAYS[0], linewidth=0.8)
+    ax.stairs(
+        [limit + profile.bias, limit - profile.bias],
+        sides,
+        baseline=None,
+        color=GRAYS[0],
+        linewidth=0.8,
+    )
     ax.axvspan(low, high, color=COLORS[0], alpha=0.12, linewidth=0)
     if math.isfinite(profile.standard_error) and profile.standard_error > 0:
         grid = np.array([profile.values[0], profile.estimate, profile.values[-1]])

@@ -46,10 +46,11 @@ class ResidualPanel:
 def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> AxesArray:
     """Draw the residuals of every output of a fitted record: histogram, autocorrelation, correlation with inputs.
 
-    The histogram has the normal distribution of the same mean and variance. Correlations are over the lag in samples,
-    with what 99 % of them stay within if there is none, and the p-value of all together. Those with an input are after
-    both were filtered by what whitens the residuals, at lags by which the input comes before; of more than three inputs
-    these are the three with the smallest p-values, and constant ones are left out. Rows without a time have no lags.
+    The histogram has the normal distribution of the same mean and variance. Correlations are over
+    the lag in samples, with what 99 % of them stay within if there is none, and the p-value of all
+    together. Those with an input are after both were filtered by what whitens the residuals, at
+    lags by which the input comes before; of more than three inputs these are the three with the
+    smallest p-values, and constant ones are left out. Rows without a time have no lags.
 
     Parameters
     ----------
@@ -72,14 +73,20 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     if not isinstance(fit, Fit):
         raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
     if not fit.records:
-        raise ValueError(f"the fit {fit.name!r} has no record: gb.plotting.bode shows the errors of its responses.")
+        raise ValueError(
+            f"the fit {fit.name!r} has no record: gb.plotting.bode shows the errors of its responses."
+        )
     part = chosen(fit.records, record, "record")
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
     rows = [residual_panels(part, output) for output in part.outputs]
 
     if axes is not None:
-        drawn = given_axes(axes, [f"{p.name} of {p.output}" for row in rows for p in row], "this figure of residuals")
+        drawn = given_axes(
+            axes,
+            [f"{p.name} of {p.output}" for row in rows for p in row],
+            "this figure of residuals",
+        )
     else:
         columns = max(map(len, rows))
         figure = new_figure(3.1 * columns, 0.6 + 2.4 * len(rows))
@@ -87,7 +94,9 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
         for row, places in zip(rows, grid, strict=True):
             for spare in places[len(row) :]:
                 spare.remove()
-        drawn = np.array([ax for row, places in zip(rows, grid, strict=True) for ax in places[: len(row)]])
+        drawn = np.array(
+            [ax for row, places in zip(rows, grid, strict=True) for ax in places[: len(row)]]
+        )
         figure.suptitle(plain(part.data.name or fit.name), fontsize=TITLE_SIZE)
 
     for ax, panel in zip(drawn, (panel for row in rows for panel in row), strict=True):
@@ -130,7 +139,11 @@ def _draw_histogram(ax: Axes, part: FittedRecord, output: str) -> None:
         spread = float(e.std())
         if spread > 0:
             x = np.linspace(e.min(), e.max(), 200)
-            ax.plot(x, np.exp(-0.5 * ((x - e.mean()) / spread) ** 2) / (spread * math.sqrt(2 * math.pi)), color=DARK)
+            ax.plot(
+                x,
+                np.exp(-0.5 * ((x - e.mean()) / spread) ** 2) / (spread * math.sqrt(2 * math.pi)),
+                color=DARK,
+            )
     finish(ax, "Density")
     ax.set_yticks([])
     ax.xaxis.set_major_locator(MaxNLocator(4))
@@ -146,7 +159,12 @@ def _draw_correlations(ax: Axes, panel: ResidualPanel, test: CorrelationTest) ->
     most = max(float(np.nanmax(np.abs(test.correlations), initial=0.0)), test.bound)
     ax.set_ylim(-1.25 * most, 1.25 * most)
     ax.set_xlim(0, lags[-1] + 1)
-    finish(ax, "Autocorrelation" if panel.name == "autocorrelation" else f"Correlation with {symbol(panel.name)}")
+    finish(
+        ax,
+        "Autocorrelation"
+        if panel.name == "autocorrelation"
+        else f"Correlation with {symbol(panel.name)}",
+    )
     ax.set_xlabel("Lag, samples", fontsize=11)
     text = "p < 0.0001" if test.p_value < 1e-4 else f"p = {test.p_value:.2g}"
     ax.set_title(f"{symbol(panel.output)}, {text}", fontsize=10)

@@ -27,8 +27,8 @@ SAME_CURVE = 1e-2  # relative distance below which two curves of one fit look li
 class ResponseSeries:
     """Measured points (of the style of a marker) or a curve (of the style of a line), and what it belongs to.
 
-    `checksum` is that of the data, `pair` the names of input and output, `fit` and `band` are those of a fitted
-    curve, the band where it is known.
+    `checksum` is that of the data, `pair` the names of input and output, `fit` and `band` are those
+    of a fitted curve, the band where it is known.
     """
 
     response: FrequencyResponse
@@ -53,7 +53,9 @@ class ResponseSeries:
             marker = "" if len(self.response) > 1 else "+"
             return {**look, "linestyle": self.style, "marker": marker, "linewidth": 1.8}
 
-        shrink = min(1.0, (CROWD / len(self.response)) ** 0.5)  # the ink of all points together stays the same
+        shrink = min(
+            1.0, (CROWD / len(self.response)) ** 0.5
+        )  # the ink of all points together stays the same
         return {
             **look,
             "linestyle": "none",
@@ -90,7 +92,9 @@ class ErrorSeries:
     look: dict[str, Any]
 
 
-def error_series(items: Sequence[Fit | FrequencyResponse], series: Sequence[ResponseSeries]) -> list[ErrorSeries]:
+def error_series(
+    items: Sequence[Fit | FrequencyResponse], series: Sequence[ResponseSeries]
+) -> list[ErrorSeries]:
     """Return the errors of every fit, in the look of its data; of several fits in the color of their curves."""
     fits = [item for item in items if isinstance(item, Fit)]
     points = {one.checksum: one for one in series if one.measured}
@@ -109,7 +113,11 @@ def error_series(items: Sequence[Fit | FrequencyResponse], series: Sequence[Resp
                 own = [one for one in own if one.checksum == part.data.checksum] or own
                 look["color"] = own[0].color if own else shown.color
                 if k:  # data that several fits share: told apart also where the curves have the color of the data
-                    look |= {"markerfacecolor": "none", "markeredgecolor": look["color"], "markeredgewidth": 1.0}
+                    look |= {
+                        "markerfacecolor": "none",
+                        "markeredgecolor": look["color"],
+                        "markeredgewidth": 1.0,
+                    }
             found.append(ErrorSeries(part.data, ratio, look))
     return found
 
@@ -119,11 +127,15 @@ def legend_entries(series: Sequence[ResponseSeries]) -> dict[str, tuple[Artist, 
     entries: dict[str, dict[str, Line2D]] = {}
     for one in sorted(series, key=lambda one: not one.measured):
         entries.setdefault(one.label, {})[one.color + one.style] = one.key
-    legend: dict[str, tuple[Artist, ...]] = {label: tuple(keys.values()) for label, keys in entries.items()}
+    legend: dict[str, tuple[Artist, ...]] = {
+        label: tuple(keys.values()) for label, keys in entries.items()
+    }
     shaded = {one.color: one.band.level for one in series if one.band is not None}
     if shaded:
         level = 100 * next(iter(shaded.values()))
-        legend[f"{level:g} % band"] = tuple(Patch(color=c, alpha=BAND_ALPHA, linewidth=0) for c in shaded)
+        legend[f"{level:g} % band"] = tuple(
+            Patch(color=c, alpha=BAND_ALPHA, linewidth=0) for c in shaded
+        )
     return legend
 
 
@@ -144,11 +156,16 @@ def response_series(
     Raises
     ------
     TypeError, ValueError
-        For what is no frequency response, for nothing, or for labels that are not as many as the items.
+        For what is no frequency response, for nothing, or for labels that are not as many as the
+        items.
     """
     _check(items, labels)
     names = [plain(label) for label in labels or _labels(items)]
-    measured = {r.checksum: (r, label) for k, name in zip(items, names, strict=True) for r, label in _data(k, name)}
+    measured = {
+        r.checksum: (r, label)
+        for k, name in zip(items, names, strict=True)
+        for r, label in _data(k, name)
+    }
     curves = [_distinct(_curves(item)) for item in items]
     pairs = _pairs(items)
     return [
@@ -181,7 +198,8 @@ def _curve_series(
     """Give every curve the color of its data where these are told apart by color, else one of its item."""
     # One curve that stands for several data sets has the color of none of them.
     shared = any(
-        isinstance(item, Fit) and 0 < len(kept) < len(item.responses) for item, kept in zip(items, curves, strict=True)
+        isinstance(item, Fit) and 0 < len(kept) < len(item.responses)
+        for item, kept in zip(items, curves, strict=True)
     )
     series = []
     for i, kept in enumerate(curves):
@@ -196,7 +214,11 @@ def _curve_series(
             item = items[i]
             fit = item if isinstance(item, Fit) else None
             band = None if fit is None or level is None else _band(fit, checksum, level)
-            series.append(ResponseSeries(curve, names[i], color, style, checksum, _pair(curve, pairs), band, fit))
+            series.append(
+                ResponseSeries(
+                    curve, names[i], color, style, checksum, _pair(curve, pairs), band, fit
+                )
+            )
     return series
 
 
@@ -219,7 +241,11 @@ def _data_series(
     for k, (checksum, (data, label)) in enumerate(measured.items()):
         color = colors[k % len(colors)]
         marker = MARKERS[k % len(MARKERS)]
-        series.append(ResponseSeries(data, label, color, marker, checksum, pairs.get(checksum) or _pair(data, pairs)))
+        series.append(
+            ResponseSeries(
+                data, label, color, marker, checksum, pairs.get(checksum) or _pair(data, pairs)
+            )
+        )
     return series
 
 
@@ -237,7 +263,11 @@ def _pairs(items: Sequence[Fit | FrequencyResponse]) -> dict[str, tuple[str, str
 def _pair(response: FrequencyResponse, known: Mapping[str, tuple[str, str]]) -> tuple[str, str]:
     """Return the names of input and output; where one is left out, those of the only known pair that fits."""
     stated = response.input, response.output
-    fitting = {pair for pair in known.values() if all(a in ("", b) for a, b in zip(stated, pair, strict=True))}
+    fitting = {
+        pair
+        for pair in known.values()
+        if all(a in ("", b) for a, b in zip(stated, pair, strict=True))
+    }
     return fitting.pop() if len(fitting) == 1 else stated
 
 
@@ -248,9 +278,13 @@ def _check(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> N
     if not items:
         raise ValueError("there is nothing to draw: give at least one Fit or FrequencyResponse.")
     if all(isinstance(item, Fit) and not item.responses for item in items):
-        raise ValueError("there is no frequency response to draw: gb.plotting.time_history draws fitted records.")
+        raise ValueError(
+            "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
+        )
     if labels and len(labels) != len(items):
-        raise ValueError(f"there are {len(labels)} labels for {len(items)} fits: give one for each.")
+        raise ValueError(
+            f"there are {len(labels)} labels for {len(items)} fits: give one for each."
+        )
 
 
 def _data(item: Fit | FrequencyResponse, name: str) -> list[tuple[FrequencyResponse, str]]:
@@ -263,7 +297,11 @@ def _data(item: Fit | FrequencyResponse, name: str) -> list[tuple[FrequencyRespo
 def _curves(item: Fit | FrequencyResponse) -> list[tuple[str, FrequencyResponse]]:
     """Return the curves of an item, along omega, each with the checksum of the data that it was fitted to."""
     if isinstance(item, Fit):
-        return [(part.data.checksum, _sorted(part.curve)) for part in item.responses if part.curve is not None]
+        return [
+            (part.data.checksum, _sorted(part.curve))
+            for part in item.responses
+            if part.curve is not None
+        ]
     return [("", _sorted(item))] if item.source == "model" else []
 
 
@@ -276,7 +314,9 @@ def _sorted(curve: FrequencyResponse) -> FrequencyResponse:
 def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, FrequencyResponse]]:
     """Leave out the curves that lie on a longer one, as those of several rotors with one model do."""
     kept: list[tuple[str, FrequencyResponse]] = []
-    for checksum, curve in sorted(curves, key=lambda item: -item[1].omega.max() / item[1].omega.min()):
+    for checksum, curve in sorted(
+        curves, key=lambda item: -item[1].omega.max() / item[1].omega.min()
+    ):
         if not any(_lies_on(curve, other) for _, other in kept):
             kept.append((checksum, curve))
     return kept
@@ -285,19 +325,31 @@ def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, Fr
 def _lies_on(curve: FrequencyResponse, other: FrequencyResponse) -> bool:
     if (curve.input, curve.output) != (other.input, other.output):
         return False
-    inside = (curve.omega >= 0.999 * other.omega.min()) & (curve.omega <= 1.001 * other.omega.max())  # rounding
+    inside = (curve.omega >= 0.999 * other.omega.min()) & (
+        curve.omega <= 1.001 * other.omega.max()
+    )  # rounding
     reference = interpolated(curve.omega, other.omega, other.response)
-    return bool(np.all(inside & (np.abs(curve.response - reference) <= SAME_CURVE * np.abs(reference))))
+    return bool(
+        np.all(inside & (np.abs(curve.response - reference) <= SAME_CURVE * np.abs(reference)))
+    )
 
 
 def _labels(items: Sequence[Fit | FrequencyResponse]) -> list[str]:
     """Name the items by the model or, if that does not tell them apart, by the problem; else number them."""
-    models = [_joined(part.label for part in k.parts) if isinstance(k, Fit) else k.name for k in items]
+    models = [
+        _joined(part.label for part in k.parts) if isinstance(k, Fit) else k.name for k in items
+    ]
     for names in (models, [item.name for item in items]):
-        labels = [f"fit of {n}" if isinstance(k, Fit) else n or "data" for k, n in zip(items, names, strict=True)]
+        labels = [
+            f"fit of {n}" if isinstance(k, Fit) else n or "data"
+            for k, n in zip(items, names, strict=True)
+        ]
         if len(set(labels)) == len(labels):
             return labels
-    return [f"{'fit' if isinstance(item, Fit) else item.name or 'data'} {k}" for k, item in enumerate(items, 1)]
+    return [
+        f"{'fit' if isinstance(item, Fit) else item.name or 'data'} {k}"
+        for k, item in enumerate(items, 1)
+    ]
 
 
 def _joined(names: Iterable[str]) -> str:

@@ -25,12 +25,14 @@ from greybox.plotting.style import (
 LOG_RANGE = 5.0  # ratio of the highest to the lowest frequency from which the axis is logarithmic
 
 
-def sensitivity(fit: Fit, part: int = 0, *, axes: GivenAxes | None = None, legend: bool = True) -> AxesArray:
+def sensitivity(
+    fit: Fit, part: int = 0, *, axes: GivenAxes | None = None, legend: bool = True
+) -> AxesArray:
     """Draw what each frequency, or each time of a record, tells of each free parameter.
 
-    In percent of what all data of the fit tell of it: in color with the other parameters estimated along, an output a
-    color, in gray with the others known, all outputs together. Where gray is high and color is low, another parameter
-    has the same effect. `Fit.sensitivity` has the numbers.
+    In percent of what all data of the fit tell of it: in color with the other parameters estimated
+    along, an output a color, in gray with the others known, all outputs together. Where gray is
+    high and color is low, another parameter has the same effect. `Fit.sensitivity` has the numbers.
 
     Parameters
     ----------
@@ -40,7 +42,8 @@ def sensitivity(fit: Fit, part: int = 0, *, axes: GivenAxes | None = None, legen
     axes : array-like of Axes, optional
         One for each free parameter. Without it a new figure is made.
     legend : bool
-        False leaves the legend out. It stands below a new figure, and in the first panel of given axes.
+        False leaves the legend out. It stands below a new figure, and in the first panel of given
+        axes.
 
     Returns
     -------
@@ -55,7 +58,9 @@ def sensitivity(fit: Fit, part: int = 0, *, axes: GivenAxes | None = None, legen
     if not isinstance(fit, Fit):
         raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
     found = fit.sensitivity(part)
-    drawn = stacked_axes(axes, found.names, "this figure of sensitivities", 7.0, 1.0 + 1.15 * len(found.names))
+    drawn = stacked_axes(
+        axes, found.names, "this figure of sensitivities", 7.0, 1.0 + 1.15 * len(found.names)
+    )
     for k, ax in enumerate(drawn):
         _draw(ax, found, k)
     drawn[0].set_title(plain(fit.parts[part].name), fontsize=TITLE_SIZE)
@@ -66,17 +71,34 @@ def sensitivity(fit: Fit, part: int = 0, *, axes: GivenAxes | None = None, legen
 
 def _draw(ax: Axes, found: Sensitivity, k: int) -> None:
     marker = "o" if found.unit == "rad/s" else ""
-    ax.plot(found.at, 100 * found.alone[k].sum(axis=0), color=GRAYS[2], linewidth=1.2, marker=marker, markersize=3)
+    ax.plot(
+        found.at,
+        100 * found.alone[k].sum(axis=0),
+        color=GRAYS[2],
+        linewidth=1.2,
+        marker=marker,
+        markersize=3,
+    )
     for j, shares in enumerate(100 * found.shares[k]):
         ax.plot(found.at, shares, color=color_of(j), linewidth=1.4, marker=marker, markersize=4)
     if np.isnan(found.shares[k]).all():
-        ax.text(0.5, 0.5, "not determined", transform=ax.transAxes, ha="center", va="center", color="0.4")
+        ax.text(
+            0.5,
+            0.5,
+            "not determined",
+            transform=ax.transAxes,
+            ha="center",
+            va="center",
+            color="0.4",
+        )
     ax.set_ylim(bottom=0)
     ax.yaxis.set_major_locator(MaxNLocator(3))
     finish(ax, f"{symbol(found.names[k])}, %")
     if found.unit == "rad/s" and found.at[-1] > LOG_RANGE * found.at[0]:
         ax.set_xscale("log")
-        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if found.at[-1] < 1e3 * found.at[0] else (1,)))
+        ax.xaxis.set_major_locator(
+            LogLocator(subs=(1, 2, 5) if found.at[-1] < 1e3 * found.at[0] else (1,))
+        )
         ax.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
         ax.xaxis.set_minor_formatter(NullFormatter())
 

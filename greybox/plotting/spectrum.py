@@ -52,8 +52,8 @@ def spectrum(
 ) -> AxesArray:
     """Draw the transforms of a manoeuvre over omega in rad/s: magnitude and phase of outputs, magnitude of inputs.
 
-    Of a fit the modelled outputs with the effect of the ends, what is left, and the size that white noise of the
-    estimated deviation has: what is left should scatter about it at every frequency.
+    Of a fit the modelled outputs with the effect of the ends, what is left, and the size that white
+    noise of the estimated deviation has: what is left should scatter about it at every frequency.
 
     Parameters
     ----------
@@ -63,7 +63,8 @@ def spectrum(
     axes : array-like of Axes, optional
         Two for each output and one for each input. Without it a new figure is made.
     legend : bool
-        False leaves the legend out. It stands below a new figure, and in the first panel of given axes.
+        False leaves the legend out. It stands below a new figure, and in the first panel of given
+        axes.
 
     Returns
     -------
@@ -111,7 +112,10 @@ def spectrum_height(drawn: Drawn) -> float:
 
 def spectrum_axes(figure: Figure | SubFigure, drawn: Drawn) -> AxesArray:
     """Make the axes in a figure or a part of one: magnitude and phase of each output, then the inputs."""
-    heights = [*(height for _ in drawn.outputs for height in (2.2, 1.1)), *(1.2 for _ in drawn.inputs)]
+    heights = [
+        *(height for _ in drawn.outputs for height in (2.2, 1.1)),
+        *(1.2 for _ in drawn.inputs),
+    ]
     return stacked(figure, heights)
 
 
@@ -121,7 +125,13 @@ def draw_spectrum(places: AxesArray, drawn: Drawn) -> None:
         _draw_output(places[2 * k], places[2 * k + 1], drawn, name)
     for ax, name in zip(places[2 * len(drawn.outputs) :], drawn.inputs, strict=True):
         scale, unit = integral_unit(drawn.data, name)
-        ax.plot(drawn.data.omega, scale * np.abs(drawn.data.inputs[name]), "o-", **_points(DARK), linewidth=0.9)
+        ax.plot(
+            drawn.data.omega,
+            scale * np.abs(drawn.data.inputs[name]),
+            "o-",
+            **_points(DARK),
+            linewidth=0.9,
+        )
         ax.set_ylim(bottom=0)
         finish(ax, f"|{symbol(name)}|, {plain(unit)}")
     about = f"{counted(len(drawn.data), 'line')}, {drawn.data.duration:.4g} s"
@@ -131,10 +141,16 @@ def draw_spectrum(places: AxesArray, drawn: Drawn) -> None:
 
 def spectrum_legend(drawn: Drawn) -> dict[str, tuple[Artist, ...]]:
     """Return the legend."""
-    keys: dict[str, tuple[Artist, ...]] = {"measured": (Line2D([], [], linestyle="none", marker="o", **_points(DARK)),)}
+    keys: dict[str, tuple[Artist, ...]] = {
+        "measured": (Line2D([], [], linestyle="none", marker="o", **_points(DARK)),)
+    }
     if drawn.fitted is not None:
-        keys[plain(f"fit of {drawn.fitted.label}")] = (Line2D([], [], color=COLORS[0], linewidth=1.6),)
-        keys["measured less fitted"] = (Line2D([], [], linestyle="none", marker="x", color=LEFT, markersize=5),)
+        keys[plain(f"fit of {drawn.fitted.label}")] = (
+            Line2D([], [], color=COLORS[0], linewidth=1.6),
+        )
+        keys["measured less fitted"] = (
+            Line2D([], [], linestyle="none", marker="x", color=LEFT, markersize=5),
+        )
         if _has_noise(drawn.fitted):
             keys["size of the noise"] = (Line2D([], [], color=LEFT, linewidth=1.1, linestyle="--"),)
     return keys
@@ -152,7 +168,9 @@ def _draw_output(ax: Axes, phase_ax: Axes, drawn: Drawn, name: str) -> None:
         ax.semilogy(omega, scale * _size(values), color=COLORS[0], linewidth=1.6)
         ax.semilogy(omega, scale * _size(measured - values), "x", color=LEFT, markersize=5)
         # Next to the measured phase, wherever that was unwrapped to.
-        phase_ax.plot(omega, phase + np.degrees(np.angle(values / measured)), color=COLORS[0], linewidth=1.6)
+        phase_ax.plot(
+            omega, phase + np.degrees(np.angle(values / measured)), color=COLORS[0], linewidth=1.6
+        )
         if _has_noise(fitted):
             k = fitted.outputs.index(name)
             level = math.sqrt(float(fitted.noise[k, k]) * data.step * data.duration)

@@ -29,8 +29,8 @@ LOG_SPAN = 30.0  # ratio of the largest to the smallest cost above which the sca
 def starts(fit: Fit, ax: Axes | None = None, legend: bool = True) -> Axes:
     """Draw the final cost of every run, sorted and colored by the minimum reached.
 
-    Failed runs are crosses at the right; their cost means nothing and is not shown. The scale is logarithmic where the
-    costs span decades.
+    Failed runs are crosses at the right; their cost means nothing and is not shown. The scale is
+    logarithmic where the costs span decades.
 
     Parameters
     ----------
@@ -65,7 +65,10 @@ def draw_starts(ax: Axes, fit: Fit) -> dict[str, tuple[Line2D, ...]]:
     """Draw the runs into a panel and return the legend."""
     brought = [run for run in fit.runs if run.stage != SCREENED]
     costs = sorted((run.cost, run.index) for run in brought if run.converged)
-    lines = [*_draw_minima(ax, fit, costs), *_draw_failed(ax, len(costs), len(brought) - len(costs))]
+    lines = [
+        *_draw_minima(ax, fit, costs),
+        *_draw_failed(ax, len(costs), len(brought) - len(costs)),
+    ]
     _scale_costs(ax, [cost for cost, _ in costs])
 
     finish(ax, "Cost")
@@ -86,7 +89,9 @@ def _draw_minima(ax: Axes, fit: Fit, costs: Sequence[tuple[float, int]]) -> list
     places = {index: (k, cost) for k, (cost, index) in enumerate(costs, 1)}
     named = fit.minima[: len(COLORS)]
     others = fit.minima[len(COLORS) :]
-    groups = [(f"minimum {k}: {len(m.runs)} × cost {m.cost:.5g}", m.runs) for k, m in enumerate(named, 1)]
+    groups = [
+        (f"minimum {k}: {len(m.runs)} × cost {m.cost:.5g}", m.runs) for k, m in enumerate(named, 1)
+    ]
     rest = tuple(index for minimum in others for index in minimum.runs)
     if rest:
         label = f"{counted(len(rest), 'run')} in {counted(len(others), 'further minimum', 'further minima')}"
@@ -95,7 +100,9 @@ def _draw_minima(ax: Axes, fit: Fit, costs: Sequence[tuple[float, int]]) -> list
     lines = []
     for (label, members), color, marker in zip(groups, (*COLORS, GRAYS[1]), MARKERS, strict=False):
         x, y = zip(*(places[index] for index in members), strict=True)
-        lines += ax.plot(x, y, color=color, marker=marker, markersize=4.5, linestyle="none", label=label)
+        lines += ax.plot(
+            x, y, color=color, marker=marker, markersize=4.5, linestyle="none", label=label
+        )
     return lines
 
 

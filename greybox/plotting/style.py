@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from greybox.data.test_segment import Segment
 from greybox.files.text_table import in_greek
 
-# Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
+# Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
+# pale for lines.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DARK = "#222222"
 GRAYS = ("#222222", "#777777", "#AAAAAA")
@@ -76,11 +77,15 @@ def flat_axes(axes: GivenAxes) -> AxesArray:
     flat = np.array(axes, dtype=object).ravel()
     wrong = [item for item in flat if not isinstance(item, Axes)]
     if wrong:
-        raise TypeError(f"cannot draw into {wrong[0]!r:.80}: give matplotlib Axes, e.g. those of plt.subplots().")
+        raise TypeError(
+            f"cannot draw into {wrong[0]!r:.80}: give matplotlib Axes, e.g. those of plt.subplots()."
+        )
     return flat
 
 
-def stacked_axes(axes: GivenAxes | None, names: Sequence[str], drawing: str, width: float, height: float) -> AxesArray:
+def stacked_axes(
+    axes: GivenAxes | None, names: Sequence[str], drawing: str, width: float, height: float
+) -> AxesArray:
     """Return the given axes, or those of a new figure of this size in inches, one for each name below the other."""
     if axes is not None:
         return given_axes(axes, names, drawing)
@@ -135,7 +140,9 @@ def color_of(k: int) -> str:
 def shade_tests(ax: Axes, tests: Iterable[Segment]) -> None:
     """Shade when tests were flown, red where they are not usable."""
     for test in tests:
-        ax.axvspan(test.start, test.end, color="0.5" if test.usable else "tab:red", alpha=0.15, lw=0)
+        ax.axvspan(
+            test.start, test.end, color="0.5" if test.usable else "tab:red", alpha=0.15, lw=0
+        )
 
 
 def finish(ax: Axes, ylabel: str, legend: bool = False) -> None:
@@ -158,7 +165,9 @@ def label_horizontal(axes: Iterable[Axes], label: str) -> None:
 
 def legend_below(figure: Figure | SubFigure, entries: Entries) -> None:
     """Draw a legend below everything, where it covers no data."""
-    width = figure.bbox.width / figure.dpi  # inches; a letter of 10 points takes about 1/11, a key six letters
+    width = (
+        figure.bbox.width / figure.dpi
+    )  # inches; a letter of 10 points takes about 1/11, a key six letters
     columns = int(11 * width / (max(map(len, entries)) + 6))
     figure.legend(
         handles=[*entries.values()],
@@ -183,9 +192,14 @@ def align_and_explain(places: AxesArray, entries: Entries, *, given: bool, legen
 
 def legend_inside(ax: Axes, entries: Entries) -> None:
     """Draw a legend inside a panel."""
-    ax.legend(handles=[*entries.values()], labels=[*entries], fontsize=9, **_keys_side_by_side(entries))
+    ax.legend(
+        handles=[*entries.values()], labels=[*entries], fontsize=9, **_keys_side_by_side(entries)
+    )
 
 
 def _keys_side_by_side(entries: Entries) -> dict:
     most = max(map(len, entries.values()))
-    return {"handler_map": {tuple: HandlerTuple(ndivide=None, pad=0.4)}, "handlelength": max(2.0, 1.2 * most)}
+    return {
+        "handler_map": {tuple: HandlerTuple(ndivide=None, pad=0.4)},
+        "handlelength": max(2.0, 1.2 * most),
+    }

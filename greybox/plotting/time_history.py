@@ -70,17 +70,19 @@ def time_history(
     Parameters
     ----------
     *items : Fit or Prediction
-        Several are laid over one another; they must have the same data. Predictions begin anew in every window, at a
-        dot; the band (95 %) of fits and predictions holds the errors of parameters and initial state, not the noise of
-        the sensors.
+        Several are laid over one another; they must have the same data. Predictions begin anew in
+        every window, at a dot; the band (95 %) of fits and predictions holds the errors of
+        parameters and initial state, not the noise of the sensors.
     record : int
         Which record of a fit to several.
     labels : sequence of str, optional
         One for each item.
     axes : array-like of Axes, optional
-        Two for each output, for its values and its residuals, and one for each input. Without it a new figure is made.
+        Two for each output, for its values and its residuals, and one for each input. Without it a
+        new figure is made.
     legend : bool
-        False leaves the legend out. It stands below a new figure, and in the first panel of given axes.
+        False leaves the legend out. It stands below a new figure, and in the first panel of given
+        axes.
 
     Returns
     -------
@@ -90,7 +92,8 @@ def time_history(
     Raises
     ------
     TypeError, ValueError
-        For what cannot be drawn, a fit without a record, items of different data, or a wrong number of labels or axes.
+        For what cannot be drawn, a fit without a record, items of different data, or a wrong number
+        of labels or axes.
     """
     drawn = histories(items, record, labels)
     if axes is not None:
@@ -107,7 +110,9 @@ def time_history(
     return places
 
 
-def histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[str] = ()) -> list[History]:
+def histories(
+    items: Sequence[Fit | Prediction], record: int, labels: Sequence[str] = ()
+) -> list[History]:
     """Return what is drawn of each item.
 
     Raises
@@ -121,9 +126,13 @@ def histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[s
     if not items:
         raise ValueError("there is nothing to draw: give at least one Fit or Prediction.")
     if labels and len(labels) != len(items):
-        raise ValueError(f"there are {len(labels)} labels for {len(items)} items: give one for each.")
+        raise ValueError(
+            f"there are {len(labels)} labels for {len(items)} items: give one for each."
+        )
 
-    drawn = [_of_fit(item, record) if isinstance(item, Fit) else _of_prediction(item) for item in items]
+    drawn = [
+        _of_fit(item, record) if isinstance(item, Fit) else _of_prediction(item) for item in items
+    ]
     for history in drawn[1:]:
         if not np.array_equal(history.data.time, drawn[0].data.time):
             raise ValueError(
@@ -144,7 +153,10 @@ def history_height(drawn: Sequence[History]) -> float:
 
 def history_axes(figure: Figure | SubFigure, drawn: Sequence[History]) -> AxesArray:
     """Make the axes in a figure or a part of one: output and residual for each output, then the inputs."""
-    heights = [*(height for _ in _outputs(drawn) for height in (1.9, 0.8)), *(0.9 for _ in _inputs(drawn))]
+    heights = [
+        *(height for _ in _outputs(drawn) for height in (1.9, 0.8)),
+        *(0.9 for _ in _inputs(drawn)),
+    ]
     return stacked(figure, heights)
 
 
@@ -157,7 +169,9 @@ def draw_history(places: AxesArray, drawn: Sequence[History]) -> None:
     for ax, name in zip(places[2 * len(outputs) :], _inputs(drawn), strict=True):
         data = next(history.data for history in drawn if name in history.data.signals)
         values = data[name] * shown_scale(data, name)
-        ax.plot(*drawn_line(along(data), values, gapless_rows(data)), color=INPUT, **_look(data, 1.0))
+        ax.plot(
+            *drawn_line(along(data), values, gapless_rows(data)), color=INPUT, **_look(data, 1.0)
+        )
         finish(ax, signal_label(name, data.units.get(name, "")))
 
     label_horizontal(places, "Time, s" if drawn[0].data.has_time else "Row")
@@ -165,7 +179,9 @@ def draw_history(places: AxesArray, drawn: Sequence[History]) -> None:
 
 def history_legend(drawn: Sequence[History]) -> dict[str, tuple[Artist, ...]]:
     """Return the legend: what was measured, every item, and the bands."""
-    keys: dict[str, tuple[Artist, ...]] = {"measured": (Line2D([], [], color=MEASURED, linewidth=2.4),)}
+    keys: dict[str, tuple[Artist, ...]] = {
+        "measured": (Line2D([], [], color=MEASURED, linewidth=2.4),)
+    }
     for k, history in enumerate(drawn):
         keys[plain(history.label)] = (Line2D([], [], color=color_of(k), linewidth=1.4),)
     if any(history.half_width for history in drawn):
@@ -175,7 +191,9 @@ def history_legend(drawn: Sequence[History]) -> dict[str, tuple[Artist, ...]]:
 
 def _of_fit(fit: Fit, record: int) -> History:
     if not fit.records:
-        raise ValueError(f"the fit {fit.name!r} has no record: draw its responses with gb.plot or gb.plotting.bode.")
+        raise ValueError(
+            f"the fit {fit.name!r} has no record: draw its responses with gb.plot or gb.plotting.bode."
+        )
     part = chosen(fit.records, record, "record")
     return History(
         label=f"fit of {part.label}",
@@ -214,7 +232,9 @@ def _of_prediction(prediction: Prediction) -> History:
         outputs=prediction.outputs,
         inputs=prediction.inputs,
         values={name: predicted[name] for name in prediction.outputs},
-        half_width={name: float(ndtri(0.975)) * predicted[f"{name}_error"] for name in prediction.outputs},
+        half_width={
+            name: float(ndtri(0.975)) * predicted[f"{name}_error"] for name in prediction.outputs
+        },
         pieces=list(prediction.rows),
         window_starts=prediction.rows[:, 0],
     )
@@ -260,7 +280,14 @@ def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[History], name: st
     measured = np.isfinite(data[name])
 
     if measured.sum() <= DOTS or not data.has_time:
-        ax.plot(along(data)[measured], scale * data[name][measured], ".", color=MEASURED, markersize=4.5, zorder=1.5)
+        ax.plot(
+            along(data)[measured],
+            scale * data[name][measured],
+            ".",
+            color=MEASURED,
+            markersize=4.5,
+            zorder=1.5,
+        )
     else:
         line = drawn_line(data.time, scale * data[name], gapless_rows(data))
         ax.plot(*line, color=MEASURED, linewidth=2.4, zorder=1.5)
@@ -274,18 +301,29 @@ def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[History], name: st
     finish(residual_ax, "residual")
 
 
-def _draw_item(ax: Axes, residual_ax: Axes, history: History, name: str, color: str, scale: float) -> None:
+def _draw_item(
+    ax: Axes, residual_ax: Axes, history: History, name: str, color: str, scale: float
+) -> None:
     time = along(history.data)
     values = scale * history.values[name]
     residual = scale * history.data[name] - values
-    ax.plot(*drawn_line(time, values, history.pieces), color=color, **_look(history.data, 1.1), zorder=2.5)
-    residual_ax.plot(*drawn_line(time, residual, history.pieces), color=color, **_look(history.data, 0.8))
+    ax.plot(
+        *drawn_line(time, values, history.pieces),
+        color=color,
+        **_look(history.data, 1.1),
+        zorder=2.5,
+    )
+    residual_ax.plot(
+        *drawn_line(time, residual, history.pieces), color=color, **_look(history.data, 0.8)
+    )
 
     if name in history.half_width:
         half = scale * history.half_width[name]
         if not history.data.has_time:
             ax.errorbar(time, values, half, fmt="none", ecolor=color, alpha=0.4, zorder=2)
-            residual_ax.errorbar(time, np.zeros_like(half), half, fmt="none", ecolor=color, alpha=0.4, zorder=2)
+            residual_ax.errorbar(
+                time, np.zeros_like(half), half, fmt="none", ecolor=color, alpha=0.4, zorder=2
+            )
             return
         t, low = drawn_line(time, values - half, history.pieces, thin=False)
         _, high = drawn_line(time, values + half, history.pieces, thin=False)
@@ -295,7 +333,14 @@ def _draw_item(ax: Axes, residual_ax: Axes, history: History, name: str, color: 
         residual_ax.fill_between(t, -width, width, **look)
 
     if 0 < history.window_starts.size <= MARKED_WINDOWS:
-        ax.plot(time[history.window_starts], values[history.window_starts], ".", color=color, markersize=4, zorder=3)
+        ax.plot(
+            time[history.window_starts],
+            values[history.window_starts],
+            ".",
+            color=color,
+            markersize=4,
+            zorder=3,
+        )
 
 
 def shown_scale(data: Record, name: str) -> float:

@@ -1,8 +1,8 @@
 """Equation error: derivatives from smoothed data, then least squares; no start is needed.
 
-Every equation of an ODE whose states are known in time is a regression, linear in most parameters. The few that enter
-otherwise (delays, the time constant of a simulated state) are found by variable projection (Golub and Pereyra, SIAM J.
-Numer. Anal. 10 (1973) 413-432).
+Every equation of an ODE whose states are known in time is a regression, linear in most parameters.
+The few that enter otherwise (delays, the time constant of a simulated state) are found by variable
+projection (Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432).
 
 Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 and 11.
 """
@@ -43,7 +43,8 @@ from greybox.regression.variable_projection import Projection, project
 Array = NDArray[np.float64]
 
 POOR = 0.5  # R² below which most of the target's variation is not explained, and a sentence says so
-# Standard errors of bias from which a sentence names it: with 0.5 a 95 % interval still covers 92 %, with 1 only 83 %.
+# Standard errors of bias from which a sentence names it: with 0.5 a 95 % interval still covers 92
+# %, with 1 only 83 %.
 MARKED = 0.5
 PAIRS = 2  # antithetic pairs of added noise that measure the bias
 LONG = 20000  # samples from which one pair averages well enough
@@ -69,7 +70,8 @@ class UsedEquation:
 class EquationErrorEstimate:
     """The result of `equation_error`. Printing it says what was estimated from what, and what was not, and why.
 
-    It is a start, ``gb.fit(problem, starts=[result.estimate])``, and can be given as `fixed` to a problem.
+    It is a start, ``gb.fit(problem, starts=[result.estimate])``, and can be given as `fixed` to a
+    problem.
 
     Attributes
     ----------
@@ -150,7 +152,9 @@ class EquationErrorEstimate:
         ]
         lines += [
             "",
-            *text_table(["equation", "for", "R²", "rows", "band, Hz", "residual"], cells, (0, 1)).splitlines(),
+            *text_table(
+                ["equation", "for", "R²", "rows", "band, Hz", "residual"], cells, (0, 1)
+            ).splitlines(),
         ]
         lines += [f"left out: {text}" for text in self.left_out]
         lines += ["", *(f"state {text}" for text in self.states)]
@@ -180,16 +184,18 @@ def equation_error(
 ) -> EquationErrorEstimate:
     """Estimate the parameters of an ODE from its measured states, equation by equation, by least squares.
 
-    A state is known when the record has a signal of its name or an output that equals it (up to constants), when it is
-    the derivative of a known state (``theta' = q``), or when it follows from a stable linear equation driven by known
-    signals (a rotor lag), which is then simulated. Equations with other states are left out. All terms of an equation
-    pass the same low-pass filter, so that smoothing takes the same from both sides. Inputs that are not held are
-    interpolated between samples by cubic splines. A transfer function can be used only when it has one pole.
+    A state is known when the record has a signal of its name or an output that equals it (up to
+    constants), when it is the derivative of a known state (``theta' = q``), or when it follows from
+    a stable linear equation driven by known signals (a rotor lag), which is then simulated.
+    Equations with other states are left out. All terms of an equation pass the same low-pass
+    filter, so that smoothing takes the same from both sides. Inputs that are not held are
+    interpolated between samples by cubic splines. A transfer function can be used only when it has
+    one pole.
 
-    Noise in the states biases the estimate; `EquationErrorEstimate.bias` says how far, but not what a controller adds
-    that feeds the noise back to an input. An equation with a state that is simulated from its own target (`nu` from `r`
-    in `greybox.models.yaw.YawStates`) may at high noise explain the target by itself: its parameters then run to their
-    bounds.
+    Noise in the states biases the estimate; `EquationErrorEstimate.bias` says how far, but not what
+    a controller adds that feeds the noise back to an input. An equation with a state that is
+    simulated from its own target (`nu` from `r` in `greybox.models.yaw.YawStates`) may at high
+    noise explain the target by itself: its parameters then run to their bounds.
 
     Parameters
     ----------
@@ -202,25 +208,27 @@ def equation_error(
     free : sequence of str
         Parameters that the model declares fixed and that are to be estimated.
     cutoff : float, Hz, optional
-        The band of all terms, e.g. below a vibration; by default half the lowest cutoff that the smoothed signals of
-        an equation choose.
+        The band of all terms, e.g. below a vibration; by default half the lowest cutoff that the
+        smoothed signals of an equation choose.
     biases : sequence of str
-        Measured signals (states, outputs, inputs) with an unknown constant error, which becomes the parameter
-        ``<name>_bias``: measured less true.
+        Measured signals (states, outputs, inputs) with an unknown constant error, which becomes the
+        parameter ``<name>_bias``: measured less true.
     inputs : "record", "linear" or "held"
         How inputs run between their samples, as in `OutputError`: by default as the record says.
 
     Raises
     ------
     ValueError
-        When a name is not known, an input is missing, nothing moves, sampling is not uniform, nothing is free or
-        determined, or no equation can be used.
+        When a name is not known, an input is missing, nothing moves, sampling is not uniform,
+        nothing is free or determined, or no equation can be used.
     """
     _require(model, record, cutoff)
     require_inputs(inputs)
     biases = (biases,) if isinstance(biases, str) else tuple(biases)
     declared = {**model.parameters, **_bias_parameters(model, record, biases)}
-    parameters = _problem_parameters(model, declared, fixed or {}, [free] if isinstance(free, str) else free)
+    parameters = _problem_parameters(
+        model, declared, fixed or {}, [free] if isinstance(free, str) else free
+    )
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}
     if not unknown:
@@ -239,45 +247,77 @@ def equation_error(
 
     data = regressors(equations, names, record, start, longest_delays, between, band=band)
     projection = project(data, unknown, start)
-    # Lags that turn out slower than at their start need more rows at the beginning to forget their initial values.
+    # Lags that turn out slower than at their start need more rows at the beginning to forget their
+    # initial values.
     if memory(equations, names, projection.vector) > SLOWER * memory(equations, names, start):
         shorter = regressors(
-            equations, names, record, projection.vector, longest_delays, between, cutoffs=data.cutoffs, band=band
+            equations,
+            names,
+            record,
+            projection.vector,
+            longest_delays,
+            between,
+            cutoffs=data.cutoffs,
+            band=band,
         )
         if shorter.blocks(projection.vector):  # else the record is too short for that
             data = shorter
             start = projection.vector
             projection = project(data, unknown, start)
 
-    again = partial(regressors, equations, names, p=start, latest=longest_delays, cutoffs=data.cutoffs, band=band)
+    again = partial(
+        regressors,
+        equations,
+        names,
+        p=start,
+        latest=longest_delays,
+        cutoffs=data.cutoffs,
+        band=band,
+    )
     bias = _bias(data, projection, record, again)
     warnings = [
         *_assumed_inputs(projection, record, inputs, between, parameters, _delays(system), again),
         *(() if biases else _constant_effects(data, projection, resting)),
     ]
     said = described_inputs(inputs, system.inputs, record)
-    return _result(f"{model.label}, {record.name or 'record'}", data, projection, bias, parameters, warnings, said)
+    return _result(
+        f"{model.label}, {record.name or 'record'}",
+        data,
+        projection,
+        bias,
+        parameters,
+        warnings,
+        said,
+    )
 
 
 def _bias_parameters(model: Model, record: Record, biases: Sequence[str]) -> dict[str, Parameter]:
     """Return the unknown constant errors of signals."""
     states = model.states if isinstance(model, StateSpace) else ()
     signals = dict.fromkeys((*states, *model.output_names, *model.input_names))
-    require_known(biases, [name for name in signals if name in record.signals], "measured signal", model.label)
+    require_known(
+        biases, [name for name in signals if name in record.signals], "measured signal", model.label
+    )
     result = {f"{name}_bias": bias_parameter(name, record) for name in biases}
     taken = [name for name in result if name in model.parameters]
     if taken:
-        raise ValueError(f"{model.label} declares {taken[0]!r}, which is also the name of a bias: rename it there.")
+        raise ValueError(
+            f"{model.label} declares {taken[0]!r}, which is also the name of a bias: rename it there."
+        )
     return result
 
 
 def _require(model: Any, record: Any, cutoff: Any) -> None:
     if not isinstance(model, Model):
-        raise TypeError(f"model is {model!r:.60}: give an instance such as LinearTilt(), not the class.")
+        raise TypeError(
+            f"model is {model!r:.60}: give an instance such as LinearTilt(), not the class."
+        )
     if not isinstance(record, Record):
         raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
     require_time(record, "equation_error")
-    if cutoff is not None and not (isinstance(cutoff, (int, float, np.number)) and 0 < cutoff < math.inf):
+    if cutoff is not None and not (
+        isinstance(cutoff, (int, float, np.number)) and 0 < cutoff < math.inf
+    ):
         raise ValueError(f"cutoff {cutoff!r} must be a number of Hz above 0.")
 
 
@@ -286,7 +326,9 @@ def _problem_parameters(
 ) -> dict[str, Parameter]:
     """Apply `fixed` and `free` to the declared parameters."""
     if not isinstance(fixed, Mapping):
-        raise TypeError(f"fixed is {fixed!r:.60}: give {{name: value}}, e.g. fixed=dict(fit.estimate).")
+        raise TypeError(
+            f"fixed is {fixed!r:.60}: give {{name: value}}, e.g. fixed=dict(fit.estimate)."
+        )
     require_known(fixed, declared, "parameter", model.label)
     require_known(free, declared, "parameter", model.label)
     both = [name for name in fixed if name in free]
@@ -296,7 +338,9 @@ def _problem_parameters(
     for name, value in fixed.items():
         low, high = result[name].bounds
         if not isinstance(value, (int, float, np.number)) or not low <= value <= high:
-            raise ValueError(f"fixed gives {name!r} the value {value!r}: give a number within ({low:g}, {high:g}).")
+            raise ValueError(
+                f"fixed gives {name!r} the value {value!r}: give a number within ({low:g}, {high:g})."
+            )
         result[name] = replace(result[name], start=float(value), fixed=True)
     return result
 
@@ -310,8 +354,12 @@ def _resting(model: Model, system: Dynamics, record: Record) -> tuple[str, ...]:
                 f"name it so with gb.prepare(..., signals={{{name!r}: ...}})."
             )
     signals = dict.fromkeys((*system.inputs, *system.states, *system.outputs))
-    values = {name: record[name][np.isfinite(record[name])] for name in signals if name in record.signals}
-    resting = [name for name, v in values.items() if v.size == 0 or np.ptp(v) <= REST * np.abs(v).max()]
+    values = {
+        name: record[name][np.isfinite(record[name])] for name in signals if name in record.signals
+    }
+    resting = [
+        name for name, v in values.items() if v.size == 0 or np.ptp(v) <= REST * np.abs(v).max()
+    ]
     if len(resting) == len(values):
         raise ValueError(
             f"{' and '.join(resting)} of {model.label} {'is' if len(resting) == 1 else 'are'} constant in the record, "
@@ -329,7 +377,10 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
             "declare it as a StateSpace whose states are measured, or fit its frequency response, see "
             "gb.regression.levy."
         )
-    reasons = "; ".join(equations.left_out) or "none contains a free parameter and only signals of the record"
+    reasons = (
+        "; ".join(equations.left_out)
+        or "none contains a free parameter and only signals of the record"
+    )
     raise ValueError(
         f"no equation of {model.label} can be used ({reasons}); the record has {', '.join(record.signals)}: "
         "add the missing states under their names."
@@ -342,7 +393,9 @@ def _longest_delays(system: Dynamics, parameters: Mapping[str, Parameter]) -> Ar
     highest = [p.start if p.fixed else p.bounds[1] for p in own]
     delays = np.asarray(system.delay(highest)).ravel()
     if not np.all(np.isfinite(delays)):
-        raise ValueError("a free delay has no upper bound: declare Parameter(..., bounds=(0, the longest possible)).")
+        raise ValueError(
+            "a free delay has no upper bound: declare Parameter(..., bounds=(0, the longest possible))."
+        )
     return delays
 
 
@@ -358,8 +411,8 @@ def _bias(
 ) -> dict[str, float]:
     """Return how far noise like that of the signals moves the estimate, by adding it once more.
 
-    Simulation and extrapolation (Cook and Stefanski, J. Amer. Statist. Assoc. 89 (1994) 1314-1328), linear and with one
-    Gauss-Newton step; noise of both signs, so that odd effects cancel.
+    Simulation and extrapolation (Cook and Stefanski, J. Amer. Statist. Assoc. 89 (1994) 1314-1328),
+    linear and with one Gauss-Newton step; noise of both signs, so that odd effects cancel.
     """
     if not data.noise:
         return dict.fromkeys(projection.names, 0.0)
@@ -394,13 +447,19 @@ def _assumed_inputs(
         yield assumption_warning("equation_error", inputs, between, others, effect)
 
 
-def _constant_effects(data: Regressors, projection: Projection, resting: Sequence[str]) -> Iterator[str]:
+def _constant_effects(
+    data: Regressors, projection: Projection, resting: Sequence[str]
+) -> Iterator[str]:
     """Name parameters whose effect is constant, since an input is: a constant error looks the same."""
     blocks = projection.search.blocks(projection.point)
     for k, name in enumerate(data.equations.linear):
         inputs = [n for n in data.equations.multiplied[name] if n in resting]
         columns = [b.slopes[:, k] for b in blocks]
-        if inputs and name in projection.names and all(np.ptp(c) <= FLAT * np.abs(c).max() for c in columns):
+        if (
+            inputs
+            and name in projection.names
+            and all(np.ptp(c) <= FLAT * np.abs(c).max() for c in columns)
+        ):
             yield (
                 f"the effect of {name} is constant, since {' and '.join(inputs)} "
                 f"{'is' if len(inputs) == 1 else 'are'}: a constant error of a sensor looks the same."
@@ -418,12 +477,19 @@ def _result(
 ) -> EquationErrorEstimate:
     unknown = [n for n, p in parameters.items() if not p.fixed]
     missing = {n: _why(n, data.equations, projection) for n in unknown if n not in projection.names}
-    errors = dict(zip(projection.names, np.sqrt(np.maximum(np.diag(projection.covariance), 0)), strict=True))
+    errors = dict(
+        zip(projection.names, np.sqrt(np.maximum(np.diag(projection.covariance), 0)), strict=True)
+    )
     errors |= dict.fromkeys(projection.at_bound, math.nan)
     used = tuple(
         UsedEquation(e.left, e.parameters, r, n, band / (2 * math.pi), s)
         for e, r, n, band, s in zip(
-            data.equations.equations, projection.r_squared, projection.rows, data.bands, projection.spread, strict=True
+            data.equations.equations,
+            projection.r_squared,
+            projection.rows,
+            data.bands,
+            projection.spread,
+            strict=True,
         )
     )
     return EquationErrorEstimate(
@@ -434,7 +500,10 @@ def _result(
         covariance=projection.covariance,
         dof=projection.dof,
         equations=tuple(e for e in used if e.rows),
-        left_out=(*data.equations.left_out, *(f"{e.left} (no stretch is long enough)" for e in used if not e.rows)),
+        left_out=(
+            *data.equations.left_out,
+            *(f"{e.left} (no stretch is long enough)" for e in used if not e.rows),
+        ),
         missing=missing,
         at_bound=projection.at_bound,
         fixed={n: p.start for n, p in parameters.items() if p.fixed},
@@ -453,7 +522,11 @@ def _why(name: str, equations: Equations, projection: Projection) -> str:
         return f"only a combination of {', '.join(partners)} is determined: fix one of them"
     if partners:
         return "it has no effect in these data"
-    return "it is in no equation that can be used" if equations.left_out else "it is in no equation of the model"
+    return (
+        "it is in no equation that can be used"
+        if equations.left_out
+        else "it is in no equation of the model"
+    )
 
 
 def _warnings(
@@ -463,7 +536,8 @@ def _warnings(
     errors: Mapping[str, float],
 ) -> list[str]:
     result = [
-        f"{n} ended at its bound; the standard errors of the others treat it as known." for n in projection.at_bound
+        f"{n} ended at its bound; the standard errors of the others treat it as known."
+        for n in projection.at_bound
     ]
     result += [
         f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there is noise, or the "
@@ -478,5 +552,7 @@ def _warnings(
             f"noise in the measured states biases the estimate ({shifts}), which the standard errors do not include."
         )
     if projection.dof < FEW_RESIDUALS:
-        result.append(f"only {max(projection.dof, 0):.0f} degrees of freedom are left: the standard errors are rough.")
+        result.append(
+            f"only {max(projection.dof, 0):.0f} degrees of freedom are left: the standard errors are rough."
+        )
     return result

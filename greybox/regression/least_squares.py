@@ -1,8 +1,9 @@
 """Linear least squares over several equations, with bounds; the covariance of the estimate when residuals are colored.
 
-Colored residuals: Cov = (XᵀX)⁻¹ Xᵀ R X (XᵀX)⁻¹ with the autocovariance R of the residuals (Morelli and Klein, Aircraft
-System Identification, 2nd ed., chapter 5). R is the sample autocovariance under a Parzen window (Parzen, Ann. Math.
-Statist. 32 (1961) 951-989), which keeps it positive semidefinite.
+Colored residuals: Cov = (XᵀX)⁻¹ Xᵀ R X (XᵀX)⁻¹ with the autocovariance R of the residuals (Morelli
+and Klein, Aircraft System Identification, 2nd ed., chapter 5). R is the sample autocovariance under
+a Parzen window (Parzen, Ann. Math. Statist. 32 (1961) 951-989), which keeps it positive
+semidefinite.
 """
 
 import math
@@ -14,13 +15,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Singular value of the matrix with unit columns below which a combination is not determined: the root of the rounding,
-# at which the normal equations lose it.
+# Singular value of the matrix with unit columns below which a combination is not determined: the
+# root of the rounding, at which the normal equations lose it.
 UNDETERMINED = 1e-7
 PART = 1e-3  # share in such a combination from which a column belongs to it: above rounding divided by UNDETERMINED
-# Parzen window, in correlation lengths of the residuals: it passes half at 0.36 of its width, nearly three of them.
+# Parzen window, in correlation lengths of the residuals: it passes half at 0.36 of its width,
+# nearly three of them.
 WIDTH = 8.0
-# Residuals for each lag of the correlation length: with a fifth as many lags, every lag averages over most residuals.
+# Residuals for each lag of the correlation length: with a fifth as many lags, every lag averages
+# over most residuals.
 RESIDUALS_PER_LAG = 5
 ROUNDING = 1e-24  # of the power of a target: residuals smaller than this are rounding
 
@@ -73,7 +76,9 @@ def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> A
     free = np.linalg.lstsq(matrix / sizes, right, rcond=None)[0] / sizes
     if np.all((free >= low) & (free <= high)):
         return free
-    bounded = lsq_linear(matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000)
+    bounded = lsq_linear(
+        matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000
+    )
     return np.clip(bounded.x / sizes, low, high)
 
 
@@ -102,7 +107,10 @@ def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
 def autocovariances(blocks: Sequence[Block], errors: Sequence[Array]) -> list[Autocovariance]:
     """Return the autocovariance of the residuals of every equation, over its stretches."""
     count = 1 + max(block.equation for block in blocks)
-    return [_autocovariance([e for b, e in zip(blocks, errors, strict=True) if b.equation == k]) for k in range(count)]
+    return [
+        _autocovariance([e for b, e in zip(blocks, errors, strict=True) if b.equation == k])
+        for k in range(count)
+    ]
 
 
 def covariance(blocks: Sequence[Block], weights: Array, colored: Sequence[Autocovariance]) -> Array:
@@ -116,15 +124,17 @@ def covariance(blocks: Sequence[Block], weights: Array, colored: Sequence[Autoco
         weight = weights[block.equation] ** 2
         r = colored[block.equation].lags
         kernel = np.concatenate([r[:0:-1], r])[:, None]
-        convolved = fftconvolve(block.slopes, kernel, axes=0)[len(r) - 1 : len(r) - 1 + len(block.slopes)]
+        convolved = fftconvolve(block.slopes, kernel, axes=0)[
+            len(r) - 1 : len(r) - 1 + len(block.slopes)
+        ]
         normal += weight * block.slopes.T @ block.slopes
         middle += weight**2 * block.slopes.T @ convolved
 
     sizes = np.sqrt(np.diag(normal))
     scale = np.divide(1, sizes, out=np.zeros(size), where=sizes > 0)
-    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=UNDETERMINED**2, hermitian=True) * np.outer(
-        scale, scale
-    )
+    inverse = np.linalg.pinv(
+        normal * np.outer(scale, scale), rcond=UNDETERMINED**2, hermitian=True
+    ) * np.outer(scale, scale)
     return inverse @ ((middle + middle.T) / 2) @ inverse
 
 
@@ -153,7 +163,9 @@ def _autocovariance(errors: Sequence[Array]) -> Autocovariance:
 def _products(error: Array, lags: int) -> Array:
     size = 1 << (2 * error.size - 1).bit_length()
     spectrum = np.abs(np.fft.rfft(error, size)) ** 2
-    return np.pad(np.fft.irfft(spectrum, size)[: min(lags, error.size)], (0, max(lags - error.size, 0)))
+    return np.pad(
+        np.fft.irfft(spectrum, size)[: min(lags, error.size)], (0, max(lags - error.size, 0))
+    )
 
 
 def _parzen(width: int) -> Array:

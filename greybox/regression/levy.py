@@ -1,13 +1,13 @@
 """Rational functions from a measured response by linear least squares, (3.17).
 
-Multiplying (2.13) = P by the denominator makes every frequency one complex equation that is linear in the unknown
-coefficients: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. It needs no start, and so gives one. It minimizes |a(jω)| times the
-error and not the error itself, which favors high frequencies.
+Multiplying (2.13) = P by the denominator makes every frequency one complex equation that is linear
+in the unknown coefficients: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. It needs no start, and so gives
+one. It minimizes |a(jω)| times the error and not the error itself, which favors high frequencies.
 
-Sources: Levy, Complex-curve fitting, IRE Trans. Automatic Control 4 (1959) 37-43 (who sets a0 = 1 where (2.13) sets
-the highest coefficient to 1). Sanathanan and Koerner, Transfer function synthesis as a ratio of two complex
-polynomials, IEEE Trans. Automatic Control 8 (1963) 56-58. Akaike, A new look at the statistical model identification,
-IEEE Trans. Automatic Control 19 (1974) 716-723.
+Sources: Levy, Complex-curve fitting, IRE Trans. Automatic Control 4 (1959) 37-43 (who sets a0 = 1
+where (2.13) sets the highest coefficient to 1). Sanathanan and Koerner, Transfer function synthesis
+as a ratio of two complex polynomials, IEEE Trans. Automatic Control 8 (1963) 56-58. Akaike, A new
+look at the statistical model identification, IEEE Trans. Automatic Control 19 (1974) 716-723.
 """
 
 import math
@@ -19,9 +19,17 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
-from greybox.regression.poles_and_zeros import Factored, NearPair, factored, near_pairs, root_text, upper_half
+from greybox.regression.poles_and_zeros import (
+    Factored,
+    NearPair,
+    factored,
+    near_pairs,
+    root_text,
+    upper_half,
+)
 
-# Singular values smaller than this part of the largest are rounding: of 1e-16 in the columns, with a margin for sums.
+# Singular values smaller than this part of the largest are rounding: of 1e-16 in the columns, with
+# a margin for sums.
 RANK = 1e-12
 
 
@@ -29,13 +37,15 @@ RANK = 1e-12
 class RationalFit:
     """A rational function (2.13) fitted by `levy`.
 
-    `numerator` (m + 1,) and monic `denominator` (n + 1,) have the highest power of s first; with `integrator` the last
-    coefficient of the denominator is 0. `data` is what was fitted, `iterations` the number of reweightings.
-    `cost` is the sum of relative errors (4.26), which is not what was minimized; NaN when the data hold a zero.
-    `aic` is 2 n_ω ln(Σ|e|² / n_ω) + 2 k of the relative errors e = P/P̂ - 1, for k coefficients: Akaike's -2 ln L + 2 k
-    for circular complex normal errors of one unknown relative size, without what is the same for all orders. The
-    estimate does not minimize Σ|e|², so read small differences with care, and compare on the same data only.
-    `condition` is the condition number of the equations with normalized columns, inf when one unknown is superfluous.
+    `numerator` (m + 1,) and monic `denominator` (n + 1,) have the highest power of s first; with
+    `integrator` the last coefficient of the denominator is 0. `data` is what was fitted,
+    `iterations` the number of reweightings. `cost` is the sum of relative errors (4.26), which is
+    not what was minimized; NaN when the data hold a zero. `aic` is 2 n_ω ln(Σ|e|² / n_ω) + 2 k of
+    the relative errors e = P/P̂ - 1, for k coefficients: Akaike's -2 ln L + 2 k for circular
+    complex normal errors of one unknown relative size, without what is the same for all orders. The
+    estimate does not minimize Σ|e|², so read small differences with care, and compare on the same
+    data only. `condition` is the condition number of the equations with normalized columns, inf
+    when one unknown is superfluous.
     """
 
     numerator: NDArray[np.float64]
@@ -87,7 +97,9 @@ class RationalFit:
         """Coefficients by the names of the model `Polynomial(n, m, integrator)`: a start for its fit."""
         b = {f"b{k}": float(value) for k, value in enumerate(self.numerator[::-1])}
         a = {f"a{k}": float(value) for k, value in enumerate(self.denominator[:0:-1])}
-        return b | {name: value for name, value in a.items() if not (self.integrator and name == "a0")}
+        return b | {
+            name: value for name, value in a.items() if not (self.integrator and name == "a0")
+        }
 
     def response(self, omega: ArrayLike) -> FrequencyResponse:
         """Evaluate P(jω) at `omega` (k,) in rad/s."""
@@ -102,10 +114,19 @@ class RationalFit:
         return one_line(self, f"n = {self.n}, m = {self.m}", f"cost {number(self.cost)}")
 
     def __str__(self) -> str:
-        how = f"reweighted {counted(self.iterations, 'time')}" if self.iterations else "not reweighted"
-        roots = [("zero", z) for z in upper_half(self.zeros)] + [("pole", p) for p in upper_half(self.poles)]
+        how = (
+            f"reweighted {counted(self.iterations, 'time')}"
+            if self.iterations
+            else "not reweighted"
+        )
+        roots = [("zero", z) for z in upper_half(self.zeros)] + [
+            ("pole", p) for p in upper_half(self.poles)
+        ]
         damping = [number(-root.real / abs(root), 3) if root else "-" for _, root in roots]
-        rows = [(kind, root_text(r), number(abs(r), 4), d) for (kind, r), d in zip(roots, damping, strict=True)]
+        rows = [
+            (kind, root_text(r), number(abs(r), 4), d)
+            for (kind, r), d in zip(roots, damping, strict=True)
+        ]
         lines = [
             f"linear least squares (3.17), n = {self.n}, m = {self.m}"
             f"{', with integrator' if self.integrator else ''}, {len(self.data)} frequencies, {how}",
@@ -115,7 +136,9 @@ class RationalFit:
             *(f"nearly cancel: {pair}" for pair in self.near_pairs),
         ]
         if not self.determined:
-            lines.append("the data do not determine the coefficients (rank-deficient equations): lower n and m.")
+            lines.append(
+                "the data do not determine the coefficients (rank-deficient equations): lower n and m."
+            )
         return "\n".join(lines)
 
 
@@ -130,30 +153,35 @@ def levy(
 ) -> RationalFit:
     """Fit (2.13) of chosen orders to `data` by linear least squares, (3.17), as the paper does.
 
-    Real and imaginary part of b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ at the n_ω frequencies are 2 n_ω equations. Their
-    columns are normalized before they are solved, which changes the rounding and not the solution. Where the equations
-    are rank deficient the solution of least norm (of the normalized unknowns) is taken; see `determined`. The result is
-    a start for the model: ``gb.fit(problem, starts=[levy(data, 4, 1).coefficients, gb.solve.Sobol(100)])``.
+    Real and imaginary part of b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ at the n_ω frequencies are 2 n_ω
+    equations. Their columns are normalized before they are solved, which changes the rounding and
+    not the solution. Where the equations are rank deficient the solution of least norm (of the
+    normalized unknowns) is taken; see `determined`. The result is a start for the model:
+    ``gb.fit(problem, starts=[levy(data, 4, 1).coefficients, gb.solve.Sobol(100)])``.
 
     Parameters
     ----------
     data : FrequencyResponse
         The measured response P = α + jβ.
     n, m : int
-        Orders of denominator and numerator, 0 <= m < n. `n` counts the integrator: (3.20) is n=4, m=1 with integrator.
+        Orders of denominator and numerator, 0 <= m < n. `n` counts the integrator: (3.20) is n=4,
+        m=1 with integrator.
     integrator : bool
         Whether the denominator has the factor s, so that a0 = 0 is no unknown.
     weight : (n_ω,) array, optional
-        Factors of the equations, above 0, e.g. ``1 / abs(data.response)``. Default: all one, as in the paper.
+        Factors of the equations, above 0, e.g. ``1 / abs(data.response)``. Default: all one, as in
+        the paper.
     iterations : int
-        How often to solve again with the equations also divided by |a(jω)| of the solution before (Sanathanan and
-        Koerner 1963), which leads from the equation error towards the error of the response.
+        How often to solve again with the equations also divided by |a(jω)| of the solution before
+        (Sanathanan and Koerner 1963), which leads from the equation error towards the error of the
+        response.
 
     Raises
     ------
     ValueError
-        For orders that are no whole numbers with 0 <= m < n, or that have as many unknowns as equations or more (the
-        paper's 2 n_ω > n + m + 1; one unknown less with integrator), and for weights or iterations out of range.
+        For orders that are no whole numbers with 0 <= m < n, or that have as many unknowns as
+        equations or more (the paper's 2 n_ω > n + m + 1; one unknown less with integrator), and for
+        weights or iterations out of range.
     """
     _check_orders(data, n, m, integrator)
     weights = _check_weight(weight, data)
@@ -194,13 +222,18 @@ def _solve(
     normalized, _, _, singular = np.linalg.lstsq(matrix / scale, right, rcond=RANK)
     solution = normalized / scale
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
-    return solution[: m + 1], np.concatenate([[1.0], solution[m + 1 :], np.zeros(int(integrator))]), condition
+    return (
+        solution[: m + 1],
+        np.concatenate([[1.0], solution[m + 1 :], np.zeros(int(integrator))]),
+        condition,
+    )
 
 
 def _aic(model: NDArray[np.complex128], data: FrequencyResponse, unknowns: int) -> float:
     """Return Akaike's criterion.
 
-    -2 ln L of circular complex normal relative errors at their most likely size is 2 n ln(mean |e|²) + const.
+    -2 ln L of circular complex normal relative errors at their most likely size is 2 n ln(mean
+    |e|²) + const.
     """
     if np.any(data.response == 0):
         return math.nan
@@ -229,8 +262,12 @@ def _check_whole(name: str, value: int, least: int) -> None:
 def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> NDArray[np.float64]:
     weights = np.ones(len(data)) if weight is None else np.asarray(weight, dtype=float)
     if weights.shape != (len(data),):
-        raise ValueError(f"weight has shape {weights.shape} for {len(data)} frequencies: give one number for each.")
+        raise ValueError(
+            f"weight has shape {weights.shape} for {len(data)} frequencies: give one number for each."
+        )
     for omega, value in zip(data.omega, weights, strict=True):
         if not 0 < value < math.inf:
-            raise ValueError(f"weight is {value:g} at omega = {omega:g} rad/s: it must be above 0, or omit the point.")
+            raise ValueError(
+                f"weight is {value:g} at omega = {omega:g} rad/s: it must be above 0, or omit the point."
+            )
     return weights

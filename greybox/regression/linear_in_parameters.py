@@ -12,8 +12,9 @@ from greybox.modeling.realization import Dynamics
 Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
 """A name, the row of the model that it equals, and whether it is a signal or the derivative of a state."""
 
-# Random points at which a row must be affine: kinks such as |x| bend it at every second one, so that one chance in a
-# million is left. They lie in a cube of this half width, where exponentials are still finite.
+# Random points at which a row must be affine: kinks such as |x| bend it at every second one, so
+# that one chance in a million is left. They lie in a cube of this half width, where exponentials
+# are still finite.
 TRIALS = 20
 HALF_WIDTH = 3.0
 ROUNDING = 1e-9  # of the terms of a row, by which it may miss an affine one
@@ -23,8 +24,8 @@ ROUNDING = 1e-9  # of the terms of a row, by which it may miss an affine one
 class KnownState:
     """How a state is known in time.
 
-    ``value(x, s)`` gives it from `s`, the signal `source` of the record or the derivative of the state `source`, and
-    the states known before it; None where it is the signal itself or simulated.
+    ``value(x, s)`` gives it from `s`, the signal `source` of the record or the derivative of the
+    state `source`, and the states known before it; None where it is the signal itself or simulated.
     """
 
     name: str
@@ -73,7 +74,8 @@ class Equations:
     delayed : tuple of str
         Inputs that have a delay.
     multiplied : mapping of str to tuple of str
-        The inputs that all slopes of a linear parameter depend on, so that it has no constant effect while they move.
+        The inputs that all slopes of a linear parameter depend on, so that it has no constant
+        effect while they move.
     left_out : tuple of str
         What was left out, and why.
     """
@@ -112,7 +114,8 @@ def regressions(
     fixed : mapping of name to value
         Of the parameters that are not estimated.
     start : (number of free parameters,) array
-        Values at which simulated states must be stable, so that they forget their unknown initial values.
+        Values at which simulated states must be stable, so that they forget their unknown initial
+        values.
     biases : sequence of str
         Signals with a constant error, the parameter ``<signal>_bias`` after those of the model.
     """
@@ -139,7 +142,9 @@ class _Analysis:
         self.free = tuple(name for name in names if name not in fixed)
         self.p = ca.SX.sym("p", len(self.free))
         self.biases = {n: ca.SX(fixed.get(f"{n}_bias", self._symbol(f"{n}_bias"))) for n in biases}
-        p = ca.vertcat(*[fixed.get(name, self._symbol(name)) for name in model.parameters], ca.SX(0, 1))
+        p = ca.vertcat(
+            *[fixed.get(name, self._symbol(name)) for name in model.parameters], ca.SX(0, 1)
+        )
         self.f = ca.SX(model.derivative(self.x, self.u, p))
         self.h = ca.SX(model.output(self.x, self.u, p))
         self.delays = ca.SX(model.delay(p))
@@ -162,18 +167,26 @@ class _Analysis:
         needed = set().union(*(self._behind(row) for row in rows))
         states = [s for s in self.states.values() if s.how != "simulated" or s.name in needed]
         linear = self._linear(rows)
-        nonlinear = tuple(n for n in self.free if n not in linear and any(n in e.parameters for e in equations))
+        nonlinear = tuple(
+            n for n in self.free if n not in linear and any(n in e.parameters for e in equations)
+        )
 
         symbols = ca.vertcat(*[self._symbol(n) for n in linear], ca.SX(0, 1))
         right_sides = ca.vertcat(*rows, ca.SX(0, 1))
         slopes = ca.jacobian(right_sides, symbols)
-        base = ca.substitute(right_sides, symbols, ca.SX.zeros(symbols.numel())) if linear else right_sides
+        base = (
+            ca.substitute(right_sides, symbols, ca.SX.zeros(symbols.numel()))
+            if linear
+            else right_sides
+        )
 
         # x' = matrix x + drive for the simulated states
         simulated = [self.model.states.index(s.name) for s in states if s.how == "simulated"]
         derivative = self.f[simulated] if simulated else ca.SX(0, 1)
         x = self.x[simulated] if simulated else ca.SX(0, 1)
-        drive = ca.substitute(derivative, x, ca.SX.zeros(len(simulated))) if simulated else derivative
+        drive = (
+            ca.substitute(derivative, x, ca.SX.zeros(len(simulated))) if simulated else derivative
+        )
         matrix = ca.jacobian(derivative, x)
         arguments = [self.x, self.u, self.p]
         return Equations(
@@ -186,7 +199,9 @@ class _Analysis:
             simulated=ca.Function("simulated", arguments, [ca.densify(drive), ca.densify(matrix)]),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             multiplied={n: self._multiplied(slopes[:, k]) for k, n in enumerate(linear)},
-            delayed=tuple(n for k, n in enumerate(self.model.inputs) if not self.delays[k].is_zero()),
+            delayed=tuple(
+                n for k, n in enumerate(self.model.inputs) if not self.delays[k].is_zero()
+            ),
             left_out=tuple(self.left_out),
         )
 
@@ -203,7 +218,9 @@ class _Analysis:
         outputs: list[Source] = [
             (n, self.h[k], "signal") for k, n in enumerate(self.model.outputs) if n in self.signals
         ]
-        known: list[Source] = [(n, self.f[self.model.states.index(n)], "derivative") for n in self.states]
+        known: list[Source] = [
+            (n, self.f[self.model.states.index(n)], "derivative") for n in self.states
+        ]
         for source, row, how in (*outputs, *known):
             for k, name in enumerate(self.model.states):
                 if self._unknown(row) != {name} or self._inputs(row) or self._own_parameters(row):
@@ -224,7 +241,11 @@ class _Analysis:
         while names:
             places = [self.model.states.index(n) for n in names]
             matrix = ca.jacobian(self.f[places], self.x[places])
-            excluded = [n for k, n in enumerate(names) if self._cannot_simulate(self.f[places[k]], matrix[k, :], names)]
+            excluded = [
+                n
+                for k, n in enumerate(names)
+                if self._cannot_simulate(self.f[places[k]], matrix[k, :], names)
+            ]
             if not excluded:
                 values = np.asarray(ca.Function("A", [self.p], [ca.densify(matrix)])(self.start))
                 excluded = _unstable(values, names)
@@ -234,7 +255,11 @@ class _Analysis:
 
         for name in names:
             row = self.f[self.model.states.index(name)]
-            driving = [n for k, n in enumerate(self.model.states) if ca.depends_on(row, self.x[k]) and n != name]
+            driving = [
+                n
+                for k, n in enumerate(self.model.states)
+                if ca.depends_on(row, self.x[k]) and n != name
+            ]
             source = " and ".join([*driving, *self._inputs(row)]) or "rest"
             self.states[name] = KnownState(name, "simulated", source, None)
 
@@ -242,7 +267,9 @@ class _Analysis:
         """Tell whether the row of a state to be simulated needs others, or is not linear with constant coefficients."""
         varies = ca.depends_on(slopes, ca.vertcat(self.x, self.u))
         places = [self.model.states.index(n) for n in names]
-        return varies or bool(self._unknown(row) - {*names}) or not self._affine(row, self.x[places])
+        return (
+            varies or bool(self._unknown(row) - {*names}) or not self._affine(row, self.x[places])
+        )
 
     def _affine(self, row: ca.SX, symbols: ca.SX) -> bool:
         """Tell in numbers whether a row is affine in the symbols; the derivative of a sign is zero and hides it."""
@@ -252,10 +279,14 @@ class _Analysis:
         test = ca.Function("test", [self.x, self.u, self.p, step], [ca.vertcat(error, row, moved)])
         random = np.random.default_rng(0)
         sizes = [test.size1_in(k) for k in range(4)]
-        points = [[random.uniform(-HALF_WIDTH, HALF_WIDTH, (n, 1)) for n in sizes] for _ in range(TRIALS)]
+        points = [
+            [random.uniform(-HALF_WIDTH, HALF_WIDTH, (n, 1)) for n in sizes] for _ in range(TRIALS)
+        ]
         values = np.array([np.asarray(test(*point)).ravel() for point in points])
         values = values[np.all(np.isfinite(values), axis=1)]
-        return bool(np.all(np.abs(values[:, 0]) <= ROUNDING * (1 + np.abs(values[:, 1:]).sum(axis=1))))
+        return bool(
+            np.all(np.abs(values[:, 0]) <= ROUNDING * (1 + np.abs(values[:, 1:]).sum(axis=1)))
+        )
 
     def _identities(self) -> set[str]:
         """Return the outputs from which a state is known, which say nothing more of the parameters."""
@@ -271,19 +302,29 @@ class _Analysis:
         for state in self.states.values():
             i = self.model.states.index(state.name)
             bias = self.biases.get(state.source, ca.SX(0)) if state.how == "signal" else ca.SX(0)
-            if state.value is not None:  # affine in its source, so that what that is does not matter
+            if (
+                state.value is not None
+            ):  # affine in its source, so that what that is does not matter
                 true[i] += state.value(true, -bias) - state.value(self.x, 0)
             else:
                 true[i] -= bias
-        u = self.u - ca.vertcat(ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.inputs])
-        errors = ca.vertcat(ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.outputs])
+        u = self.u - ca.vertcat(
+            ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.inputs]
+        )
+        errors = ca.vertcat(
+            ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.outputs]
+        )
         self.f, self.h = ca.substitute([self.f, self.h + errors], [self.x, self.u], [true, u])
 
     def _candidates(self, identities: set[str]) -> Iterable[tuple[ca.SX, Equation]]:
         """Yield the right side and the description of every equation that can be used."""
         for k, name in enumerate(self.model.states):
             if name not in self.states:
-                self.left_out += [f"{name}' (the state {name} is not known)"] if self._parameters(self.f[k]) else []
+                self.left_out += (
+                    [f"{name}' (the state {name} is not known)"]
+                    if self._parameters(self.f[k])
+                    else []
+                )
             elif self.states[name].how != "simulated":
                 yield from self._candidate(self.f[k], name, "derivative")
         for k, name in enumerate(self.model.outputs):
@@ -296,10 +337,14 @@ class _Analysis:
         parameters = self._parameters(row)
         if not parameters:
             return
-        equation = Equation(name, kind, parameters, self._sources(row, name if kind == "derivative" else ""))
+        equation = Equation(
+            name, kind, parameters, self._sources(row, name if kind == "derivative" else "")
+        )
         unknown = self._unknown(row)
         if unknown:
-            self.left_out.append(f"{equation.left} (it needs {' and '.join(sorted(unknown))}, not known)")
+            self.left_out.append(
+                f"{equation.left} (it needs {' and '.join(sorted(unknown))}, not known)"
+            )
         else:
             yield row, equation
 
@@ -314,7 +359,9 @@ class _Analysis:
 
     def _multiplied(self, slopes: ca.SX) -> tuple[str, ...]:
         """Return the inputs in the slopes (k,) of a parameter; none where an equation has one without an input."""
-        inputs = [self._inputs(slope) for slope in ca.vertsplit(ca.SX(slopes)) if not slope.is_zero()]
+        inputs = [
+            self._inputs(slope) for slope in ca.vertsplit(ca.SX(slopes)) if not slope.is_zero()
+        ]
         return tuple(dict.fromkeys(n for some in inputs for n in some)) if all(inputs) else ()
 
     def _behind(self, row: ca.SX) -> set[str]:
@@ -357,14 +404,21 @@ class _Analysis:
 
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
         """Return parameters in which all rows are jointly affine; of two that multiply, one is left out."""
-        # What is in a delay or in the equation of a simulated state changes the regressors themselves.
-        inside = ca.vertcat(*[r for row in rows for r in self._rows_behind(row)[1:]], self.delays, ca.SX(0, 1))
+        # What is in a delay or in the equation of a simulated state changes the regressors
+        # themselves.
+        inside = ca.vertcat(
+            *[r for row in rows for r in self._rows_behind(row)[1:]], self.delays, ca.SX(0, 1)
+        )
         names = [n for n in self.free if not ca.depends_on(inside, self._symbol(n))]
         names = [n for n in names if any(ca.depends_on(row, self._symbol(n)) for row in rows)]
 
         right_sides = ca.vertcat(*rows, ca.SX(0, 1))
         partners = {n: self._partners(right_sides, n, names) for n in names}
-        names = [n for n in names if n not in partners[n] and all(self._affine(row, self._symbol(n)) for row in rows)]
+        names = [
+            n
+            for n in names
+            if n not in partners[n] and all(self._affine(row, self._symbol(n)) for row in rows)
+        ]
         while any(partners[n] & {*names} for n in names):
             worst = max(names, key=lambda n: (len(partners[n] & {*names}), names.index(n)))
             names.remove(worst)

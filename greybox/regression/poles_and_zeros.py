@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.files.text_table import number
 
-# Relative distance below which a pole and a zero count as nearly cancelling. A real pair (s + z) / (s + p) this close
-# changes the response by about this much, 10 %, at most, at any frequency. The paper names no number.
+# Relative distance below which a pole and a zero count as nearly cancelling. A real pair (s + z) /
+# (s + p) this close changes the response by about this much, 10 %, at most, at any frequency. The
+# paper names no number.
 NEAR = 0.1
 
 
@@ -37,9 +38,10 @@ class NearPair:
 class Factored:
     """The factored form of (3.18) to (3.20): stable real poles as (T s + 1), all other factors monic.
 
-    `zeros` holds c (rad/s) of every real factor (s + c) of the numerator, `zero_quadratics` (c1, c0) of every
-    s² + c1 s + c0. In the denominator there are `integrators` factors s, `time_constants` T (s), smallest first,
-    `unstable` c < 0 of (s + c), and `quadratics` like those of the numerator.
+    `zeros` holds c (rad/s) of every real factor (s + c) of the numerator, `zero_quadratics` (c1,
+    c0) of every s² + c1 s + c0. In the denominator there are `integrators` factors s,
+    `time_constants` T (s), smallest first, `unstable` c < 0 of (s + c), and `quadratics` like those
+    of the numerator.
     """
 
     gain: float
@@ -54,14 +56,17 @@ class Factored:
         above = [_factor(c) for c in self.zeros] + [_factor(*c) for c in self.zero_quadratics]
         below = ["s"] * self.integrators + [f"({number(T, 4)} s + 1)" for T in self.time_constants]
         below += [_factor(c) for c in self.unstable] + [_factor(*c) for c in self.quadratics]
-        return " ".join([number(self.gain, 4), *above]) + (f" / [{' '.join(below)}]" if below else "")
+        return " ".join([number(self.gain, 4), *above]) + (
+            f" / [{' '.join(below)}]" if below else ""
+        )
 
 
 def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> tuple[NearPair, ...]:
     """Match zeros and poles that are closer than `tolerance`, each used once, the closest first.
 
-    Complex ones are matched in the upper half plane, one `NearPair` for a conjugate pair. Since the distance is
-    relative, a zero near the origin does not cancel an integrator unless it is zero itself.
+    Complex ones are matched in the upper half plane, one `NearPair` for a conjugate pair. Since the
+    distance is relative, a zero near the origin does not cancel an integrator unless it is zero
+    itself.
     """
     free_zeros = upper_half(zeros)
     free_poles = upper_half(poles)
@@ -76,7 +81,9 @@ def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> t
     return tuple(matched)
 
 
-def factored(numerator: Sequence[float] | NDArray[Any], denominator: Sequence[float] | NDArray[Any]) -> Factored:
+def factored(
+    numerator: Sequence[float] | NDArray[Any], denominator: Sequence[float] | NDArray[Any]
+) -> Factored:
     """Factor a ratio of real polynomials (highest power of s first) into the form of (3.18)."""
     above = np.trim_zeros(np.asarray(numerator, float), "f")
     below = np.asarray(denominator, float)
@@ -108,7 +115,11 @@ def upper_half(roots: ArrayLike) -> list[complex]:
 def _factor(*coefficients: float) -> str:
     """Write s + c, or s² + c1 s + c0, in brackets."""
     powers = ("",) if len(coefficients) == 1 else (" s", "")
-    terms = [f" {'-' if c < 0 else '+'} {number(abs(c), 4)}{s}" for c, s in zip(coefficients, powers, strict=True) if c]
+    terms = [
+        f" {'-' if c < 0 else '+'} {number(abs(c), 4)}{s}"
+        for c, s in zip(coefficients, powers, strict=True)
+        if c
+    ]
     text = ("s", "s²")[len(coefficients) - 1] + "".join(terms)
     return f"({text})" if terms else text
 

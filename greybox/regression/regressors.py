@@ -11,15 +11,23 @@ from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.regression.least_squares import Block
 from greybox.regression.linear_in_parameters import Equations
-from greybox.regression.smoothing import differentiate, low_pass, reach, smooth, stretches, without_holes
+from greybox.regression.smoothing import (
+    differentiate,
+    low_pass,
+    reach,
+    smooth,
+    stretches,
+    without_holes,
+)
 
 Array = NDArray[np.float64]
 
-# Cutoff of an equation's terms over the lowest of its signals: with 1 what the signals have lost biases the tilt model
-# by many standard errors, with 0.7 and 0.5 the intervals cover, with 0.35 precision is lost.
+# Cutoff of an equation's terms over the lowest of its signals: with 1 what the signals have lost
+# biases the tilt model by many standard errors, with 0.7 and 0.5 the intervals cover, with 0.35
+# precision is lost.
 SHARE = 0.5
-# Of its unknown initial value: what a simulated state may still hold where its rows begin. An error of 1 % that decays
-# within a few rows is far below what noise in the regressors does.
+# Of its unknown initial value: what a simulated state may still hold where its rows begin. An error
+# of 1 % that decays within a few rows is far below what noise in the regressors does.
 REMEMBERED = 0.01
 FEWEST = 4  # rows left of a stretch: fewer add nothing to the thousands of a record
 
@@ -42,9 +50,11 @@ class Regressors:
     cutoffs, noise : mapping of signal name to float
         Of the smoothed signals: rad/s, and the standard deviation of what was taken away.
     bands : tuple of float
-        Cutoff of the filter that all terms of an equation pass, rad/s; infinite where no signal was smoothed.
+        Cutoff of the filter that all terms of an equation pass, rad/s; infinite where no signal was
+        smoothed.
     lateness : float, s
-        Time at the beginning of a stretch for which delayed inputs or simulated states are not known.
+        Time at the beginning of a stretch for which delayed inputs or simulated states are not
+        known.
     """
 
     equations: Equations
@@ -72,7 +82,9 @@ class Regressors:
             return self
         moved = np.zeros(self.time.size)
         for values in self.inputs.values():
-            moved += np.nan_to_num((values - np.nanmean(values)) ** 2) / max(float(np.nanvar(values)), 1e-300)
+            moved += np.nan_to_num((values - np.nanmean(values)) ** 2) / max(
+                float(np.nanvar(values)), 1e-300
+            )
         total = np.concatenate([[0.0], np.cumsum(moved)])
         begin = int(np.argmax(total[count:] - total[:-count]))
         rows = slice(begin, begin + count)
@@ -111,7 +123,9 @@ class Regressors:
     def _blocks(self, k: int, base: Array, slopes: Array) -> list[Block]:
         equation = self.equations.equations[k]
         band = self.bands[k]
-        target = (self.derivatives if equation.kind == "derivative" else self.outputs)[equation.target]
+        target = (self.derivatives if equation.kind == "derivative" else self.outputs)[
+            equation.target
+        ]
         columns = np.column_stack([target, base, slopes])
         edge = math.ceil(reach(band) / self.step)
         late = math.ceil(self.lateness / self.step)
@@ -200,16 +214,28 @@ def regressors(
             signal = derivatives[known.source]
         else:
             continue
-        states[known.name] = signal if known.value is None else _value(known.value, names[0], states, signal)
+        states[known.name] = (
+            signal if known.value is None else _value(known.value, names[0], states, signal)
+        )
         derivatives[known.name] = _derivative(time, states[known.name])
 
-    inputs = {name: acting(time, without_holes(time, record[name]), between[name].held) for name in names[1]}
+    inputs = {
+        name: acting(time, without_holes(time, record[name]), between[name].held)
+        for name in names[1]
+    }
     moved = [n for n in names[1] if n in equations.delayed or between[n].late]
     longest = [
-        delay + (record.step if between[n].held else between[n].late) for n, delay in zip(names[1], latest, strict=True)
+        delay + (record.step if between[n].held else between[n].late)
+        for n, delay in zip(names[1], latest, strict=True)
     ]
-    outputs = {e.target: without_holes(time, record[e.target]) for e in equations.equations if e.kind == "output"}
-    bands = [SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations]
+    outputs = {
+        e.target: without_holes(time, record[e.target])
+        for e in equations.equations
+        if e.kind == "output"
+    }
+    bands = [
+        SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations
+    ]
     bands = [b if band is None else min(b, band) for b in bands]
     return Regressors(
         equations=equations,
@@ -231,10 +257,11 @@ def regressors(
 def acting(time: Array, values: Array, held: bool) -> Array:
     """Return an input (n,) as smooth samples of what it drives see it.
 
-    A state that integrates what is held is a straight line from sample to sample. The smooth curve through its samples
-    has the slope S(t - h/2) of the smooth curve S through those of the input, with oscillations that are larger by
-    1 / sinc(ωh/2) = 1 + (ωh)² / 24 + ..., which the second derivative of S adds: the pulse transfer function of an
-    integrator behind a zero-order hold is h / (z - 1), and jωh / (z - 1) = exp(-jωh/2) / sinc(ωh/2).
+    A state that integrates what is held is a straight line from sample to sample. The smooth curve
+    through its samples has the slope S(t - h/2) of the smooth curve S through those of the input,
+    with oscillations that are larger by 1 / sinc(ωh/2) = 1 + (ωh)² / 24 + ..., which the second
+    derivative of S adds: the pulse transfer function of an integrator behind a zero-order hold is h
+    / (z - 1), and jωh / (z - 1) = exp(-jωh/2) / sinc(ωh/2).
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
 
@@ -251,12 +278,16 @@ def acting(time: Array, values: Array, held: bool) -> Array:
 
 
 def _splines(
-    time: Array, inputs: Mapping[str, Array], between: Mapping[str, Intersample], moved: Iterable[str]
+    time: Array,
+    inputs: Mapping[str, Array],
+    between: Mapping[str, Intersample],
+    moved: Iterable[str],
 ) -> dict[str, list[tuple[slice, Callable[[Array], Array]]]]:
     """Return what interpolates every stretch of the inputs that act later.
 
-    That is a cubic spline. A held input whose delay is a fraction of a step changes within a step, which the samples of
-    what it drives show as the mean, in shares of this fraction, of what two neighboring values do: linear.
+    That is a cubic spline. A held input whose delay is a fraction of a step changes within a step,
+    which the samples of what it drives show as the mean, in shares of this fraction, of what two
+    neighboring values do: linear.
     """
     from scipy.interpolate import CubicSpline, make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
@@ -270,7 +301,9 @@ def _splines(
     return {name: parts(name) for name in moved}
 
 
-def _value(function: object, names: tuple[str, ...], states: Mapping[str, Array], signal: Array) -> Array:
+def _value(
+    function: object, names: tuple[str, ...], states: Mapping[str, Array], signal: Array
+) -> Array:
     x = np.array([states.get(name, np.full(signal.size, np.nan)) for name in names])
     return np.asarray(function(x, signal[None, :])).ravel()  # type: ignore[operator]
 
@@ -295,8 +328,9 @@ def memory(equations: Equations, names: tuple[tuple[str, ...], tuple[str, ...]],
 def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
     """Solve ``x' = matrix x + drive`` (s, n) for a drive known at samples, from its equilibrium at the first one.
 
-    Source: first-order hold, Franklin, Powell and Workman, Digital Control of Dynamic Systems, by the matrix
-    exponential of Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404; the recursion runs in the Schur basis.
+    Source: first-order hold, Franklin, Powell and Workman, Digital Control of Dynamic Systems, by
+    the matrix exponential of Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404; the
+    recursion runs in the Schur basis.
     """
     from scipy.linalg import expm, schur  # noqa: PLC0415  (import of greybox stays free of scipy)
     from scipy.signal import lfilter  # noqa: PLC0415  (takes a third of a second to import)
@@ -312,7 +346,9 @@ def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
     ramp = exponential[:s, 2 * s :]
 
     drive = basis.conj().T @ drive
-    drive[:, 1:-1] -= np.diff(drive, 2) / 12  # so that the mean over a step is right to the fourth order
+    drive[:, 1:-1] -= (
+        np.diff(drive, 2) / 12
+    )  # so that the mean over a step is right to the fourth order
     added = (hold - ramp) @ drive[:, :-1] + ramp @ drive[:, 1:]
     z = np.zeros(drive.shape, complex)
     start = np.linalg.solve(triangle, -drive[:, 0])

@@ -1,14 +1,16 @@
 """Smoothing of a measured signal, and its derivative, with a cutoff chosen from the signal itself.
 
-A stretch less the line between its ends is a sum of sines (Lanczos, Applied Analysis, 1956; Morelli and Klein, Aircraft
-System Identification, 2nd ed., chapter 11, who weigh them by a Wiener filter). Here the weight of the
-sine of angular frequency ω is 1 / (1 + (ω / cutoff)⁸), that of a smoothing spline of order four on uniform samples, and
-the cutoff is the one of least generalized cross-validation (Craven and Wahba, Numer. Math. 31 (1979) 377-403).
+A stretch less the line between its ends is a sum of sines (Lanczos, Applied Analysis, 1956; Morelli
+and Klein, Aircraft System Identification, 2nd ed., chapter 11, who weigh them by a Wiener filter).
+Here the weight of the sine of angular frequency ω is 1 / (1 + (ω / cutoff)⁸), that of a smoothing
+spline of order four on uniform samples, and the cutoff is the one of least generalized
+cross-validation (Craven and Wahba, Numer. Math. 31 (1979) 377-403).
 
-Measured on multisines, chirps and friction with jumps (1500 and 6000 samples): the derivative had at most 1.25 times
-the error of the best cutoff at white noise of 1 % and more, three times at 0.01 %, and less than that of the best
-Savitzky-Golay window except at jumps, where they are equal. Splines of order two and three did worse on smooth signals
-and gained little on jumps. `scipy.interpolate.make_smoothing_spline` takes 16 s for 60 000 samples, this takes 0.2 s.
+Measured on multisines, chirps and friction with jumps (1500 and 6000 samples): the derivative had
+at most 1.25 times the error of the best cutoff at white noise of 1 % and more, three times at 0.01
+%, and less than that of the best Savitzky-Golay window except at jumps, where they are equal.
+Splines of order two and three did worse on smooth signals and gained little on jumps.
+`scipy.interpolate.make_smoothing_spline` takes 16 s for 60 000 samples, this takes 0.2 s.
 """
 
 import math
@@ -37,8 +39,8 @@ class Smoothed:
     Attributes
     ----------
     values, derivative : (n,) array
-        In the unit of the signal, and per second; NaN where the signal is missing or its stretch is too short.
-        The first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
+        In the unit of the signal, and per second; NaN where the signal is missing or its stretch is
+        too short. The first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
     cutoff : float, rad/s
         Where half of the amplitude passes.
     noise : float
@@ -54,7 +56,8 @@ class Smoothed:
 def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> Smoothed:
     """Smooth and differentiate a signal, stretch by stretch, never across a gap.
 
-    A single missing sample is interpolated; two or more in a row are a gap, as in `Record`. One cutoff serves all.
+    A single missing sample is interpolated; two or more in a row are a gap, as in `Record`. One
+    cutoff serves all.
 
     Parameters
     ----------
@@ -63,13 +66,14 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
     values : (n,) array
         NaN marks missing samples.
     cutoff : float, rad/s, optional
-        By default chosen by generalized cross-validation, which takes everything but white noise as signal: give it
-        when a vibration is to be removed.
+        By default chosen by generalized cross-validation, which takes everything but white noise as
+        signal: give it when a vibration is to be removed.
 
     Raises
     ------
     ValueError
-        If sampling is not uniform, no stretch has 12 samples, or the cutoff is not a positive number.
+        If sampling is not uniform, no stretch has 12 samples, or the cutoff is not a positive
+        number.
     """
     time = np.asarray(time, dtype=float)
     values = np.asarray(values, dtype=float)
@@ -161,7 +165,9 @@ def regular(record: Record) -> Record:
         If a sample is off the uniform base by more than 2 % of the step.
     """
     if len(record) < SHORTEST:
-        raise ValueError(f"the record has {counted(len(record), 'sample')}: give at least {SHORTEST}.")
+        raise ValueError(
+            f"the record has {counted(len(record), 'sample')}: give at least {SHORTEST}."
+        )
     step = record.step
     pieces = record.pieces
     places = [np.rint((piece.time - piece.time[0]) / step).astype(int) for piece in pieces]
@@ -179,7 +185,9 @@ def regular(record: Record) -> Record:
 def require_uniform(time: Array) -> None:
     """Raise ValueError where a step that is no gap differs from the median step."""
     if time.size < 2:
-        raise ValueError(f"{counted(time.size, 'sample has', 'samples have')} no derivative: give more.")
+        raise ValueError(
+            f"{counted(time.size, 'sample has', 'samples have')} no derivative: give more."
+        )
     steps = np.diff(time)
     step = float(np.median(steps))
     odd = np.flatnonzero((np.abs(steps - step) > UNEVEN * step) & (steps <= GAP * step))
@@ -236,10 +244,16 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
 
     def score(logarithm: float) -> float:
         removed = 1 - _weight(omega, math.exp(logarithm))
-        return math.log(float(removed**2 @ power) + 1e-300) - 2 * math.log(float(np.sum(removed)) + 1e-300)
+        return math.log(float(removed**2 @ power) + 1e-300) - 2 * math.log(
+            float(np.sum(removed)) + 1e-300
+        )
 
-    candidates: Sequence[float] = np.linspace(math.log(np.sort(omega)[2]), math.log(omega.max()), CANDIDATES).tolist()
+    candidates: Sequence[float] = np.linspace(
+        math.log(np.sort(omega)[2]), math.log(omega.max()), CANDIDATES
+    ).tolist()
     best = min(candidates, key=score)
     width = candidates[1] - candidates[0]
-    refined = minimize_scalar(score, bounds=(best - width, min(best + width, candidates[-1])), method="bounded")
+    refined = minimize_scalar(
+        score, bounds=(best - width, min(best + width, candidates[-1])), method="bounded"
+    )
     return math.exp(refined.x if refined.fun < score(best) else best)

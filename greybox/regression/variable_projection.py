@@ -9,14 +9,22 @@ from numpy.typing import NDArray
 
 from greybox.formulation.starts import Sobol
 from greybox.modeling.parameter import Parameter
-from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve, spread, undetermined
+from greybox.regression.least_squares import (
+    Block,
+    autocovariances,
+    covariance,
+    residuals,
+    solve,
+    spread,
+    undetermined,
+)
 from greybox.regression.regressors import Regressors
 from greybox.regression.smoothing import reach, stretches
 
 Array = NDArray[np.float64]
 
-# Points in the box of the nonlinear unknowns, of which there are one to three, a delay or a lag each: with two, four
-# along each.
+# Points in the box of the nonlinear unknowns, of which there are one to three, a delay or a lag
+# each: with two, four along each.
 TRIED = 16
 SEARCHES = 2  # of these points, the best, from which a search runs besides the start
 SEARCHED = 6000  # samples on which the search begins: a minute at 100 Hz determines where, the whole record how well
@@ -66,15 +74,24 @@ class Projection:
         """Return the Gauss-Newton step (k,) that other data of the same equations ask for from here."""
         search = self.search.on(data)
         blocks = search.full(self.point, self.unknowns)
-        free = [k for k, n in enumerate(search.columns) if n in self.names and n not in self.at_bound]
+        free = [
+            k for k, n in enumerate(search.columns) if n in self.names and n not in self.at_bound
+        ]
         linear = slice(len(self.unknowns))
         remaining = [
-            Block(b.equation, b.target - b.base - b.slopes[:, linear] @ self.unknowns, 0 * b.base, b.slopes[:, free])
+            Block(
+                b.equation,
+                b.target - b.base - b.slopes[:, linear] @ self.unknowns,
+                0 * b.base,
+                b.slopes[:, free],
+            )
             for b in blocks
         ]
         unbounded = np.full(len(free), np.inf)
         step = np.zeros(len(search.columns))
-        step[free] = solve(remaining, self.weights, -unbounded, unbounded) if remaining else math.nan
+        step[free] = (
+            solve(remaining, self.weights, -unbounded, unbounded) if remaining else math.nan
+        )
         return step[[search.columns.index(n) for n in self.names]]
 
 
@@ -127,15 +144,20 @@ class _Search:
         widths = _widths(*self.bounds(self.nonlinear), point)
         for k, width in enumerate(widths):
             size = DIFFERENCE * min(width, max(abs(point[k]), 1e-3 * width))
-            ends = [self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)]
+            ends = [
+                self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)
+            ]
             if any([len(b.base) for b in end] != [len(b.base) for b in blocks] for end in ends):
-                # A simulated state becomes unstable there, or rows are lost: no difference can be taken.
+                # A simulated state becomes unstable there, or rows are lost: no difference can be
+                # taken.
                 slopes.append([0 * b.base for b in blocks])
                 continue
             above, below = ([b.base + b.slopes @ unknowns for b in end] for end in ends)
             slopes.append([(a - b) / (2 * size) for a, b in zip(above, below, strict=True)])
         return [
-            Block(b.equation, b.target, b.base, np.column_stack([b.slopes, *(s[k] for s in slopes)]))
+            Block(
+                b.equation, b.target, b.base, np.column_stack([b.slopes, *(s[k] for s in slopes)])
+            )
             for k, b in enumerate(blocks)
         ]
 
@@ -212,7 +234,11 @@ def _located(search: _Search) -> Array:
         blocks = search.blocks(point)
     weights = _weights(blocks, [b.target for b in blocks])
     boxes = {n: search.parameters[n] for n in search.nonlinear}
-    tried = list(Sobol(TRIED).draw(boxes)) if all(np.all(np.isfinite(p.box)) for p in boxes.values()) else []
+    tried = (
+        list(Sobol(TRIED).draw(boxes))
+        if all(np.all(np.isfinite(p.box)) for p in boxes.values())
+        else []
+    )
     size = sum(b.target.size for b in blocks)
 
     def cost(candidate: Array) -> float:
@@ -247,7 +273,9 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
 
     def errors(z: Array) -> Array:
         values = _errors(search, back(z), weights)
-        return WORST * np.ones(begin.size) if values is None or values.size != begin.size else values
+        return (
+            WORST * np.ones(begin.size) if values is None or values.size != begin.size else values
+        )
 
     inside = np.clip(here, (low + TOUCHING * width) / width, (high - TOUCHING * width) / width)
     end = least_squares(errors, inside, bounds=(low / width, high / width), xtol=1e-8, ftol=1e-10)
@@ -264,12 +292,17 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
 
     groups = undetermined(blocks)
     in_groups = {k for group in groups for k in group}
-    at_bound = [k for k in range(len(values)) if k not in in_groups and not low[k] < values[k] < high[k]]
+    at_bound = [
+        k for k in range(len(values)) if k not in in_groups and not low[k] < values[k] < high[k]
+    ]
     free = [k for k in range(len(values)) if k not in at_bound]
     # Parameters that are undetermined in combination count as one estimate.
     estimated = len(free) - sum(len(group) - (len(group) > 1) for group in groups)
 
-    errors = residuals([Block(b.equation, b.target, b.base, b.slopes[:, : len(unknowns)]) for b in blocks], unknowns)
+    errors = residuals(
+        [Block(b.equation, b.target, b.base, b.slopes[:, : len(unknowns)]) for b in blocks],
+        unknowns,
+    )
     colored = autocovariances(blocks, errors)
     independent = sum(c.independent for c in colored)
     matrix = np.full((len(values), len(values)), np.nan)
@@ -303,13 +336,17 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
     )
 
 
-def _explained(blocks: list[Block], errors: list[Array], count: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
+def _explained(
+    blocks: list[Block], errors: list[Array], count: int
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the rows of every equation, and the share of its target's variance that is explained."""
     rows = []
     shares = []
     for k in range(count):
         target = np.concatenate([np.zeros(0), *(b.target for b in blocks if b.equation == k)])
-        error = np.concatenate([np.zeros(0), *(e for b, e in zip(blocks, errors, strict=True) if b.equation == k)])
+        error = np.concatenate(
+            [np.zeros(0), *(e for b, e in zip(blocks, errors, strict=True) if b.equation == k)]
+        )
         rows.append(target.size)
         variance = float(np.sum((target - np.mean(target)) ** 2)) if target.size else 0.0
         shares.append(1 - float(error @ error) / variance if variance > 0 else math.nan)

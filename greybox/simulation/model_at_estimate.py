@@ -66,19 +66,21 @@ class ModelAtEstimate:
         Name of the model.
     system : Dynamics
     names, q : tuple of str, (declared,) array
-        The model's parameters, then biases of sensors and gains of the innovations, and their values.
+        The model's parameters, then biases of sensors and gains of the innovations, and their
+        values.
     covariance : (declared, declared) array or None
-        Of these values; None where they came as plain numbers. A value at its bound is treated as known (zero), and
-        one that the data do not determine has NaN.
+        Of these values; None where they came as plain numbers. A value at its bound is treated as
+        known (zero), and one that the data do not determine has NaN.
     criterion : TimeCriterion
-        How inputs run between samples, which signals are biased, and whether innovations correct the states.
+        How inputs run between samples, which signals are biased, and whether innovations correct
+        the states.
     part : FittedTo or None
         The record that the values were fitted to.
     declared : mapping of name to Parameter
         The model's parameters.
     own : tuple of str
-        Names of values that belong to that record alone, not to the model: biases of its sensors, and parameters that
-        each record of the fit has for itself.
+        Names of values that belong to that record alone, not to the model: biases of its sensors,
+        and parameters that each record of the fit has for itself.
     held : tuple of bool
         Which inputs are held between samples, see `driven_by`.
     """
@@ -162,7 +164,11 @@ def model_at(
         require_inputs(inputs)
     if isinstance(model, Estimate):
         if values is not None:
-            cure = "give the record by name, record=r" if isinstance(values, Record) else "leave the other out"
+            cure = (
+                "give the record by name, record=r"
+                if isinstance(values, Record)
+                else "leave the other out"
+            )
             raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
         return model.at_estimate(None, inputs=inputs, part=part, record=record)
     if not isinstance(model, Model):
@@ -182,19 +188,34 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
     added = [name for name in added if name not in model.parameters]
     require_known(given, (*model.parameters, *added), "parameter", model.label)
     for name, value in given.items():
-        real = isinstance(value, (int, float, np.number, np.ndarray)) and not (np.ndim(value) or np.iscomplexobj(value))
+        real = isinstance(value, (int, float, np.number, np.ndarray)) and not (
+            np.ndim(value) or np.iscomplexobj(value)
+        )
         if not (real and np.isfinite(value)):
-            raise ValueError(f"values gives {name!r} the value {value!r:.60}: give a finite number.")
+            raise ValueError(
+                f"values gives {name!r} the value {value!r:.60}: give a finite number."
+            )
     values = dict(model.values({n: v for n, v in given.items() if n in model.parameters}))
     values |= {name: float(given[name]) for name in added}
     criterion = criterion_of(inputs, tuple(b for b in biases if f"{b}_bias" in added), gains)
     return ModelAtEstimate(
-        model.label, system, tuple(values), np.array([*values.values()]), None, criterion, None, model.parameters
+        model.label,
+        system,
+        tuple(values),
+        np.array([*values.values()]),
+        None,
+        criterion,
+        None,
+        model.parameters,
     )
 
 
-def criterion_of(inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]) -> TimeCriterion:
+def criterion_of(
+    inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]
+) -> TimeCriterion:
     """Return the criterion under which a model runs: with innovations where there are `gains` (state, output)."""
     if gains:
-        return PredictionError(inputs=inputs, biases=biases, corrected=tuple(dict.fromkeys(s for s, _ in gains)))
+        return PredictionError(
+            inputs=inputs, biases=biases, corrected=tuple(dict.fromkeys(s for s, _ in gains))
+        )
     return OutputError(inputs=inputs, biases=biases)

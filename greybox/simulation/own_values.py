@@ -1,10 +1,11 @@
 """Values of a record's own, estimated from a record that the model was not fitted to: biases, trims.
 
-A bias of a sensor, and a parameter of the trim, belong to a record and not to the model: on another record they have
-other values, which its own samples tell. They are those that predict its windows best, by Gauss-Newton steps on the
-samples of all windows at once, with every window's first state an unknown of its own about a mean that the windows
-share, and with the model's parameters held. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
-Identification, 2nd ed., section 14.4: verification with biases and reference shifts estimated anew.
+A bias of a sensor, and a parameter of the trim, belong to a record and not to the model: on another
+record they have other values, which its own samples tell. They are those that predict its windows
+best, by Gauss-Newton steps on the samples of all windows at once, with every window's first state
+an unknown of its own about a mean that the windows share, and with the model's parameters held.
+Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, 2nd ed., section
+14.4: verification with biases and reference shifts estimated anew.
 """
 
 import contextlib
@@ -29,8 +30,9 @@ ITERATIONS = 15  # of Gauss-Newton: biases and trims are nearly linear, and sett
 SETTLED = 1e-2  # of a standard error: a step that does not matter
 HALVINGS = 8  # of a step that is not finite or predicts worse
 WORSE = 1e-6  # relative growth of the squares that is rounding
-# Times by which windows are made longer, and by which their mean square may grow over that of the shorter ones, or the
-# noise, for a free simulation to follow the record still: a tenth more in rms is due to slow errors of the model.
+# Times by which windows are made longer, and by which their mean square may grow over that of the
+# shorter ones, or the noise, for a free simulation to follow the record still: a tenth more in rms
+# is due to slow errors of the model.
 LENGTHENED = 4
 LARGER_SQUARES = 1.2
 # Relative eigenvalue of the information below which a direction is not determined.
@@ -66,23 +68,32 @@ class OwnValues:
     @property
     def by_name(self) -> dict[str, tuple[float, float]]:
         """Values and standard errors by name."""
-        return {n: (float(v), float(e)) for n, v, e in zip(self.names, self.values, self.errors, strict=True)}
+        return {
+            n: (float(v), float(e))
+            for n, v, e in zip(self.names, self.values, self.errors, strict=True)
+        }
 
     def notes(self, record: str) -> tuple[str, ...]:
         """Say what was estimated from the record, and what was not."""
         said = []
         if self.names:
             stated = []
-            for name, value, error, unit in zip(self.names, self.values, self.errors, self.units, strict=True):
+            for name, value, error, unit in zip(
+                self.names, self.values, self.errors, self.units, strict=True
+            ):
                 number, deviation = with_error(float(value), float(error))
-                stated.append(f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip())
+                stated.append(
+                    f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip()
+                )
             values = counted(len(self.names), "value")
             said.append(
                 f"{listed(stated)} {'was' if len(stated) == 1 else 'were'} estimated from {record} itself: {values} "
                 f"from {counted(self.numbers, 'number')}, in which it is not held out."
             )
         if self.kept:
-            said.append(f"{listed(self.kept)}: not determined by {record}, the value of the fit is kept.")
+            said.append(
+                f"{listed(self.kept)}: not determined by {record}, the value of the fit is kept."
+            )
         return tuple(said)
 
 
@@ -140,7 +151,9 @@ class _Found:
 
     def errors(self) -> Array:
         assert self.information is not None
-        return np.sqrt(np.diag(_pseudo_inverse(self.information.matrix)) * _inflation(self.information))
+        return np.sqrt(
+            np.diag(_pseudo_inverse(self.information.matrix)) * _inflation(self.information)
+        )
 
     def follows_noise_as(self, shorter: "_Found") -> bool:
         """Tell whether the errors over these windows are hardly larger than over shorter ones."""
@@ -158,10 +171,13 @@ class _Found:
         return bool(self.names) and float(np.sum(np.log(self.errors() / other.errors()))) < 0.0
 
 
-def _longer(model: ModelAtEstimate, windows: Windows, outputs: tuple[str, ...]) -> Iterator[Windows]:
+def _longer(
+    model: ModelAtEstimate, windows: Windows, outputs: tuple[str, ...]
+) -> Iterator[Windows]:
     """Yield windows of the same record that are longer and longer, as long as there are any.
 
-    What is constant shows the better the longer a simulation runs free, while that follows the record.
+    What is constant shows the better the longer a simulation runs free, while that follows the
+    record.
     """
     record = windows.record
     inputs = model.system.inputs
@@ -172,10 +188,18 @@ def _longer(model: ModelAtEstimate, windows: Windows, outputs: tuple[str, ...]) 
     while horizon < most:
         horizon = min(LENGTHENED * horizon, most)
         with contextlib.suppress(ValueError):  # nothing measured in them
-            yield cut(record, inputs, outputs, lead=windows.lead * record.step, horizon=horizon * record.step)
+            yield cut(
+                record,
+                inputs,
+                outputs,
+                lead=windows.lead * record.step,
+                horizon=horizon * record.step,
+            )
 
 
-def _determined(simulator: Simulator, model: ModelAtEstimate, windows: Windows, own: Sequence[str]) -> _Found:
+def _determined(
+    simulator: Simulator, model: ModelAtEstimate, windows: Windows, own: Sequence[str]
+) -> _Found:
     """Estimate those of the values `own` that the windows determine; the others stay as they are."""
     limits = {name: _limits(model, windows, name) for name in own}
     names = list(own)
@@ -233,8 +257,8 @@ def _unit(model: ModelAtEstimate, windows: Windows, name: str) -> str:
 class _Information:
     """The normal equations of the active values, states and their mean eliminated.
 
-    `matrix` (a, a) and `gradient` (a,); `squares` of the weighted residuals that remain, of so many `numbers`;
-    `overlap` says how often a number was used on average.
+    `matrix` (a, a) and `gradient` (a,); `squares` of the weighted residuals that remain, of so many
+    `numbers`; `overlap` says how often a number was used on average.
     """
 
     matrix: Array
@@ -292,10 +316,13 @@ def _searched(
     return q, now, np.zeros(len(places))
 
 
-def _information(simulator: Simulator, windows: Windows, places: NDArray[np.integer]) -> _Information:
+def _information(
+    simulator: Simulator, windows: Windows, places: NDArray[np.integer]
+) -> _Information:
     """Return the normal equations at the simulator's values.
 
-    The first state of a window is a mean of all windows, which is not known, and a deviation with the prior's spread.
+    The first state of a window is a mean of all windows, which is not known, and a deviation with
+    the prior's spread.
     """
     made = simulator.linearize_windows(windows, places)
     n = made.initial.states.shape[1]
@@ -305,18 +332,26 @@ def _information(simulator: Simulator, windows: Windows, places: NDArray[np.inte
 
     usable = np.any(made.used, axis=(1, 2))
     precision = np.nan_to_num(made.initial.precision)
-    deviation = np.where(usable[:, None], made.initial.states - np.nan_to_num(made.initial.mean), 0.0)
+    deviation = np.where(
+        usable[:, None], made.initial.states - np.nan_to_num(made.initial.mean), 0.0
+    )
     H = by_state.transpose(0, 2, 1) @ by_state + np.diag(precision)
     slope = np.einsum("wmn,wm->wn", by_state, r) - precision * deviation
     cross = columns.transpose(0, 2, 1) @ by_state
-    solved = np.linalg.solve(H, np.concatenate([cross.transpose(0, 2, 1), slope[..., None]], axis=2)) if n else None
+    solved = (
+        np.linalg.solve(H, np.concatenate([cross.transpose(0, 2, 1), slope[..., None]], axis=2))
+        if n
+        else None
+    )
     matrix = np.einsum("wma,wmb->ab", columns, columns)
     gradient = np.einsum("wma,wm->a", columns, r)
     squares = float(np.sum(r**2))
     if solved is not None:
         matrix = matrix - np.einsum("wan,wnb->ab", cross, solved[..., :-1])
         gradient = gradient - np.einsum("wan,wn->a", cross, solved[..., -1])
-        squares += float(np.sum(precision * deviation**2)) - float(np.einsum("wn,wn->", slope, solved[..., -1]))
+        squares += float(np.sum(precision * deviation**2)) - float(
+            np.einsum("wn,wn->", slope, solved[..., -1])
+        )
 
     a = len(places)
     mean = _pseudo_inverse(matrix[a:, a:])
@@ -366,10 +401,13 @@ def _solved(matrix: Array, gradient: Array) -> Array:
     return _pseudo_inverse(matrix) @ gradient
 
 
-def _not_determined(information: _Information, names: Sequence[str], limits: Mapping[str, tuple[float, float]]) -> str:
+def _not_determined(
+    information: _Information, names: Sequence[str], limits: Mapping[str, tuple[float, float]]
+) -> str:
     """Return the value that the record determines least, where it does not determine it; empty otherwise.
 
-    Because the samples do not change with it, or because its error is larger than half of its bounds.
+    Because the samples do not change with it, or because its error is larger than half of its
+    bounds.
     """
     values, vectors, scale = _eigen(information.matrix)
     blind = np.flatnonzero(values <= BLIND * max(float(values[-1]), 0.0))
@@ -393,16 +431,22 @@ def _covariance(simulator: Simulator, found: _Found) -> Array:
     model = found.model
     places = found.places
     assert found.information is not None
-    whole = np.zeros((len(model.names),) * 2) if model.covariance is None else model.covariance.copy()
+    whole = (
+        np.zeros((len(model.names),) * 2) if model.covariance is None else model.covariance.copy()
+    )
     whole[places] = 0.0
     whole[:, places] = 0.0
     others = np.flatnonzero(np.isfinite(np.diag(whole)) & (np.diag(whole) > 0))
     a = len(places)
-    both = _information(simulator.at(model.q), found.windows, np.concatenate([places, others])).matrix
+    both = _information(
+        simulator.at(model.q), found.windows, np.concatenate([places, others])
+    ).matrix
     inverse = _pseudo_inverse(found.information.matrix)
     follow = -inverse @ both[:a, a:]  # of the own values by the model's parameters
     shared = whole[np.ix_(others, others)]
     whole[np.ix_(places, others)] = follow @ shared
     whole[np.ix_(others, places)] = (follow @ shared).T
-    whole[np.ix_(places, places)] = inverse * _inflation(found.information) + follow @ shared @ follow.T
+    whole[np.ix_(places, places)] = (
+        inverse * _inflation(found.information) + follow @ shared @ follow.T
+    )
     return whole

@@ -24,7 +24,11 @@ def samples_ahead(share: float, samples: int) -> int:
 def reported_shares(horizons: Sequence[int]) -> list[float]:
     """Return the shares at which the error over horizons of so many samples is reported, each sample once."""
     places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
-    return [share for share, place in places.items() if place not in [places[s] for s in AHEAD if s > share]]
+    return [
+        share
+        for share, place in places.items()
+        if place not in [places[s] for s in AHEAD if s > share]
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,23 +45,26 @@ class Prediction:
     lead, horizon : float
         Lengths in s, as used: whole samples.
     rows : (w, h) int array
-        Indices in `data` of the predicted samples; sample j is j + 1 steps after the last one that informed it.
+        Indices in `data` of the predicted samples; sample j is j + 1 steps after the last one that
+        informed it.
     predicted, error : (k, w, h) arrays
-        Of the outputs as their sensors show them, and their standard errors, from those of the parameters (with the
-        states and gains that they imply, to first order) and of the state at the beginning; the noise of the outputs
-        is not included. A parameter at its bound is treated as known; NaN where an output depends on one that the data
-        of the fit do not determine.
+        Of the outputs as their sensors show them, and their standard errors, from those of the
+        parameters (with the states and gains that they imply, to first order) and of the state at
+        the beginning; the noise of the outputs is not included. A parameter at its bound is treated
+        as known; NaN where an output depends on one that the data of the fit do not determine.
     noise : (k, k) array
         Covariance of the outputs' errors, that of the fit or else estimated from the lead-ins.
     trajectory : (n, w, h) array
         The states.
     one_step : (k, w, h) array
-        Errors of predictions one sample ahead, from everything measured before in the window, in units of their
-        theoretical standard deviations: white with unit variance for the right model. NaN where nothing was measured.
+        Errors of predictions one sample ahead, from everything measured before in the window, in
+        units of their theoretical standard deviations: white with unit variance for the right
+        model. NaN where nothing was measured.
     notes : tuple of str
         Why an error is not known, and what was estimated from the record, in sentences.
     own : mapping of name to (value, standard error)
-        What was estimated from the record besides the states, since it belongs to the record: biases, trims.
+        What was estimated from the record besides the states, since it belongs to the record:
+        biases, trims.
     """
 
     label: str
@@ -93,7 +100,10 @@ class Prediction:
         signals = {}
         units = {}
         for k, name in enumerate(self.outputs):
-            signals |= {name: self._spread(self.predicted[k]), f"{name}_error": self._spread(self.error[k])}
+            signals |= {
+                name: self._spread(self.predicted[k]),
+                f"{name}_error": self._spread(self.error[k]),
+            }
             units |= dict.fromkeys((name, f"{name}_error"), self.data.units.get(name, ""))
         for i, name in enumerate(self.states):
             if name not in signals:
@@ -104,7 +114,9 @@ class Prediction:
     @property
     def title(self) -> str:
         """The model, and how far ahead it predicts."""
-        return f"{self.label}, {seconds(self.horizon)} s ahead" if self.data.has_time else self.label
+        return (
+            f"{self.label}, {seconds(self.horizon)} s ahead" if self.data.has_time else self.label
+        )
 
     @property
     def window(self) -> str:
@@ -113,7 +125,10 @@ class Prediction:
 
     def kept(self, windows: NDArray[np.bool_]) -> "Prediction":
         """Return the prediction of some of the windows, (w,)."""
-        named = {name: getattr(self, name)[:, windows] for name in ("predicted", "error", "trajectory", "one_step")}
+        named = {
+            name: getattr(self, name)[:, windows]
+            for name in ("predicted", "error", "trajectory", "one_step")
+        }
         return replace(self, rows=self.rows[windows], **named)
 
     def measured(self, output: str) -> Array:
@@ -128,15 +143,18 @@ class Prediction:
     def band(self, output: str, level: float = 0.95, noise: bool = False) -> tuple[Array, Array]:
         """Return the limits, (w, h) each, within which the output lies at this level; with `noise`, its measurement.
 
-        They assume the right model structure and normal errors. Process noise (wind) and sensor errors that are
-        correlated in time are not included: with these, fewer outputs lie within the limits.
+        They assume the right model structure and normal errors. Process noise (wind) and sensor
+        errors that are correlated in time are not included: with these, fewer outputs lie within
+        the limits.
         """
         if not 0 < level < 1:
             raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
         from scipy.special import ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
 
         k = self._place(output)
-        half = float(ndtri(0.5 + level / 2)) * np.sqrt(self.error[k] ** 2 + (self.noise[k, k] if noise else 0.0))
+        half = float(ndtri(0.5 + level / 2)) * np.sqrt(
+            self.error[k] ** 2 + (self.noise[k, k] if noise else 0.0)
+        )
         return self.predicted[k] - half, self.predicted[k] + half
 
     def rms(self, output: str, share: float | None = None) -> float:
@@ -150,7 +168,9 @@ class Prediction:
 
     def _place(self, output: str) -> int:
         if output not in self.outputs:
-            raise ValueError(f"{output!r} was not predicted: give one of {', '.join(self.outputs)}.")
+            raise ValueError(
+                f"{output!r} was not predicted: give one of {', '.join(self.outputs)}."
+            )
         return self.outputs.index(output)
 
     def _spread(self, values: Array) -> Array:
@@ -170,10 +190,15 @@ class Prediction:
         if not self.data.has_time:
             head = f"{self.label}: {counted(len(self), 'row')} of {self.data.name or 'the record'}"
             shares = []
-        ends = [f"after {seconds(self.ahead[samples_ahead(s, self.rows.shape[1]) - 1])} s" for s in shares]
+        ends = [
+            f"after {seconds(self.ahead[samples_ahead(s, self.rows.shape[1]) - 1])} s"
+            for s in shares
+        ]
         rows = [self._row(name, shares) for name in self.outputs]
         table = text_table(
-            ["output", "unit", "fit %", "error (rms)", *ends, "noise", "standard error"], rows, left=(0, 1)
+            ["output", "unit", "fit %", "error (rms)", *ends, "noise", "standard error"],
+            rows,
+            left=(0, 1),
         )
         notes = ["", *("  " + note for note in self.notes)] if self.notes else []
         return "\n".join([head, "", *("  " + line for line in table.splitlines()), *notes])

@@ -19,11 +19,11 @@ from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimul
 from greybox.simulation.windows import Windows, cut, default_length, require_lengths
 
 Array = NDArray[np.float64]
-# In SI units: a signal that was larger than this before it ceased to be finite diverged; one that was smaller met a
-# formula outside its domain.
+# In SI units: a signal that was larger than this before it ceased to be finite diverged; one that
+# was smaller met a formula outside its domain.
 GROWN = 1e6
-# s: shortest default of a horizon and of a lead-in. The roll axis of the paper, whose unstable poles in (3.18) have the
-# real part 1.7 1/s, doubles in 0.4 s.
+# s: shortest default of a horizon and of a lead-in. The roll axis of the paper, whose unstable
+# poles in (3.18) have the real part 1.7 1/s, doubles in 0.4 s.
 SHORTEST = 0.5
 
 
@@ -44,37 +44,39 @@ def simulate(
     model : Model or Fit
         A transfer function is realized as states. A `Fit` stands for its model and its estimate.
     values : mapping of name to value, or Fit
-        Parameters that a mapping leaves out have their declared starts; ``<signal>_bias`` is the constant error of a
-        sensor. A `Fit` also gives covariance, biases, and how its inputs ran.
+        Parameters that a mapping leaves out have their declared starts; ``<signal>_bias`` is the
+        constant error of a sensor. A `Fit` also gives covariance, biases, and how its inputs ran.
     record : Record
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch without a gap
-        Other states begin at zero. By default those of the fit where the record is its own, else zero.
+        Other states begin at zero. By default those of the fit where the record is its own, else
+        zero.
     inputs : "record", "linear" or "held", optional
-        How inputs run between samples; by default as in the fit, else as the record says, see `OutputError`.
+        How inputs run between samples; by default as in the fit, else as the record says, see
+        `OutputError`.
     integrator : Integrator, optional
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`; unless it says how many substeps, they are halved until
-        that changes no state by more than 1e-7 of its size in a sample.
+        `RungeKutta()` or, for stiff models, `Rosenbrock()`; unless it says how many substeps, they
+        are halved until that changes no state by more than 1e-7 of its size in a sample.
     part : int, optional
         Which part of the fit is meant; by default that of `record`, else its first record.
 
     Returns
     -------
     Record
-        At the times of `record`: the outputs as their sensors show them (biases included, those of the fit), then the
-        states that do not have the name of an output; NaN where an input is missing. A gap begins a new simulation.
-        With a `Fit` also
-        ``<output>_error``: the standard error of an output, from those of the parameters (to first order) and, where
-        they are those of the fit, of the initial states; NaN where an unstable model runs too long for that. A
-        parameter at its bound is treated as known, as in the standard errors of the fit; an output that depends on a
-        parameter which the data of the fit do not determine has NaN, and the name of the record says which. The noise
-        of the sensors is not included.
+        At the times of `record`: the outputs as their sensors show them (biases included, those of
+        the fit), then the states that do not have the name of an output; NaN where an input is
+        missing. A gap begins a new simulation. With a `Fit` also ``<output>_error``: the standard
+        error of an output, from those of the parameters (to first order) and, where they are those
+        of the fit, of the initial states; NaN where an unstable model runs too long for that. A
+        parameter at its bound is treated as known, as in the standard errors of the fit; an output
+        that depends on a parameter which the data of the fit do not determine has NaN, and the name
+        of the record says which. The noise of the sensors is not included.
 
     Raises
     ------
     ValueError
-        If an input is missing, the samples are not uniform, the simulation diverges, or a formula of the model is not
-        finite.
+        If an input is missing, the samples are not uniform, the simulation diverges, or a formula
+        of the model is not finite.
     """
     estimated = model_at(model, values, inputs=inputs, part=part, record=_as_record(record))
     record = _record(record, estimated)
@@ -102,7 +104,11 @@ def simulate(
             if name in columns:
                 columns[name][rows] = values_there
 
-    units = {n: record.units[n.removesuffix(ERROR)] for n in columns if n.removesuffix(ERROR) in record.units}
+    units = {
+        n: record.units[n.removesuffix(ERROR)]
+        for n in columns
+        if n.removesuffix(ERROR) in record.units
+    }
     remark = f", {_not_known(tuple(unknown), estimated)}" if unknown else ""
     name = f"simulation of {estimated.label}{remark}"
     return Record(record.time, columns, units, name=name, has_time=record.has_time)
@@ -122,32 +128,37 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from a state estimated over the lead-in before it.
 
-    The windows follow one another through every stretch without a gap; of rows without a time, each is one. A free
-    simulation of an unstable plant diverges however good the model; over windows of about its time to double the
-    prediction errors do show the quality of the model. The state is the maximum a posteriori one (see
-    `greybox.simulation.state_estimation`), with the noise of the fit, or, where that is not known, of the residuals in
-    the lead-ins; with innovations (`PredictionError`) the lead-in corrects the states and the horizon does not.
+    The windows follow one another through every stretch without a gap; of rows without a time, each
+    is one. A free simulation of an unstable plant diverges however good the model; over windows of
+    about its time to double the prediction errors do show the quality of the model. The state is
+    the maximum a posteriori one (see `greybox.simulation.state_estimation`), with the noise of the
+    fit, or, where that is not known, of the residuals in the lead-ins; with innovations
+    (`PredictionError`) the lead-in corrects the states and the horizon does not.
 
-    On a record that the model was not fitted to, values that belong to a record and not to the model are estimated from
-    it (see `greybox.simulation.own_values`), and `Prediction.notes` say so: biases of sensors, parameters that each
-    record of the fit has for itself (`several`), and those that `own` names, such as trims.
+    On a record that the model was not fitted to, values that belong to a record and not to the
+    model are estimated from it (see `greybox.simulation.own_values`), and `Prediction.notes` say
+    so: biases of sensors, parameters that each record of the fit has for itself (`several`), and
+    those that `own` names, such as trims.
 
     Parameters
     ----------
     horizon, lead : float, s
-        Lengths of what is predicted and of what is measured before it, rounded to whole samples. By default 0.5 s or 10
-        samples, whichever is longer, for the lead-in also at least twice the longest delay. Rows have neither.
+        Lengths of what is predicted and of what is measured before it, rounded to whole samples. By
+        default 0.5 s or 10 samples, whichever is longer, for the lead-in also at least twice the
+        longest delay. Rows have neither.
     own : sequence of str, optional
-        Names of parameters, and of biases (``<signal>_bias``), to be estimated from the record; by default those named
-        above, on a record that the fit does not have; ``()`` for none, which keeps the values of the fit.
+        Names of parameters, and of biases (``<signal>_bias``), to be estimated from the record; by
+        default those named above, on a record that the fit does not have; ``()`` for none, which
+        keeps the values of the fit.
 
     The other parameters are those of `simulate`.
 
     Raises
     ------
     ValueError
-        If an input or all outputs are missing, a length is shorter than a sample, no stretch is long enough, the delay
-        is longer than the lead-in, or the model has no finite value in a window.
+        If an input or all outputs are missing, a length is shorter than a sample, no stretch is
+        long enough, the delay is longer than the lead-in, or the model has no finite value in a
+        window.
     """
     require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
     estimated = model_at(model, values, inputs=inputs, part=part, record=_as_record(record))
@@ -178,8 +189,9 @@ def predict_windows(
 ) -> tuple[Prediction, NDArray[np.bool_], str]:
     """Predict `outputs`, which the record has, over given windows: the same ones for models that are compared.
 
-    Values `own` of the record are estimated first, by default those that the model has where the record is a new one.
-    Returns also which windows (w,) are not finite, and what is not finite there, in words without an end.
+    Values `own` of the record are estimated first, by default those that the model has where the
+    record is a new one. Returns also which windows (w,) are not finite, and what is not finite
+    there, in words without an end.
     """
     model = model.driven_by(windows.record)
     lead = windows.lead * windows.record.step
@@ -190,9 +202,15 @@ def predict_windows(
             "give a longer lead."
         )
     if own is None:
-        own = () if model.part is None or share_samples(model.part.data, windows.record) else model.own
+        own = (
+            ()
+            if model.part is None or share_samples(model.part.data, windows.record)
+            else model.own
+        )
     integrator = integrator or RungeKutta()
-    model, estimated = with_own_values(model, windows, outputs, integrator, (own,) if isinstance(own, str) else own)
+    model, estimated = with_own_values(
+        model, windows, outputs, integrator, (own,) if isinstance(own, str) else own
+    )
     simulator = Simulator(model, model.criterion, outputs, integrator)
     simulated = simulator.windows(windows)
     notes = estimated.notes(windows.record.name or "the record") if estimated else ()
@@ -218,7 +236,9 @@ def predict_windows(
     return prediction, simulated.not_finite, _trouble(simulated, windows, outputs, model)
 
 
-def _trouble(simulated: WindowSimulations, windows: Windows, outputs: tuple[str, ...], model: ModelAtEstimate) -> str:
+def _trouble(
+    simulated: WindowSimulations, windows: Windows, outputs: tuple[str, ...], model: ModelAtEstimate
+) -> str:
     """Say in how many windows something is not finite, and what in the first one, where and after which states."""
     if not simulated.not_finite.any():
         return ""
@@ -243,7 +263,9 @@ def _trouble(simulated: WindowSimulations, windows: Windows, outputs: tuple[str,
 def _last_states(model: ModelAtEstimate, states: Array, when: int) -> str:
     """Say which states (samples, n) were the last ones before a sample."""
     last = states[max(when - 1, 0)]
-    text = ", ".join(f"{name} = {value:.4g}" for name, value in zip(model.system.states, last, strict=True))
+    text = ", ".join(
+        f"{name} = {value:.4g}" for name, value in zip(model.system.states, last, strict=True)
+    )
     return f", {'after' if when else 'where'} {text}" if text else ""
 
 
@@ -273,7 +295,9 @@ def _record(record: Record | None, model: ModelAtEstimate) -> Record:
         raise TypeError("record is missing: give the Record whose inputs are to drive the model.")
     record = model.part.data if record is None and model.part is not None else record
     if not isinstance(record, Record):
-        raise TypeError(f"record is {record!r:.80}: give one Record; for several, call it for each.")
+        raise TypeError(
+            f"record is {record!r:.80}: give one Record; for several, call it for each."
+        )
     return record
 
 
@@ -319,7 +343,10 @@ def _is_fitted_record(record: Record, model: ModelAtEstimate) -> bool:
     """Tell whether the record is the one that the values were fitted to."""
     return model.part is not None and (
         record is model.part.data
-        or (record.checksum == model.part.data.checksum and np.array_equal(record.time, model.part.data.time))
+        or (
+            record.checksum == model.part.data.checksum
+            and np.array_equal(record.time, model.part.data.time)
+        )
     )
 
 
@@ -335,7 +362,9 @@ def _initial_by_name(initial: Any, model: ModelAtEstimate, stretches: int) -> di
         except (TypeError, ValueError):
             values = np.array([np.nan])
         if not np.all(np.isfinite(values)):
-            raise ValueError(f"initial gives {name!r} the value {value!r:.60}: give a finite number.")
+            raise ValueError(
+                f"initial gives {name!r} the value {value!r:.60}: give a finite number."
+            )
         if values.ndim != 1 or values.size not in (1, stretches):
             raise ValueError(
                 f"initial gives {name!r} {values.size} values and the record has "
@@ -349,6 +378,8 @@ def _initial_of_stretch(
     model: ModelAtEstimate, initial: Mapping[str, Array] | None, k: int, fitted_initial: bool
 ) -> Array:
     """Return the states (n,) at the beginning of the k-th stretch."""
-    given: Mapping[str, Array] = model.part.initial if fitted_initial and model.part is not None else initial or {}
+    given: Mapping[str, Array] = (
+        model.part.initial if fitted_initial and model.part is not None else initial or {}
+    )
     values = [given.get(name, np.zeros(1)) for name in model.system.states]
     return np.array([value[k] if value.size > 1 else value[0] for value in values], dtype=float)

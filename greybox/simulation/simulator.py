@@ -22,24 +22,33 @@ from greybox.modeling.step_size import (
     substep_growth,
 )
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.simulation.state_estimation import StateEstimates, estimate_states, one_step_errors, without_states
+from greybox.simulation.state_estimation import (
+    StateEstimates,
+    estimate_states,
+    one_step_errors,
+    without_states,
+)
 from greybox.simulation.windows import Windows, sample_data
 
 Array = NDArray[np.float64]
 
-# Of a state's size: what halving the substeps may change in one sample. A thousand such errors in one direction add up
-# to 1e-4 of the state, below the noise of any sensor.
+# Of a state's size: what halving the substeps may change in one sample. A thousand such errors in
+# one direction add up to 1e-4 of the state, below the noise of any sensor.
 TOLERANCE = 1e-7
-# |pole| · substep to begin with: a Runge-Kutta step of z = 0.1 errs by z⁵ / 120 = 8e-8 of the state, just within
-# TOLERANCE.
+# |pole| · substep to begin with: a Runge-Kutta step of z = 0.1 errs by z⁵ / 120 = 8e-8 of the
+# state, just within TOLERANCE.
 FIRST_REACH = 0.1
-# Substeps to begin with, at most: the fastest mode at rest may have decayed where the model is simulated.
+# Substeps to begin with, at most: the fastest mode at rest may have decayed where the model is
+# simulated.
 MOST_AT_FIRST = 8
 CHECKED = 400  # samples, spread over all, at which the substeps are checked: each is one more evaluation of the model
 DIVERGED = 1e9  # no state of a vehicle in SI units is that large
 LARGEST = 1e100  # derivative of an output whose products of three stay finite
-SINGULAR = 1e-10  # relative singular value below which a free simulation does not show its initial state
-# Times the size of the outputs: initial states to try where the model is not finite at zero (roots, logarithms).
+SINGULAR = (
+    1e-10  # relative singular value below which a free simulation does not show its initial state
+)
+# Times the size of the outputs: initial states to try where the model is not finite at zero (roots,
+# logarithms).
 SIZES = (1.0, 0.1, 10.0, -1.0)
 ROUNDING = 1e-9  # of the largest effect of a value on an output: a smaller one is rounding
 ERROR = "_error"
@@ -101,7 +110,12 @@ class _Run:
 
     @classmethod
     def of(
-        cls, segments: Segments, initial: Array, q: Array, data: Array, estimates: StateEstimates | None = None
+        cls,
+        segments: Segments,
+        initial: Array,
+        q: Array,
+        data: Array,
+        estimates: StateEstimates | None = None,
     ) -> "_Run":
         states, _ = segments.simulate(initial, q, data)
         return cls(segments, data, states, segments.outputs(states, q, data), estimates)
@@ -111,7 +125,11 @@ class Simulator:
     """A model at an estimate, run with as many substeps as it turns out to need."""
 
     def __init__(
-        self, model: ModelAtEstimate, criterion: TimeCriterion, outputs: tuple[str, ...], integrator: Integrator
+        self,
+        model: ModelAtEstimate,
+        criterion: TimeCriterion,
+        outputs: tuple[str, ...],
+        integrator: Integrator,
     ) -> None:
         if not isinstance(integrator, Integrator):
             raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Rosenbrock().")
@@ -134,7 +152,8 @@ class Simulator:
     ) -> tuple[dict[str, Array], tuple[str, ...]]:
         """Simulate one stretch from the states `initial` (n,), which may be those that the fit estimated.
 
-        Returns outputs, errors and states by name, and the parameters without an error on which an output depends.
+        Returns outputs, errors and states by name, and the parameters without an error on which an
+        output depends.
         """
         model = self._model
         count = len(stretch)
@@ -151,7 +170,9 @@ class Simulator:
         unknown: tuple[str, ...] = ()
         if model.covariance is not None and not diverged(signals).any():
             slopes = result.segments.output_sensitivities(result.states, model.q, data)[0]
-            by_value, variance = _free_run_sensitivities(model, stretch, slopes, self._outputs, fitted_initial)
+            by_value, variance = _free_run_sensitivities(
+                model, stretch, slopes, self._outputs, fitted_initial
+            )
             error, unknown = _standard_errors(by_value, variance, model)
             signals |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
         return signals, unknown
@@ -170,17 +191,29 @@ class Simulator:
 
         residuals = measured - segments.by_segment(result.outputs)
         by_state = slopes[..., :n]
-        if self._criterion.corrects_states:  # one step ahead, the corrections go on after the lead-in
+        if (
+            self._criterion.corrects_states
+        ):  # one step ahead, the corrections go on after the lead-in
             present = np.isfinite(data["measured"])
-            corrected = _Run.of(segments, estimates.states, model.q, _columns(segments, data, present))
+            corrected = _Run.of(
+                segments, estimates.states, model.q, _columns(segments, data, present)
+            )
             residuals = measured - segments.by_segment(corrected.outputs)
-            by_state = segments.output_sensitivities(corrected.states, model.q, corrected.data)[..., :n]
+            by_state = segments.output_sensitivities(corrected.states, model.q, corrected.data)[
+                ..., :n
+            ]
         offset = estimates.mean - estimates.states
-        one_step = one_step_errors(residuals, by_state, offset, estimates.precision, estimates.noise)
-        outputs, states = (segments.by_segment(values) for values in (result.outputs, result.states))
+        one_step = one_step_errors(
+            residuals, by_state, offset, estimates.precision, estimates.noise
+        )
+        outputs, states = (
+            segments.by_segment(values) for values in (result.outputs, result.states)
+        )
         return WindowSimulations(estimates, outputs, states, error, one_step, unknown)
 
-    def linearize_windows(self, windows: Windows, active: NDArray[np.integer]) -> WindowLinearization:
+    def linearize_windows(
+        self, windows: Windows, active: NDArray[np.integer]
+    ) -> WindowLinearization:
         """Linearize every window by its state and the `active` values, from the state that its lead-in gives."""
         data, _, result = self._from_lead_ins(windows, active)
         assert result.estimates is not None
@@ -192,7 +225,10 @@ class Simulator:
         finite &= np.all(np.isfinite(residuals) | ~present, axis=(1, 2))
         used = present & finite[:, None, None]
         return WindowLinearization(
-            result.estimates, np.where(used, residuals, 0.0), np.where(used[..., None], slopes, 0.0), used
+            result.estimates,
+            np.where(used, residuals, 0.0),
+            np.where(used[..., None], slopes, 0.0),
+            used,
         )
 
     def _from_lead_ins(
@@ -216,7 +252,9 @@ class Simulator:
             whole = self._segments_of(step, w, length, active)
             made = _Run.of(whole, np.zeros((w, 0)), model.q, _columns(whole, data, in_lead))
             errors = measured - whole.by_segment(made.outputs)
-            return replace(made, estimates=without_states(errors, model.noise(self._outputs), spread))
+            return replace(
+                made, estimates=without_states(errors, model.noise(self._outputs), spread)
+            )
 
         def run(step: SampleStep) -> _Run:
             lead_in = self._segments_of(step, w, lead, np.zeros(0, dtype=int))
@@ -227,7 +265,9 @@ class Simulator:
 
             def sensitivities(x: Array) -> Array:
                 states, _ = lead_in.simulate(x, model.q, before)
-                return np.where(mask[..., None], lead_in.output_sensitivities(states, model.q, before), 0.0)
+                return np.where(
+                    mask[..., None], lead_in.output_sensitivities(states, model.q, before), 0.0
+                )
 
             estimates = estimate_states(
                 simulate,
@@ -238,7 +278,9 @@ class Simulator:
                 spread,
             )
             whole = self._segments_of(step, w, length, active)
-            return _Run.of(whole, estimates.states, model.q, _columns(whole, data, in_lead), estimates)
+            return _Run.of(
+                whole, estimates.states, model.q, _columns(whole, data, in_lead), estimates
+            )
 
         return data, in_lead, self._accurate(windows.record.step, run if lead else of_rows)
 
@@ -262,7 +304,9 @@ class Simulator:
         """Return the largest change of a state in one sample by halved substeps, relative to its size."""
         states = result.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
-        spread_out = np.unique(np.linspace(0, usable.size - 1, min(usable.size, CHECKED)).astype(int))
+        spread_out = np.unique(
+            np.linspace(0, usable.size - 1, min(usable.size, CHECKED)).astype(int)
+        )
         checked = usable[spread_out].tolist()
         if not checked:
             return 0.0
@@ -274,7 +318,9 @@ class Simulator:
         change = fine - coarse
         return relative_change(np.where(np.isfinite(change), change, 0.0), state_sizes(x))
 
-    def _segments_of(self, step: SampleStep, count: int, length: int, active: NDArray[np.integer]) -> Segments:
+    def _segments_of(
+        self, step: SampleStep, count: int, length: int, active: NDArray[np.integer]
+    ) -> Segments:
         """Return segments of this shape, whose functions are compiled once."""
         key = (id(step), count, length, active.tobytes())
         if key not in self._segments:
@@ -285,7 +331,13 @@ class Simulator:
         if substeps not in self._steps:
             model = self._model
             self._steps[substeps] = sample_step(
-                model.system, model.held, self._criterion, self._outputs, model.names, self._integrator, substeps
+                model.system,
+                model.held,
+                self._criterion,
+                self._outputs,
+                model.names,
+                self._integrator,
+                substeps,
             )
         return self._steps[substeps]
 
@@ -303,8 +355,11 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
         return 1
     x = ca.SX.sym("x", n)
     u = ca.SX.sym("u", m)
-    jacobian = ca.Function("A", [x, u], [ca.densify(ca.jacobian(model.system.derivative(x, u, model.p), x))])
-    # Not at zero itself, where the slope of a kink such as |v| v vanishes and that of a root is infinite.
+    jacobian = ca.Function(
+        "A", [x, u], [ca.densify(ca.jacobian(model.system.derivative(x, u, model.p), x))]
+    )
+    # Not at zero itself, where the slope of a kink such as |v| v vanishes and that of a root is
+    # infinite.
     matrix = jacobian(np.full(n, 1e-3), np.zeros(m)).full()
     if not np.all(np.isfinite(matrix)):
         return 1
@@ -313,17 +368,28 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
 
 def _columns(segments: Segments, data: Mapping[str, Array], present: NDArray[np.bool_]) -> Array:
     """Return the data of all windows as far as the segments reach, with the outputs that are `present` as measured."""
-    rows = [data["whole"], data["around"], np.where(present, data["measured"], 0.0), present, data["step"]]
+    rows = [
+        data["whole"],
+        data["around"],
+        np.where(present, data["measured"], 0.0),
+        present,
+        data["step"],
+    ]
     joined = [row[:, :, : segments.length].reshape(len(row), -1) for row in rows]
     return segments.columns(np.concatenate(joined))
 
 
 def _free_run_sensitivities(
-    model: ModelAtEstimate, stretch: Stretch, slopes: Array, outputs: tuple[str, ...], fitted_initial: bool
+    model: ModelAtEstimate,
+    stretch: Stretch,
+    slopes: Array,
+    outputs: tuple[str, ...],
+    fitted_initial: bool,
 ) -> tuple[Array, Array]:
     """Return the derivatives of the outputs (samples, k, a) by the uncertain values, and (samples, k) of variance.
 
-    Initial states that were fitted to the record follow the parameters and have an error of their own.
+    Initial states that were fitted to the record follow the parameters and have an error of their
+    own.
     """
     n = len(model.system.states)
     part = model.part
@@ -339,7 +405,9 @@ def _free_run_sensitivities(
     compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
     places = [outputs.index(name) for name in part.outputs]
     weight = np.linalg.inv(np.linalg.cholesky(part.noise))
-    x = np.einsum("ij,tjn->tin", weight, np.where(compared[..., None], by_state[:, places], 0.0)).reshape(-1, n)
+    x = np.einsum(
+        "ij,tjn->tin", weight, np.where(compared[..., None], by_state[:, places], 0.0)
+    ).reshape(-1, n)
     q = np.einsum("ij,tja->tia", weight, np.where(compared[..., None], by_value[:, places], 0.0))
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     _, singular, directions = np.linalg.svd(x / size, full_matrices=False)
@@ -353,16 +421,21 @@ def _free_run_sensitivities(
     return by_value + by_state @ state_by_value, variance
 
 
-def _standard_errors(by_value: Array, variance: Array, model: ModelAtEstimate) -> tuple[Array, tuple[str, ...]]:
+def _standard_errors(
+    by_value: Array, variance: Array, model: ModelAtEstimate
+) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (..., k) from derivatives (..., k, a) and the variance (..., k) of the states.
 
-    Samples that depend on a value without an error have none either; the names of such values are returned too.
+    Samples that depend on a value without an error have none either; the names of such values are
+    returned too.
     """
     unknown: tuple[str, ...] = ()
     if model.covariance is not None and len(model.uncertain):
         covariance = model.covariance[np.ix_(model.uncertain, model.uncertain)]
         undetermined = np.isnan(np.diag(covariance))
-        variance = variance + np.einsum("...a,ab,...b->...", by_value, np.nan_to_num(covariance), by_value)
+        variance = variance + np.einsum(
+            "...a,ab,...b->...", by_value, np.nan_to_num(covariance), by_value
+        )
         if undetermined.any():
             depends = _depends(by_value, model.q[model.uncertain]) & undetermined
             variance = np.where(depends.any(axis=-1), np.nan, variance)
@@ -379,25 +452,41 @@ def _depends(by_value: Array, q: Array) -> NDArray[np.bool_]:
 
 
 def _window_errors(
-    estimates: StateEstimates, slopes: Array, in_lead: NDArray[np.bool_], model: ModelAtEstimate, n: int
+    estimates: StateEstimates,
+    slopes: Array,
+    in_lead: NDArray[np.bool_],
+    model: ModelAtEstimate,
+    n: int,
 ) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (w, samples, k) of the outputs; the states follow the parameters by the lead-in."""
     by_state = slopes[..., :n]
     by_value = slopes[..., n:]
     weight = np.linalg.inv(np.linalg.cholesky(estimates.noise))
     masked = np.where(np.moveaxis(in_lead, 0, -1)[..., None], slopes, 0.0)
-    lead = int(np.flatnonzero(np.logical_or.reduce(in_lead.reshape(-1, in_lead.shape[2]))).max(initial=0)) + 1
+    lead = (
+        int(
+            np.flatnonzero(np.logical_or.reduce(in_lead.reshape(-1, in_lead.shape[2]))).max(
+                initial=0
+            )
+        )
+        + 1
+    )
     J = np.einsum("ij,wtjv->wtiv", weight, masked[:, :lead])
     mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
     state_by_value = -np.einsum("wij,wja->wia", estimates.covariance, mixed)
-    variance = np.einsum("wtkn,wnm,wtkm->wtk", by_state, estimates.covariance, by_state, optimize=True)
-    return _standard_errors(by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value), variance, model)
+    variance = np.einsum(
+        "wtkn,wnm,wtkm->wtk", by_state, estimates.covariance, by_state, optimize=True
+    )
+    return _standard_errors(
+        by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value), variance, model
+    )
 
 
 def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:
     """Return states (w, n) to begin with, the next ones for windows in which a model has no finite value there.
 
-    States of an output's name are what was first measured; others zero, as the fit found them, or of the outputs' size.
+    States of an output's name are what was first measured; others zero, as the fit found them, or
+    of the outputs' size.
     """
     n = len(model.system.states)
     fitted = {} if model.part is None else model.part.initial

@@ -1,12 +1,14 @@
 """State estimation: the state at the beginning of every window from its lead-in, all windows at once.
 
-Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and a prior that the
-windows share. The prior's mean and spread of each state are those of all windows (empirical Bayes by expectation and
-maximization), so that a state on which a short lead-in carries little information stays near its mean over the record.
-Formulas need not be finite everywhere (a root of a level): a window begins with the first of several guesses from which
-its lead-in is finite, or else where the others are on average, and no step leaves the values with finite outputs.
-Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird and Rubin (1977),
-Maximum likelihood from incomplete data via the EM algorithm, Journal of the Royal Statistical Society B 39.
+Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and
+a prior that the windows share. The prior's mean and spread of each state are those of all windows
+(empirical Bayes by expectation and maximization), so that a state on which a short lead-in carries
+little information stays near its mean over the record. Formulas need not be finite everywhere (a
+root of a level): a window begins with the first of several guesses from which its lead-in is
+finite, or else where the others are on average, and no step leaves the values with finite outputs.
+Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird
+and Rubin (1977), Maximum likelihood from incomplete data via the EM algorithm, Journal of the Royal
+Statistical Society B 39.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,19 +19,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
-Sensitivities = Callable[[Array], Array]  # initial states (w, n) -> outputs' derivatives by them (w, samples, k, n)
+Sensitivities = Callable[
+    [Array], Array
+]  # initial states (w, n) -> outputs' derivatives by them (w, samples, k, n)
 
 ITERATIONS = 30  # of Gauss-Newton: most settle in 5 or 6, tanks that drain within a lead-in took 23
 SETTLED = 1e-3  # of a state's posterior standard deviation: a step that does not matter
-# Iterations in which the prior, and a noise that is not known, are estimated anew. Then they are held, so that the
-# iterations minimize one function and settle.
+# Iterations in which the prior, and a noise that is not known, are estimated anew. Then they are
+# held, so that the iterations minimize one function and settle.
 ADAPTING = 4
 PRIOR_STEPS = 50  # of expectation and maximization within an iteration, which costs no simulation
 FEWEST_WINDOWS = 10  # below which their states do not determine a spread
 FIRST_NOISE = 0.1  # of an output's spread: noise taken at first where none is known
-ROUNDING = 1e-9  # of an output's spread: noise below is rounding, and would make the information singular
+ROUNDING = (
+    1e-9  # of an output's spread: noise below is rounding, and would make the information singular
+)
 HALVINGS = 20  # of a step: to a millionth
-# Of the information of the lead-in: the least precision of a prior, which keeps states that no output shows in place.
+# Of the information of the lead-in: the least precision of a prior, which keeps states that no
+# output shows in place.
 LEAST_PRECISION = 1e-12
 TINY = 1e-300  # instead of a division by zero
 LEAST_FREEDOM = 0.1  # share of the residuals that estimated states leave free, at least
@@ -70,7 +77,8 @@ def estimate_states(
 ) -> StateEstimates:
     """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing, beginning at one of `guesses`.
 
-    `noise` (k, k) is None where it is to be estimated; `spread` (k,) is that of the outputs over the record.
+    `noise` (k, k) is None where it is to be estimated; `spread` (k,) is that of the outputs over
+    the record.
     """
     w, n = guesses[0].shape
     lead_ins = _LeadIns(outputs, sensitivities, measured)
@@ -91,11 +99,15 @@ def estimate_states(
         H, b = _information(e, S, R)
         if adapting:
             information = np.einsum("wij,wj->wi", H, x) + b
-            mean, precision = _prior(H[finite], information[finite], mean, measured[finite], R, spread)
+            mean, precision = _prior(
+                H[finite], information[finite], mean, measured[finite], R, spread
+            )
 
         posterior = _inverse(H, precision)
         step = np.einsum("wij,wj->wi", posterior, b - precision * (x - mean))
-        x, e, taken = _line_search(lead_ins.residual, _Posterior(R, mean, precision), x, e, step, finite)
+        x, e, taken = _line_search(
+            lead_ins.residual, _Posterior(R, mean, precision), x, e, step, finite
+        )
         x, e, S, finite = lead_ins.linear(x, e)
         deviation = np.sqrt(np.maximum(np.diagonal(posterior, axis1=1, axis2=2), TINY))
         if not adapting and np.all(np.abs(taken) <= SETTLED * deviation):
@@ -112,17 +124,22 @@ def without_states(errors: Array, noise: Array | None, spread: Array) -> StateEs
         squares = np.nansum(errors.reshape(-1, k) ** 2, axis=0)
         noise = np.diag(squares / np.maximum(np.isfinite(errors.reshape(-1, k)).sum(axis=0), 1))
     R = noise + np.diag((ROUNDING * spread) ** 2)
-    return StateEstimates(np.zeros((w, 0)), np.zeros((w, 0, 0)), R, np.zeros(0), np.zeros(0), np.zeros(w, dtype=bool))
+    return StateEstimates(
+        np.zeros((w, 0)), np.zeros((w, 0, 0)), R, np.zeros(0), np.zeros(0), np.zeros(w, dtype=bool)
+    )
 
 
-def one_step_errors(e: Array, sensitivities: Array, offset: Array, precision: Array, noise: Array) -> Array:
+def one_step_errors(
+    e: Array, sensitivities: Array, offset: Array, precision: Array, noise: Array
+) -> Array:
     """Return the errors one sample ahead in units of their standard deviations, (w, samples, k); NaN where missing.
 
-    Each output is predicted from all that was measured before it in the window, and the prior: a Kalman filter of the
-    initial state, linear about a trajectory with residuals `e` (w, samples, k) and `sensitivities` (w, samples, k, n),
-    from which the prior's mean is `offset` (w, n). For the right model they are white with unit variance.
-    Source: Brown, Durbin and Evans (1975), Techniques for testing the constancy of regression relationships over time,
-    Journal of the Royal Statistical Society B 37 (recursive residuals).
+    Each output is predicted from all that was measured before it in the window, and the prior: a
+    Kalman filter of the initial state, linear about a trajectory with residuals `e` (w, samples, k)
+    and `sensitivities` (w, samples, k, n), from which the prior's mean is `offset` (w, n). For the
+    right model they are white with unit variance. Source: Brown, Durbin and Evans (1975),
+    Techniques for testing the constancy of regression relationships over time, Journal of the Royal
+    Statistical Society B 37 (recursive residuals).
     """
     w, samples, k = e.shape
     variance = np.diag(noise)
@@ -185,7 +202,12 @@ class _LeadIns:
         if not finite.all() and finite.any():
             x = np.where(finite[:, None], x, x[finite].mean(axis=0))
             e, S, finite = self._at(x)
-        return x, np.where(finite[:, None, None], e, 0.0), np.where(finite[:, None, None, None], S, 0.0), finite
+        return (
+            x,
+            np.where(finite[:, None, None], e, 0.0),
+            np.where(finite[:, None, None, None], S, 0.0),
+            finite,
+        )
 
 
 def _finite(e: Array, S: Array) -> NDArray[np.bool_]:
@@ -205,7 +227,9 @@ def _inverse(H: Array, precision: Array) -> Array:
     return np.asarray(np.linalg.inv(H + np.diag(precision)), dtype=np.float64)
 
 
-def _prior(H: Array, information: Array, mean: Array, measured: Array, R: Array, spread: Array) -> tuple[Array, Array]:
+def _prior(
+    H: Array, information: Array, mean: Array, measured: Array, R: Array, spread: Array
+) -> tuple[Array, Array]:
     """Return the prior's mean and precision (n,) from H (w, n, n) and H x̂ (w, n) of every window.
 
     It begins as weak as a state must change to change the outputs by their spread.
@@ -222,12 +246,16 @@ def _prior(H: Array, information: Array, mean: Array, measured: Array, R: Array,
         covariance = _inverse(H, precision)
         x = np.einsum("wij,wj->wi", covariance, information + precision * mean)
         mean = x.mean(axis=0)
-        variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0) + ((x - mean) ** 2).sum(axis=0)
+        variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0) + ((x - mean) ** 2).sum(
+            axis=0
+        )
         precision = np.maximum((w - 1) / variance, LEAST_PRECISION * seen + TINY)
     return mean, precision
 
 
-def _noise_of(e: Array, S: Array, present: NDArray[np.bool_], posterior: Array, R: Array, spread: Array) -> Array:
+def _noise_of(
+    e: Array, S: Array, present: NDArray[np.bool_], posterior: Array, R: Array, spread: Array
+) -> Array:
     """Return the variances of the residuals, corrected for what the states have fitted away, as a diagonal (k, k).
 
     `present` (w, samples, k) says which of them there are.
@@ -252,11 +280,18 @@ class _Posterior:
         weight = np.linalg.inv(np.linalg.cholesky(self.R))
         with np.errstate(invalid="ignore", over="ignore"):
             squares = (np.einsum("ij,wtj->wti", weight, e) ** 2).sum(axis=(1, 2))
-        return np.where(np.isfinite(squares), squares, np.inf) + (self.precision * (x - self.mean) ** 2).sum(axis=1)
+        return np.where(np.isfinite(squares), squares, np.inf) + (
+            self.precision * (x - self.mean) ** 2
+        ).sum(axis=1)
 
 
 def _line_search(
-    residual: Outputs, posterior: _Posterior, x: Array, e: Array, step: Array, finite: NDArray[np.bool_]
+    residual: Outputs,
+    posterior: _Posterior,
+    x: Array,
+    e: Array,
+    step: Array,
+    finite: NDArray[np.bool_],
 ) -> tuple[Array, Array, Array]:
     """Take the step of every window that is finite, halved until it does not cost more.
 
@@ -268,7 +303,9 @@ def _line_search(
     for _ in range(HALVINGS):
         moved = x + length[:, None] * step
         e = residual(moved)
-        worse = finite & ~(posterior.cost(e, moved) <= before * (1 + 1e-9) + 1e-9)  # by more than rounding
+        worse = finite & ~(
+            posterior.cost(e, moved) <= before * (1 + 1e-9) + 1e-9
+        )  # by more than rounding
         if not worse.any():
             return moved, e, length[:, None] * step
         length = np.where(worse, length / 2, length)

@@ -41,7 +41,9 @@ class Windows:
 def require_lengths(**lengths: Any) -> None:
     """Raise ValueError, naming it, for what is no length in s."""
     for name, value in lengths.items():
-        real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+        real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(
+            value, bool
+        )
         if not real or not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} is {value!r}: give a length above 0, in s.")
 
@@ -68,8 +70,8 @@ def cut(
 ) -> Windows:
     """Cut windows with a lead-in and a horizon in s, within stretches in which no input is missing.
 
-    Lengths are rounded to whole samples. Windows in whose lead-in or horizon no output was measured are left out. The
-    horizon is what the user calls `called`.
+    Lengths are rounded to whole samples. Windows in whose lead-in or horizon no output was measured
+    are left out. The horizon is what the user calls `called`.
 
     Raises
     ------
@@ -89,7 +91,10 @@ def cut(
                 "it."
             )
     # Half a sample is rounded down in all records alike, however their times are rounded.
-    first, after = (max(1, math.floor(min(n / record.step, len(record)) + 0.5 - ROUNDING)) for n in (lead, horizon))
+    first, after = (
+        max(1, math.floor(min(n / record.step, len(record)) + 0.5 - ROUNDING))
+        for n in (lead, horizon)
+    )
     parts = [np.zeros((0, first + after), dtype=int)]
     for stretch in stretches:
         starts = np.arange(0, len(stretch) - first - after + 1, after)
@@ -112,18 +117,23 @@ def cut(
 def _rows(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Windows:
     """Return a window for every row that has its inputs and some output; there is nothing before it."""
     _require_signals(record, inputs)
-    kept = [s.rows[np.any(np.isfinite(s.outputs), axis=0)] for s in gapless(record, tuple(inputs), tuple(outputs))]
+    kept = [
+        s.rows[np.any(np.isfinite(s.outputs), axis=0)]
+        for s in gapless(record, tuple(inputs), tuple(outputs))
+    ]
     rows = np.concatenate([np.zeros(0, dtype=int), *kept])
     if not rows.size:
         raise ValueError(f"{record.name or 'the record'} has no row with all inputs and an output.")
     return Windows(record, rows[:, None], 0, 1)
 
 
-def sample_data(windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array) -> dict[str, Array]:
+def sample_data(
+    windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array
+) -> dict[str, Array]:
     """Return ``whole, around, measured, step``, each (rows, w, samples), of all samples in the windows.
 
-    Inputs before a window are those of its stretch. Outputs measured before the delayed inputs are known are left out,
-    see `gapless`.
+    Inputs before a window are those of its stretch. Outputs measured before the delayed inputs are
+    known are left out, see `gapless`.
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))

@@ -1,14 +1,16 @@
 """Constraints of a search from many points, by Newton's method for all at once.
 
-A search begins where the constraints c(z) >= 0 are met: a point where they are not moves to the nearest ones that are.
-A logarithmic barrier keeps it on its side of them, so that searches end at different minima where the constraints part
-the box, and is reduced once. Then, with multipliers λ and a penalty ρ of each search of its own,
+A search begins where the constraints c(z) >= 0 are met: a point where they are not moves to the
+nearest ones that are. A logarithmic barrier keeps it on its side of them, so that searches end at
+different minima where the constraints part the box, and is reduced once. Then, with multipliers λ
+and a penalty ρ of each search of its own,
 
     f(z) + Σ (max(0, λ - ρ c(z))² - λ²) / (2 ρ)
 
-has its minimum where f has it under the constraints, once λ is that of the KKT conditions. λ begins with that of the
-barrier and becomes max(0, λ - ρ c) at every minimum; ρ grows where the constraints are not met much better than before
-(Nocedal and Wright, Numerical Optimization, sections 17.4 and 19.6).
+has its minimum where f has it under the constraints, once λ is that of the KKT conditions. λ begins
+with that of the barrier and becomes max(0, λ - ρ c) at every minimum; ρ grows where the constraints
+are not met much better than before (Nocedal and Wright, Numerical Optimization, sections 17.4 and
+19.6).
 """
 
 import casadi as ca
@@ -23,16 +25,18 @@ Array = NDArray[np.float64]
 
 FEASIBLE = 1e-8  # how far a constraint may be missed, in the solver's variables: as IPOPT may leave its bounds
 
-# Factors of the barrier: those of the weak one of the bounds. A strong one would drive searches far away where nothing
-# else bounds them.
+# Factors of the barrier: those of the weak one of the bounds. A strong one would drive searches far
+# away where nothing else bounds them.
 BARRIERS = (1e-2, 1e-4)
 
-# Of the first Lagrangian: costs are of the order of one, their curvatures of up to some hundred. Too small a penalty
-# lets a search leave its minimum; for Newton's method a large one is no harder.
+# Of the first Lagrangian: costs are of the order of one, their curvatures of up to some hundred.
+# Too small a penalty lets a search leave its minimum; for Newton's method a large one is no harder.
 PENALTY = 1e3
 GROWTH = 10.0
 FALL = 0.25  # of what is missed, from one turn to the next, below which the penalty stays
-TURNS = 20  # multipliers converge by a factor of ten or more a turn; IPOPT goes on with what takes more
+TURNS = (
+    20  # multipliers converge by a factor of ten or more a turn; IPOPT goes on with what takes more
+)
 
 
 class ConstrainedNewton:
@@ -58,9 +62,15 @@ class ConstrainedNewton:
         slopes = ca.Function("slopes", [z], [ca.densify(ca.jacobian(limits, z))])
         size = np.linalg.norm(np.asarray(ca.DM(slopes(origin))), axis=1)
         limits = limits / np.where(np.isfinite(size) & (size > 0), size, 1.0)
-        missing = ca.Function("missing", [z, ca.SX.sym("smoothing")], [ca.sumsqr(ca.fmax(INSIDE - limits, 0))])
+        missing = ca.Function(
+            "missing", [z, ca.SX.sym("smoothing")], [ca.sumsqr(ca.fmax(INSIDE - limits, 0))]
+        )
 
-        barrier, penalty, multipliers = ca.SX.sym("barrier"), ca.SX.sym("penalty"), ca.SX.sym("m", limits.numel())
+        barrier, penalty, multipliers = (
+            ca.SX.sym("barrier"),
+            ca.SX.sym("penalty"),
+            ca.SX.sym("m", limits.numel()),
+        )
         shifted = ca.fmax(multipliers - penalty * limits, 0)
         cost += (ca.sumsqr(shifted) - ca.sumsqr(multipliers)) / (2 * penalty)
         cost -= barrier * ca.sum1(ca.if_else(barrier > 0, ca.log(limits), 0))
@@ -69,7 +79,9 @@ class ConstrainedNewton:
         self._missing = BatchedNewton(missing, lower, upper)
         self._newton = BatchedNewton(whole, lower, upper, roots, as_c=as_c)
 
-    def minimize(self, z: Array, *, max_iterations: int, tolerance: float, from_near: bool = False) -> Ends:
+    def minimize(
+        self, z: Array, *, max_iterations: int, tolerance: float, from_near: bool = False
+    ) -> Ends:
         """Search from the columns of z (p, m), see `BatchedNewton.minimize`; at a minimum the constraints are met."""
         begun = z if from_near else self._moved_inside(z, max_iterations)
         ends = Ends(begun.copy(), np.zeros(z.shape[1], bool), np.zeros(z.shape[1], int))
@@ -78,7 +90,9 @@ class ConstrainedNewton:
         if not from_near:
             for barrier in BARRIERS:
                 inside = np.flatnonzero((limits > 0).all(axis=0))
-                given = np.vstack([np.full(inside.size, v) for v in (barrier, PENALTY, *np.zeros(len(limits)))])
+                given = np.vstack(
+                    [np.full(inside.size, v) for v in (barrier, PENALTY, *np.zeros(len(limits)))]
+                )
                 found = self._newton.minimize(
                     ends.z[:, inside],
                     max_iterations=max_iterations,
@@ -116,7 +130,9 @@ class ConstrainedNewton:
             ends.at_minimum[left] = found.at_minimum & (miss <= FEASIBLE)
             penalty[left] *= np.where(miss > FALL * missed[left], GROWTH, 1.0)
             missed[left] = miss
-            left = left[found.at_minimum & (miss > FEASIBLE) & (ends.iterations[left] < max_iterations)]
+            left = left[
+                found.at_minimum & (miss > FEASIBLE) & (ends.iterations[left] < max_iterations)
+            ]
 
     def _moved_inside(self, z: Array, max_iterations: int) -> Array:
         """Return the points, those where constraints are missed moved to the nearest ones where they are met."""
@@ -124,7 +140,10 @@ class ConstrainedNewton:
         outside = np.flatnonzero(~(self._values(z) > 0).all(axis=0))
         if outside.size:
             found = self._missing.minimize(
-                z[:, outside], max_iterations=max_iterations, tolerance=LOOSE * INSIDE, from_near=True
+                z[:, outside],
+                max_iterations=max_iterations,
+                tolerance=LOOSE * INSIDE,
+                from_near=True,
             )
             moved[:, outside] = found.z
         return moved

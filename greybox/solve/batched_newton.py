@@ -1,16 +1,17 @@
 """Newton's method from many points at once: every operation is done for all of them by one call.
 
-IPOPT spends most of a small fit on itself: of 130 µs an iteration some 15 are the functions. Here the functions are
-evaluated for all points together, and so is the iteration itself, see `newton_iteration`; what is left for some of the
-points is a small eigenvalue problem. Each point is a search of its own, with a trust region of its own; none depends on
-the others.
+IPOPT spends most of a small fit on itself: of 130 µs an iteration some 15 are the functions. Here
+the functions are evaluated for all points together, and so is the iteration itself, see
+`newton_iteration`; what is left for some of the points is a small eigenvalue problem. Each point is
+a search of its own, with a trust region of its own; none depends on the others.
 
-A search passes through levels. At first a logarithmic barrier keeps it away from its bounds, at which it would end in
-corners of wide boxes, and kinks of the cost at zero residuals are rounded off; both are reduced from level to level. At
-the last one there is no barrier and the smoothing is that of every solver here. The steps minimize the quadratic model
-within the trust region, with the eigenvalues of the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat.
-Comput. 4, 1983), over the variables that are not held at a bound by the gradient (Bertsekas, SIAM J. Control Optim. 20,
-1982).
+A search passes through levels. At first a logarithmic barrier keeps it away from its bounds, at
+which it would end in corners of wide boxes, and kinks of the cost at zero residuals are rounded
+off; both are reduced from level to level. At the last one there is no barrier and the smoothing is
+that of every solver here. The steps minimize the quadratic model within the trust region, with the
+eigenvalues of the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983),
+over the variables that are not held at a bound by the gradient (Bertsekas, SIAM J. Control Optim.
+20, 1982).
 """
 
 import threading
@@ -41,11 +42,13 @@ from greybox.solve.newton_iteration import (
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# Factors of the barrier, and smoothings of a cost with kinks, one after the other. The first smoothing rounds off what
-# is smaller than the measured response. Without a barrier 81 % instead of all of the searches for the yaw axis of the
-# paper reach its minimum, and 15 instead of 60 % of those for two resonances with a delay. But a strong barrier misses
-# minima at a bound: of the searches for the pitch axis at 5° with its drag free, which is zero at the minimum, 0.5 %
-# find it with a first factor of 1, and 96 % with 0.01 (IPOPT 22 %). So every second search has a weak barrier.
+# Factors of the barrier, and smoothings of a cost with kinks, one after the other. The first
+# smoothing rounds off what is smaller than the measured response. Without a barrier 81 % instead of
+# all of the searches for the yaw axis of the paper reach its minimum, and 15 instead of 60 % of
+# those for two resonances with a delay. But a strong barrier misses minima at a bound: of the
+# searches for the pitch axis at 5° with its drag free, which is zero at the minimum, 0.5 % find it
+# with a first factor of 1, and 96 % with 0.01 (IPOPT 22 %). So every second search has a weak
+# barrier.
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
 SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
 LOOSE = 1e-2  # projected gradient at which the next level is taken: with 1e-3 searches take a twentieth more iterations
@@ -57,7 +60,8 @@ LAST = BARRIERS.shape[1] - 1
 
 FIRST_RADIUS = 1.0  # of the trust region: that of the box of the starts in the solver's variables
 
-# A batch is narrowed to a quarter or less, so that few layouts of registers serve; to a half where none are laid out.
+# A batch is narrowed to a quarter or less, so that few layouts of registers serve; to a half where
+# none are laid out.
 NARROWER, NARROWER_OF_FEW = 4, 2
 
 SIZES = 16  # numbers of variables of which the iterations are kept
@@ -95,7 +99,11 @@ class _Searches:
         live = np.arange(_width(len(columns))) < len(columns)
         columns = _filled(columns)
         return _Searches(
-            self.owner[columns], self.path[columns], self.numbers[:, columns], live, self.given[:, columns]
+            self.owner[columns],
+            self.path[columns],
+            self.numbers[:, columns],
+            live,
+            self.given[:, columns],
         )
 
 
@@ -131,8 +139,9 @@ class BatchedNewton:
     ) -> None:
         """Take the program and the bounds (p,) of z.
 
-        It is an SX function (z, smoothing, ...) -> cost, ..., which takes besides: the `roots` of z, if there are any,
-        which its derivatives may hold; then, if searches differ in it, what is given. With `as_c` it is compiled.
+        It is an SX function (z, smoothing, ...) -> cost, ..., which takes besides: the `roots` of
+        z, if there are any, which its derivatives may hold; then, if searches differ in it, what is
+        given. With `as_c` it is compiled.
 
         Raises
         ------
@@ -157,9 +166,9 @@ class BatchedNewton:
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
-        A search ends where its projected gradient is at most the `tolerance`, relative to the cost where that is above
-        one. The columns of `given` (g, m) belong to the searches, where the program takes them, and so do those of
-        other `bounds`, (p, m) each, than the problem's.
+        A search ends where its projected gradient is at most the `tolerance`, relative to the cost
+        where that is above one. The columns of `given` (g, m) belong to the searches, where the
+        program takes them, and so do those of other `bounds`, (p, m) each, than the problem's.
         """
         m = z.shape[1]
         low, high = bounds or self._bounds
@@ -181,17 +190,26 @@ class BatchedNewton:
         self._end(searches, searches.live, ends)
         return ends
 
-    def _begun(self, z: Array, low: Array, high: Array, level: int, given: Array | None) -> _Searches:
+    def _begun(
+        self, z: Array, low: Array, high: Array, level: int, given: Array | None
+    ) -> _Searches:
         """Return the searches from the columns of z (p, m), at a level."""
         m, rows = z.shape[1], self._rows
         numbers = np.zeros((rows.size, m))
         numbers[rows.z] = numbers[rows.trial] = z
         numbers[rows.lower], numbers[rows.upper] = low, high
         # Taken over as any other level is.
-        numbers[RADIUS], numbers[LEVEL], numbers[SWITCHED], numbers[ITERATIONS] = FIRST_RADIUS, level - 1, 1, -1
+        numbers[RADIUS], numbers[LEVEL], numbers[SWITCHED], numbers[ITERATIONS] = (
+            FIRST_RADIUS,
+            level - 1,
+            1,
+            -1,
+        )
         every = np.arange(m)
         given = np.zeros((0, m)) if given is None else given
-        return _Searches(every, every % len(BARRIERS), numbers, np.ones(m, bool), given).taken(every)
+        return _Searches(every, every % len(BARRIERS), numbers, np.ones(m, bool), given).taken(
+            every
+        )
 
     def _end(self, searches: _Searches, which: Flags, ends: Ends) -> None:
         """Take searches out."""
@@ -218,7 +236,9 @@ class BatchedNewton:
         if others.size:
             eigenvalues, vectors = np.linalg.eigh(of_free.T[others].reshape(-1, rows.p, rows.p))
             vectors, each = vectors.reshape(-1, rows.p**2), _filled(np.arange(others.size))
-            [trials] = within_radius(numbers.take(others[each], axis=1), eigenvalues[each].T, vectors[each].T)
+            [trials] = within_radius(
+                numbers.take(others[each], axis=1), eigenvalues[each].T, vectors[each].T
+            )
             numbers[rows.trial, others] = trials[:, : others.size]
 
 

@@ -1,7 +1,8 @@
 """IPOPT for what few starts need, and Newton's method from many starts at once for the rest.
 
-Runs that are improved together end at a minimum of the same smoothed cost as those of IPOPT. Of every distinct minimum
-IPOPT solves one run once more: a minimum counts only when IPOPT's conditions of optimality (KKT) hold there too.
+Runs that are improved together end at a minimum of the same smoothed cost as those of IPOPT. Of
+every distinct minimum IPOPT solves one run once more: a minimum counts only when IPOPT's conditions
+of optimality (KKT) hold there too.
 """
 
 import time
@@ -28,26 +29,26 @@ Array = NDArray[np.float64]
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 
-# Starts from which a batch takes less time than as many runs of IPOPT: the operations of one step on few points take
-# 0.3 ms, ten times an iteration of IPOPT.
+# Starts from which a batch takes less time than as many runs of IPOPT: the operations of one step
+# on few points take 0.3 ms, ten times an iteration of IPOPT.
 FEWEST = 6
 
-# Starts in a batch, at most: operations on more do not become cheaper. Instructions times starts, of what takes some
-# 0.5 s: a time limit costs no more than the batch at hand, and progress is seen. In batches of fewer than the last
-# number a start takes more than twice its time.
+# Starts in a batch, at most: operations on more do not become cheaper. Instructions times starts,
+# of what takes some 0.5 s: a time limit costs no more than the batch at hand, and progress is seen.
+# In batches of fewer than the last number a start takes more than twice its time.
 MOST = 1024
 MOST_AT_ONCE = 10_000_000
 FEWEST_AT_ONCE = 128
 
-# Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order up to 200; IPOPT goes
-# on with those that need more.
+# Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order
+# up to 200; IPOPT goes on with those that need more.
 ITERATIONS = 300
 
 # Of the projected gradient, in the solver's variables: that of IPOPT.
 TOLERANCE = 1e-8
 
-# Instructions of cost, gradient and Hessian from which the functions take most of IPOPT's time, and unknowns from which
-# eigenvalues do: there is little to gain from a batch.
+# Instructions of cost, gradient and Hessian from which the functions take most of IPOPT's time, and
+# unknowns from which eigenvalues do: there is little to gain from a batch.
 MOST_INSTRUCTIONS = 50_000
 MOST_UNKNOWNS = 20
 
@@ -58,11 +59,16 @@ class BatchedSolver(ScreenedIpopt):
     """Newton's method on all starts of a batch; IPOPT for what it leaves, and for the certificate."""
 
     def __init__(
-        self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
+        self,
+        nlp: Nlp,
+        options: Mapping[str, Any] = MappingProxyType({}),
+        like: "IpoptSolver | None" = None,
     ) -> None:
         """Build IPOPT; the functions of the batch are built when the first one is run."""
         super().__init__(nlp, options, like)
-        self.together = _power_of_two(min(max(MOST_AT_ONCE // _instructions(nlp), FEWEST_AT_ONCE), MOST))
+        self.together = _power_of_two(
+            min(max(MOST_AT_ONCE // _instructions(nlp), FEWEST_AT_ONCE), MOST)
+        )
         self._batches: list[BatchedNewton | ConstrainedNewton] = []
 
     @staticmethod
@@ -89,7 +95,9 @@ class BatchedSolver(ScreenedIpopt):
         estimates = np.clip(self._nlp.scaling.to_parameters(z.T), self._nlp.lower, self._nlp.upper)
         each = (time.perf_counter() - began) / len(starts)
         return [
-            Outcome(x, AT_MINIMUM, n, each, converged=True, stage=IMPROVED) if at_minimum else self._gone_on(x, n, each)
+            Outcome(x, AT_MINIMUM, n, each, converged=True, stage=IMPROVED)
+            if at_minimum
+            else self._gone_on(x, n, each)
             for x, n, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True)
         ]
 
@@ -115,8 +123,8 @@ class BatchedSolver(ScreenedIpopt):
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
         """Return a run of IPOPT's for every minimum that has none.
 
-        What IPOPT does not confirm is no minimum, as where a gain of zero makes all other parameters idle: these runs
-        are made again by IPOPT, from their starts.
+        What IPOPT does not confirm is no minimum, as where a gain of zero makes all other
+        parameters idle: these runs are made again by IPOPT, from their starts.
         """
         certified: dict[int, Outcome] = {}
         for minimum in minima:
@@ -127,7 +135,9 @@ class BatchedSolver(ScreenedIpopt):
                 continue
             for k in minimum.runs:
                 if k not in certified and not stop_requested():
-                    certified[k] = self.judged_run(self._spent(self._timed_run(runs[k].start), runs[k]))
+                    certified[k] = self.judged_run(
+                        self._spent(self._timed_run(runs[k].start), runs[k])
+                    )
         return certified
 
     def _confirm(self, before: Run, certified: dict[int, Outcome]) -> bool:
@@ -149,7 +159,11 @@ class BatchedSolver(ScreenedIpopt):
     @staticmethod
     def _spent(after: Outcome, before: Outcome | Run) -> Outcome:
         """Return an outcome with what was spent before it."""
-        return replace(after, iterations=before.iterations + after.iterations, seconds=before.seconds + after.seconds)
+        return replace(
+            after,
+            iterations=before.iterations + after.iterations,
+            seconds=before.seconds + after.seconds,
+        )
 
 
 def _instructions(nlp: Nlp) -> int:

@@ -36,7 +36,9 @@ class Limits:
         slope = ca.densify(ca.jacobian(held, z))
         both = ca.Function("equation", [z], [ca.vertcat(held, -held), ca.vertcat(slope, -slope)])
         point = ca.MX.sym("z", len(self.low))
-        stacked = [ca.vertcat(*rows) for rows in zip(self.constraints(point), both(point), strict=True)]
+        stacked = [
+            ca.vertcat(*rows) for rows in zip(self.constraints(point), both(point), strict=True)
+        ]
         return replace(self, constraints=ca.Function("constraints", [point], stacked))
 
     def clipped(self, z: Array) -> Array:
@@ -79,5 +81,7 @@ class Limits:
         for _ in range(RESTORATIONS):
             if not self.violation(z) > 0:
                 break
-            z = self.clipped(z + solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.linearized(z)))
+            z = self.clipped(
+                z + solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.linearized(z))
+            )
         return z

@@ -10,15 +10,19 @@ from greybox.modeling.model import require_known
 from greybox.solve.multistart import solver_for
 
 
-def cost(problem: AnyProblem, values: Mapping[str, float], method: Transcription | None = None) -> float:
+def cost(
+    problem: AnyProblem, values: Mapping[str, float], method: Transcription | None = None
+) -> float:
     """Return the cost of a problem at parameter `values` by name; what is not given is at its start or fixed value.
 
-    The states of records are those of the smallest cost; NaN where there are none, as where the model diverges.
+    The states of records are those of the smallest cost; NaN where there are none, as where the
+    model diverges.
 
     Raises
     ------
     ValueError
-        For a name that is not a parameter of the problem, or another value of a fixed one where data are records.
+        For a name that is not a parameter of the problem, or another value of a fixed one where
+        data are records.
     """
     require_known(values, problem.parameters, "parameter", repr(problem.name))
     nlp = compile_problem(problem, method)

@@ -1,9 +1,10 @@
 """Is the integration accurate enough for the noise? What twice the steps would do to the estimate.
 
-A fixed-step integrator with too few steps shifts the parameters without a trace in the residuals: it damps and slows
-oscillations by itself. The shift follows from the gradient that the finer integration has at the estimate, in units of
-the standard errors that white noise gives; what is far below them does not matter. The integrator is that of the method
-which solved the problem: of a collocation, the implicit steps that its polynomials are.
+A fixed-step integrator with too few steps shifts the parameters without a trace in the residuals:
+it damps and slows oscillations by itself. The shift follows from the gradient that the finer
+integration has at the estimate, in units of the standard errors that white noise gives; what is far
+below them does not matter. The integrator is that of the method which solved the problem: of a
+collocation, the implicit steps that its polynomials are.
 """
 
 import math
@@ -28,20 +29,23 @@ Array = NDArray[np.float64]
 # Of states and outputs: what finer steps change below this is rounding.
 EXACT = 1e-7
 
-# Minima that are followed to the finer steps, since they may change places with the best: at least a run each.
+# Minima that are followed to the finer steps, since they may change places with the best: at least
+# a run each.
 RIVALS = 3
 
-# Relative difference of parameters up to which two runs of one minimum have one end, and move together.
+# Relative difference of parameters up to which two runs of one minimum have one end, and move
+# together.
 SAME_END = 0.01
 
-# Shift by twice the steps, in standard errors, from which an end is no solution of the differential equations where
-# another end is one: refinement has left the best a tenth of this.
+# Shift by twice the steps, in standard errors, from which an end is no solution of the differential
+# equations where another end is one: refinement has left the best a tenth of this.
 ALIAS = 1.0
 
 # Ends that are looked at, at most: one look takes as long as two iterations.
 JUDGED = 10
 
-# Of the largest eigenvalue of the Hessian in units of its diagonal, below which a direction is not determined.
+# Of the largest eigenvalue of the Hessian in units of its diagonal, below which a direction is not
+# determined.
 RANK = 1e-12
 
 
@@ -52,8 +56,9 @@ class DiscretizationError:
     Attributes
     ----------
     shift : (p,) array
-        Of the unknowns, in standard errors; or the relative change of these where that is more: at its stability limit
-        an integrator's outputs depend on fast poles that those of the model do not show.
+        Of the unknowns, in standard errors; or the relative change of these where that is more: at
+        its stability limit an integrator's outputs depend on fast poles that those of the model do
+        not show.
     order : int
         The shift falls with this power of the number of steps.
     accepted : float
@@ -91,7 +96,9 @@ def discretization_error(
     groups = Groups(nlp.parts)
     fine = fine or _finer_parts(nlp)
     trajectories = groups.rejoined(trajectories)
-    finer = [refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)]
+    finer = [
+        refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)
+    ]
     each = list(zip(groups.parts, trajectories, fine, finer, strict=True))
     same = [part is refined or _is_rounding(t, other) for part, t, refined, other in each]
     hessian, hessian_fine = np.zeros((p, p)), np.zeros((p, p))
@@ -116,8 +123,8 @@ def refine_discretization(
 ) -> tuple[Nlp, Multistart, LocalSolver, DiscretizationError | None]:
     """Refine the steps until that does not matter, and follow the best minima; what the method fixes stays.
 
-    What is a minimum of the integrator alone is then no minimum any more. Returns the error that is left too, where it
-    was looked at.
+    What is a minimum of the integrator alone is then no minimum any more. Returns the error that is
+    left too, where it was looked at.
     """
     error = None
     if not any(part.substeps for part in nlp.parts) or not search.minima:
@@ -150,25 +157,32 @@ def _without_aliases(
 ) -> tuple[Multistart, bool]:
     """Return the search without the minima that finer steps move by standard errors, and whether the best is the same.
 
-    Too long steps can turn a fast mode into a slow one: such an alias costs no more than the true parameters, or even
-    less, and may have their response. It is left only where there is nothing else.
+    Too long steps can turn a fast mode into a slow one: such an alias costs no more than the true
+    parameters, or even less, and may have their response. It is left only where there is nothing
+    else.
     """
     limit = search.minima[0].cost + nlp.strategies.rival_cost
-    rivals = [run for m in search.minima if m.cost <= limit for run in (search.runs[k] for k in m.runs)]
+    rivals = [
+        run for m in search.minima if m.cost <= limit for run in (search.runs[k] for k in m.runs)
+    ]
     ends = _distinct_ends(nlp, rivals)
     if len(ends) < 2:
         return search, True
     aliases, sound = set(), False
     for group in ends[:JUDGED]:
         at_end = solver.profile(group[0].estimate)
-        is_alias = at_end.converged and discretization_error(nlp, at_end.trajectories, fine).largest > ALIAS
+        is_alias = (
+            at_end.converged
+            and discretization_error(nlp, at_end.trajectories, fine).largest > ALIAS
+        )
         sound = sound or not is_alias
         aliases |= {run.index for run in group} if is_alias else set()
     if not aliases or not sound:
         return search, True
 
     runs = Runs.of(
-        replace(run, converged=False, status=TOO_COARSE) if run.index in aliases else run for run in search.runs
+        replace(run, converged=False, status=TOO_COARSE) if run.index in aliases else run
+        for run in search.runs
     )
     minima, nodes = [], search.nodes
     for minimum in search.minima:
@@ -177,7 +191,9 @@ def _without_aliases(
             first = runs[left[0]]
             variants = len(_distinct_ends(nlp, [runs[k] for k in left]))
             is_first = minimum.runs[0] == left[0]
-            estimate, cost = (minimum.estimate, minimum.cost) if is_first else (first.estimate, first.cost)
+            estimate, cost = (
+                (minimum.estimate, minimum.cost) if is_first else (first.estimate, first.cost)
+            )
             minima.append(Minimum(cost, estimate, left, min(minimum.variants, variants)))
     minima.sort(key=lambda m: m.cost)
     is_same_best = minima[0].runs[0] == search.minima[0].runs[0]
@@ -207,7 +223,8 @@ def _is_same_end(a: Array, b: Array) -> bool:
 def _followed(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart | None:
     """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is.
 
-    The runs that ended there move with them, so that runs and minima tell the same costs. What is no rival stays.
+    The runs that ended there move with them, so that runs and minima tell the same costs. What is
+    no rival stays.
     """
     limit = search.minima[0].cost + nlp.strategies.rival_cost
     ends: dict[int, Outcome] = {}
@@ -222,9 +239,14 @@ def _followed(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart |
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)
     if math.isinf(least):
         return None
-    runs = Runs.of(_moved(run, ends[run.index]) if run.index in ends else run for run in search.runs)
+    runs = Runs.of(
+        _moved(run, ends[run.index]) if run.index in ends else run for run in search.runs
+    )
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
-    minima = (*find_minima(nlp, [run for run in runs if run.index in ends], signatures), *search.minima[count:])
+    minima = (
+        *find_minima(nlp, [run for run in runs if run.index in ends], signatures),
+        *search.minima[count:],
+    )
     minima = tuple(sorted(minima, key=lambda m: m.cost))
     return replace(search, runs=runs, minima=minima, nodes=ends[minima[0].runs[0]].nodes)
 

@@ -1,12 +1,14 @@
 """Runs from many starts: one after the other in this process, or on the workers of an executor.
 
-What travels is the solver, pickled as compiled functions and numbers without the user's classes, and the starts; what
-comes back are outcomes. They are taken in the order of the starts, whoever finishes first: the answer does not depend
-on the executor, on the number of workers, or on their speed.
+What travels is the solver, pickled as compiled functions and numbers without the user's classes,
+and the starts; what comes back are outcomes. They are taken in the order of the starts, whoever
+finishes first: the answer does not depend on the executor, on the number of workers, or on their
+speed.
 
-Dask's workers have ``MALLOC_TRIM_THRESHOLD_`` in their environment, which makes every run of IPOPT take twice as long:
-memory is given back and asked for again. Start them with it and ``MALLOC_MMAP_THRESHOLD_`` at 2000000000, one thread
-each: ``dask worker ADDRESS --nworkers 2 --nthreads 1``.
+Dask's workers have ``MALLOC_TRIM_THRESHOLD_`` in their environment, which makes every run of IPOPT
+take twice as long: memory is given back and asked for again. Start them with it and
+``MALLOC_MMAP_THRESHOLD_`` at 2000000000, one thread each: ``dask worker ADDRESS --nworkers 2
+--nthreads 1``.
 """
 
 import hashlib
@@ -38,17 +40,20 @@ from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 Array = NDArray[np.float64]
 R = TypeVar("R")
 
-# Work of one task, s: two hundred times what a distributed scheduler takes to hand out a task, and little enough for
-# progress to be seen and for Ctrl-C to be obeyed.
+# Work of one task, s: two hundred times what a distributed scheduler takes to hand out a task, and
+# little enough for progress to be seen and for Ctrl-C to be obeyed.
 TASK_SECONDS = 0.3
 # Tasks that a search has at least, so that workers of unlike speed end at about the same time.
 FEWEST_TASKS = 16
 
-# Tasks that are handed out and not done yet, at most, and their solvers' bytes: a scheduler holds all of them.
+# Tasks that are handed out and not done yet, at most, and their solvers' bytes: a scheduler holds
+# all of them.
 MOST_WAITING = 128
 MOST_BYTES = 1 << 28
 
-SOLVERS_KEPT = 4  # by a worker, so that it serves the members of a study in turn without building anew
+SOLVERS_KEPT = (
+    4  # by a worker, so that it serves the members of a study in turn without building anew
+)
 GIVEN_UP = "the executor gave up its tasks: its workers or its scheduler are gone."
 LOOK = 0.1  # s, after which a search that waits for workers keeps what is done and looks whether Ctrl-C was pressed
 
@@ -67,10 +72,10 @@ def run_all(
 ) -> Iterator[tuple[int, Array, Outcome]]:
     """Give the numbers of the starts, the starts (s,) and what a run from each leaves, until a stop is requested.
 
-    They come in the order of `numbered`, of which there are `count`. As many are run at once as the solver runs
-    together; of a batch that a stop cuts short, what was finished counts. With an executor the first batch is run here:
-    it tells how long they take. Runs that are in the `memory` are not made again. A run begins at its start, or where
-    `begins` says for its number.
+    They come in the order of `numbered`, of which there are `count`. As many are run at once as the
+    solver runs together; of a batch that a stop cuts short, what was finished counts. With an
+    executor the first batch is run here: it tells how long they take. Runs that are in the `memory`
+    are not made again. A run begins at its start, or where `begins` says for its number.
 
     Raises
     ------
@@ -87,14 +92,18 @@ def run_all(
             return
         made += len(batch)
         known = _recalled(memory, batch)
-        outcomes = known or _timed(solver, np.array([begins.get(number, start) for number, start in batch]))
+        outcomes = known or _timed(
+            solver, np.array([begins.get(number, start) for number, start in batch])
+        )
         finished = [outcome.status not in (INTERRUPTED, SEARCH_OVER) for outcome in outcomes]
         for (number, start), outcome, is_finished in zip(batch, outcomes, finished, strict=True):
             memory.keep(number, start, outcome)
             if is_finished or not any(finished):
                 yield number, start, outcome
         if known is None and executor is not None:
-            yield from _on_workers(_Tasks(solver, batches, count - made, executor, memory, begins, outcomes))
+            yield from _on_workers(
+                _Tasks(solver, batches, count - made, executor, memory, begins, outcomes)
+            )
             return
 
 
@@ -124,7 +133,9 @@ def call_all(
         for future in futures:
             future.cancel()
     if any(one is None for one in found):
-        raise ExecutorLostError("a worker was killed as often as it was tried: its memory may not suffice.")
+        raise ExecutorLostError(
+            "a worker was killed as often as it was tried: its memory may not suffice."
+        )
     return [one for one in found if one is not None]
 
 
@@ -136,7 +147,9 @@ def require_executor(executor: Any) -> None:
     TypeError
     """
     if executor is not None and not isinstance(executor, Executor):
-        raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
+        raise TypeError(
+            f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2)."
+        )
 
 
 Batch = list[tuple[int, Array]]
@@ -152,10 +165,13 @@ def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch
 def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
     """Return what is known of a batch, if it is known as a whole.
 
-    A part of a batch is run with all of it: the last digits of a run depend on how many are run together.
+    A part of a batch is run with all of it: the last digits of a run depend on how many are run
+    together.
     """
     known = [memory.recall(number, start) for number, start in batch]
-    return None if any(outcome is None for outcome in known) else [o for o in known if o is not None]
+    return (
+        None if any(outcome is None for outcome in known) else [o for o in known if o is not None]
+    )
 
 
 def _timed(solver: Runner, starts: Array) -> list[Outcome]:
@@ -246,11 +262,17 @@ class _Tasks:
                 if some:
                     self._ahead = batch
                     break
-                self.waiting.append(_Task([number for number, _ in batch], [start for _, start in batch], None, known))
+                self.waiting.append(
+                    _Task(
+                        [number for number, _ in batch], [start for _, start in batch], None, known
+                    )
+                )
                 return True
             some += batch
         if some:
-            self.waiting.append(self._submitted([number for number, _ in some], [start for _, start in some]))
+            self.waiting.append(
+                self._submitted([number for number, _ in some], [start for _, start in some])
+            )
         return bool(some)
 
     def is_next_done(self) -> bool:
@@ -279,7 +301,9 @@ class _Tasks:
             self.waiting.extendleft([self._submitted([number], [start]) for number, start in each])
             return
         if task.outcomes is None:
-            task.outcomes = [Outcome(task.starts[0], WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
+            task.outcomes = [
+                Outcome(task.starts[0], WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)
+            ]
             self._keep(task, task.outcomes)
         yield from zip(task.numbers, task.starts, task.outcomes, strict=True)
 
@@ -312,7 +336,9 @@ class _Tasks:
             self._memory.keep(number, start, outcome)
 
     def _submitted(self, numbers: list[int], starts: list[Array]) -> _Task:
-        begins = [self._begins.get(number, start) for number, start in zip(numbers, starts, strict=True)]
+        begins = [
+            self._begins.get(number, start) for number, start in zip(numbers, starts, strict=True)
+        ]
         where = (np.array(begins), os.getpid(), current_limits())
         return _Task(numbers, starts, self._executor.submit(run_starts, *self._packed, *where))
 
@@ -347,7 +373,7 @@ def _result(future: Future[R]) -> R | None:
         ) from error
 
 
-# --- on the worker ----------------------------------------------------------------------------------------------------
+# --- on the worker
 
 
 class _Built(threading.local):
@@ -360,10 +386,13 @@ class _Built(threading.local):
 _built = _Built()
 
 
-def run_starts(key: str, payload: bytes, starts: Array, coordinator: int, limits: TimeLimits) -> list[Outcome]:
+def run_starts(
+    key: str, payload: bytes, starts: Array, coordinator: int, limits: TimeLimits
+) -> list[Outcome]:
     """Run the solver in `payload`, which `key` names, from every row of `starts` (r, p).
 
-    `coordinator` is the number of the process that decides about Ctrl-C, `limits` are the time limits of its search.
+    `coordinator` is the number of the process that decides about Ctrl-C, `limits` are the time
+    limits of its search.
     """
     solvers = _built.solvers
     with _deaf_to_interrupts(os.getpid() != coordinator), limited(limits):
@@ -373,7 +402,9 @@ def run_starts(key: str, payload: bytes, starts: Array, coordinator: int, limits
             solvers[key] = pickle.loads(payload)
         solvers.move_to_end(key)
         solver = solvers[key]
-        batches = (starts[at : at + solver.together] for at in range(0, len(starts), solver.together))
+        batches = (
+            starts[at : at + solver.together] for at in range(0, len(starts), solver.together)
+        )
         return [outcome for batch in batches for outcome in _timed(solver, batch)]
 
 

@@ -1,10 +1,11 @@
 """Scatter search with filters in front of a local solver, as MATLAB's GlobalSearch, by which the paper was made.
 
-Ugray, Lasdon, Plummer, Glover, Kelly and Martí, Scatter search and local NLP solvers: a multistart framework for global
-optimization, INFORMS J. Comput. 19 (2007) 328-340. Trial points are combinations of a reference set of good and of
-diverse points. Of the first fifth the best is a start of the local solver; later each trial point is one, unless it
-lies near a minimum in a region from which that was reached before (distance filter), or its cost is above a threshold
-(merit filter), which is the cost at the last start and rises while points are turned down.
+Ugray, Lasdon, Plummer, Glover, Kelly and Martí, Scatter search and local NLP solvers: a multistart
+framework for global optimization, INFORMS J. Comput. 19 (2007) 328-340. Trial points are
+combinations of a reference set of good and of diverse points. Of the first fifth the best is a
+start of the local solver; later each trial point is one, unless it lies near a minimum in a region
+from which that was reached before (distance filter), or its cost is above a threshold (merit
+filter), which is the cost at the last start and rises while points are turned down.
 """
 
 import itertools
@@ -70,7 +71,9 @@ def global_search(
             memory.keep(number, start, outcome)
         judged = solver.judged_run(outcome)
         if judged.converged:
-            filters.reached(nlp.scaling.to_solver(start), nlp.scaling.to_solver(judged.estimate), judged.cost)
+            filters.reached(
+                nlp.scaling.to_solver(start), nlp.scaling.to_solver(judged.estimate), judged.cost
+            )
         return judged
 
     for number, (z, value) in enumerate(itertools.islice(trials.points(), count)):
@@ -81,7 +84,9 @@ def global_search(
         if number >= first and filters.let_pass(z, value):
             outcomes.append(solved(number, start))
         else:
-            outcomes.append(Outcome(start, SCREENED, 0, 0.0, converged=False, cost=value, stage=SCREENED))
+            outcomes.append(
+                Outcome(start, SCREENED, 0, 0.0, converged=False, cost=value, stage=SCREENED)
+            )
         if number == first - 1:
             best = min(range(first), key=lambda k: outcomes[k].cost)
             filters.threshold = outcomes[best].cost
@@ -138,7 +143,9 @@ class _Filters:
 class _ScatterSearch:
     """Trial points: what was drawn, and combinations of a reference set."""
 
-    def __init__(self, nlp: Nlp, drawn: Array, merit: Callable[[Array], float], random: np.random.Generator) -> None:
+    def __init__(
+        self, nlp: Nlp, drawn: Array, merit: Callable[[Array], float], random: np.random.Generator
+    ) -> None:
         self._drawn = iter(nlp.scaling.to_solver(drawn))
         self._diverse = max(int(STAGE_ONE * len(drawn)), 1)
         self._low, self._high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
@@ -184,7 +191,9 @@ class _ScatterSearch:
         order = sorted(range(len(found)), key=lambda k: found[k][0])
         chosen, rest = order[: REFERENCES // 2], order[REFERENCES // 2 :]
         while rest and len(chosen) < REFERENCES:
-            distances = [min(np.linalg.norm(found[k][1] - found[c][1]) for c in chosen) for k in rest]
+            distances = [
+                min(np.linalg.norm(found[k][1] - found[c][1]) for c in chosen) for k in rest
+            ]
             chosen.append(rest.pop(int(np.argmax(distances))))
         self._references = [found[k] for k in chosen]
 
@@ -198,7 +207,11 @@ class _ScatterSearch:
             good = sorted(self._references, key=lambda pair: pair[0])[0][1]
             width = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
             for _ in range(2 * REFERENCES):
-                z = np.clip(good + 0.1 * width * self._random.normal(size=len(good)), self._low, self._high)
+                z = np.clip(
+                    good + 0.1 * width * self._random.normal(size=len(good)), self._low, self._high
+                )
                 fresh.append((self._merit(z), z))
                 yield z, fresh[-1][0]
-        self._refer([*sorted(self._references, key=lambda pair: pair[0])[: REFERENCES // 2], *fresh])
+        self._refer(
+            [*sorted(self._references, key=lambda pair: pair[0])[: REFERENCES // 2], *fresh]
+        )

@@ -1,11 +1,12 @@
 """What ends a search early: Ctrl-C, noted at once and obeyed where work can end in order, or the time that it may take.
 
-An exception that a signal handler raises is swallowed by CasADi while IPOPT evaluates a function: that run counts as
-failed and the search goes on; in a root finder it becomes a RuntimeError. Solvers therefore ask `stop_requested` at
-every iteration, and end the run at hand.
+An exception that a signal handler raises is swallowed by CasADi while IPOPT evaluates a function:
+that run counts as failed and the search goes on; in a root finder it becomes a RuntimeError.
+Solvers therefore ask `stop_requested` at every iteration, and end the run at hand.
 
-Only the main thread receives signals, and only Python's own handler, which raises KeyboardInterrupt, is replaced: a
-program that has another one, or none, keeps it. Elsewhere nothing here has an effect.
+Only the main thread receives signals, and only Python's own handler, which raises
+KeyboardInterrupt, is replaced: a program that has another one, or none, keeps it. Elsewhere nothing
+here has an effect.
 """
 
 import signal
@@ -28,8 +29,8 @@ class Response(Enum):
     FINISH = auto()  # noted; what has begun is finished
 
 
-# Seconds within which a second signal is the same Ctrl-C: programs such as timeout(1) hand on what they receive, and
-# the terminal sends it to all of them.
+# Seconds within which a second signal is the same Ctrl-C: programs such as timeout(1) hand on what
+# they receive, and the terminal sends it to all of them.
 ECHO = 0.5
 
 
@@ -72,10 +73,15 @@ def take_interrupt() -> bool:
 def listening() -> Iterator[None]:
     """Note Ctrl-C within; an error that comes after one was caused by it, and is a KeyboardInterrupt.
 
-    A second Ctrl-C raises KeyboardInterrupt in any case: whoever presses again does not want to wait.
+    A second Ctrl-C raises KeyboardInterrupt in any case: whoever presses again does not want to
+    wait.
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
-    if _state.listening or not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if (
+        _state.listening
+        or not in_main_thread
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
         yield
         return
     _state.listening = True

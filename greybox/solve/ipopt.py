@@ -24,39 +24,41 @@ Array = NDArray[np.float64]
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
-# From a minimum that was located: its rounding errors are all that is left, as where a logarithm of nearly nothing is
-# minimized.
+# From a minimum that was located: its rounding errors are all that is left, as where a logarithm of
+# nearly nothing is minimized.
 ROUNDED = "Search_Direction_Becomes_Too_Small"
 INVALID = "Invalid_Number_Detected"
 COST = 1  # where a solver's results have the cost
 STOPPED = "User_Requested_Stop"
 
-# Smoothings of the last runs, each begun at the end of the one before: at the kink of a zero residual IPOPT stalls when
-# the smoothing falls to the last one at once.
+# Smoothings of the last runs, each begun at the end of the one before: at the kink of a zero
+# residual IPOPT stalls when the smoothing falls to the last one at once.
 POLISH = (1e-10, 1e-11, 1e-12, 1e-13)
 
-# Relative cost above the best up to which a minimum is polished too: smoothing moves costs by 6e-5 and may change the
-# order of close ones.
+# Relative cost above the best up to which a minimum is polished too: smoothing moves costs by 6e-5
+# and may change the order of close ones.
 CLOSE = 1e-2
 
-# A run without equations whose cost falls by less than this share in so many iterations gets nowhere: costs are told
-# apart to 1e-4, and of 60 runs on each of eleven included problems none that converged took more than 39 such
-# iterations in a row; twice that.
+# A run without equations whose cost falls by less than this share in so many iterations gets
+# nowhere: costs are told apart to 1e-4, and of 60 runs on each of eleven included problems none
+# that converged took more than 39 such iterations in a row; twice that.
 STAGNANT = 1e-6
 PATIENCE = 80
 
 # The fits of the paper take some 30 iterations; what takes 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 
-# Options of a run that begins at a solution nearby: without these it would leave it first, for the middle between the
-# bounds.
+# Options of a run that begins at a solution nearby: without these it would leave it first, for the
+# middle between the bounds.
 WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200}
 
-# Options of a run that begins where another stagnated. Along what the data leave open the barrier alone has a slope,
-# and its long steps leave a curved valley again and again: without a barrier 127 of 129 such runs, on random structures
-# with a redundant product, ended at a minimum, the median after 4 iterations; with that of WARM 33. The cost has a
-# larger unit, since rounding of a log-likelihood of tiny errors exceeds IPOPT's tolerance: of 12 runs that stagnated at
-# relative errors of 1e-4, 10 then ended at the minimum. From the start the barrier would outweigh such a cost.
+# Options of a run that begins where another stagnated. Along what the data leave open the barrier
+# alone has a slope, and its long steps leave a curved valley again and again: without a barrier 127
+# of 129 such runs, on random structures with a redundant product, ended at a minimum, the median
+# after 4 iterations; with that of WARM 33. The cost has a larger unit, since rounding of a
+# log-likelihood of tiny errors exceeds IPOPT's tolerance: of 12 runs that stagnated at relative
+# errors of 1e-4, 10 then ended at the minimum. From the start the barrier would outweigh such a
+# cost.
 WITHOUT_BARRIER = {**WARM, "mu_init": 1e-11, "max_iter": 50, "obj_scaling_factor": 0.01}
 
 # CasADi 3.8.2 crashes where two threads build solvers of functions with derivatives at once.
@@ -147,7 +149,11 @@ class Ipopt:
         """Build it."""
         self._statement, self._options = dict(statement), options
         self._check = StopCheck(statement)  # kept, since CasADi keeps its address alone
-        settings = {**_settings({**QUIET, **options}), **derivatives, "iteration_callback": self._check}
+        settings = {
+            **_settings({**QUIET, **options}),
+            **derivatives,
+            "iteration_callback": self._check,
+        }
         try:
             with _one_thread:
                 self._solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
@@ -176,27 +182,44 @@ class Ipopt:
         """The derivatives that were built, as options of another solver of the same problem."""
         names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
         there = self._solver.get_function()
-        return {option: self._solver.get_function(name) for option, name in names.items() if name in there}
+        return {
+            option: self._solver.get_function(name)
+            for option, name in names.items()
+            if name in there
+        }
 
 
 class IpoptSolver(LocalSolver):
     """IPOPT on one compiled problem, built once: the criterion that locates the minimum, if any, then its own."""
 
-    # A run takes some milliseconds, and the declared values of a transfer function are rarely better than others.
+    # A run takes some milliseconds, and the declared values of a transfer function are rarely
+    # better than others.
     starts = 200
     tries_declared_values = False
 
     def __init__(
-        self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
+        self,
+        nlp: Nlp,
+        options: Mapping[str, Any] = MappingProxyType({}),
+        like: "IpoptSolver | None" = None,
     ) -> None:
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        programs = ((nlp.locating, nlp.locating_derivatives), (nlp.program, nlp.program_derivatives))
-        stated = [(program, derivatives) for program, derivatives in programs if program is not None]
+        programs = (
+            (nlp.locating, nlp.locating_derivatives),
+            (nlp.program, nlp.program_derivatives),
+        )
+        stated = [
+            (program, derivatives) for program, derivatives in programs if program is not None
+        ]
         if like:
-            stated = [(p, stage.derivatives) for (p, _), stage in zip(stated, like._stages, strict=True)]
-        self._stages = [Ipopt(_statement(program), options, derivatives) for program, derivatives in stated]
+            stated = [
+                (p, stage.derivatives) for (p, _), stage in zip(stated, like._stages, strict=True)
+            ]
+        self._stages = [
+            Ipopt(_statement(program), options, derivatives) for program, derivatives in stated
+        ]
         scale = nlp.scaling.to_solver
         self._bounds = {
             "lbx": scale(nlp.lower),
@@ -244,7 +267,9 @@ class IpoptSolver(LocalSolver):
         for begin in range(0, len(estimates), AT_ONCE):
             some = slice(begin, begin + AT_ONCE)
             found = self._nlp.signatures(estimates[some])
-            if not begin:  # single precision, since they are kept for every run and compared to a percent
+            if (
+                not begin
+            ):  # single precision, since they are kept for every run and compared to a percent
                 signatures = np.empty((len(estimates), found.shape[1]), np.float32)
             costs[some], signatures[some] = self._nlp.costs(estimates[some]), found
         return costs, signatures
@@ -266,7 +291,11 @@ class IpoptSolver(LocalSolver):
         # The last runs take the little that a kink leaves to gain for a solution.
         options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
         last = IpoptSolver(self._nlp, options, like=self)
-        close = minima[:1] if stop_requested() else [m for m in minima if m.cost <= (1 + CLOSE) * minima[0].cost]
+        close = (
+            minima[:1]
+            if stop_requested()
+            else [m for m in minima if m.cost <= (1 + CLOSE) * minima[0].cost]
+        )
         with responding(Response.FINISH):
             polished = [*(last._polish(m) for m in close), *minima[len(close) :]]
         return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
@@ -291,14 +320,24 @@ def _statement(program: ca.Function) -> dict[str, Any]:
 
 
 def _settings(ipopt: Mapping[str, Any]) -> dict[str, Any]:
-    return {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "ipopt": dict(ipopt)}
+    return {
+        "print_time": False,
+        "show_eval_warnings": False,
+        "calc_lam_p": False,
+        "ipopt": dict(ipopt),
+    }
 
 
 def _check_option(name: str, value: Any) -> None:
     """Raise ValueError when IPOPT does not take this option."""
     x = ca.SX.sym("x")
     try:
-        ca.nlpsol("option", "ipopt", {"x": x, "f": x**2}, _settings({"print_level": 0, "sb": "yes", name: value}))
+        ca.nlpsol(
+            "option",
+            "ipopt",
+            {"x": x, "f": x**2},
+            _settings({"print_level": 0, "sb": "yes", name: value}),
+        )
     except RuntimeError:
         raise ValueError(
             f"solver_options {name!r} = {value!r} is not accepted by IPOPT: "

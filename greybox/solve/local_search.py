@@ -1,7 +1,8 @@
 """What a search on records tries besides its starts: unfinished runs go on, and the neighborhood of the best is tried.
 
-All of it is decided as the runs end, in the order of the starts. A search that has more starts, and begins with the
-same ones, therefore tries all that a shorter one does, and never ends at a higher cost.
+All of it is decided as the runs end, in the order of the starts. A search that has more starts, and
+begins with the same ones, therefore tries all that a shorter one does, and never ends at a higher
+cost.
 """
 
 import math
@@ -34,7 +35,13 @@ class LocalSearch:
     """
 
     def __init__(
-        self, nlp: Nlp, solver: LocalSolver, memory: Memory, shared: SharedRuns | None = None, *, neighbors: bool
+        self,
+        nlp: Nlp,
+        solver: LocalSolver,
+        memory: Memory,
+        shared: SharedRuns | None = None,
+        *,
+        neighbors: bool,
     ) -> None:
         """Begin a search; with `neighbors` the neighborhood of every new best end is tried, by `shared` runs if any."""
         self._nlp = nlp
@@ -54,8 +61,14 @@ class LocalSearch:
             return outcome
         solver, unfinished = self._solver, outcome
         assert isinstance(solver, GaussNewton)
-        if self._nlp.strategies.continued_runs and self._is_unfinished(outcome) and not stop_requested():
-            outcome = self._remembered(outcome.estimate, lambda: solver.continued(unfinished), outcome.seconds)
+        if (
+            self._nlp.strategies.continued_runs
+            and self._is_unfinished(outcome)
+            and not stop_requested()
+        ):
+            outcome = self._remembered(
+                outcome.estimate, lambda: solver.continued(unfinished), outcome.seconds
+            )
         if self._is_best(outcome):
             self._best = outcome
             if self._neighbors:
@@ -63,7 +76,11 @@ class LocalSearch:
         return outcome
 
     def _is_unfinished(self, outcome: Outcome) -> bool:
-        if outcome.converged or outcome.status in (NOT_FINITE, *CUT_SHORT) or not math.isfinite(outcome.cost):
+        if (
+            outcome.converged
+            or outcome.status in (NOT_FINITE, *CUT_SHORT)
+            or not math.isfinite(outcome.cost)
+        ):
             return False
         return self._best is None or outcome.cost < self._best.cost
 
@@ -71,7 +88,9 @@ class LocalSearch:
         """Tell whether the outcome is better than all before, by more than the same end found again."""
         if not outcome.converged:
             return False
-        return self._best is None or outcome.cost < self._best.cost - same_cost(self._nlp, self._best.cost)
+        return self._best is None or outcome.cost < self._best.cost - same_cost(
+            self._nlp, self._best.cost
+        )
 
     def _try_neighbors(self, solver: GaussNewton) -> None:
         """Add runs from the neighborhood of the best end, as long as they find a lower cost."""
@@ -112,7 +131,8 @@ class LocalSearch:
 def _scaled(nlp: Nlp, best: Array) -> list[Array]:
     """Return the point with every positive parameter made smaller and larger by the neighbor factor.
 
-    Lags that swap places make minima whose neighborhoods take up shares of the start box that differ a hundredfold.
+    Lags that swap places make minima whose neighborhoods take up shares of the start box that
+    differ a hundredfold.
     """
     scale = nlp.strategies.neighbor_factor
     points = []

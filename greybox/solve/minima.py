@@ -35,7 +35,8 @@ class Minimum:
     runs : tuple of int
         Indices of the runs that ended here, best first.
     variants : int
-        How many clearly different parameter vectors give this same response (two lags that swap are two).
+        How many clearly different parameter vectors give this same response (two lags that swap are
+        two).
     """
 
     cost: float
@@ -45,7 +46,10 @@ class Minimum:
 
     def __repr__(self) -> str:
         return one_line(
-            self, f"cost {self.cost:.6g}", counted(len(self.runs), "run"), counted(self.variants, "variant")
+            self,
+            f"cost {self.cost:.6g}",
+            counted(len(self.runs), "run"),
+            counted(self.variants, "variant"),
         )
 
 
@@ -53,8 +57,8 @@ class Minimum:
 class Multistart:
     """All runs of a problem, in the order of their starts, and its minima, best first.
 
-    `nodes` are the best run's states at the beginning of every segment, (s, n) for each record. Where no run converged,
-    `ends` has those of all runs.
+    `nodes` are the best run's states at the beginning of every segment, (s, n) for each record.
+    Where no run converged, `ends` has those of all runs.
     """
 
     runs: Runs
@@ -81,7 +85,10 @@ class Multistart:
     def failures(self) -> str:
         """The statuses of the runs that did not converge, with counts."""
         brought = self.brought
-        named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in brought[~brought.converged])
+        named = (
+            f"{r.status} ({r.reason})" if r.reason else r.status
+            for r in brought[~brought.converged]
+        )
         counts = Counter(named)
         return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
 
@@ -95,7 +102,11 @@ class Multistart:
 
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
     """Return the run that ended at the lowest cost without having converged; None where all ended without one."""
-    ended = [run for run in runs if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)]
+    ended = [
+        run
+        for run in runs
+        if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)
+    ]
     ended = [run for run in ended if run.stage != SCREENED] or ended
     return min(ended, key=lambda run: run.cost, default=None)
 
@@ -105,8 +116,9 @@ def agreeing_runs(
 ) -> tuple[int, ...]:
     """Return the runs that ended at a cost which cannot be told from that of the best minimum, by their index.
 
-    That is a tenth of a unit of log-likelihood. A cost of `numbers` real numbers whose noise is unknown is proportional
-    to the noise, or to its square: the likelihood is that of n log(cost), of which a unit is cost / n.
+    That is a tenth of a unit of log-likelihood. A cost of `numbers` real numbers whose noise is
+    unknown is proportional to the noise, or to its square: the likelihood is that of n log(cost),
+    of which a unit is cost / n.
     """
     if not minima:
         return ()
@@ -120,8 +132,9 @@ def agreeing_runs(
 def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Signatures) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
-    Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Each run brings the
-    signature of its response (`Part.signature`); `signatures` has those of all starts, in their order.
+    Two runs are at one minimum when their costs and their responses agree, whatever the parameters.
+    Each run brings the signature of its response (`Part.signature`); `signatures` has those of all
+    starts, in their order.
     """
     every = Runs.of(runs)
     order = np.flatnonzero(every.converged)
@@ -137,7 +150,9 @@ def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Signatures) -> tuple[
         near = alike[(away <= SAME_RESPONSE) | (alike == k)]
         ungrouped[near] = False
         variants = _variants(nlp, every.estimate[order[near]])
-        minima.append(Minimum(cost, every.estimate[order[k]].copy(), tuple(indices[near].tolist()), variants))
+        minima.append(
+            Minimum(cost, every.estimate[order[k]].copy(), tuple(indices[near].tolist()), variants)
+        )
     return tuple(minima)
 
 
@@ -148,7 +163,11 @@ def _differences(signatures: Signatures, of: int, indices: NDArray[np.int_]) -> 
     found = np.empty(len(indices))
     for begin in range(0, len(indices), AT_ONCE):
         some = indices[begin : begin + AT_ONCE]
-        own = signatures[some] if isinstance(signatures, np.ndarray) else [signatures[index] for index in some]
+        own = (
+            signatures[some]
+            if isinstance(signatures, np.ndarray)
+            else [signatures[index] for index in some]
+        )
         relative = (np.asarray(own, dtype=float) - reference) / size
         found[begin : begin + AT_ONCE] = np.sqrt(np.mean(relative**2, axis=1))
     return found

@@ -33,7 +33,8 @@ Array = NDArray[np.float64]
 ProgressReport = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
-# Shares of the way from a start at which the model is finite to one at which it is not, halved until it is.
+# Shares of the way from a start at which the model is finite to one at which it is not, halved
+# until it is.
 SHARES = 0.5 ** np.arange(1, 7)
 
 
@@ -41,11 +42,14 @@ BATCHED, MULTISTART, GLOBAL_SEARCH = "batched", "multistart", "global-search"
 SEARCHES = (BATCHED, MULTISTART, GLOBAL_SEARCH)
 
 
-def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED) -> LocalSolver:
+def solver_for(
+    nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED
+) -> LocalSolver:
     """Return the solver of a problem.
 
-    That is Gauss-Newton steps or IPOPT where parts have hidden unknowns; else IPOPT. Where the search is ``"batched"``
-    that compares the starts first and is behind Newton's method from many of them at once, if the problem has the form.
+    That is Gauss-Newton steps or IPOPT where parts have hidden unknowns; else IPOPT. Where the
+    search is ``"batched"`` that compares the starts first and is behind Newton's method from many
+    of them at once, if the problem has the form.
 
     Raises
     ------
@@ -55,7 +59,11 @@ def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), sear
     if not any(part.has_states for part in nlp.parts):
         if search != BATCHED:
             return IpoptSolver(nlp, options)
-        return BatchedSolver(nlp, options) if BatchedSolver.serves(nlp) else ScreenedIpopt(nlp, options)
+        return (
+            BatchedSolver(nlp, options)
+            if BatchedSolver.serves(nlp)
+            else ScreenedIpopt(nlp, options)
+        )
     if nlp.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
     return GaussNewton(nlp, settings=with_options(nlp.strategies, options))
@@ -74,11 +82,13 @@ def multistart(
 ) -> Multistart:
     """Run the solver from every row of `starts` (r, p) and group the runs into minima.
 
-    The `waves` say in which order, and when there were enough; by default all are tried. Starts that are `movable` go
-    to where a run can begin. Every run is kept; runs from elsewhere, see `greybox.solve.local_search`, follow those of
-    the starts. A run that fails is a result with its status; it is never ranked before one that converged. When a stop
-    is requested (`greybox.solve.interruption`) the run at hand is the last. With an executor the runs from the starts
-    are made by its workers, see `greybox.solve.executors`. Those that were `kept` are not made again.
+    The `waves` say in which order, and when there were enough; by default all are tried. Starts
+    that are `movable` go to where a run can begin. Every run is kept; runs from elsewhere, see
+    `greybox.solve.local_search`, follow those of the starts. A run that fails is a result with its
+    status; it is never ranked before one that converged. When a stop is requested
+    (`greybox.solve.interruption`) the run at hand is the last. With an executor the runs from the
+    starts are made by its workers, see `greybox.solve.executors`. Those that were `kept` are not
+    made again.
     """
     began = time.perf_counter()
     points: Iterable[Array] = starts
@@ -96,7 +106,10 @@ def multistart(
     runs, minima = ended.runs(), ()
     for wave in waves.numbers(len(starts), screened):
         each = _runners(solver, shared, wave)
-        given = ((runner, ((number, drawn[number]) for number in part), len(part)) for runner, part in each)
+        given = (
+            (runner, ((number, drawn[number]) for number in part), len(part))
+            for runner, part in each
+        )
         made = (run_all(*some, executor, memory, begins) for some in given)
         for number, start, outcome in chain.from_iterable(made):
             ended.put(number, start, search.improved(outcome))
@@ -173,9 +186,13 @@ def _certified(nlp: Nlp, solver: LocalSolver, ended: Ended) -> tuple[Runs, tuple
 def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[Array]:
     """Give the starts, those at which the model is not finite moved toward the first at which it is.
 
-    One after the other, as the runs need them: of many starts the first run does not wait for the last.
+    One after the other, as the runs need them: of many starts the first run does not wait for the
+    last.
     """
-    first = next((k for k, start in enumerate(starts) if stop_requested() or solver.is_finite_at(start)), None)
+    first = next(
+        (k for k, start in enumerate(starts) if stop_requested() or solver.is_finite_at(start)),
+        None,
+    )
     if first is None:
         yield from starts
         return
@@ -188,5 +205,8 @@ def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[A
 def _toward(nlp: Nlp, solver: LocalSolver, start: Array, home: Array) -> Array:
     """Return the farthest point from `home`, in the solver's variables, toward a start at which the model is finite."""
     away = nlp.scaling.to_solver(start) - home
-    points = (np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper) for share in SHARES)
+    points = (
+        np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper)
+        for share in SHARES
+    )
     return next((point for point in points if solver.is_finite_at(point)), start)

@@ -1,10 +1,11 @@
 """One iteration of Newton's method within a trust region, as CasADi functions of the numbers of one search.
 
-Some hundred operations on arrays make an iteration, and for few searches each takes a microsecond, ten times as long as
-what it computes. As two functions they are evaluated for all searches by two calls, see `greybox.compiled.vectorized`.
+Some hundred operations on arrays make an iteration, and for few searches each takes a microsecond,
+ten times as long as what it computes. As two functions they are evaluated for all searches by two
+calls, see `greybox.compiled.vectorized`.
 
-The numbers of a search of p variables are a column: single ones at the rows that are named here, then the vectors of
-`Vectors`.
+The numbers of a search of p variables are a column: single ones at the rows that are named here,
+then the vectors of `Vectors`.
 """
 
 from dataclasses import dataclass
@@ -33,8 +34,13 @@ SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
 ROUNDING = 1e-12  # of the cost: smaller promised decreases cannot be seen in it
 GOOD, POOR = 0.5, 0.1  # ratios of the real to the modeled decrease at which the radius changes
 WIDER = 3.0  # times the step after a good one
-SHORTEST, LONGEST = 0.1, 0.5  # times the step after a failed one, between which interpolation decides
-SECULAR_STEPS = 8  # of Newton's method for the multiplier of the radius; three or four reach a twentieth of it
+SHORTEST, LONGEST = (
+    0.1,
+    0.5,
+)  # times the step after a failed one, between which interpolation decides
+SECULAR_STEPS = (
+    8  # of Newton's method for the multiplier of the radius; three or four reach a twentieth of it
+)
 CLOSE_TO_RADIUS = 1.05
 TINY, LARGEST = float(np.finfo(float).tiny), float(np.finfo(float).max)
 
@@ -84,9 +90,10 @@ class Vectors:
 def advanced(p: int, last: int, loose: float) -> ca.Function:
     """Return (numbers, barrier, tolerance, cost, gradient, Hessian) -> the numbers after the trial was judged.
 
-    The cost and its derivatives are those of the trial, without the barrier. Below the `last` level a slope of at most
-    `loose` takes the next one. With them comes the Hessian (p * p,) for the variables that no bound holds, that of the
-    others being the identity: `bounded` takes its eigenvalues.
+    The cost and its derivatives are those of the trial, without the barrier. Below the `last` level
+    a slope of at most `loose` takes the next one. With them comes the Hessian (p * p,) for the
+    variables that no bound holds, that of the others being the identity: `bounded` takes its
+    eigenvalues.
     """
     rows, numbers = Vectors(p), ca.SX.sym("numbers", Vectors(p).size)
     inputs = [numbers, *(ca.SX.sym("v", size) for size in (1, 1, 1, p, p * p))]
@@ -98,9 +105,14 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     level = numbers[LEVEL] + switched
 
     new, new_gradient = found, slopes
-    for to_bound, is_bounded, sign in ((trial - lower, lower > -LARGEST, 1.0), (upper - trial, upper < LARGEST, -1.0)):
+    for to_bound, is_bounded, sign in (
+        (trial - lower, lower > -LARGEST, 1.0),
+        (upper - trial, upper < LARGEST, -1.0),
+    ):
         factor = barrier * is_bounded
-        distance = ca.fmin(ca.fmax(to_bound, TINY), LARGEST)  # of no matter where there is no barrier
+        distance = ca.fmin(
+            ca.fmax(to_bound, TINY), LARGEST
+        )  # of no matter where there is no barrier
         share = factor / distance
         new -= ca.sum1(factor * ca.log(distance))
         new_gradient -= sign * share
@@ -117,11 +129,19 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     falls = ca.logic_and(promised > 0, decrease >= SUFFICIENT * promised)
     accepted = ca.logic_or(invisible, falls)
     # What was taken over to another level is a beginning, not a step.
-    radius = _chosen(switched, radius, _next_radius(radius, ca.norm_2(step), promised, modeled, decrease, accepted))
+    radius = _chosen(
+        switched,
+        radius,
+        _next_radius(radius, ca.norm_2(step), promised, modeled, decrease, accepted),
+    )
     taken = ca.logic_or(accepted, switched)
-    z, cost, gradient = (_chosen(taken, *pair) for pair in ((trial, z), (new, old), (new_gradient, gradient)))
+    z, cost, gradient = (
+        _chosen(taken, *pair) for pair in ((trial, z), (new, old), (new_gradient, gradient))
+    )
     upper_triangle = ca.Sparsity.upper(p)
-    hessian = ca.triu2symm(_chosen(taken, ca.project(new_hessian, upper_triangle), ca.project(hessian, upper_triangle)))
+    hessian = ca.triu2symm(
+        _chosen(taken, ca.project(new_hessian, upper_triangle), ca.project(hessian, upper_triangle))
+    )
 
     slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
     is_minimum = ca.logic_and(level >= last, slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0))
@@ -130,10 +150,21 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     free = _free(z, gradient, lower, upper)
     hessian_of_free = hessian * (free @ free.T) + ca.diag(1 - free)
     newton, pivots = _eliminated(hessian_of_free, free * gradient)
-    is_newton = ca.logic_and(ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), _is_within(newton, radius))
+    is_newton = ca.logic_and(
+        ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), _is_within(newton, radius)
+    )
     moved = _moved(z, newton, free, level < last, lower, upper)
     trial = _chosen(ca.logic_and(is_newton, ca.logic_not(switched)), moved, z)
-    single = [cost, radius, level, switched, slope, ca.logic_or(is_newton, switched), end, numbers[ITERATIONS] + 1]
+    single = [
+        cost,
+        radius,
+        level,
+        switched,
+        slope,
+        ca.logic_or(is_newton, switched),
+        end,
+        numbers[ITERATIONS] + 1,
+    ]
     after = ca.vertcat(*single, z, trial, gradient, ca.vec(hessian), lower, upper)
     return ca.Function("advanced", inputs, [after, ca.densify(ca.vec(hessian_of_free))])
 
@@ -170,7 +201,9 @@ def _free(z: ca.SX, gradient: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:
     return ca.logic_not(ca.logic_or(below, above))
 
 
-def _moved(z: ca.SX, step: ca.SX, free: ca.SX, has_barrier: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:
+def _moved(
+    z: ca.SX, step: ca.SX, free: ca.SX, has_barrier: ca.SX, lower: ca.SX, upper: ca.SX
+) -> ca.SX:
     """Return where a step of the free variables leads within the bounds."""
     share = _chosen(has_barrier, TO_BOUND, 1.0)
     lowest, highest = z - share * (z - lower), z + share * (upper - z)
@@ -186,7 +219,11 @@ def _eliminated(hessian: ca.SX, gradient: ca.SX) -> tuple[ca.SX, ca.SX]:
         step[k + 1 :] -= factor * step[k]
     pivots = ca.diag(left)
     for k in range(p - 1, -1, -1):
-        step[k] = (step[k] - left[k, k + 1 :] @ step[k + 1 :]) / pivots[k] if k < p - 1 else step[k] / pivots[k]
+        step[k] = (
+            (step[k] - left[k, k + 1 :] @ step[k + 1 :]) / pivots[k]
+            if k < p - 1
+            else step[k] / pivots[k]
+        )
     return step, pivots
 
 

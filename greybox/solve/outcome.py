@@ -14,15 +14,21 @@ Array = NDArray[np.float64]
 NOT_FINITE = "not finite at the start"  # status of a run that could not begin
 TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias
 INTERRUPTED = "interrupted"  # status of the run that was at hand when Ctrl-C was pressed
-SEARCH_OVER = "time limit of the fit"  # status of the run that was at hand when the time of its search was up
+SEARCH_OVER = (
+    "time limit of the fit"  # status of the run that was at hand when the time of its search was up
+)
 RUN_OVER = "time limit of a start"  # status of a run that took longer than its start may
 CUT_SHORT = (INTERRUPTED, SEARCH_OVER, RUN_OVER)
-STAGNATED = "stagnated"  # status of a run whose cost did not fall any more, without being at a minimum
-# How far a run was taken: its start was compared with others, a batch of runs was brought to minima together, or a
-# solver confirmed that it ended at one, or tried to.
+STAGNATED = (
+    "stagnated"  # status of a run whose cost did not fall any more, without being at a minimum
+)
+# How far a run was taken: its start was compared with others, a batch of runs was brought to minima
+# together, or a solver confirmed that it ended at one, or tried to.
 SCREENED, IMPROVED, POLISHED = "screened", "improved", "polished"
 
-WORKER_LOST = "worker lost"  # status of a run that ended the process it was made in, as often as it was tried
+WORKER_LOST = (
+    "worker lost"  # status of a run that ended the process it was made in, as often as it was tried
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -46,8 +52,9 @@ class Run:
     reason : str
         Why it did not converge, as far as the model tells: where its response is not finite.
     stage : "screened", "improved" or "polished"
-        How far it was taken: only its start was evaluated, and others were more promising; it was brought to a minimum
-        together with others; or a solver of single runs had the last word, IPOPT for frequency responses.
+        How far it was taken: only its start was evaluated, and others were more promising; it was
+        brought to a minimum together with others; or a solver of single runs had the last word,
+        IPOPT for frequency responses.
     """
 
     index: int
@@ -63,7 +70,11 @@ class Run:
 
     def __repr__(self) -> str:
         return one_line(
-            self, f"{self.index}", self.status, f"cost {self.cost:.6g}", counted(self.iterations, "iteration")
+            self,
+            f"{self.index}",
+            self.status,
+            f"cost {self.cost:.6g}",
+            counted(self.iterations, "iteration"),
         )
 
 

@@ -11,8 +11,9 @@ FLAT = 1e-5  # of its root: what such a move counts
 def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Array) -> Array:
     """Minimize d·H·d/2 + g·d subject to normals·d >= limits, for H (p, p) positive semidefinite: (p,).
 
-    By the least distance problem as nonnegative least squares. Source: Lawson and Hanson (1974), Solving Least Squares
-    Problems, chapter 23. Where the limits contradict one another, the step that ignores them is returned.
+    By the least distance problem as nonnegative least squares. Source: Lawson and Hanson (1974),
+    Solving Least Squares Problems, chapter 23. Where the limits contradict one another, the step
+    that ignores them is returned.
     """
     p = len(gradient)
     if p == 0:

@@ -16,7 +16,14 @@ Texts = NDArray[np.object_]
 AT_ONCE = 4096  # runs that are looked at together: what fits into the cache
 NAMES = tuple(field.name for field in fields(Run))
 COLUMNS = ("indices", *NAMES[1:])
-KINDS = {"index": int, "converged": bool, "iterations": int, "status": object, "reason": object, "stage": object}
+KINDS = {
+    "index": int,
+    "converged": bool,
+    "iterations": int,
+    "status": object,
+    "reason": object,
+    "stage": object,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +57,10 @@ class Runs(Sequence[Run]):
         if isinstance(runs, Runs):
             return runs
         listed = list(runs)
-        columns = (np.array([getattr(run, name) for run in listed], KINDS.get(name, float)) for name in NAMES)
+        columns = (
+            np.array([getattr(run, name) for run in listed], KINDS.get(name, float))
+            for name in NAMES
+        )
         return Runs(*columns)
 
     def __len__(self) -> int:
@@ -76,10 +86,14 @@ class Runs(Sequence[Run]):
         for begin in range(0, len(self), AT_ONCE):
             some = self[begin : begin + AT_ONCE]
             columns = (getattr(some, name) for name in COLUMNS)
-            yield from map(Run, *(column if column.ndim > 1 else column.tolist() for column in columns))
+            yield from map(
+                Run, *(column if column.ndim > 1 else column.tolist() for column in columns)
+            )
 
     def __repr__(self) -> str:
-        return one_line(self, counted(len(self), "run"), f"{np.count_nonzero(self.converged)} converged")
+        return one_line(
+            self, counted(len(self), "run"), f"{np.count_nonzero(self.converged)} converged"
+        )
 
 
 class Ended:
@@ -110,14 +124,27 @@ class Ended:
         """Note what a run has left, in a row that is there or the next one."""
         if row == len(self._all):
             more = _room(row, start[None])
-            self._all = Runs(*(np.concatenate([getattr(each, name) for each in (self._all, more)]) for name in COLUMNS))
+            self._all = Runs(
+                *(
+                    np.concatenate([getattr(each, name) for each in (self._all, more)])
+                    for name in COLUMNS
+                )
+            )
             self.signatures, self.nodes = [*self.signatures, None], [*self.nodes, None]
             self._is_there = np.append(self._is_there, False)
         runs = self._all
         runs.start[row], runs.estimate[row], runs.cost[row] = start, outcome.estimate, outcome.cost
-        runs.status[row], runs.stage[row], runs.converged[row] = outcome.status, outcome.stage, outcome.converged
+        runs.status[row], runs.stage[row], runs.converged[row] = (
+            outcome.status,
+            outcome.stage,
+            outcome.converged,
+        )
         runs.iterations[row], runs.seconds[row] = outcome.iterations, outcome.seconds
-        self.signatures[row], self.nodes[row], self._is_there[row] = outcome.signature, outcome.nodes, True
+        self.signatures[row], self.nodes[row], self._is_there[row] = (
+            outcome.signature,
+            outcome.nodes,
+            True,
+        )
 
     @property
     def rows(self) -> NDArray[np.int_]:
@@ -129,7 +156,12 @@ class Ended:
         rows = self.rows
         made = self._all if len(rows) == len(self._all) else self._all[rows]
         cost = made.cost if costs is None else costs
-        return replace(made, indices=np.arange(len(rows)), cost=cost, converged=made.converged & np.isfinite(cost))
+        return replace(
+            made,
+            indices=np.arange(len(rows)),
+            cost=cost,
+            converged=made.converged & np.isfinite(cost),
+        )
 
     def among_screened(self, made: Runs, costs: Array) -> Runs:
         """Return the runs that were made among those that were compared only, at these `costs` (r,)."""

@@ -1,6 +1,7 @@
 """How long a search and each of its runs may take.
 
-The clock is that of the day, not of the process: the end of a search is handed to workers elsewhere.
+The clock is that of the day, not of the process: the end of a search is handed to workers
+elsewhere.
 """
 
 import math
@@ -37,7 +38,9 @@ class TimeLimits:
         """
         for name, value in (("seconds", seconds), ("start_seconds", start_seconds)):
             if value is not None and not (isinstance(value, int | float) and value > 0):
-                raise ValueError(f"{name} is {value!r:.40}: give a number of seconds above 0, or None for no limit.")
+                raise ValueError(
+                    f"{name} is {value!r:.40}: give a number of seconds above 0, or None for no limit."
+                )
         return cls(start_seconds or math.inf, time.time() + (seconds or math.inf))
 
 

@@ -1,8 +1,8 @@
 """Hidden states as unknowns of one sparse program for IPOPT: any transcription, the exact Hessian, a second opinion.
 
-Where the residual covariance is estimated, IPOPT minimizes weighted squares and the weights follow from the last
-residuals, until both agree (relaxation); this is the minimum of the likelihood. Whole samples of estimated delays are
-treated alike.
+Where the residual covariance is estimated, IPOPT minimizes weighted squares and the weights follow
+from the last residuals, until both agree (relaxation); this is the minimum of the likelihood. Whole
+samples of estimated delays are treated alike.
 """
 
 import math
@@ -24,18 +24,21 @@ from greybox.solve.outcome import NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
-# Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful rate needs far fewer.
+# Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful rate
+# needs far fewer.
 RELAXATIONS = 100
 
-# Relative change of the cost from one relaxation to the next that ends them: a tenth of a standard error changes it by
-# 0.005, and costs are rarely above 1e5.
+# Relative change of the cost from one relaxation to the next that ends them: a tenth of a standard
+# error changes it by 0.005, and costs are rarely above 1e5.
 SAME = 1e-9
 
 
 class TranscribedProgram(LocalSolver):
     """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
-    def __init__(self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})) -> None:
+    def __init__(
+        self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})
+    ) -> None:
         """Put the programs of all parts together; `gauss_newton` gives states to begin with."""
         self._nlp = nlp
         self._gauss_newton = gauss_newton
@@ -54,15 +57,28 @@ class TranscribedProgram(LocalSolver):
         equations = ca.vertcat(*[program.equations for program in self._programs])
         _, limits = nlp.program(z, 0.0)
         constraints = ca.vertcat(equations, limits)
-        statement = {"x": unknowns, "p": parameters, "f": ca.sumsqr(error) / 2 + rest, "g": constraints}
+        statement = {
+            "x": unknowns,
+            "p": parameters,
+            "f": ca.sumsqr(error) / 2 + rest,
+            "g": constraints,
+        }
 
         approximate = nlp.method.hessian == "gauss-newton"
-        hessian = _gauss_newton_hessian(unknowns, parameters, error, rest, constraints) if approximate else {}
+        hessian = (
+            _gauss_newton_hessian(unknowns, parameters, error, rest, constraints)
+            if approximate
+            else {}
+        )
         self._ipopt = Ipopt(statement, options, hessian)
 
         # Where the unknowns and parameters of each part end in those of the program.
-        self._unknown_ends = len(nlp.free) + np.cumsum([program.unknowns.numel() for program in self._programs])[:-1]
-        self._parameter_ends = np.cumsum([program.parameters.numel() for program in self._programs])[:-1]
+        self._unknown_ends = (
+            len(nlp.free) + np.cumsum([program.unknowns.numel() for program in self._programs])[:-1]
+        )
+        self._parameter_ends = np.cumsum(
+            [program.parameters.numel() for program in self._programs]
+        )[:-1]
 
         unbounded = np.full(unknowns.numel() - z.numel(), np.inf)
         low, high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
@@ -123,14 +139,18 @@ class TranscribedProgram(LocalSolver):
         signature = self._gauss_newton.signature(estimate) if converged else None
         if converged and signature is None:
             status, converged = reason_to_end() or "no continuous states at the estimate", False
-        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, signature)
+        return Outcome(
+            estimate, status, iterations, time.perf_counter() - began, converged, cost, signature
+        )
 
     def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost of a solution, the parameters that follow, and whether no delay passed a whole sample."""
         z = solution[: len(self._nlp.free)]
         unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
         each = zip(self._programs, unknowns, np.split(w, self._parameter_ends), strict=True)
-        costs, following, same_data = zip(*[program.outcome(z, v, own) for program, v, own in each], strict=True)
+        costs, following, same_data = zip(
+            *[program.outcome(z, v, own) for program, v, own in each], strict=True
+        )
         cost = sum(weight * own for weight, own in zip(self._weights, costs, strict=True))
         return float(cost), np.concatenate(following), all(same_data)
 
@@ -142,5 +162,7 @@ def _gauss_newton_hessian(
     jacobian = ca.jacobian(error, unknowns)
     scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("multipliers", constraints.numel())
     hessian = scale * (jacobian.T @ jacobian + ca.hessian(rest, unknowns)[0])
-    function = ca.Function("hessian", [unknowns, parameters, scale, multipliers], [ca.triu(hessian)])
+    function = ca.Function(
+        "hessian", [unknowns, parameters, scale, multipliers], [ca.triu(hessian)]
+    )
     return {"hess_lag": function}

@@ -51,12 +51,12 @@ class PromisingFirst(Waves):
     Parameters
     ----------
     promising : int
-        How many are run first. On the fits of the paper each of them reaches the best minimum as good as always; eight
-        in a batch take the time of two or three runs of IPOPT. Of runs on records, each of which takes its own time,
-        four.
+        How many are run first. On the fits of the paper each of them reaches the best minimum as
+        good as always; eight in a batch take the time of two or three runs of IPOPT. Of runs on
+        records, each of which takes its own time, four.
     agreeing : int
-        How many of them must end at the lowest cost. Of four out of eight, as of three out of four, the chance is below
-        2 % where less than one start in six leads there.
+        How many of them must end at the lowest cost. Of four out of eight, as of three out of four,
+        the chance is below 2 % where less than one start in six leads there.
     """
 
     promising: int
@@ -84,13 +84,14 @@ class PromisingFirst(Waves):
 class FoundAgain(Waves):
     """Waves that double, until it is unlikely that there is a minimum which none of the starts has found.
 
-    After n searches from random points that found w minima, with all numbers of minima and all sizes of their regions
-    of attraction equally likely before, the probability that there is no other is
+    After n searches from random points that found w minima, with all numbers of minima and all
+    sizes of their regions of attraction equally likely before, the probability that there is no
+    other is
 
         Π_{i=1}^{w} (n - 1 - i) / (n - 1 + i)
 
-    (Boender and Rinnooy Kan, Bayesian stopping rules for multistart global optimization methods, Math. Programming 37,
-    1987).
+    (Boender and Rinnooy Kan, Bayesian stopping rules for multistart global optimization methods,
+    Math. Programming 37, 1987).
 
     Parameters
     ----------
@@ -111,7 +112,10 @@ class FoundAgain(Waves):
 
     def are_enough(self, nlp: Nlp, runs: Sequence[Run], minima: Sequence[Minimum]) -> bool:
         """Tell whether the probability is reached."""
-        return 1 - probability_of_no_other(sum(run.converged for run in runs), len(minima)) <= self.error
+        return (
+            1 - probability_of_no_other(sum(run.converged for run in runs), len(minima))
+            <= self.error
+        )
 
 
 def probability_of_no_other(searches: int, minima: int) -> float:

@@ -9,7 +9,8 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from typing import Any
 
-# How often a task is tried whose worker is lost, after the first time alone: it may have been another task's fault.
+# How often a task is tried whose worker is lost, after the first time alone: it may have been
+# another task's fault.
 TRIALS = 3
 # The same of a pool of which no worker ever began.
 TRIALS_AT_FIRST = 2
@@ -44,8 +45,8 @@ class _Task(Future[Any]):
 class WorkerPool(Executor):
     """So many processes on this machine, as an executor for `fit`, one thread each; those that are killed are replaced.
 
-    ``with gb.solve.WorkerPool(4) as workers: gb.fit(problem, executor=workers)``. In a script, what starts it stands
-    under ``if __name__ == "__main__":``, since the workers import the script.
+    ``with gb.solve.WorkerPool(4) as workers: gb.fit(problem, executor=workers)``. In a script, what
+    starts it stands under ``if __name__ == "__main__":``, since the workers import the script.
 
     Parameters
     ----------
@@ -69,7 +70,8 @@ class WorkerPool(Executor):
         self._waiting: deque[_Task] = deque()
         self._suspects: deque[_Task] = deque()  # whose worker was lost
         self._begun = 0
-        # Kept, since a pool that ends while it tells of its loss waits for itself for ever (Python 3.12).
+        # Kept, since a pool that ends while it tells of its loss waits for itself for ever (Python
+        # 3.12).
         self._lost: list[Executor] = []
         self._pool = self._new_pool()
 
@@ -80,7 +82,9 @@ class WorkerPool(Executor):
         """Hand out a task."""
         with self._lock:
             if self._closed:
-                raise RuntimeError("the WorkerPool was shut down: use it within its with statement.")
+                raise RuntimeError(
+                    "the WorkerPool was shut down: use it within its with statement."
+                )
             task = _Task(self, lambda pool: pool.submit(fn, *args, **kwargs))
             self._waiting.append(task)
             self._hand_out()
@@ -104,7 +108,9 @@ class WorkerPool(Executor):
         from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415  (as above)
 
         # Forked processes would share the locks of threads that they do not have.
-        return ProcessPoolExecutor(self.num_workers, multiprocessing.get_context("spawn"), _as_worker)
+        return ProcessPoolExecutor(
+            self.num_workers, multiprocessing.get_context("spawn"), _as_worker
+        )
 
     def _replace(self, pool: Executor) -> None:
         """Take another pool for this one, unless that was done."""
@@ -119,7 +125,9 @@ class WorkerPool(Executor):
                 if self._begun == 0:
                     self._begin(self._suspects.popleft())
                 return
-            while self._waiting and self._begun <= self.num_workers:  # one is ready when a worker is done
+            while (
+                self._waiting and self._begun <= self.num_workers
+            ):  # one is ready when a worker is done
                 self._begin(self._waiting.popleft())
 
     def _begin(self, task: _Task) -> None:
@@ -145,7 +153,9 @@ class WorkerPool(Executor):
                     self._suspects.append(task)
                     self._hand_out()
                     return
-                error = WorkerLostError("the worker was killed.") if self._worked else _never_began()
+                error = (
+                    WorkerLostError("the worker was killed.") if self._worked else _never_began()
+                )
             elif not inner.cancelled():
                 self._worked = True
             self._hand_out()

@@ -1,15 +1,16 @@
 """From a `Record` to a `FrequencyResponse`, or to the `TransientSpectrum` of a manoeuvre.
 
 Sines, one after another
-    Begin with `single_sine`: the finite-frequency estimate of the paper, (3.15)-(3.16). `demodulation` gives the
-    complex amplitudes it is made of; `frequency_points` holds what each test gave, with warnings and tables;
-    `harmonic_distortion` finds the harmonics that a linear plant does not explain; `pooled_noise` has the noise that
-    several tests have in common.
+    Begin with `single_sine`: the finite-frequency estimate of the paper, (3.15)-(3.16).
+    `demodulation` gives the complex amplitudes it is made of; `frequency_points` holds what each
+    test gave, with warnings and tables; `harmonic_distortion` finds the harmonics that a linear
+    plant does not explain; `pooled_noise` has the noise that several tests have in common.
 Sweeps, noise and multisines
-    Begin with `composite_windows`, whose `spectral_response` is for sweeps and noise: by `local_polynomials` in bands
-    of the transform of the whole record, or by windows of several lengths. `welch` is the estimate with windows of one
-    length, its variance and coherence; `multisine_lines` uses whole periods, and `orthogonal_multisines` has
-    the matrix of responses of several inputs at once; `uniform_stretches` cuts records at gaps.
+    Begin with `composite_windows`, whose `spectral_response` is for sweeps and noise: by
+    `local_polynomials` in bands of the transform of the whole record, or by windows of several
+    lengths. `welch` is the estimate with windows of one length, its variance and coherence;
+    `multisine_lines` uses whole periods, and `orthogonal_multisines` has the matrix of responses of
+    several inputs at once; `uniform_stretches` cuts records at gaps.
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
     `transients` has their Fourier integrals, which are data of a `Problem`.
 Vibration

@@ -1,9 +1,10 @@
 """Frequency responses of sweeps and noise: by local polynomials, or by windows of several lengths.
 
-By default `greybox.spectral.local_polynomials` estimates, whose error falls faster with the length of the record and
-whose points are independent. Windows are there for comparison with COMPOSITE of CIFER (Tischler and Remple, Aircraft
-and Rotorcraft System Identification, 2nd ed., chapter 10): a short window averages more but smears a resonance, a long
-one resolves it, and the combination weighs them.
+By default `greybox.spectral.local_polynomials` estimates, whose error falls faster with the length
+of the record and whose points are independent. Windows are there for comparison with COMPOSITE of
+CIFER (Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., chapter 10): a
+short window averages more but smears a resonance, a long one resolves it, and the combination
+weighs them.
 """
 
 import math
@@ -17,31 +18,40 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
-from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms, without_incoherent
+from greybox.spectral.welch import (
+    HZ,
+    PERIODS,
+    WindowedPoint,
+    estimates,
+    response_at,
+    transforms,
+    without_incoherent,
+)
 
 Array = NDArray[np.float64]
 
-# Periods in the longest stretch: below, a band of polynomials would reach to the frequencies that removing a trend
-# changes.
+# Periods in the longest stretch: below, a band of polynomials would reach to the frequencies that
+# removing a trend changes.
 LOWEST = 6
 
 HIGHEST = 0.4  # of the sampling rate
 
-# Errors below are those of `benchmarks/signal_constants.py` with five windows from a third of the record to a 24th, of
-# a resonance damped by 0.05 in a sweep of 60 s (and by 0.3), with the values in use 1.6 % (0.8 %).
+# Errors below are those of `benchmarks/signal_constants.py` with five windows from a third of the
+# record to a 24th, of a resonance damped by 0.05 in a sweep of 60 s (and by 0.3), with the values
+# in use 1.6 % (0.8 %).
 LEAKAGE_TERMS = 2  # with one 4.8 % (1.1 %), with none 9.3 % (2.2 %)
 
-# Weight of a window length by its relative random error ε: (ε / ε_min)**-4, COMPOSITE of CIFER. With the exponent 1,
-# 6.1 % (1.2 %); with 8 and more it makes no difference.
+# Weight of a window length by its relative random error ε: (ε / ε_min)**-4, COMPOSITE of CIFER.
+# With the exponent 1, 6.1 % (1.2 %); with 8 and more it makes no difference.
 SHARPNESS = 4
 
 SAMPLES = 8  # in a window, at least: two periods (`PERIODS`) of four samples
 
 SMOOTHED = 0.3  # octaves or so over which the excitation is averaged, as a share of the frequency
 
-# Of the largest ω S(ω), which a logarithmic sweep keeps constant: 20 dB below it the excitation ends. For white noise
-# of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03, at 0.17 Hz with 0.01, and with 0.003 it
-# extends to 15 Hz, where the output is noise.
+# Of the largest ω S(ω), which a logarithmic sweep keeps constant: 20 dB below it the excitation
+# ends. For white noise of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03,
+# at 0.17 Hz with 0.01, and with 0.003 it extends to 15 Hz, where the output is noise.
 EXCITED = 0.01
 
 # What serves a short record of one 2-1-1, doublet or step.
@@ -68,16 +78,17 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
 ) -> FrequencyResponse:
     """Estimate a frequency response from sweeps or noise.
 
-    By default response and transients are polynomials in bands of the transform of the whole record (see
-    `greybox.spectral.local_polynomials`): bands become narrower until the polynomials hold, and each gives three points
-    whose errors are independent, so that a likelihood may use them.
+    By default response and transients are polynomials in bands of the transform of the whole record
+    (see `greybox.spectral.local_polynomials`): bands become narrower until the polynomials hold,
+    and each gives three points whose errors are independent, so that a likelihood may use them.
 
-    With `windows`, Hann windows of these lengths. Every length gives an estimate with its variance, and they are
-    combined at each frequency with the weights (ε / ε_min)⁻⁴ of their relative random errors ε, as in COMPOSITE of
-    CIFER (there the spectra are combined, here the responses). Points closer than the resolution, about 1.5 / length
-    in Hz, have correlated errors; a fit says so.
+    With `windows`, Hann windows of these lengths. Every length gives an estimate with its variance,
+    and they are combined at each frequency with the weights (ε / ε_min)⁻⁴ of their relative random
+    errors ε, as in COMPOSITE of CIFER (there the spectra are combined, here the responses). Points
+    closer than the resolution, about 1.5 / length in Hz, have correlated errors; a fit says so.
 
-    Stretches between gaps or missing samples are transformed separately and used together, as are several records.
+    Stretches between gaps or missing samples are transformed separately and used together, as are
+    several records.
 
     Parameters
     ----------
@@ -87,16 +98,18 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     instrument : str, optional
         The injected signal, for the joint input-output estimate; without it, the direct one.
     conditioned : sequence of str
-        Further inputs that act on the output and are correlated with this one; their part is removed (partial
-        coherence, Bendat and Piersol, section 7.3).
+        Further inputs that act on the output and are correlated with this one; their part is
+        removed (partial coherence, Bendat and Piersol, section 7.3).
     omega : (n,) array, rad/s, optional
-        By default frequencies where the excitation is strong. Where given ones are closer than the resolution, about
-        8 / duration in Hz for a band of three points, the errors of neighbors are correlated.
+        By default frequencies where the excitation is strong. Where given ones are closer than the
+        resolution, about 8 / duration in Hz for a band of three points, the errors of neighbors are
+        correlated.
     band : (low, high), rad/s, optional
-        Where to estimate, as far as the record resolves it; by default where the excitation is strong.
+        Where to estimate, as far as the record resolves it; by default where the excitation is
+        strong.
     points : int
-        About so many frequencies: there are fewer where the record does not resolve them, and more at resonances. With
-        `windows` exactly so many, log spaced.
+        About so many frequencies: there are fewer where the record does not resolve them, and more
+        at resonances. With `windows` exactly so many, log spaced.
     windows : sequence of float, s, optional
         Window lengths.
     overlap : float
@@ -109,21 +122,25 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     Returns
     -------
     FrequencyResponse
-        With coherence, variance E|P̂ - P|² and its degrees of freedom; points that leave too little to judge the noise
-        by are left out, and those where the instrument hardly moves the input. The coherence is partial, without
-        transients and conditioned inputs; with an instrument it is the lower one of instrument with input and with
-        output. The variance assumes noise that is as strong in the quiet parts of a record as in the excited ones. That
-        of combined windows is the one of fully correlated parts, an upper bound, and contains the square of the
+        With coherence, variance E|P̂ - P|² and its degrees of freedom; points that leave too little
+        to judge the noise by are left out, and those where the instrument hardly moves the input.
+        The coherence is partial, without transients and conditioned inputs; with an instrument it
+        is the lower one of instrument with input and with output. The variance assumes noise that
+        is as strong in the quiet parts of a record as in the excited ones. That of combined windows
+        is the one of fully correlated parts, an upper bound, and contains the square of the
         difference from the longest window where noise does not explain it.
 
     Raises
     ------
     ValueError
-        For records that are too short or not uniform, or frequencies below two periods of the longest window.
+        For records that are too short or not uniform, or frequencies below two periods of the
+        longest window.
     KeyError
         For a signal that a record does not hold.
     """
-    stretches = uniform_stretches(records, [input, output, instrument or input, *conditioned], detrend)
+    stretches = uniform_stretches(
+        records, [input, output, instrument or input, *conditioned], detrend
+    )
     if not 0 <= overlap < 1:
         raise ValueError(f"overlap is {overlap:g}: it must be at least 0 and below 1.")
     lengths = [] if windows is None else _window_lengths(stretches, windows)
@@ -140,7 +157,10 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
 
     if lengths:
         per_length = [
-            estimates(transforms(stretches, length, overlap, grid, leakage_terms=LEAKAGE_TERMS), grid * length)
+            estimates(
+                transforms(stretches, length, overlap, grid, leakage_terms=LEAKAGE_TERMS),
+                grid * length,
+            )
             for length in lengths
         ]
         found = [_combined(row) for row in zip(*per_length, strict=True)]
@@ -223,6 +243,7 @@ def _combined(estimates: Sequence[WindowedPoint]) -> WindowedPoint:
     dof = float(weight @ [e.dof for e in known])
     coherence = float(weight @ [e.coherence for e in known])
     combined = complex(weight @ response)
-    # Short windows smear; the longest hardly. Noise explains a squared difference up to the variance of the longest.
+    # Short windows smear; the longest hardly. Noise explains a squared difference up to the
+    # variance of the longest.
     smeared = max(abs(combined - known[0].response) ** 2 - known[0].variance, 0.0)
     return WindowedPoint(combined, deviation**2 + smeared, dof, coherence)

@@ -13,13 +13,15 @@ Complex = NDArray[np.complex128]
 
 METHODS = ("least-squares", "quadrature")
 
-# Samples of a window, at least: the unknowns of the least squares, a constant, a trend and three harmonics.
+# Samples of a window, at least: the unknowns of the least squares, a constant, a trend and three
+# harmonics.
 LEAST_SAMPLES = 8
 
 # Share of its samples that every period of a window must have.
 LEAST_FILLED = 0.3
 
-# Of the Nyquist frequency, up to which harmonics are fitted: at it, sine and cosine are no longer independent.
+# Of the Nyquist frequency, up to which harmonics are fitted: at it, sine and cosine are no longer
+# independent.
 HIGHEST = 0.8
 
 
@@ -38,8 +40,9 @@ def demodulate(
 ) -> complex:
     """Return the complex amplitude alpha + j beta of a signal at `omega`, over whole periods: (3.16) with η = 1.
 
-    The signal is alpha sin ω(t - t0) + beta cos ω(t - t0) with t0 = time[0], so that the ratio of two of them has the
-    sign of a transfer function at +jω: a lag has a negative phase. The last whole periods after `settle` are used.
+    The signal is alpha sin ω(t - t0) + beta cos ω(t - t0) with t0 = time[0], so that the ratio of
+    two of them has the sign of a transfer function at +jω: a lag has a negative phase. The last
+    whole periods after `settle` are used.
 
     Parameters
     ----------
@@ -51,15 +54,17 @@ def demodulate(
     periods : int, optional
         By default as many as there are.
     method : "least-squares" or "quadrature"
-        Sine, cosine, constant, trend (and harmonics) fitted together, exact on any sampling; or the sums of (3.16),
-        exact where a period is a whole number of equal samples.
+        Sine, cosine, constant, trend (and harmonics) fitted together, exact on any sampling; or the
+        sums of (3.16), exact where a period is a whole number of equal samples.
     harmonics : int
-        The highest that the least squares include; more than the first matters only on uneven sampling.
+        The highest that the least squares include; more than the first matters only on uneven
+        sampling.
 
     Raises
     ------
     ValueError
-        If there is no whole period, or fewer than four samples in a period, or the method is unknown.
+        If there is no whole period, or fewer than four samples in a period, or the method is
+        unknown.
     """
     record = Record(time, {"values": values})  # checks both
     time, values = record.time, record["values"]
@@ -67,7 +72,9 @@ def demodulate(
     try:
         rows, _ = whole_periods(time[known], omega, settle, periods)
     except UnusableSegmentError as reason:
-        raise ValueError(f"the signal cannot be demodulated at {omega:g} rad/s: {reason}.") from None
+        raise ValueError(
+            f"the signal cannot be demodulated at {omega:g} rad/s: {reason}."
+        ) from None
 
     t = time[known][rows]
     x = values[known][rows]
@@ -84,7 +91,9 @@ def known_method(method: str) -> str:
     return method
 
 
-def whole_periods(time: Array, omega: float, settle: float, periods: int | None) -> tuple[NDArray[np.bool_], int]:
+def whole_periods(
+    time: Array, omega: float, settle: float, periods: int | None
+) -> tuple[NDArray[np.bool_], int]:
     """Return the rows of the last whole periods after `settle`, and how many periods they are.
 
     Raises
@@ -99,7 +108,9 @@ def whole_periods(time: Array, omega: float, settle: float, periods: int | None)
         raise UnusableSegmentError(f"only {counted(time.size, 'sample')}")
     step = float(np.median(np.diff(time)))
     if step > period / 4:
-        raise UnusableSegmentError(f"a period of {period:.3g} s has fewer than four samples of {step:.3g} s")
+        raise UnusableSegmentError(
+            f"a period of {period:.3g} s has fewer than four samples of {step:.3g} s"
+        )
 
     available = math.floor((time[-1] - time[0] + step - settle) / period + 1e-6)
     count = max(available, 1) if periods is None else periods
@@ -115,7 +126,9 @@ def whole_periods(time: Array, omega: float, settle: float, periods: int | None)
     return rows, count
 
 
-def least_squares(t: Array, x: Array, omega: float, origin: float, harmonics: int) -> tuple[Complex, Array, Array]:
+def least_squares(
+    t: Array, x: Array, omega: float, origin: float, harmonics: int
+) -> tuple[Complex, Array, Array]:
     """Fit constant, trend and harmonics to the rows of `x`.
 
     Returns
@@ -131,7 +144,9 @@ def least_squares(t: Array, x: Array, omega: float, origin: float, harmonics: in
     trend = (t - t.mean()) / (t[-1] - t[0])
     waves = [sine_and_cosine(t, k * omega, origin) for k in range(1, count + 1)]
     columns = np.concatenate([[np.ones_like(t), trend], *waves])
-    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]  # few columns, well scaled: as good as QR
+    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[
+        0
+    ]  # few columns, well scaled: as good as QR
     return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
 
 

@@ -10,21 +10,23 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
 from greybox.files.text_table import counted, number, one_line, text_table
 
-# Harmonics over fundamental. Of a cubic nonlinearity, y = x + k x³, harmonics of a share h come with a gain 3h off.
+# Harmonics over fundamental. Of a cubic nonlinearity, y = x + k x³, harmonics of a share h come
+# with a gain 3h off.
 NONLINEAR = 0.1
 
-# Harmonics over fundamental that the plant does not explain, from which a warning is due. They stand for a standard
-# error of the gain of their own size: of a clipped sine the gain is h off, of a cubic nonlinearity 3h, of a sine that
-# is rounded while other motions carry it across the steps nearly nothing.
+# Harmonics over fundamental that the plant does not explain, from which a warning is due. They
+# stand for a standard error of the gain of their own size: of a clipped sine the gain is h off, of
+# a cubic nonlinearity 3h, of a sine that is rounded while other motions carry it across the steps
+# nearly nothing.
 UNEXPLAINED = 0.03
 
-# Change of trim over the amplitude, and standard error over the response: about the size of the error in the gain that
-# `NONLINEAR` stands for.
+# Change of trim over the amplitude, and standard error over the response: about the size of the
+# error in the gain that `NONLINEAR` stands for.
 DRIFTING = 0.3
 UNCERTAIN = 0.3
 
-# Of the time: less than the 2.8 % during which a sampled sine is as close to its peaks as a control can be resolved
-# (`single_sine.RESOLUTION`).
+# Of the time: less than the 2.8 % during which a sampled sine is as close to its peaks as a control
+# can be resolved (`single_sine.RESOLUTION`).
 SATURATED = 0.02
 
 # Of the samples of a window that are missing.
@@ -40,21 +42,23 @@ class FrequencyPoint:
     omega, response : float, rad/s, and complex
         Output over control, (3.15).
     standard_error, dof : float
-        Square root of E|P̂ - P|², both components together (NaN for a single period), and its degrees of freedom. The
-        gain error that unexplained harmonics stand for is part of it.
+        Square root of E|P̂ - P|², both components together (NaN for a single period), and its
+        degrees of freedom. The gain error that unexplained harmonics stand for is part of it.
     periods, start, end : int and floats, s
         The window used.
     u, y, r : complex
-        Amplitudes of control, output and setpoint (NaN without one), phase relative to sin ω(t - segment's start).
+        Amplitudes of control, output and setpoint (NaN without one), phase relative to sin ω(t -
+        segment's start).
     distortion, drift : (float, float)
-        Of control and output: harmonics over fundamental (root of sum of squares); change of trim over the window.
+        Of control and output: harmonics over fundamental (root of sum of squares); change of trim
+        over the window.
     saturation : float
         Share of time that the control was at its limit; NaN where it cannot be told.
     findings, notes : tuple of str
         Warnings, and what is worth knowing, in words.
     unexplained : float
-        Harmonics that the plant does not explain, over the control's sine (root of sum of squares); NaN where they
-        cannot be told.
+        Harmonics that the plant does not explain, over the control's sine (root of sum of squares);
+        NaN where they cannot be told.
     """
 
     omega: float
@@ -87,14 +91,22 @@ class FiniteFrequency:
     def findings(self) -> tuple[str, ...]:
         """Warnings on points, and the tests that were left out, in words."""
         found = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
-        return (*found, *(f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out))
+        return (
+            *found,
+            *(f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out),
+        )
 
     def with_variance(self, variance: NDArray[np.float64] | None) -> "FiniteFrequency":
         """Return the points with other variances (n,); None changes nothing."""
         if variance is None:
             return self
-        points = [replace(p, standard_error=math.sqrt(v)) for p, v in zip(self.points, variance, strict=True)]
-        return replace(self, points=tuple(points), response=replace(self.response, variance=variance))
+        points = [
+            replace(p, standard_error=math.sqrt(v))
+            for p, v in zip(self.points, variance, strict=True)
+        ]
+        return replace(
+            self, points=tuple(points), response=replace(self.response, variance=variance)
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -104,11 +116,27 @@ class FiniteFrequency:
     @property
     def table(self) -> str:
         """The response and its points, without the findings."""
-        header = ("rad/s", "periods", "|u|", "|y|", "gain", "phase °", "error %", "harmonics u, y %", "saturated %")
-        return "\n".join([str(self.response), text_table(header, [_row(p) for p in self.points], left=())])
+        header = (
+            "rad/s",
+            "periods",
+            "|u|",
+            "|y|",
+            "gain",
+            "phase °",
+            "error %",
+            "harmonics u, y %",
+            "saturated %",
+        )
+        return "\n".join(
+            [str(self.response), text_table(header, [_row(p) for p in self.points], left=())]
+        )
 
     def __repr__(self) -> str:
-        return one_line(self, counted(len(self.points), "frequency", "frequencies"), f"{len(self.left_out)} left out")
+        return one_line(
+            self,
+            counted(len(self.points), "frequency", "frequencies"),
+            f"{len(self.left_out)} left out",
+        )
 
     def __str__(self) -> str:
         return "\n".join([self.table, *self.notes, *self.findings])
@@ -118,17 +146,25 @@ def with_findings(point: FrequencyPoint, findings: list[str]) -> FrequencyPoint:
     """Return a point with `findings` and the warnings that its values call for."""
     findings = list(findings)
     names = ("control", "output")
-    for name, sine, share, drift in zip(names, (point.u, point.y), point.distortion, point.drift, strict=True):
+    for name, sine, share, drift in zip(
+        names, (point.u, point.y), point.distortion, point.drift, strict=True
+    ):
         if share > NONLINEAR:
-            findings.append(f"the {name} has harmonics of {share:.0%} of its sine: the response is not linear there")
+            findings.append(
+                f"the {name} has harmonics of {share:.0%} of its sine: the response is not linear there"
+            )
         if abs(drift) > DRIFTING * abs(sine):
-            findings.append(f"the trim of the {name} drifts by {drift:.2g} where its amplitude is {abs(sine):.2g}")
+            findings.append(
+                f"the trim of the {name} drifts by {drift:.2g} where its amplitude is {abs(sine):.2g}"
+            )
     if point.saturation > SATURATED:
         findings.append(f"the control is at its limit for {point.saturation:.0%} of the time")
     if point.periods == 1:
         findings.append("one period only: its error is not known")
     if point.standard_error > UNCERTAIN * abs(point.response):
-        findings.append(f"the standard error is {point.standard_error / abs(point.response):.0%} of the response")
+        findings.append(
+            f"the standard error is {point.standard_error / abs(point.response):.0%} of the response"
+        )
     return replace(point, findings=tuple(findings))
 
 
@@ -148,7 +184,9 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
     parts = (weight * [p.standard_error for p in points]) ** 2
     variance = float(parts.sum())
     known = variance > 0 and np.all(dof > 0)
-    effective_dof = float(variance**2 / np.sum(parts**2 / dof)) if known else float(dof.sum())  # Welch, Satterthwaite
+    effective_dof = (
+        float(variance**2 / np.sum(parts**2 / dof)) if known else float(dof.sum())
+    )  # Welch, Satterthwaite
 
     shares = [p.unexplained for p in points if not math.isnan(p.unexplained)]
     return replace(
@@ -158,7 +196,10 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
         dof=effective_dof,
         periods=sum(p.periods for p in points),
         findings=tuple(dict.fromkeys(text for p in points for text in p.findings)),
-        notes=(f"mean of {len(points)} tests", *dict.fromkeys(text for p in points for text in p.notes)),
+        notes=(
+            f"mean of {len(points)} tests",
+            *dict.fromkeys(text for p in points for text in p.notes),
+        ),
         unexplained=max(shares, default=math.nan),
     )
 

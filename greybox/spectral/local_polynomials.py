@@ -1,24 +1,28 @@
 """Frequency responses of sweeps and noise, band by band: the local polynomial method.
 
-At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T + V. T is what
-began before the stretch or lasts beyond it; it is as smooth as P (Pintelon and Schoukens, System Identification, 2nd
-ed., chapter 7). In a band of lines both are polynomials, found by least squares, or with an instrument r from outside
-the loop by instrumental variables. Nothing is windowed, so nothing is smeared: what is left is the error of the
-polynomials, which falls with the fourth power of the width of the band, where that of windows falls with the square.
+At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T
++ V. T is what began before the stretch or lasts beyond it; it is as smooth as P (Pintelon and
+Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines both are polynomials,
+found by least squares, or with an instrument r from outside the loop by instrumental variables.
+Nothing is windowed, so nothing is smeared: what is left is the error of the polynomials, which
+falls with the fourth power of the width of the band, where that of windows falls with the square.
 
 Resolution
-    A quadratic that is fitted over a band holds three values. They are read at the three Gauss nodes of the band, where
-    the errors of a fitted polynomial are uncorrelated, and where a cubic would change nothing (Davis and Rabinowitz,
-    Methods of Numerical Integration, section 2.7). Bands do not overlap. So the errors of all points are independent to
-    a good approximation, and three points keep what a band knows.
+    A quadratic that is fitted over a band holds three values. They are read at the three Gauss
+    nodes of the band, where the errors of a fitted polynomial are uncorrelated, and where a cubic
+    would change nothing (Davis and Rabinowitz, Methods of Numerical Integration, section 2.7).
+    Bands do not overlap. So the errors of all points are independent to a good approximation, and
+    three points keep what a band knows.
 Error of the polynomials
-    In a band twice as wide, a quartic is held against the quadratic. Where they differ by more than noise explains, the
-    band is halved, down to the narrowest that leaves something to judge the noise by. There a pole is allowed for: the
-    polynomials fitted to the response with that pole miss it by a known amount, which is taken off (the local rational
-    method: McKelvey and Guérin (2012), 16th IFAC Symposium on System Identification).
+    In a band twice as wide, a quartic is held against the quadratic. Where they differ by more than
+    noise explains, the band is halved, down to the narrowest that leaves something to judge the
+    noise by. There a pole is allowed for: the polynomials fitted to the response with that pole
+    miss it by a known amount, which is taken off (the local rational method: McKelvey and Guérin
+    (2012), 16th IFAC Symposium on System Identification).
 Noise
-    Its spectrum S comes from the residuals of the narrowest bands that have any, where the polynomials are least wrong,
-    over a neighborhood. With the estimate aY the variance E|P̂ - P|² is S aaᴴ.
+    Its spectrum S comes from the residuals of the narrowest bands that have any, where the
+    polynomials are least wrong, over a neighborhood. With the estimate aY the variance E|P̂ - P|²
+    is S aaᴴ.
 """
 
 import math
@@ -35,21 +39,23 @@ from greybox.spectral.welch import EPS, HZ, STRONG, WORST_CONDITION, WindowedPoi
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# Of the response in a band. The error of order R in a band of half-width b beside a pole at the distance ρ goes as
-# (b/ρ)**(R + 1), and the lines that 2R + 2 unknowns need widen the band: orders from 2 to 4 are equally good.
+# Of the response in a band. The error of order R in a band of half-width b beside a pole at the
+# distance ρ goes as (b/ρ)**(R + 1), and the lines that 2R + 2 unknowns need widen the band: orders
+# from 2 to 4 are equally good.
 ORDER = 2
 NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
 
-# Of the transient: its share of the output is about (memory / duration)**0.5, which is small, so that one order less
-# leaves an error as small as that of the response.
+# Of the transient: its share of the output is about (memory / duration)**0.5, which is small, so
+# that one order less leaves an error as small as that of the response.
 TRANSIENT_ORDER = 1
 
 EXTRA = 2  # orders by which the polynomials are raised to see whether they are enough
 DOUBLED = 2  # how much wider the band is in which this is tried
 GROWTH = DOUBLED ** (ORDER + 2)  # by which the error at the nodes grows there
 
-# Squared difference of quadratic and quartic over its variance, which for noise alone has an exponential distribution:
-# exceeded in 1 % of cases, from where a band is halved; and in 0.01 %, from where there is a pole to be found in noise.
+# Squared difference of quadratic and quartic over its variance, which for noise alone has an
+# exponential distribution: exceeded in 1 % of cases, from where a band is halved; and in 0.01 %,
+# from where there is a pole to be found in noise.
 VISIBLE = 4.6
 CERTAIN = 9.2
 
@@ -61,24 +67,26 @@ UNCORRECTED = 0.01
 
 LEAST_RESIDUALS = 3  # complex, that the narrowest band of a point leaves: six degrees of freedom
 
-# Of the lines of the narrowest band of a point, the share that transients may take: what is beyond is lost for the
-# response. It matters for several short stretches.
+# Of the lines of the narrowest band of a point, the share that transients may take: what is beyond
+# is lost for the response. It matters for several short stretches.
 TRANSIENT_SHARE = 0.5
 
-# Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are laid over it. As
-# they overlap, 8 residuals become about 12, and the variance has 25 degrees of freedom.
+# Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are
+# laid over it. As they overlap, 8 residuals become about 12, and the variance has 25 degrees of
+# freedom.
 NEIGHBORHOOD = 8
 PLACES = 24  # for bands with one residual
 LEAST_PLACES = 6
 
-# Noise falls or rises by a power of the frequency. The power is taken from an octave on either side, by least squares
-# on logarithms, whose scatter is π/√6 for one residual, with a prior of this standard deviation. With 2 the squared
-# errors of the three lowest points of a sweep are 1.39 times the stated variance, with 1 they are 1.24 times (white
-# noise; with AR(0.95) 1.32 and 1.37 times).
+# Noise falls or rises by a power of the frequency. The power is taken from an octave on either
+# side, by least squares on logarithms, whose scatter is π/√6 for one residual, with a prior of this
+# standard deviation. With 2 the squared errors of the three lowest points of a sweep are 1.39 times
+# the stated variance, with 1 they are 1.24 times (white noise; with AR(0.95) 1.32 and 1.37 times).
 STEEP = 1.0
 LOG_SCATTER = math.pi / math.sqrt(6)
 
-# Half-width of a band over its frequency, where nothing else limits it: a tenth of a decade on either side.
+# Half-width of a band over its frequency, where nothing else limits it: a tenth of a decade on
+# either side.
 WIDEST = 0.35
 
 
@@ -89,7 +97,8 @@ class Lines(NamedTuple):
     ----------
     omega : (n,) array, rad/s
     values : (signals, n) complex array
-        Input, output, instrument, conditioned inputs, scaled so that noise has the variance of its spectral density.
+        Input, output, instrument, conditioned inputs, scaled so that noise has the variance of its
+        spectral density.
     stretch : (n,) array
         Which stretch each line is of.
     spacing : float, rad/s
@@ -116,8 +125,8 @@ class Fitted(NamedTuple):
     x : (n,) array
         Their place in the band, -1 to 1.
     regressors, basis : (n, m) complex arrays
-        Of the coefficients of the response, then of conditioned inputs; an orthonormal basis of the instruments. Both
-        without transients.
+        Of the coefficients of the response, then of conditioned inputs; an orthonormal basis of the
+        instruments. Both without transients.
     solution : (m, n) complex array
         From the output to the coefficients.
     transients : (n, t) array
@@ -152,7 +161,9 @@ class Fitted(NamedTuple):
 
     def trace(self) -> float:
         """Return E|residuals|² of noise of variance one: tr QQᴴ with Q the way from the noise to the residuals."""
-        gram = (self.solution @ self.solution.conj().T) @ (self.regressors.conj().T @ self.regressors)
+        gram = (self.solution @ self.solution.conj().T) @ (
+            self.regressors.conj().T @ self.regressors
+        )
         return self.number - len(self.solution) + float(np.trace(gram).real)
 
 
@@ -168,7 +179,8 @@ class Band(NamedTuple):
     squared_error : (k,) array
         What the correction leaves.
     pole_noise : (float, float) or None
-        Sum of squared residuals with a pole, and their number, where the polynomials alone are visibly wrong.
+        Sum of squared residuals with a pole, and their number, where the polynomials alone are
+        visibly wrong.
     """
 
     fitted: Fitted
@@ -199,15 +211,19 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
     )
 
 
-def tiled_points(lines: Lines, low: float, high: float, points: int) -> tuple[Array, list[WindowedPoint]]:
+def tiled_points(
+    lines: Lines, low: float, high: float, points: int
+) -> tuple[Array, list[WindowedPoint]]:
     """Return frequencies between `low` and `high`, and the estimates there.
 
-    There are about `points`, log spaced, where the response is smooth; more where it is not, and fewer where `lines` do
-    not resolve as many.
+    There are about `points`, log spaced, where the response is smooth; more where it is not, and
+    fewer where `lines` do not resolve as many.
     """
     widths = _Widths.of(lines, math.sqrt(low * high))
     edges = _edges(low, high, max(round(points / NODES), 1), widths.point)
-    bands = [band for left, right in pairwise(edges) for band in _halved(lines, left, right, widths)]
+    bands = [
+        band for left, right in pairwise(edges) for band in _halved(lines, left, right, widths)
+    ]
     estimates = [point for band in bands for point in _estimates(lines, band, bands, widths)]
     return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
 
@@ -215,7 +231,8 @@ def tiled_points(lines: Lines, low: float, high: float, points: int) -> tuple[Ar
 def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
     """Return the estimates at `omega` (n,), each in the middle of a band that reaches half way to the next ones.
 
-    Where they are closer than the resolution the bands overlap, and the errors of neighbors are correlated.
+    Where they are closer than the resolution the bands overlap, and the errors of neighbors are
+    correlated.
     """
     widths = _Widths.of(lines, float(np.exp(np.mean(np.log(omega)))))
     order = np.sort(omega)
@@ -227,7 +244,9 @@ def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
         half = max(min(nearest[center] / 2, WIDEST * center), widths.point / 2)
         bands.append(_centered(lines, center, half, widths))
     known = [band for band in bands if band is not None]
-    return [_estimates(lines, band, known, widths)[0] if band else WindowedPoint() for band in bands]
+    return [
+        _estimates(lines, band, known, widths)[0] if band else WindowedPoint() for band in bands
+    ]
 
 
 class _Widths(NamedTuple):
@@ -243,7 +262,9 @@ class _Widths(NamedTuple):
         return cls(point, *_narrowest(lines, omega, 1))
 
 
-def _narrowest(lines: Lines, omega: float, residuals: int, transient_share: float = 1.0) -> tuple[float, int]:
+def _narrowest(
+    lines: Lines, omega: float, residuals: int, transient_share: float = 1.0
+) -> tuple[float, int]:
     """Return the width of the narrowest band around `omega` that leaves `residuals`, wherever its edges lie, and those.
 
     A band of a certain width holds one line more or less.
@@ -253,9 +274,18 @@ def _narrowest(lines: Lines, omega: float, residuals: int, transient_share: floa
         half = half_lines / 2 * lines.spacing
         center = max(omega, half + lines.spacing)
         if center + half > lines.omega[-1]:
-            raise ValueError("the records are too short for any polynomial in frequency: record longer.")
-        fits = [_fit(lines, center + shift * lines.spacing, half, residuals=residuals) for shift in (0.0, 0.25, 0.5)]
-        found = [f for f in fits if f is not None and f.transients.shape[1] <= transient_share * f.rows.size]
+            raise ValueError(
+                "the records are too short for any polynomial in frequency: record longer."
+            )
+        fits = [
+            _fit(lines, center + shift * lines.spacing, half, residuals=residuals)
+            for shift in (0.0, 0.25, 0.5)
+        ]
+        found = [
+            f
+            for f in fits
+            if f is not None and f.transients.shape[1] <= transient_share * f.rows.size
+        ]
         if len(found) == len(fits):
             return 2 * half, min(f.number for f in found)
         half_lines += 1
@@ -273,24 +303,32 @@ def _edges(low: float, high: float, count: int, least: float) -> Array:
     return np.array(edges)
 
 
-def _fit(lines: Lines, center: float, half: float, *, extra: int = 0, residuals: int = 1) -> Fitted | None:
+def _fit(
+    lines: Lines, center: float, half: float, *, extra: int = 0, residuals: int = 1
+) -> Fitted | None:
     """Fit polynomials in a band, of orders raised by `extra`; None where they are not determined.
 
-    Stretches with as few lines in the band as their transient has coefficients tell nothing, and are left out.
+    Stretches with as few lines in the band as their transient has coefficients tell nothing, and
+    are left out.
     """
     order, transient_order = ORDER + extra, TRANSIENT_ORDER + extra
     rows, stretches = _rows(lines, center, half, transient_order)
     x = (lines.omega[rows] - center) / half
     u, _, r, *conditioned = lines.values[:, rows]
     powers = np.vander(x, order + 1, increasing=True)
-    if rows.size - (order + 1) * (1 + len(conditioned)) - (transient_order + 1) * len(stretches) < residuals:
+    if (
+        rows.size - (order + 1) * (1 + len(conditioned)) - (transient_order + 1) * len(stretches)
+        < residuals
+    ):
         return None
 
     transients = _transients(lines.stretch[rows], stretches, powers[:, : transient_order + 1])
     regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
     instruments = regressors
     if not lines.same:
-        instruments = _without(transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)]))
+        instruments = _without(
+            transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)])
+        )
     solved = _solved(regressors, instruments)
     if solved is None:
         return None
@@ -314,9 +352,13 @@ def _without(basis: Array, columns: Complex) -> Complex:
     return left
 
 
-def _rows(lines: Lines, center: float, half: float, transient_order: int) -> tuple[NDArray[np.int64], list[int]]:
+def _rows(
+    lines: Lines, center: float, half: float, transient_order: int
+) -> tuple[NDArray[np.int64], list[int]]:
     """Return the lines of a band, and the stretches they are of."""
-    first, last = np.searchsorted(lines.omega, [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)])
+    first, last = np.searchsorted(
+        lines.omega, [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)]
+    )
     rows = np.arange(first, last)
     numbers, counts = np.unique(lines.stretch[rows], return_counts=True)
     stretches = numbers[counts > transient_order + 1]
@@ -366,8 +408,8 @@ def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band
 def _gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
     """Return the zeros of the next polynomial that is orthogonal over the lines, weighted by the excitation.
 
-    They are the eigenvalues of the multiplication by x, seen among the polynomials of the fitted order (Golub and
-    Welsch (1969), Mathematics of Computation 23).
+    They are the eigenvalues of the multiplication by x, seen among the polynomials of the fitted
+    order (Golub and Welsch (1969), Mathematics of Computation 23).
     """
     u, _, r, *_ = lines.values[:, fitted.rows]
     amplitude = np.sqrt(np.abs(u) * np.abs(r))
@@ -391,7 +433,9 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     squared = np.abs(weights @ y) ** 2
     variance = noise * np.sum(np.abs(weights) ** 2, axis=1)
     response = fitted.weights(omega) @ lines.values[1, fitted.rows]
-    if not np.any((squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))):
+    if not np.any(
+        (squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))
+    ):
         return plain, False
 
     certain = np.any(squared > CERTAIN * variance)
@@ -402,11 +446,13 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     return Band(fitted, omega, correction, UNCORRECTED * np.abs(correction) ** 2, pole_noise), True
 
 
-def _with_pole(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Complex, tuple[float, float]] | None:
+def _with_pole(
+    lines: Lines, fitted: Fitted, omega: Array
+) -> tuple[Complex, tuple[float, float]] | None:
     """Return the error of the polynomials at `omega` if there is a pole, and the residuals with that pole.
 
-    Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U + T. The instrument of
-    x Y is the next power times the input, which the noise in Y does not enter.
+    Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
+    T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
     """
     center, half = fitted.center, DOUBLED * fitted.half
     rows, stretches = _rows(lines, center, half, TRANSIENT_ORDER)
@@ -431,7 +477,9 @@ def _with_pole(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Complex, tup
     coefficients[ORDER + 1] = 0.0
     output = (regressors @ coefficients + transient) / (1 + pole * x)
     at = (omega - center) / half
-    response = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1] / (1 + pole * at)
+    response = (
+        np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1] / (1 + pole * at)
+    )
     correction = fitted.weights(omega) @ output[places] - response
     left = float(np.sum(np.abs(y - output) ** 2))
     if not (np.all(np.isfinite(correction)) and math.isfinite(left)):
@@ -439,7 +487,9 @@ def _with_pole(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Complex, tup
     return correction, (left, float(number))
 
 
-def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> list[WindowedPoint]:
+def _estimates(
+    lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths
+) -> list[WindowedPoint]:
     """Return what a band gives at its frequencies."""
     found = _noise(lines, band, bands, widths)
     if found is None:
@@ -451,7 +501,9 @@ def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths)
     spread = np.sum(np.abs(weights) ** 2, axis=1)
     response = weights @ lines.values[1, fitted.rows] - band.correction
     variance = noise * spread + band.squared_error
-    rounding = (4 * EPS * np.abs(response)) ** 2  # noise-free data have no smaller variance than their rounding errors
+    rounding = (
+        4 * EPS * np.abs(response)
+    ) ** 2  # noise-free data have no smaller variance than their rounding errors
     coherence = _coherence(lines, fitted, noise)
     weak = STRONG * spread * of_input > 1
     return [
@@ -463,8 +515,8 @@ def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths)
 class _Residual(NamedTuple):
     """What polynomials leave in a narrow band.
 
-    Sums of squares (2,), of the output and of what the instrument leaves of the input; their number; the projection
-    (n, n) to them.
+    Sums of squares (2,), of the output and of what the instrument leaves of the input; their
+    number; the projection (n, n) to them.
     """
 
     center: float
@@ -474,11 +526,14 @@ class _Residual(NamedTuple):
     projection: Complex
 
 
-def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> tuple[float, float, float] | None:
+def _noise(
+    lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths
+) -> tuple[float, float, float] | None:
     """Return the spectral densities of the noise of output and input around a band, and the degrees of freedom.
 
-    The noise of the input is what the instrument does not explain: none in the direct estimate. Bands in which the
-    polynomials are visibly wrong do not count; if the band itself is one, its residuals with the pole do.
+    The noise of the input is what the instrument does not explain: none in the direct estimate.
+    Bands in which the polynomials are visibly wrong do not count; if the band itself is one, its
+    residuals with the pole do.
     """
     squares, number = band.pole_noise or (0.0, 0.0)
     told = number >= LEAST_RESIDUALS
@@ -490,7 +545,11 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
 
     def residuals(centers: Array) -> list[_Residual]:
         right = [c for c in centers if not any(abs(c - f.center) < f.half for f in wrong)]
-        return [r for c in right if (r := _residual(lines, float(c), widths.noise / 2, bands)) is not None]
+        return [
+            r
+            for c in right
+            if (r := _residual(lines, float(c), widths.noise / 2, bands)) is not None
+        ]
 
     places = max(math.ceil(PLACES / widths.residuals), LEAST_PLACES)
     octaves = residuals(np.geomspace(center / 2, 2 * center, places))
@@ -502,7 +561,11 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
     near: list[_Residual] = []
     for reach in (1, 2, 4):
         low = max(center - reach * width / 2, lines.spacing / 2)
-        near = residuals(np.linspace(low + widths.noise / 2, low + reach * width - widths.noise / 2, reach * places))
+        near = residuals(
+            np.linspace(
+                low + widths.noise / 2, low + reach * width - widths.noise / 2, reach * places
+            )
+        )
         if len(near) >= places / 2:
             break
     if not near:
@@ -523,7 +586,9 @@ def _overlap(residuals: Sequence[_Residual]) -> float:
         for other in residuals[i:]:
             if other.rows[0] > one.rows[-1]:
                 break
-            _, left, right = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
+            _, left, right = np.intersect1d(
+                one.rows, other.rows, assume_unique=True, return_indices=True
+            )
             product = np.sum(np.abs(one.projection[:, left] @ other.projection[right]) ** 2)
             total += float(product) * (1 if other is one else 2)
     return total
@@ -532,8 +597,9 @@ def _overlap(residuals: Sequence[_Residual]) -> float:
 def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -> _Residual | None:
     """Return what is left in a narrow band.
 
-    With an instrument, Y - P̂U with the response of the nearest band is projected, so that an instrument too weak to
-    give a response in the narrow band does no harm; without one this is the residual of least squares.
+    With an instrument, Y - P̂U with the response of the nearest band is projected, so that an
+    instrument too weak to give a response in the narrow band does no harm; without one this is the
+    residual of least squares.
     """
     fitted = _fit(lines, center, half)
     if fitted is None:
@@ -541,7 +607,9 @@ def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -
     u, y, *_ = lines.values[:, fitted.rows]
     if not lines.same:
         nearest = min((b.fitted for b in bands), key=lambda f: abs(center - f.center) / f.half)
-        inside = np.clip(lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half)
+        inside = np.clip(
+            lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half
+        )
         y = y - nearest.weights(inside) @ lines.values[1, nearest.rows] * u
     projection = np.eye(fitted.rows.size) - fitted.basis @ fitted.basis.conj().T
     projection -= fitted.transients @ fitted.transients.T
@@ -557,7 +625,9 @@ def _slopes(residuals: Sequence[_Residual], apart: float) -> Array:
     omega = np.log([r.center for r in residuals])
     power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
     omega = omega - omega.mean()
-    scatter = LOG_SCATTER / math.sqrt(residuals[0].number) * math.sqrt(max(len(residuals) / apart, 1.0))
+    scatter = (
+        LOG_SCATTER / math.sqrt(residuals[0].number) * math.sqrt(max(len(residuals) / apart, 1.0))
+    )
     slopes: Array = omega @ power / (omega @ omega + (scatter / STEEP) ** 2)
     return slopes
 

@@ -13,8 +13,9 @@ from greybox.spectral.welch import HZ, estimates, response_at, transforms, witho
 
 Array = NDArray[np.float64]
 
-# Of the largest amplitude, for a multiple of the fundamental to count as excited. `greybox.experiment.multisine` gives
-# all its lines one amplitude; the limit of -30 dB only has to be above what noise and distortion leave between them.
+# Of the largest amplitude, for a multiple of the fundamental to count as excited.
+# `greybox.experiment.multisine` gives all its lines one amplitude; the limit of -30 dB only has to
+# be above what noise and distortion leave between them.
 EXCITED = 0.03
 
 # Relative error of the period: after 100 periods the phase of the fundamental is off by 2π/1000.
@@ -34,9 +35,10 @@ def periodic_response(
 ) -> FrequencyResponse:
     """Estimate a frequency response from whole periods of a periodic signal in steady state, free of leakage.
 
-    Each period is one window without taper; the variance comes from the scatter of the periods, taken as independent
-    (Pintelon and Schoukens, System Identification, 2nd ed., chapter 2). A remainder of less than a period is left out
-    at the beginning. Arguments not listed are those of `spectral_response`.
+    Each period is one window without taper; the variance comes from the scatter of the periods,
+    taken as independent (Pintelon and Schoukens, System Identification, 2nd ed., chapter 2). A
+    remainder of less than a period is left out at the beginning. Arguments not listed are those of
+    `spectral_response`.
 
     Parameters
     ----------
@@ -48,16 +50,23 @@ def periodic_response(
     Raises
     ------
     ValueError
-        If the period is no whole number of samples, there are fewer than three, or `omega` holds other frequencies.
+        If the period is no whole number of samples, there are fewer than three, or `omega` holds
+        other frequencies.
     """
     signals = [input, output, instrument or input, *conditioned]
     stretches = [whole_periods(s, period) for s in uniform_stretches(records, signals, "none")]
     stretches = [s for s in stretches if s.values.shape[1]]
     if sum(s.values.shape[1] * s.step for s in stretches) < 2.5 * period:
-        raise ValueError(f"the records hold fewer than three periods of {period:g} s: record longer.")
+        raise ValueError(
+            f"the records hold fewer than three periods of {period:g} s: record longer."
+        )
 
     fundamental = HZ / period
-    grid = _excited_lines(stretches, period) if omega is None else np.atleast_1d(np.asarray(omega, dtype=float))
+    grid = (
+        _excited_lines(stretches, period)
+        if omega is None
+        else np.atleast_1d(np.asarray(omega, dtype=float))
+    )
     multiple = grid / fundamental
     odd = np.flatnonzero((np.abs(multiple - np.rint(multiple)) > 1e-6) | (grid < 0.5 * fundamental))
     if odd.size:

@@ -1,9 +1,9 @@
 """A matrix of responses from multisines on several inputs at once, each with lines of its own.
 
-Where the inputs are coupled, by a mixer or a controller, every input has something of every line: the ratio of an
-output and an input at a line is then no response. But what one input does at the lines of another follows from its
-response at its own lines, between which responses are smooth. So the outputs at all lines together are one linear
-system for all responses at their own lines.
+Where the inputs are coupled, by a mixer or a controller, every input has something of every line:
+the ratio of an output and an input at a line is then no response. But what one input does at the
+lines of another follows from its response at its own lines, between which responses are smooth. So
+the outputs at all lines together are one linear system for all responses at their own lines.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ from greybox.spectral.uniform_stretches import uniform_stretches
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-# Condition number of that system, with rows and columns of length one, from which the inputs cannot be told apart:
-# an error of a thousandth in the inputs is then one of a tenth in the responses.
+# Condition number of that system, with rows and columns of length one, from which the inputs cannot
+# be told apart: an error of a thousandth in the inputs is then one of a tenth in the responses.
 TOO_ALIKE = 100.0
 
 
@@ -36,8 +36,8 @@ def response_matrix(
 ) -> tuple[FrequencyResponse, ...]:
     """Estimate the responses of all outputs to all inputs, each at the lines of its input, cross-coupling removed.
 
-    The signals are averaged over the periods, of which the first must be left out while the plant settles; variances
-    come from the scatter of the periods (jackknife).
+    The signals are averaged over the periods, of which the first must be left out while the plant
+    settles; variances come from the scatter of the periods (jackknife).
 
     Parameters
     ----------
@@ -46,34 +46,44 @@ def response_matrix(
         A whole number of samples.
     inputs, outputs : sequence of str
     excitations : sequence of str
-        The injected signals, one for each input, by which the lines are assigned; by default the inputs themselves.
+        The injected signals, one for each input, by which the lines are assigned; by default the
+        inputs themselves.
     name : str
 
     Returns
     -------
     tuple of FrequencyResponse
-        Output by output, for each the inputs in turn. `greybox.data.write_responses` keeps them in one file,
-        `greybox.plotting.response_matrix` draws them.
+        Output by output, for each the inputs in turn. `greybox.data.write_responses` keeps them in
+        one file, `greybox.plotting.response_matrix` draws them.
 
     Raises
     ------
     ValueError
-        If there are fewer than three whole periods, an input has fewer than two lines of its own, or the inputs are so
-        much alike that their effects cannot be told apart.
+        If there are fewer than three whole periods, an input has fewer than two lines of its own,
+        or the inputs are so much alike that their effects cannot be told apart.
 
     Notes
     -----
-    Pintelon and Schoukens, System Identification, 2nd ed., section 2.7 (orthogonal multisines); Morelli and Klein,
-    Aircraft System Identification, 2nd ed., section 9.5.
+    Pintelon and Schoukens, System Identification, 2nd ed., section 2.7 (orthogonal multisines);
+    Morelli and Klein, Aircraft System Identification, 2nd ed., section 9.5.
     """
-    inputs, outputs, excitations = tuple(inputs), tuple(outputs), tuple(excitations) or tuple(inputs)
+    inputs, outputs, excitations = (
+        tuple(inputs),
+        tuple(outputs),
+        tuple(excitations) or tuple(inputs),
+    )
     if len(excitations) != len(inputs):
-        raise ValueError(f"there are {len(excitations)} excitations for {len(inputs)} inputs: give one for each.")
+        raise ValueError(
+            f"there are {len(excitations)} excitations for {len(inputs)} inputs: give one for each."
+        )
     stretches = [
-        whole_periods(s, period) for s in uniform_stretches(records, (*inputs, *outputs, *excitations), "none")
+        whole_periods(s, period)
+        for s in uniform_stretches(records, (*inputs, *outputs, *excitations), "none")
     ]
     stretches = [s for s in stretches if s.values.shape[1]]
-    periods = [np.split(s.values, round(s.values.shape[1] * s.step / period), axis=1) for s in stretches]
+    periods = [
+        np.split(s.values, round(s.values.shape[1] * s.step / period), axis=1) for s in stretches
+    ]
     every = np.array([np.fft.rfft(one, axis=1)[:, 1:-1] for each in periods for one in each])
     if len(every) < 3:
         raise ValueError(
@@ -107,7 +117,9 @@ def response_matrix(
             solved[0, begins[j] : begins[j + 1], i],
             inputs[j],
             outputs[i],
-            variance=np.maximum(variance[begins[j] : begins[j + 1], i], np.finfo(float).tiny ** 0.5),
+            variance=np.maximum(
+                variance[begins[j] : begins[j + 1], i], np.finfo(float).tiny ** 0.5
+            ),
             dof=np.full(own[j].size, 2.0 * (len(every) - 1)),
             name=f"{name} {inputs[j]} to {outputs[i]}".strip(),
             source=stretches[0].source,
@@ -129,7 +141,9 @@ def _interpolation(own: Array, wanted: Array) -> Array:
 
 def _solved(inputs: Complexes, outputs: Complexes, between: Sequence[Array]) -> Complexes:
     """Return the responses (own lines of all inputs, outputs) from inputs (m, lines) and outputs (k, lines)."""
-    system = np.concatenate([u[:, None] * way for u, way in zip(inputs, between, strict=True)], axis=1)
+    system = np.concatenate(
+        [u[:, None] * way for u, way in zip(inputs, between, strict=True)], axis=1
+    )
     rows = np.linalg.norm(system, axis=1, keepdims=True)
     columns = np.linalg.norm(system / rows, axis=0)
     scaled = system / rows / columns

@@ -1,11 +1,12 @@
 """Noise levels of several sine tests of one flight, each from a few lines: what they have in common.
 
-With eight degrees of freedom, one standard error in twenty is less than half of what it should be. The noise of one
-flight has a smooth spectrum, so that the other tests tell of each: the levels scatter about a curve over frequency, by
-what their degrees of freedom explain and by what they really differ, as in a gust. The first is weighed against the
-second (Smyth, Linear models and empirical Bayes methods, Statistical Applications in Genetics and Molecular Biology
-3(1), 2004): every level becomes the mean of its own and that of the curve, weighted by degrees of freedom. Where the
-levels differ by more than chance, the curve has few, and each test keeps its own.
+With eight degrees of freedom, one standard error in twenty is less than half of what it should be.
+The noise of one flight has a smooth spectrum, so that the other tests tell of each: the levels
+scatter about a curve over frequency, by what their degrees of freedom explain and by what they
+really differ, as in a gust. The first is weighed against the second (Smyth, Linear models and
+empirical Bayes methods, Statistical Applications in Genetics and Molecular Biology 3(1), 2004):
+every level becomes the mean of its own and that of the curve, weighted by degrees of freedom. Where
+the levels differ by more than chance, the curve has few, and each test keeps its own.
 """
 
 import numpy as np
@@ -13,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-LEAST = 5  # tests, below which three that are left beside a line do not tell how much levels scatter
+LEAST = (
+    5  # tests, below which three that are left beside a line do not tell how much levels scatter
+)
 CURVED = 8  # tests, from which the curve may bend
 
 
@@ -24,7 +27,8 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
     ----------
     omega : (n,) array, rad/s
     level : (n,) array
-        Power of the noise for each Hz, in any unit; estimates with a χ² distribution. What is zero or NaN is kept.
+        Power of the noise for each Hz, in any unit; estimates with a χ² distribution. What is zero
+        or NaN is kept.
     dof : (n,) array
 
     Returns
@@ -49,7 +53,8 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
     prior = np.inf if spread <= 0 else 2 * _inverse_trigamma(float(spread))
     own = dof[used] / (prior + dof[used])
 
-    # Levels that differ are taken as a number over a χ² variable, whose logarithm is biased likewise.
+    # Levels that differ are taken as a number over a χ² variable, whose logarithm is biased
+    # likewise.
     center = curve if np.isinf(prior) else curve + digamma(prior / 2) - np.log(prior / 2)
     result, freedom = level.copy(), dof.copy()
     result[used] = own * level[used] + (1 - own) * np.exp(center)

@@ -33,19 +33,20 @@ from greybox.spectral.pooled_noise import pooled_levels
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# Lines beside the frequency, on either side, that the noise is taken from: with six there are 20 degrees of freedom,
-# and Student's t is within 6 % of the normal distribution's 1.96.
+# Lines beside the frequency, on either side, that the noise is taken from: with six there are 20
+# degrees of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
 LINES = 6
 
-# Standard errors of a complex amplitude. Noise alone exceeds three with a probability of exp(-9) = 1e-4.
+# Standard errors of a complex amplitude. Noise alone exceeds three with a probability of exp(-9) =
+# 1e-4.
 DETECTED = 3.0
 
-# Phase in rad by which a setpoint may leave the planned frequency over a window: the amplitude is then low by less than
-# 0.05² / 24 = 1e-4.
+# Phase in rad by which a setpoint may leave the planned frequency over a window: the amplitude is
+# then low by less than 0.05² / 24 = 1e-4.
 PHASE_DRIFT = 0.05
 
-# Of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the time: where the levels of
-# a control are farther apart, rounding looks like saturation.
+# Of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the time:
+# where the levels of a control are farther apart, rounding looks like saturation.
 RESOLUTION = 5e-4
 
 
@@ -85,18 +86,21 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
 ) -> FiniteFrequency:
     """Estimate the response from `input` to `output` at the frequencies of single-sine tests, (3.15)-(3.16).
 
-    With "least-squares", sine, cosine, constant, trend and harmonics are fitted to control and output over all q
-    periods together. The residual e = y - P u is examined beside ω, on the lines ω(1 ± m/q), m = 1 ... M: what repeats
-    every period has no power there, what changes from period to period has. A straight line through them is the leakage
-    of a plant whose state differs between the ends of the window (integrators, unstable poles); its value at ω is
-    subtracted. The scatter about it is the noise near ω, from which the variance follows, with 2(2M - 2) degrees of
-    freedom (two periods: 2). The plain scatter of periods would overstate it several times in a closed loop.
+    With "least-squares", sine, cosine, constant, trend and harmonics are fitted to control and
+    output over all q periods together. The residual e = y - P u is examined beside ω, on the lines
+    ω(1 ± m/q), m = 1 ... M: what repeats every period has no power there, what changes from period
+    to period has. A straight line through them is the leakage of a plant whose state differs
+    between the ends of the window (integrators, unstable poles); its value at ω is subtracted. The
+    scatter about it is the noise near ω, from which the variance follows, with 2(2M - 2) degrees of
+    freedom (two periods: 2). The plain scatter of periods would overstate it several times in a
+    closed loop.
 
-    With "quadrature", amplitudes are the sums of (3.16) as printed, and the variance is the scatter of y - P u between
-    periods over q, with 2(q - 1) degrees of freedom.
+    With "quadrature", amplitudes are the sums of (3.16) as printed, and the variance is the scatter
+    of y - P u between periods over q, with 2(q - 1) degrees of freedom.
 
-    Noise that the feedback brings into the control is in y and in P u alike and cancels in e. Both amplitudes refer to
-    the setpoint's phase, so that the ratio has no closed-loop bias, unlike a ratio of spectra of y and u.
+    Noise that the feedback brings into the control is in y and in P u alike and cancels in e. Both
+    amplitudes refer to the setpoint's phase, so that the ratio has no closed-loop bias, unlike a
+    ratio of spectra of y and u.
 
     Parameters
     ----------
@@ -114,7 +118,8 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     Returns
     -------
     FiniteFrequency
-        `response` has no variance if a test had one single period: ask for ``periods=2`` or longer tests.
+        `response` has no variance if a test had one single period: ask for ``periods=2`` or longer
+        tests.
 
     Raises
     ------
@@ -126,11 +131,17 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     known_method(method)
     axes = sorted({s.axis for s in segments if s.usable and s.kind == "sine"})
     if len(axes) > 1:
-        raise ValueError(f"the segments are of several axes ({', '.join(axes)}): choose those of one, by segment.axis.")
+        raise ValueError(
+            f"the segments are of several axes ({', '.join(axes)}): choose those of one, by segment.axis."
+        )
 
-    signals = np.stack([record[name] for name in ((input, output, setpoint) if setpoint else (input, output))])
+    signals = np.stack(
+        [record[name] for name in ((input, output, setpoint) if setpoint else (input, output))]
+    )
     known = np.isfinite(signals).all(axis=0)
-    settings = _Settings(record.time[known], signals[:, known], settle, periods, method, harmonics, limits)
+    settings = _Settings(
+        record.time[known], signals[:, known], settle, periods, method, harmonics, limits
+    )
     points = []
     measured = []
     left_out = []
@@ -160,7 +171,9 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
 def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmonics]:
     """Estimate one point of the response and the harmonics beside it, or raise `UnusableSegmentError`."""
     if not segment.usable or segment.kind != "sine":
-        raise UnusableSegmentError("; ".join(segment.findings) or f"a {segment.kind} is not a single sine")
+        raise UnusableSegmentError(
+            "; ".join(segment.findings) or f"a {segment.kind} is not a single sine"
+        )
     inside = (settings.time >= segment.start) & (settings.time <= segment.end)
     time = settings.time[inside]
     signals = settings.signals[:, inside]
@@ -186,8 +199,12 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
 
     u, y, *r = map(complex, amplitudes[:, 0])
     noise = estimate.control_noise
-    if abs(u) <= max(DETECTED * noise, 1e-12 * float(np.abs(x[0]).max())):  # noise, or rounding errors without any
-        raise UnusableSegmentError(f"barely excited: the control's amplitude is {abs(u):.2g}, its noise {noise:.2g}")
+    if abs(u) <= max(
+        DETECTED * noise, 1e-12 * float(np.abs(x[0]).max())
+    ):  # noise, or rounding errors without any
+        raise UnusableSegmentError(
+            f"barely excited: the control's amplitude is {abs(u):.2g}, its noise {noise:.2g}"
+        )
 
     harmonics = np.sqrt(np.sum(np.abs(amplitudes[:2, 1:]) ** 2, axis=1))
     distortion = harmonics / np.maximum(np.abs(amplitudes[:2, 0]), 1e-300)
@@ -208,14 +225,18 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
         notes=tuple(notes),
     )
     missing = 1 - t.size * float(np.median(np.diff(t))) * omega / (q * 2 * math.pi)
-    return with_findings(point, missing_samples(missing)), harmonics_of(t, amplitudes, residual, omega, q)
+    return with_findings(point, missing_samples(missing)), harmonics_of(
+        t, amplitudes, residual, omega, q
+    )
 
 
 def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
     """Return the points with standard errors from the noise of all of them, by its power for each Hz."""
     level = [(p.standard_error * abs(p.u)) ** 2 * (p.end - p.start) for p in points]
     pooled, dof = pooled_levels([p.omega for p in points], level, [p.dof for p in points])
-    factors = [math.sqrt(new / old) if old > 0 else 1.0 for new, old in zip(pooled, level, strict=True)]
+    factors = [
+        math.sqrt(new / old) if old > 0 else 1.0 for new, old in zip(pooled, level, strict=True)
+    ]
     return [
         replace(p, standard_error=factor * p.standard_error, dof=float(d))
         for p, factor, d in zip(points, factors, dof, strict=True)
@@ -230,19 +251,26 @@ def _frequency_error(t: Array, r: Array, omega: float) -> float:
     return float(np.angle(second / first) / half) if abs(first) > 0 else 0.0
 
 
-def _by_lines(t: Array, amplitudes: Complex, residual: Array, omega: float, origin: float, q: int) -> SinePoint:
+def _by_lines(
+    t: Array, amplitudes: Complex, residual: Array, omega: float, origin: float, q: int
+) -> SinePoint:
     """Estimate with the lines beside `omega`, all of one phase at both ends of the window: leakage is smooth in m."""
     u, y = amplitudes[:2] * np.exp(1j * omega * (t[0] - origin))
     if q == 1 or u == 0:
-        control_noise = float(np.sqrt(4 * np.mean(residual[0] ** 2) / t.size))  # of white noise of that variance
+        control_noise = float(
+            np.sqrt(4 * np.mean(residual[0] ** 2) / t.size)
+        )  # of white noise of that variance
         return SinePoint(complex(y / u) if u else 0j, math.nan, 0.0, control_noise)
 
     # Up to a quarter of ω on either side, where noise and leakage still are what they are at ω.
     count = 1 if q == 2 else min(max(2, int(q / 4 + 0.5)), LINES)
     m = np.array([sign * k for k in range(1, count + 1) for sign in (1, -1)])
-    lines = np.stack([spectral_line(t, residual[:2], omega * (1 + k / q), float(t[0])) for k in m], axis=-1)
+    lines = np.stack(
+        [spectral_line(t, residual[:2], omega * (1 + k / q), float(t[0])) for k in m], axis=-1
+    )
 
-    # The leakage of y - P u is a polynomial in m; `at_omega` reads its value at m = 0 off the lines.
+    # The leakage of y - P u is a polynomial in m; `at_omega` reads its value at m = 0 off the
+    # lines.
     smooth = m[:, None] ** np.arange(1 if count == 1 else 2)
     to_polynomial = np.linalg.pinv(smooth)
     at_omega = to_polynomial[0]
@@ -257,7 +285,9 @@ def _by_lines(t: Array, amplitudes: Complex, residual: Array, omega: float, orig
     return SinePoint(complex(response), float(variance), 2.0 * free, control_noise)
 
 
-def _by_periods(t: Array, x: Array, amplitudes: Complex, omega: float, origin: float, q: int) -> SinePoint:
+def _by_periods(
+    t: Array, x: Array, amplitudes: Complex, omega: float, origin: float, q: int
+) -> SinePoint:
     """Estimate as printed, from the amplitudes over the whole window, with the scatter of the periods."""
     u, y = amplitudes[:2]
     response = complex(y / u) if u else 0j
@@ -265,9 +295,13 @@ def _by_periods(t: Array, x: Array, amplitudes: Complex, omega: float, origin: f
         return SinePoint(response, math.nan, 0.0, 0.0)
     step = float(np.median(np.diff(t)))
     period = np.clip(((t - t[-1] - step / 2) * omega / (2 * math.pi) + q).astype(int), 0, q - 1)
-    each = np.stack([quadrature(t[period == k], x[:, period == k], omega, origin) for k in range(q)], axis=-1)
+    each = np.stack(
+        [quadrature(t[period == k], x[:, period == k], omega, origin) for k in range(q)], axis=-1
+    )
     error = each[1] - response * each[0]
-    variance = np.sum(np.abs(error - error.mean()) ** 2) / (q - 1) / q / abs(u) ** 2 if u else math.nan
+    variance = (
+        np.sum(np.abs(error - error.mean()) ** 2) / (q - 1) / q / abs(u) ** 2 if u else math.nan
+    )
     control_noise = np.sqrt(np.sum(np.abs(each[0] - each[0].mean()) ** 2) / (q - 1) / q)
     return SinePoint(response, float(variance), 2.0 * (q - 1), float(control_noise))
 
@@ -285,16 +319,21 @@ def _saturation(u: Array, limits: tuple[float, float] | None) -> float:
     length = np.diff(edges)
     level = u[edges[:-1]]
     extreme = (level >= u.max() - at_level) | (level <= u.min() + at_level)
-    # A control may be held for some samples everywhere, and two equal samples happen at any rounded peak.
+    # A control may be held for some samples everywhere, and two equal samples happen at any rounded
+    # peak.
     flat = extreme & (length >= max(3, 3 * float(np.median(length))))
     return float(length[flat].sum() / u.size)
 
 
-def _response(points: tuple[FrequencyPoint, ...], record: Record, input: str, output: str) -> FrequencyResponse:
+def _response(
+    points: tuple[FrequencyPoint, ...], record: Record, input: str, output: str
+) -> FrequencyResponse:
     omega = np.array([p.omega for p in points])
     values = np.array([p.response for p in points])
     rounding = 1e-12  # of the response: noise-free data have no smaller standard error
-    variance = np.array([max(p.standard_error**2, (rounding * abs(p.response)) ** 2) for p in points])
+    variance = np.array(
+        [max(p.standard_error**2, (rounding * abs(p.response)) ** 2) for p in points]
+    )
     known = bool(np.isfinite(variance).all())
     return FrequencyResponse(
         omega,

@@ -17,37 +17,39 @@ Severity = Literal["note", "warning", "refusal"]
 
 # Limits of a warning and, where there are two, of a refusal.
 
-# Share of the time that is lost in gaps. Nothing is interpolated across them, so that a larger share costs data but
-# no accuracy; the limit is a convention.
+# Share of the time that is lost in gaps. Nothing is interpolated across them, so that a larger
+# share costs data but no accuracy; the limit is a convention.
 GAPS = 0.01
 
-# Standard deviation of the sampling interval over its median: read by row number, a signal of ten samples per period
-# (`SAMPLES`) then has a phase error of 2π/10 · 0.1 = 0.06 rad.
+# Standard deviation of the sampling interval over its median: read by row number, a signal of ten
+# samples per period (`SAMPLES`) then has a phase error of 2π/10 · 0.1 = 0.06 rad.
 JITTER = 0.1
 
-# Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of 1.2 % and loses as
-# much of its fundamental; at 1 % both are 2e-6. The limits are a convention.
+# Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of
+# 1.2 % and loses as much of its fundamental; at 1 % both are 2e-6. The limits are a convention.
 SATURATED = (0.01, 0.2)
 AT_LIMIT = 1e-3  # of the distance between the limits
 
-# Values that a signal takes. Steps of the resolution have an error of step/√12 rms: 12 % of a sine across eight values,
-# 27 % of one across four.
+# Values that a signal takes. Steps of the resolution have an error of step/√12 rms: 12 % of a sine
+# across eight values, 27 % of one across four.
 LEVELS = (8, 4)
 
-# Periods of the lowest frequency. From two periods the variance has two degrees of freedom and Student's t is 4.3; in
-# less than one, a sine cannot be told from a drift.
+# Periods of the lowest frequency. From two periods the variance has two degrees of freedom and
+# Student's t is 4.3; in less than one, a sine cannot be told from a drift.
 PERIODS = (3, 1)
 
-# Per period of the highest frequency. Linear interpolation between ten samples takes 3 % off the amplitude, and half a
-# sample is 18° of phase; 2.5 are 0.4 of the sampling rate, where the frequencies of `spectral_response` end.
+# Per period of the highest frequency. Linear interpolation between ten samples takes 3 % off the
+# amplitude, and half a sample is 18° of phase; 2.5 are 0.4 of the sampling rate, where the
+# frequencies of `spectral_response` end.
 SAMPLES = (10, 2.5)
 
-# Coherence: 0.6 is Tischler and Remple's limit (section 5.5). At 0.2, eight averages leave a standard deviation of
-# √((1 - 0.2) / (2 · 0.2 · 8)) = 50 % of the magnitude, the second limit of `ERROR`.
+# Coherence: 0.6 is Tischler and Remple's limit (section 5.5). At 0.2, eight averages leave a
+# standard deviation of √((1 - 0.2) / (2 · 0.2 · 8)) = 50 % of the magnitude, the second limit of
+# `ERROR`.
 COHERENCE = (0.6, 0.2)
 
-# Standard deviation of one component over the magnitude: at 0.1, an interval of 95 % is ±20 % or 1.7 dB; at 0.5 it
-# reaches zero.
+# Standard deviation of one component over the magnitude: at 0.1, an interval of 95 % is ±20 % or
+# 1.7 dB; at 0.5 it reaches zero.
 ERROR = (0.1, 0.5)
 
 
@@ -65,7 +67,8 @@ class Finding:
 class Band:
     """An octave of the measured response: points, median coherence, relative error and samples per period.
 
-    `coherence` and `error` (standard deviation of one component over the magnitude) are NaN where not known.
+    `coherence` and `error` (standard deviation of one component over the magnitude) are NaN where
+    not known.
     """
 
     low: float
@@ -98,7 +101,9 @@ class Quality:
         return replace(self, findings=_by_severity((*self.findings, *findings)))
 
     def __repr__(self) -> str:
-        return one_line(self, "usable" if self.usable else "not usable", counted(len(self.findings), "finding"))
+        return one_line(
+            self, "usable" if self.usable else "not usable", counted(len(self.findings), "finding")
+        )
 
     def __str__(self) -> str:
         lines = [f"{f.severity}: {f.text}" for f in self.findings] or ["no problems found"]
@@ -172,9 +177,7 @@ def _by_severity(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
     for name in names:
         for known in record.filters.get(name, ()):
-            text = (
-                f"{name} was logged behind a {known}: fit the plant in series with greybox.models.filters.{known.model}"
-            )
+            text = f"{name} was logged behind a {known}: fit the plant in series with greybox.models.filters.{known.model}"
             yield Finding("filters", "note", math.nan, f"{text}.")
 
 
@@ -188,7 +191,9 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
         share = wide.sum() / steps.sum()
         severity: Severity = "warning" if share > GAPS else "note"
         text = f"{counted(wide.size, 'gap')}, the longest {wide.max():.2g} s, {100 * share:.2g} % of the time"
-        yield Finding("gaps", severity, float(share), f"{text}: nothing is interpolated across them.")
+        yield Finding(
+            "gaps", severity, float(share), f"{text}: nothing is interpolated across them."
+        )
 
 
 def jitter(record: Record) -> Iterator[Finding]:
@@ -197,9 +202,7 @@ def jitter(record: Record) -> Iterator[Finding]:
     steady = steps[steps <= GAP * record.step]
     jitter = float(np.std(steady) / record.step) if steady.size else 0.0
     if jitter > JITTER:
-        text = (
-            f"the sampling interval varies by {100 * jitter:.0f} %: use time stamps, as prepare does, not row numbers."
-        )
+        text = f"the sampling interval varies by {100 * jitter:.0f} %: use time stamps, as prepare does, not row numbers."
         yield Finding("jitter", "note", jitter, text)
 
 
@@ -221,7 +224,9 @@ def _saturation(record: Record, name: str, limits: tuple[float, float] | None) -
         yield Finding("saturation", severity, share, f"{text}; use a smaller amplitude.")
 
 
-def at_limit(values: NDArray[np.float64], limits: tuple[float, float] | None = None) -> NDArray[np.bool_]:
+def at_limit(
+    values: NDArray[np.float64], limits: tuple[float, float] | None = None
+) -> NDArray[np.bool_]:
     """Tell which of the values (n,) are at their limits, or in flat tops where these are not known."""
     low, high = limits or (np.nanmin(values), np.nanmax(values))
     margin = AT_LIMIT * (high - low)
@@ -236,7 +241,9 @@ def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
         values = record[name][np.isfinite(record[name])]
         levels = np.unique(values)
         if levels.size == 1:
-            text = f"{name} is constant ({levels[0]:g} throughout): nothing can be identified from it."
+            text = (
+                f"{name} is constant ({levels[0]:g} throughout): nothing can be identified from it."
+            )
             yield Finding("amplitude", "refusal", 0.0, text)
         elif levels.size < LEVELS[0]:
             severity: Severity = "refusal" if levels.size < LEVELS[1] else "warning"
@@ -250,10 +257,17 @@ def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
             text = f"the {segment.kind} from {segment.start:.1f} s is not usable: {'; '.join(segment.findings)}"
             yield Finding("segments", "warning", segment.start, text.rstrip(".") + ".")
     if segments and not any(segment.usable for segment in segments):
-        yield Finding("segments", "refusal", 0.0, "none of the excited segments is usable: fly the test again.")
+        yield Finding(
+            "segments",
+            "refusal",
+            0.0,
+            "none of the excited segments is usable: fly the test again.",
+        )
 
 
-def _highest_lowest(response: FrequencyResponse | None, segments: Sequence[Segment]) -> tuple[float, float]:
+def _highest_lowest(
+    response: FrequencyResponse | None, segments: Sequence[Segment]
+) -> tuple[float, float]:
     if response is not None:
         return float(response.omega.max()), float(response.omega.min())
     ends = [edge for segment in segments if segment.usable for edge in segment.band]
@@ -272,13 +286,17 @@ def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> 
         single = bool(usable) and all(segment.kind == "sine" for segment in usable) and high == low
     if single:
         text = f"only {high:g} rad/s is excited: one frequency gives two numbers, too few to identify dynamics"
-        yield Finding("spread", "refusal", high, f"{text}; add frequencies around the ones of interest.")
+        yield Finding(
+            "spread", "refusal", high, f"{text}; add frequencies around the ones of interest."
+        )
     elif high < 2 * low:
         text = f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few parameters are identifiable."
         yield Finding("spread", "warning", high / low, text)
 
 
-def _length(record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
+def _length(
+    record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]
+) -> Iterator[Finding]:
     usable = [s for s in segments if s.usable]
     if usable:
         fewest = min(usable, key=lambda s: s.periods)
@@ -292,17 +310,19 @@ def _length(record: Record, response: FrequencyResponse | None, segments: Sequen
         text = f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: fly longer."
         yield Finding("length", "refusal", periods, text)
     elif periods < PERIODS[0]:
-        text = (
-            f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: errors there are large."
-        )
+        text = f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: errors there are large."
         yield Finding("length", "warning", periods, text)
 
 
-def _rate(record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
+def _rate(
+    record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]
+) -> Iterator[Finding]:
     highest, _ = _highest_lowest(response, segments)
     reach = 2 * math.pi * record.rate / SAMPLES[1]
     bands = [segment.band for segment in segments if segment.usable]
-    if response is None and any(low < reach for low, _ in bands):  # what is above is cut off, or a sine left out
+    if response is None and any(
+        low < reach for low, _ in bands
+    ):  # what is above is cut off, or a sine left out
         highest = max(min(high, reach) for low, high in bands if low < reach)
     swept = max((high for low, high in bands if low < high), default=math.nan)
     if swept > reach * (1 + AT_LIMIT) and highest <= reach * (1 + AT_LIMIT):
@@ -312,7 +332,9 @@ def _rate(record: Record, response: FrequencyResponse | None, segments: Sequence
     if samples < SAMPLES[0]:
         text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} rad/s"
         severity: Severity = "refusal" if samples < SAMPLES[1] * (1 - AT_LIMIT) else "warning"
-        yield Finding("rate", severity, samples, f"{text}: log faster, or leave the highest frequencies out.")
+        yield Finding(
+            "rate", severity, samples, f"{text}: log faster, or leave the highest frequencies out."
+        )
 
 
 def _precision(response: FrequencyResponse | None) -> Iterator[Finding]:
@@ -321,14 +343,22 @@ def _precision(response: FrequencyResponse | None) -> Iterator[Finding]:
     if response.coherence is not None:
         weak = response.omega[response.coherence < COHERENCE[0]]
         if 0 < weak.size < len(response):
-            places = ", ".join(f"{omega:.3g}" for omega in weak[:5]) + (" ..." if weak.size > 5 else "")
-            text = f"the coherence is below {COHERENCE[0]} at {places} rad/s: leave these points out"
-            yield Finding("coherence", "warning", float(weak.size), f"{text}, their errors are understated.")
+            places = ", ".join(f"{omega:.3g}" for omega in weak[:5]) + (
+                " ..." if weak.size > 5 else ""
+            )
+            text = (
+                f"the coherence is below {COHERENCE[0]} at {places} rad/s: leave these points out"
+            )
+            yield Finding(
+                "coherence", "warning", float(weak.size), f"{text}, their errors are understated."
+            )
         coherence = float(np.median(response.coherence))
         if coherence < COHERENCE[0]:
             severity: Severity = "refusal" if coherence < COHERENCE[1] else "warning"
             text = f"half of the points have a coherence below {coherence:.2f}: the output is mostly noise"
-            yield Finding("coherence", severity, coherence, f"{text} or due to other inputs; excite more.")
+            yield Finding(
+                "coherence", severity, coherence, f"{text} or due to other inputs; excite more."
+            )
     if response.variance is not None:
         error = float(np.median(_error(response)))
         if error > ERROR[0]:
@@ -351,7 +381,11 @@ def _bands(record: Record, response: FrequencyResponse) -> Iterator[Band]:
             low=float(low),
             high=float(high),
             points=int(there.sum()),
-            coherence=math.nan if response.coherence is None else float(np.median(response.coherence[there])),
-            error=math.nan if response.variance is None else float(np.median(_error(response)[there])),
+            coherence=math.nan
+            if response.coherence is None
+            else float(np.median(response.coherence[there])),
+            error=math.nan
+            if response.variance is None
+            else float(np.median(_error(response)[there])),
             samples=2 * math.pi * record.rate / float(response.omega[there].max()),
         )

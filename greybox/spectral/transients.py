@@ -11,18 +11,22 @@ from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.spectral.uniform_stretches import uniform_stretches
 
-# Of the sampling rate: signals have little above, and less of the alias of what they have below half of it.
+# Of the sampling rate: signals have little above, and less of the alias of what they have below
+# half of it.
 HIGHEST = 0.4
 
 
 def transient_spectrum(
-    record: Record, inputs: str | Sequence[str], outputs: str | Sequence[str], band: tuple[float, float]
+    record: Record,
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
+    band: tuple[float, float],
 ) -> TransientSpectrum:
     """Return the Fourier integrals of one manoeuvre at the multiples of 2π / duration within `band`.
 
-    A finer grid holds nothing more: its points are combinations of these. Held signals are integrated as held; others
-    by the trapezoidal rule, with the integral of the line from the first to the last sample, which the rule does not
-    know at higher frequencies, in closed form.
+    A finer grid holds nothing more: its points are combinations of these. Held signals are
+    integrated as held; others by the trapezoidal rule, with the integral of the line from the first
+    to the last sample, which the rule does not know at higher frequencies, in closed form.
 
     Parameters
     ----------
@@ -34,16 +38,16 @@ def transient_spectrum(
     Raises
     ------
     ValueError
-        If the record has gaps or is not uniform, a signal is constant, or the band holds no frequency of the manoeuvre
-        or ends beyond 0.4 of the sampling rate.
+        If the record has gaps or is not uniform, a signal is constant, or the band holds no
+        frequency of the manoeuvre or ends beyond 0.4 of the sampling rate.
     KeyError
         For a signal that the record does not hold.
 
     Notes
     -----
-    Klein and Morelli, Aircraft System Identification, section 7.1; Pintelon and Schoukens, System Identification, 2nd
-    ed., section 6.3 (the grid on which transients take a simple form); Press et al., Numerical Recipes, section 13.9
-    (end corrections).
+    Klein and Morelli, Aircraft System Identification, section 7.1; Pintelon and Schoukens, System
+    Identification, 2nd ed., section 6.3 (the grid on which transients take a simple form); Press et
+    al., Numerical Recipes, section 13.9 (end corrections).
     """
     inputs = (inputs,) if isinstance(inputs, str) else tuple(inputs)
     outputs = (outputs,) if isinstance(outputs, str) else tuple(outputs)
@@ -63,34 +67,45 @@ def transient_spectrum(
     transforms = {}
     for name, values in zip(names, stretch.values, strict=True):
         reading = intersample(record.hold.get(name, 0.0), step)
-        transforms[name] = _held(values, omega, step) if reading.held else _interpolated(values, omega, step)
+        transforms[name] = (
+            _held(values, omega, step) if reading.held else _interpolated(values, omega, step)
+        )
     spectrum = TransientSpectrum(
         omega,
         {name: transforms[name] for name in inputs},
         {name: transforms[name] for name in outputs},
         duration,
         step,
-        {name: float(values[-1] - values[0]) for name, values in zip(inputs, stretch.values, strict=False)},
+        {
+            name: float(values[-1] - values[0])
+            for name, values in zip(inputs, stretch.values, strict=False)
+        },
         units={name: record.units[name] for name in names if name in record.units},
         name=record.name,
         source=record.source,
         stretch=stretch.origin,
     )
     late = {name: intersample(record.hold.get(name, 0.0), step).late for name in inputs}
-    return replace(spectrum, inputs={name: spectrum.delayed_input(name, late[name]) for name in inputs})
+    return replace(
+        spectrum, inputs={name: spectrum.delayed_input(name, late[name]) for name in inputs}
+    )
 
 
 def _grid(band: tuple[float, float], duration: float, step: float) -> NDArray[np.float64]:
     low, high = (float(edge) for edge in band)
     spacing = 2 * np.pi / duration
     if not 0 <= low < high:
-        raise ValueError(f"band ({low:g}, {high:g}) must be two frequencies in rad/s, the lower one first.")
+        raise ValueError(
+            f"band ({low:g}, {high:g}) must be two frequencies in rad/s, the lower one first."
+        )
     if high > HIGHEST * 2 * np.pi / step * (1 + 1e-9):  # rounding of the step
         raise ValueError(
             f"the band ends at {high:g} rad/s and the signals are sampled at {1 / step:g} Hz: end it at "
             f"{HIGHEST * 2 * np.pi / step:.4g} rad/s at most, {HIGHEST:g} of the sampling rate."
         )
-    lines = np.arange(max(1, np.ceil(low / spacing * (1 - 1e-9))), np.floor(high / spacing * (1 + 1e-9)) + 1)
+    lines = np.arange(
+        max(1, np.ceil(low / spacing * (1 - 1e-9))), np.floor(high / spacing * (1 + 1e-9)) + 1
+    )
     if not lines.size:
         raise ValueError(
             f"the band from {low:g} to {high:g} rad/s holds no multiple of {spacing:.4g} rad/s, the resolution of "
@@ -99,22 +114,31 @@ def _grid(band: tuple[float, float], duration: float, step: float) -> NDArray[np
     return lines * spacing
 
 
-def _sums(values: NDArray[np.float64], omega: NDArray[np.float64], step: float) -> NDArray[np.complex128]:
+def _sums(
+    values: NDArray[np.float64], omega: NDArray[np.float64], step: float
+) -> NDArray[np.complex128]:
     """Return Σ x_k exp(-jω t_k) on the uniform grid `omega`, by the chirp-z transform."""
     from scipy.signal import CZT  # noqa: PLC0415  (takes a tenth of a second to import)
 
     spacing = omega[1] - omega[0] if omega.size > 1 else 0.0
-    zoom = CZT(values.size, omega.size, w=np.exp(-1j * spacing * step), a=np.exp(1j * omega[0] * step))
+    zoom = CZT(
+        values.size, omega.size, w=np.exp(-1j * spacing * step), a=np.exp(1j * omega[0] * step)
+    )
     return np.asarray(zoom(values))
 
 
-def _held(values: NDArray[np.float64], omega: NDArray[np.float64], step: float) -> NDArray[np.complex128]:
+def _held(
+    values: NDArray[np.float64], omega: NDArray[np.float64], step: float
+) -> NDArray[np.complex128]:
     one_step = (1 - np.exp(-1j * omega * step)) / (1j * omega)
     return one_step * _sums(values[:-1] - values[:-1].mean(), omega, step)
 
 
-def _interpolated(values: NDArray[np.float64], omega: NDArray[np.float64], step: float) -> NDArray[np.complex128]:
-    # Constants are nothing on this grid. Without the line, the rest is the sum of a periodic signal without a jump.
+def _interpolated(
+    values: NDArray[np.float64], omega: NDArray[np.float64], step: float
+) -> NDArray[np.complex128]:
+    # Constants are nothing on this grid. Without the line, the rest is the sum of a periodic signal
+    # without a jump.
     change = values[-1] - values[0]
     line = np.linspace(0.0, change, values.size)
     rest = values[:-1] - values[0] - line[:-1]

@@ -12,11 +12,13 @@ from greybox.data.record import Record, require_time
 
 Array = NDArray[np.float64]
 
-# Sampling intervals by which a sample may be off a uniform time base. At 0.4 of the sampling rate, where the automatic
-# frequencies end, the phase of such a sample is wrong by 2π · 0.4 · 0.05 = 0.13 rad, which a window averages.
+# Sampling intervals by which a sample may be off a uniform time base. At 0.4 of the sampling rate,
+# where the automatic frequencies end, the phase of such a sample is wrong by 2π · 0.4 · 0.05 = 0.13
+# rad, which a window averages.
 JITTER = 0.05
 
-# In the unit of the signal: detrending leaves rounding errors of this size of a constant up to some thousands.
+# In the unit of the signal: detrending leaves rounding errors of this size of a constant up to some
+# thousands.
 CONSTANT = 1e-12
 
 
@@ -30,7 +32,9 @@ class UniformStretch(NamedTuple):
     units: Mapping[str, str] = MappingProxyType({})
 
 
-def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str], detrend: str) -> list[UniformStretch]:
+def uniform_stretches(
+    records: Record | Sequence[Record], signals: Sequence[str], detrend: str
+) -> list[UniformStretch]:
     """Cut records at gaps and missing samples.
 
     Parameters
@@ -44,7 +48,8 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str]
     Raises
     ------
     ValueError
-        If a record is not uniformly sampled, a signal is constant in all stretches, or no sample has all signals.
+        If a record is not uniformly sampled, a signal is constant in all stretches, or no sample
+        has all signals.
     KeyError
         For a signal that a record does not hold.
     """
@@ -63,13 +68,23 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str]
                     _check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
                     kept = _detrended(values[:, rows], detrend)
-                    stretches.append(UniformStretch(kept, piece.step, record.source, origin, record.units))
+                    stretches.append(
+                        UniformStretch(kept, piece.step, record.source, origin, record.units)
+                    )
 
-    constant = [name for k, name in enumerate(signals) if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches)]
+    constant = [
+        name
+        for k, name in enumerate(signals)
+        if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches)
+    ]
     if stretches and constant:
-        raise ValueError(f"{constant[0]} does not change in these records: choose a part that is excited.")
+        raise ValueError(
+            f"{constant[0]} does not change in these records: choose a part that is excited."
+        )
     if not stretches:
-        raise ValueError(f"there are no samples in which {', '.join(dict.fromkeys(signals))} are all present.")
+        raise ValueError(
+            f"there are no samples in which {', '.join(dict.fromkeys(signals))} are all present."
+        )
     return stretches
 
 

@@ -1,7 +1,7 @@
 """Vibration in records of raw IMU samples: its size and the frequencies of its peaks.
 
-What a flight controller's notches have to take away lies above the rates at which it logs attitudes, and is folded into
-them where no filter stands before.
+What a flight controller's notches have to take away lies above the rates at which it logs
+attitudes, and is folded into them where no filter stands before.
 """
 
 from collections.abc import Sequence
@@ -42,8 +42,17 @@ def sensors(recording: Recording) -> dict[str, Record]:
     found = {}
     for name, record in recording.items():
         kind = name.partition("[")[0]
-        names = [n for n in record.signals if kind == "ISBD" or (kind == "IMU" and n.startswith(("Gyr", "Acc")))]
-        if names and record.has_time and record.rate > (1 - TOLERANCE) * FASTER * LOWEST and _long_enough(record):
+        names = [
+            n
+            for n in record.signals
+            if kind == "ISBD" or (kind == "IMU" and n.startswith(("Gyr", "Acc")))
+        ]
+        if (
+            names
+            and record.has_time
+            and record.rate > (1 - TOLERANCE) * FASTER * LOWEST
+            and _long_enough(record)
+        ):
             found[name] = replace(record, signals={n: record[n] for n in names}, checksum="")
     return found
 
@@ -53,10 +62,16 @@ def power_density(record: Record) -> tuple[Array, Array]:
     from scipy.signal import welch  # noqa: PLC0415  (takes a third of a second to import)
 
     pieces = _long_enough(record)
-    count = min(WINDOW, 2 * sum(len(piece) for piece in pieces) // AVERAGES, *(len(piece) for piece in pieces))
+    count = min(
+        WINDOW,
+        2 * sum(len(piece) for piece in pieces) // AVERAGES,
+        *(len(piece) for piece in pieces),
+    )
     every = [np.array([*piece.signals.values()]) for piece in pieces]
     spectra = [welch(values, record.rate, nperseg=count, detrend="linear") for values in every]
-    density = np.average([power for _, power in spectra], axis=0, weights=[len(piece) for piece in pieces])
+    density = np.average(
+        [power for _, power in spectra], axis=0, weights=[len(piece) for piece in pieces]
+    )
     return spectra[0][0], density
 
 
@@ -78,7 +93,11 @@ def vibration(message: str, record: Record) -> list[Vibration]:
     found = []
     for name, density in zip(record.signals, densities, strict=True):
         rms = float(np.sqrt(np.sum(density[hz >= LOWEST]) * (hz[1] - hz[0])))
-        found.append(Vibration(message, name, record.rate, rms, record.units.get(name, ""), peaks_of(hz, density)))
+        found.append(
+            Vibration(
+                message, name, record.rate, rms, record.units.get(name, ""), peaks_of(hz, density)
+            )
+        )
     return found
 
 

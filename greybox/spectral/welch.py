@@ -1,20 +1,23 @@
 """The spectral estimate with windows of one length (Welch): transforms, leakage, response, variance and coherence.
 
-At a frequency ω the transforms of the windows k obey Y_k = P U_k + Σ_d c_d U_k⁽ᵈ⁾ + V_k. The sum is leakage: a window
-cuts off the past that the output remembers. Expanding w(t + τ) in the convolution gives the transforms U⁽ᵈ⁾ of the
-input under the d-th derivative of the window, c_1 = j dP/dω, c_2 = -½ d²P/dω². They are estimated along with P, which
-removes most of the bias of short windows (the counterpart in time of the local polynomial method in frequency:
-Pintelon and Schoukens, System Identification, 2nd ed., chapter 7). Without them the direct estimate is
-H1 = S_uy / S_uu = ΣU*Y / ΣU*U, and the joint input-output estimate with an instrument r from outside the loop is
-S_ry / S_ru = ΣR*Y / ΣR*U. Noise that feedback returns to U biases the first, not the second (Tischler and Remple,
-2nd ed., section 5.7).
+At a frequency ω the transforms of the windows k obey Y_k = P U_k + Σ_d c_d U_k⁽ᵈ⁾ + V_k. The sum is
+leakage: a window cuts off the past that the output remembers. Expanding w(t + τ) in the convolution
+gives the transforms U⁽ᵈ⁾ of the input under the d-th derivative of the window, c_1 = j dP/dω, c_2 =
+-½ d²P/dω². They are estimated along with P, which removes most of the bias of short windows (the
+counterpart in time of the local polynomial method in frequency: Pintelon and Schoukens, System
+Identification, 2nd ed., chapter 7). Without them the direct estimate is H1 = S_uy / S_uu = ΣU*Y /
+ΣU*U, and the joint input-output estimate with an instrument r from outside the loop is S_ry / S_ru
+= ΣR*Y / ΣR*U. Noise that feedback returns to U biases the first, not the second (Tischler and
+Remple, 2nd ed., section 5.7).
 
-With regressors X and instruments Z the estimate is the first row a of A = (ZᴴX)⁻¹Zᴴ, applied to Y. With noise V that is
-stationary and whose spectrum is flat over the width of a window, E V_k V_l* = S_v C_kl, where C holds the correlations
-of overlapping windows. So E|P̂ - P|² = S_v aCaᴴ, and the residuals QV, Q = I - XA, give S_v = |residuals|² / tr QCQᴴ
-with 2 (tr QCQᴴ)² / tr (QCQᴴ)² degrees of freedom (Satterthwaite). Where U has one size in all windows this is the
-(1 - γ²) / (γ² n) |P|² of Bendat and Piersol (Random Data, 4th ed., chapter 9), n being the effective number of
-averages of overlapping windows (Welch 1967); it also holds for a sweep, which excites each frequency in few windows.
+With regressors X and instruments Z the estimate is the first row a of A = (ZᴴX)⁻¹Zᴴ, applied to Y.
+With noise V that is stationary and whose spectrum is flat over the width of a window, E V_k V_l* =
+S_v C_kl, where C holds the correlations of overlapping windows. So E|P̂ - P|² = S_v aCaᴴ, and the
+residuals QV, Q = I - XA, give S_v = |residuals|² / tr QCQᴴ with 2 (tr QCQᴴ)² / tr (QCQᴴ)² degrees
+of freedom (Satterthwaite). Where U has one size in all windows this is the (1 - γ²) / (γ² n) |P|²
+of Bendat and Piersol (Random Data, 4th ed., chapter 9), n being the effective number of averages of
+overlapping windows (Welch 1967); it also holds for a sweep, which excites each frequency in few
+windows.
 """
 
 import math
@@ -35,23 +38,24 @@ Complex = NDArray[np.complex128]
 HZ = 2 * math.pi  # rad/s
 EPS = np.finfo(float).eps
 
-# Periods that a window holds at least: half the width of the main lobe of the Hann window, so that neither the mean nor
-# the negative frequency leaks into the estimate.
+# Periods that a window holds at least: half the width of the main lobe of the Hann window, so that
+# neither the mean nor the negative frequency leaks into the estimate.
 PERIODS = 2
 
-# Of an estimate that is used: the smallest number for which Student's t, the error over its estimated standard
-# deviation, has a finite variance.
+# Of an estimate that is used: the smallest number for which Student's t, the error over its
+# estimated standard deviation, has a finite variance.
 LEAST_DOF = 3
 
-# How many times as strong as its noise the part of the input must be that the instrument explains, in power: with less
-# the ratio is drawn toward the direct estimate, and its standard error is too small (Staiger and Stock (1997),
-# Econometrica 65, for the bias of instrumental variables; the F statistic of their first stage).
+# How many times as strong as its noise the part of the input must be that the instrument explains,
+# in power: with less the ratio is drawn toward the direct estimate, and its standard error is too
+# small (Staiger and Stock (1997), Econometrica 65, for the bias of instrumental variables; the F
+# statistic of their first stage).
 STRONG = 10
 
 COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
 
-# Of ZᴴX with columns of length one. Rounding errors of the solution reach this times 2e-16; beyond it, the leakage
-# terms are taken as dependent.
+# Of ZᴴX with columns of length one. Rounding errors of the solution reach this times 2e-16; beyond
+# it, the leakage terms are taken as dependent.
 WORST_CONDITION = 1e6
 
 
@@ -120,13 +124,16 @@ def transforms(
         if room < 0:
             continue
 
-        # Whole hops through the room that is left: the last window reaches the end, up to fewer samples than hops.
+        # Whole hops through the room that is left: the last window reaches the end, up to fewer
+        # samples than hops.
         hop = max(room // max(math.ceil(room / (count * (1 - overlap))), 1), 1)
         tapers = _hann_tapers(count, leakage_terms) if taper else np.ones((1, count))
         frames = np.lib.stride_tricks.sliding_window_view(stretch.values, count, axis=1)[:, ::hop]
         wave = np.exp(-1j * np.outer(np.arange(count) * stretch.step, omega)) * stretch.step
         shift = np.exp(-1j * np.outer(np.arange(frames.shape[1]) * hop * stretch.step, omega))
-        per_stretch.append(np.array([frames @ (window[:, None] * wave) * shift for window in tapers]))
+        per_stretch.append(
+            np.array([frames @ (window[:, None] * wave) * shift for window in tapers])
+        )
         correlations.append(_correlation(tapers[0], hop, frames.shape[1]) * stretch.step)
 
     (u, y, r, *conditioned), *leaked = np.concatenate(per_stretch, axis=2)
@@ -145,7 +152,8 @@ def estimates(spectra: Transforms, radians: Array) -> list[WindowedPoint]:
 def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     """Solve instrumentsᴴ (Y - regressors P) = 0 at the frequency of column k; P̂ belongs to the first regressor.
 
-    A periodic input in steady state has no leakage: where its terms are not independent they are left out.
+    A periodic input in steady state has no leakage: where its terms are not independent they are
+    left out.
     """
     x = np.array([column[:, k] for column in spectra.regressors]).T
     z = np.array([column[:, k] for column in spectra.instruments]).T
@@ -160,7 +168,9 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     solution = np.linalg.solve(z.conj().T @ x, z.conj().T)
     trace, trace_of_square = _traces(c, x, solution.conj().T.astype(complex))
     dof = 2 * trace**2 / trace_of_square
-    if trace < 1e-9 * c.trace() or dof < LEAST_DOF:  # a trace of rounding errors: as many unknowns as windows
+    if (
+        trace < 1e-9 * c.trace() or dof < LEAST_DOF
+    ):  # a trace of rounding errors: as many unknowns as windows
         return WindowedPoint()
 
     spread = (solution[0] @ c @ solution[0].conj()).real
@@ -169,7 +179,9 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     noise = np.sum(np.abs(y - x @ (solution @ y)) ** 2) / trace
     variance = noise * spread
     response = complex(solution[0] @ y)
-    rounding = (4 * EPS * abs(response)) ** 2  # noise-free data have no smaller variance than their rounding errors
+    rounding = (
+        4 * EPS * abs(response)
+    ) ** 2  # noise-free data have no smaller variance than their rounding errors
     return WindowedPoint(response, max(variance, rounding), dof, _coherence(x, z, y))
 
 
@@ -188,7 +200,9 @@ def response_at(
     ValueError
         If there is none.
     """
-    response, variance, dof, coherence, weak = (np.array(column) for column in zip(*estimates, strict=True))
+    response, variance, dof, coherence, weak = (
+        np.array(column) for column in zip(*estimates, strict=True)
+    )
     good = np.isfinite(variance)
     input, output, name = names
     if not good.any() and weak.any():
@@ -197,7 +211,9 @@ def response_at(
             "excite more strongly or longer, or give another instrument."
         )
     if not good.any():
-        raise ValueError("no frequency has enough windows for a variance: record longer, or give shorter windows.")
+        raise ValueError(
+            "no frequency has enough windows for a variance: record longer, or give shorter windows."
+        )
     return FrequencyResponse(
         omega[good],
         response[good],
@@ -210,7 +226,9 @@ def response_at(
         ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
         [s.origin for s in stretches if s.origin is not None],
         {n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u},
-        about={"dropped": _dropped(omega, weak, f"where the instrument hardly moves {input}")} if weak.any() else {},
+        about={"dropped": _dropped(omega, weak, f"where the instrument hardly moves {input}")}
+        if weak.any()
+        else {},
     )
 
 
@@ -221,7 +239,9 @@ def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
         return response
     text = _dropped(response.omega, ~coherent, f"of a coherence below {COHERENT}")
     earlier = [response.about["dropped"]] if "dropped" in response.about else []
-    return replace(response.where(coherent), about={**response.about, "dropped": "; ".join([*earlier, text])})
+    return replace(
+        response.where(coherent), about={**response.about, "dropped": "; ".join([*earlier, text])}
+    )
 
 
 def _dropped(omega: Array, gone: NDArray[np.bool_], why: str) -> str:
@@ -234,14 +254,18 @@ def _dropped(omega: Array, gone: NDArray[np.bool_], why: str) -> str:
 def _hann_tapers(count: int, derivatives: int) -> Array:
     """Return the Hann window and its derivatives by the phase of a whole window, (derivatives + 1, count)."""
     phase = HZ * (np.arange(count) + 0.5) / count
-    return np.array([0.5 - 0.5 * np.cos(phase), 0.5 * np.sin(phase), 0.5 * np.cos(phase)][: derivatives + 1])
+    return np.array(
+        [0.5 - 0.5 * np.cos(phase), 0.5 * np.sin(phase), 0.5 * np.cos(phase)][: derivatives + 1]
+    )
 
 
 def _correlation(window: Array, hop: int, count: int) -> Any:
     """Σ w_k w_l of windows some hops apart, (count, count), sparse."""
     from scipy.sparse import diags_array  # noqa: PLC0415 - as above
 
-    lags = [window[: window.size - d] @ window[d:] for d in range(0, min(window.size, hop * count), hop)]
+    lags = [
+        window[: window.size - d] @ window[d:] for d in range(0, min(window.size, hop * count), hop)
+    ]
     offsets: Any = range(1 - len(lags), len(lags))
     return diags_array([lags[abs(d)] for d in offsets], offsets=offsets, shape=(count, count))
 
@@ -249,7 +273,9 @@ def _correlation(window: Array, hop: int, count: int) -> Any:
 def _solvable(z: Complex, x: Complex) -> bool:
     """Tell whether ZᴴX, with columns scaled to length one, is well conditioned."""
     tiny = np.finfo(float).tiny
-    z_length, x_length = (np.maximum(np.sqrt(np.sum(np.abs(side) ** 2, axis=0)), tiny) for side in (z, x))
+    z_length, x_length = (
+        np.maximum(np.sqrt(np.sum(np.abs(side) ** 2, axis=0)), tiny) for side in (z, x)
+    )
     if len(x) <= x.shape[1]:
         return False
     return bool(np.linalg.cond((z / z_length).conj().T @ (x / x_length)) < WORST_CONDITION)

@@ -1,9 +1,10 @@
 """The spectrum of errors in time: residuals are whitened by it, and errors drawn that have it.
 
-Blocks of correlated residuals cut off the correlation at their ends, so that the variance of a mean comes out too
-small: by a fifth with 23 samples of an autoregression of coefficient 0.8. Whitened residuals have none to cut off.
-Sources: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 8.2.3 (post-blackening); Kirch and
-Politis (2011), TFT-bootstrap, Annals of Statistics 39 (by the spectrum, back in time).
+Blocks of correlated residuals cut off the correlation at their ends, so that the variance of a mean
+comes out too small: by a fifth with 23 samples of an autoregression of coefficient 0.8. Whitened
+residuals have none to cut off. Sources: Davison and Hinkley (1997), Bootstrap Methods and their
+Application, section 8.2.3 (post-blackening); Kirch and Politis (2011), TFT-bootstrap, Annals of
+Statistics 39 (by the spectrum, back in time).
 """
 
 from dataclasses import dataclass
@@ -61,8 +62,8 @@ class ErrorSpectrum:
     def of_draws(self, white: Array) -> "ErrorSpectrum":
         """Return the one by which draws of whitened residuals (k, n) get the variances of this one.
 
-        Fits take from residuals, samples are missing, and of outputs that are combinations of others the whitened
-        residuals are too: their covariance is not one.
+        Fits take from residuals, samples are missing, and of outputs that are combinations of
+        others the whitened residuals are too: their covariance is not one.
         """
         there = np.isfinite(white)
         known = np.nan_to_num(white)
@@ -70,7 +71,9 @@ class ErrorSpectrum:
         np.fill_diagonal(covariance, (known**2).sum(axis=1) / there.sum(axis=1))
         roots = self._roots(0.5)
         width = np.gradient(self.omega)
-        drawn = np.einsum("bij,jk,bik,b->i", roots, covariance, roots.conj(), width, optimize=True).real
+        drawn = np.einsum(
+            "bij,jk,bik,b->i", roots, covariance, roots.conj(), width, optimize=True
+        ).real
         wanted = np.einsum("bij,bij,b->i", roots, roots.conj(), width, optimize=True).real
         return ErrorSpectrum(self.omega, self.density, np.sqrt(wanted / drawn) * self.deviation)
 

@@ -45,13 +45,14 @@ class Theil:
     Attributes
     ----------
     coefficient : float
-        rms(y - ŷ) / (rms y + rms ŷ): 0 for a perfect prediction, 1 for none; below 0.25 to 0.3 in flight mechanics.
+        rms(y - ŷ) / (rms y + rms ŷ): 0 for a perfect prediction, 1 for none; below 0.25 to 0.3 in
+        flight mechanics.
     bias, variance, covariance : float
-        Shares of the mean squared error, of sum 1: due to the means, to the standard deviations, and to the lack of
-        correlation; only the last is not systematic.
+        Shares of the mean squared error, of sum 1: due to the means, to the standard deviations,
+        and to the lack of correlation; only the last is not systematic.
 
-    Source: Theil (1966), Applied Economic Forecasting, chapter 2; Jategaonkar (2006), Flight Vehicle System
-    Identification, chapter 11.
+    Source: Theil (1966), Applied Economic Forecasting, chapter 2; Jategaonkar (2006), Flight
+    Vehicle System Identification, chapter 11.
     """
 
     coefficient: float
@@ -102,10 +103,11 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     lags : int
         Correlations at 1 to `lags` samples are tested.
     fitted : int
-        Parameters of the noise that were estimated (gains of the innovations); those of the model do not count.
+        Parameters of the noise that were estimated (gains of the innovations); those of the model
+        do not count.
 
-    Source: Ljung and Box (1978), Biometrika 65; Box and Pierce (1970), JASA 65; Ljung (1999), System
-    Identification, 2nd ed., section 16.6.
+    Source: Ljung and Box (1978), Biometrika 65; Box and Pierce (1970), JASA 65; Ljung (1999),
+    System Identification, 2nd ed., section 16.6.
     """
     series = [_present(s) for s in stretches]
     n = sum(int(np.isfinite(s).sum()) for s in series)
@@ -115,18 +117,21 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
         return _unknown(lags)
     r = sums[1:] / sums[0]
     pairs = pairs[1:]
-    # Under the hypothesis r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2)) without a gap.
+    # Under the hypothesis r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2))
+    # without a gap.
     used = pairs > 0
     statistic = float(np.sum(r[used] ** 2 * n * (n + 2) / pairs[used]))
     return _tested(statistic, max(int(used.sum()) - fitted, 1), r, NORMAL_99 / math.sqrt(n))
 
 
-def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS) -> CorrelationTest:
+def input_correlation(
+    residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS
+) -> CorrelationTest:
     """Test whether residuals are correlated with the input 1 to `lags` samples before: dynamics that the model lacks.
 
-    The input of the same moment or later is not tested, since feedback correlates it with the errors. The
-    autocorrelation of the input is accounted for, and so is that of the residuals, as an autoregression.
-    Source: Ljung (1999), System Identification, 2nd ed., section 16.6.
+    The input of the same moment or later is not tested, since feedback correlates it with the
+    errors. The autocorrelation of the input is accounted for, and so is that of the residuals, as
+    an autoregression. Source: Ljung (1999), System Identification, 2nd ed., section 16.6.
     """
     e, u = ([_present(s) for s in group] for group in (residuals, inputs))
     n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
@@ -137,8 +142,8 @@ def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike
 
     # What whitens the residuals is applied to both, so that successive residuals are independent.
     e, u = ([_filtered(s, a) for s in group] for group in (e, u))
-    # Of the same samples at every lag: their own products, not those of a stationary input, so that a step or a drift,
-    # whose values before hardly differ, is no alarm.
+    # Of the same samples at every lag: their own products, not those of a stationary input, so that
+    # a step or a drift, whose values before hardly differ, is no alarm.
     errors, before = _with_values_before(e, u, lags)
     products = before.T @ before
     if not len(errors) > lags or not np.any(products) or not np.any(errors):
@@ -171,9 +176,10 @@ def feedback_correlation(
 ) -> CorrelationTest:
     """Test whether an input responds to residuals 1 to `lags` samples before: feedback.
 
-    Both are made white first, each by an autoregression of its own, so that neither the color of the residuals nor that
-    of the input, nor dynamics that the model lacks, looks like a response.
-    Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA 71.
+    Both are made white first, each by an autoregression of its own, so that neither the color of
+    the residuals nor that of the input, nor dynamics that the model lacks, looks like a response.
+    Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA
+    71.
     """
     e, u = ([_present(s) for s in group] for group in (residuals, inputs))
     n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
@@ -181,7 +187,9 @@ def feedback_correlation(
         return _unknown(lags)
     e, u = (
         [_filtered(s, autoregression([np.nan_to_num(s) for s in group])) for s in group]
-        for group in ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
+        for group in (
+            [s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u)
+        )
     )
     sums, pairs = _lagged(u, e, lags)
     sizes = [rms(np.concatenate(group)) for group in (e, u)]
@@ -196,8 +204,9 @@ def feedback_correlation(
 def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     """Return the mean of a correlated series and its standard error, by the spectrum of an autoregression at zero.
 
-    Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 2.2; for differences of
-    forecasts Diebold and Mariano (1995), Journal of Business and Economic Statistics 13.
+    Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 2.2; for
+    differences of forecasts Diebold and Mariano (1995), Journal of Business and Economic Statistics
+    13.
     """
     series = [np.asarray(s, dtype=float) for s in stretches]
     values = np.concatenate(series) if series else np.zeros(0)
@@ -207,7 +216,9 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     mean = float(np.nanmean(values))
     centered = [np.nan_to_num(s - mean) for s in series]
     a = autoregression(centered)
-    white = np.concatenate([_filtered(np.where(np.isfinite(s), s - mean, np.nan), a) for s in series])
+    white = np.concatenate(
+        [_filtered(np.where(np.isfinite(s), s - mean, np.nan), a) for s in series]
+    )
     variance = float(np.nanmean(white**2)) / float(a.sum()) ** 2
     return mean, math.sqrt(variance / n)
 
@@ -257,6 +268,8 @@ def _finite(values: ArrayLike) -> Array:
 def _pairs(measured: ArrayLike, predicted: ArrayLike) -> tuple[Array, Array]:
     y, p = np.asarray(measured, dtype=float).ravel(), np.asarray(predicted, dtype=float).ravel()
     if y.size != p.size:
-        raise ValueError(f"there are {y.size} measured and {p.size} predicted values: give as many of both.")
+        raise ValueError(
+            f"there are {y.size} measured and {p.size} predicted values: give as many of both."
+        )
     both = np.isfinite(y) & np.isfinite(p)
     return y[both], p[both]

@@ -1,17 +1,19 @@
 """How far the errors of neighboring points along frequency are correlated, by what a fit has left of them.
 
-The correlation is taken to fall exponentially with the number of points between, rho^|i - j|, real and imaginary parts
-alike: so do errors of points that are closer than the resolution of their transform, and of a model that leaves
-something smooth out. Twenty points tell rho to about 0.15, which no one value stands for: standard errors and intervals
-are averaged over all values that it may have, each with its restricted likelihood, which counts what the fitted
-parameters took from the errors. That there is none is as likely before as that there is one, and where it is twice as
-likely afterwards, errors count as independent: of independent ones in nine of ten fits of 48 points, two of three of
+The correlation is taken to fall exponentially with the number of points between, rho^|i - j|, real
+and imaginary parts alike: so do errors of points that are closer than the resolution of their
+transform, and of a model that leaves something smooth out. Twenty points tell rho to about 0.15,
+which no one value stands for: standard errors and intervals are averaged over all values that it
+may have, each with its restricted likelihood, which counts what the fitted parameters took from the
+errors. That there is none is as likely before as that there is one, and where it is twice as likely
+afterwards, errors count as independent: of independent ones in nine of ten fits of 48 points, two
+of three of
 12. `benchmarks/neighbor_coverage.py` shows what that costs.
 
-Sources: Patterson and Thompson (1971), Recovery of inter-block information when block sizes are unequal, Biometrika 58
-(restricted likelihood); Tunnicliffe Wilson (1989), On the use of marginal likelihood in time series model estimation,
-JRSS B 51 (of an autoregression); Hoeting, Madigan, Raftery and Volinsky (1999), Bayesian Model Averaging: A Tutorial,
-Statistical Science 14.
+Sources: Patterson and Thompson (1971), Recovery of inter-block information when block sizes are
+unequal, Biometrika 58 (restricted likelihood); Tunnicliffe Wilson (1989), On the use of marginal
+likelihood in time series model estimation, JRSS B 51 (of an autoregression); Hoeting, Madigan,
+Raftery and Volinsky (1999), Bayesian Model Averaging: A Tutorial, Statistical Science 14.
 """
 
 import math
@@ -28,16 +30,18 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 INDEPENDENT = 0.5  # how likely independent errors are before
-# How likely afterwards, where they are taken for sure: intervals then change by less than 8 %, and hold half a per cent
-# less of the truths.
+# How likely afterwards, where they are taken for sure: intervals then change by less than 8 %, and
+# hold half a per cent less of the truths.
 TAKEN_FOR_SURE = 2 / 3
 VALUES = 200  # of rho, evenly up to a correlation over all points: steps are below its error up to 10 000 points
 LEAST_WEIGHT = 1e-6  # of a value of rho: what is below does not show
 LEAST_LEFT = 4  # numbers beyond the parameters: fewer tell nothing of a correlation
-EXACT = math.sqrt(np.finfo(float).eps)  # residuals over the sizes of the errors below which data are fitted exactly
+EXACT = math.sqrt(
+    np.finfo(float).eps
+)  # residuals over the sizes of the errors below which data are fitted exactly
 
-# Levels of the two intervals by which an average of distributions becomes one of Student's t: that of a standard error,
-# and the one that is printed.
+# Levels of the two intervals by which an average of distributions becomes one of Student's t: that
+# of a standard error, and the one that is printed.
 LEVELS = (0.6827, 0.95)
 BISECTIONS = 40
 
@@ -54,8 +58,8 @@ class NeighborCorrelation:
     weight : (m,) array
         How likely they are, in all one.
     scale : (m,) array
-        How many times larger the variance of the errors is than if they were independent: fits take more from slow
-        ones.
+        How many times larger the variance of the errors is than if they were independent: fits take
+        more from slow ones.
     """
 
     points: int
@@ -79,7 +83,9 @@ class NeighborCorrelation:
         return self.rho[:, None] ** np.arange(self.points)
 
 
-def neighbor_correlation(errors: Complex, design: Array, inflation: float | None = None) -> NeighborCorrelation | None:
+def neighbor_correlation(
+    errors: Complex, design: Array, inflation: float | None = None
+) -> NeighborCorrelation | None:
     """Return what the residuals of a fit tell of the correlation of their errors.
 
     Parameters
@@ -89,14 +95,14 @@ def neighbor_correlation(errors: Complex, design: Array, inflation: float | None
     design : (2n, p) array
         What the fit may have taken from them, in the same units: derivatives, real parts first.
     inflation : float, optional
-        How many times larger than they should be the squares are, where sizes were given: these are believed where the
-        residuals are smaller. Without it the residuals tell the size.
+        How many times larger than they should be the squares are, where sizes were given: these are
+        believed where the residuals are smaller. Without it the residuals tell the size.
 
     Returns
     -------
     NeighborCorrelation or None
-        None where errors count as independent: too few numbers are left, the data are fitted exactly, or the residuals
-        say so.
+        None where errors count as independent: too few numbers are left, the data are fitted
+        exactly, or the residuals say so.
     """
     n = errors.size
     if n < 2 or not (np.all(np.isfinite(design)) and np.all(np.isfinite(errors))):
@@ -118,7 +124,9 @@ def neighbor_correlation(errors: Complex, design: Array, inflation: float | None
     moments = (1 + share**2) * same - share**2 * ends - share * (beside + beside.T)
     moments /= 1 - share**2
     gradient, information = moments[:, 1:, :1], moments[:, 1:, 1:]
-    squares = moments[:, 0, 0] - np.sum(gradient * np.linalg.solve(information, gradient), axis=(1, 2))
+    squares = moments[:, 0, 0] - np.sum(
+        gradient * np.linalg.solve(information, gradient), axis=(1, 2)
+    )
     if not squares.min() > EXACT**2 * same[0, 0]:  # what is left was all taken, but for rounding
         return None
     squares /= squares[0]
@@ -148,13 +156,14 @@ def averaged_meat(
 ) -> tuple[Array, float, float]:
     """Return the covariance of the sum of scores, the middle of the sandwich, and the degrees of freedom it has.
 
-    The last number is how many times larger than those of independent errors the variances of errors are that have the
-    mean correlation and make the estimate vary as much.
+    The last number is how many times larger than those of independent errors the variances of
+    errors are that have the mean correlation and make the estimate vary as much.
 
     Parameters
     ----------
     scores : (n, k) complex array
-        Derivatives of the residuals times the deviations of their scores if the errors are independent, by frequency.
+        Derivatives of the residuals times the deviations of their scores if the errors are
+        independent, by frequency.
     root : (k, r) array
         Of the inverse bread.
     known : NeighborCorrelation
@@ -186,7 +195,8 @@ def averaged_meat(
 def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
     """Return variance and degrees of freedom of Student's t like an average of such distributions.
 
-    These have variances (m,) and the same degrees of freedom; the result has the same intervals at `LEVELS`.
+    These have variances (m,) and the same degrees of freedom; the result has the same intervals at
+    `LEVELS`.
     """
     from scipy.special import stdtr, stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Ratio below which a signal is smooth. For a smooth signal plus white noise it is twice the share of the noise in the
-# variance: at 1, both are equally strong.
+# Ratio below which a signal is smooth. For a smooth signal plus white noise it is twice the share
+# of the noise in the variance: at 1, both are equally strong.
 SMOOTH = 1.0
 
-# Standard deviations of the ratio of white noise: one in 740 signals of pure noise lies below (normal distribution).
+# Standard deviations of the ratio of white noise: one in 740 signals of pure noise lies below
+# (normal distribution).
 CERTAIN = 3.0
 
 
@@ -19,10 +20,11 @@ CERTAIN = 3.0
 class NoiseRatio:
     """The von Neumann ratio of a signal: mean squared successive difference over variance.
 
-    It is 2 for white noise, near 0 for a smooth signal, and NaN for a constant or fewer than four samples.
+    It is 2 for white noise, near 0 for a smooth signal, and NaN for a constant or fewer than four
+    samples.
 
-    Source: von Neumann (1941), Distribution of the ratio of the mean square successive difference to the variance,
-    Annals of Mathematical Statistics 12.
+    Source: von Neumann (1941), Distribution of the ratio of the mean square successive difference
+    to the variance, Annals of Mathematical Statistics 12.
     """
 
     ratio: float
@@ -52,11 +54,15 @@ class NoiseRatio:
 
 def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
     """Return the ratio of stretches of samples (n,), each about its own mean; NaN among them are skipped."""
-    series = [s[np.isfinite(s)] for s in (np.asarray(stretch, dtype=float) for stretch in stretches)]
+    series = [
+        s[np.isfinite(s)] for s in (np.asarray(stretch, dtype=float) for stretch in stretches)
+    ]
     series = [s for s in series if s.size > 1]
     samples = sum(s.size for s in series)
     differences = sum(s.size - 1 for s in series)
     squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)
     if samples < 4 or not squares > 0:
         return NoiseRatio(math.nan, samples)
-    return NoiseRatio(sum(float(np.sum(np.diff(s) ** 2)) for s in series) / squares, differences + 1)
+    return NoiseRatio(
+        sum(float(np.sum(np.diff(s) ** 2)) for s in series) / squares, differences + 1
+    )

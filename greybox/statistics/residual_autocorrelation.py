@@ -26,9 +26,10 @@ def autocovariance(stretches: list[Array], lags: int) -> Array:
 def levinson(r: Array) -> list[tuple[Array, float]]:
     """Return the autoregressions of order 0, 1, 2 ... of autocovariances r (lags + 1,): coefficients and variance.
 
-    Coefficients are 1, a_1 ... a_n with white e + Σ a_k e(t - k) of that variance. Yule-Walker equations by the
-    recursion of Levinson and Durbin, so that all are stable; up to the order at which the series is predictable.
-    Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., appendix A3.2.
+    Coefficients are 1, a_1 ... a_n with white e + Σ a_k e(t - k) of that variance. Yule-Walker
+    equations by the recursion of Levinson and Durbin, so that all are stable; up to the order at
+    which the series is predictable. Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th
+    ed., appendix A3.2.
     """
     a: Array = np.ones(1)
     variance = float(r[0])
@@ -47,8 +48,8 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
 def autoregression(stretches: list[Array]) -> Array:
     """Return the coefficients 1, a_1 ... a_n with white e + Σ a_k e(t - k), of the order that BIC chooses.
 
-    Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 6.2; Schwarz (1978), Annals of
-    Statistics 6.
+    Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 6.2; Schwarz
+    (1978), Annals of Statistics 6.
     """
     count = sum(int(np.count_nonzero(e)) for e in stretches)
     order = int(min(HIGHEST_ORDER, count // SAMPLES_PER_TERM))

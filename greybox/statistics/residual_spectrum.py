@@ -1,18 +1,21 @@
 """The spectrum of residuals that are correlated in time, and what it means for the covariance of an estimate.
 
-No one family of spectra serves short records of every kind: a small slow drift under white noise needs an
-autoregression of order 30, whose coefficients 300 samples do not determine, and wind moves several outputs together.
-So several families are fitted and averaged by their evidence: autoregressions of every order, white noise with a slow
-part (a correlation that decays exponentially), and white noise with a part of the color of the sensitivities, which is
-where errors harm the estimate most (process noise passes through the same dynamics), each for every output alone; and
-vector autoregressions, which correlate the outputs. Process noise moves all outputs together, through dynamics that
-are known: with white noise of the sensors it is the last of them, the only one that records of a few correlation times
-tell enough of. How far they disagree says how well the variance is known.
+No one family of spectra serves short records of every kind: a small slow drift under white noise
+needs an autoregression of order 30, whose coefficients 300 samples do not determine, and wind moves
+several outputs together. So several families are fitted and averaged by their evidence:
+autoregressions of every order, white noise with a slow part (a correlation that decays
+exponentially), and white noise with a part of the color of the sensitivities, which is where errors
+harm the estimate most (process noise passes through the same dynamics), each for every output
+alone; and vector autoregressions, which correlate the outputs. Process noise moves all outputs
+together, through dynamics that are known: with white noise of the sensors it is the last of them,
+the only one that records of a few correlation times tell enough of. How far they disagree says how
+well the variance is known.
 
-Sources: Burnham and Anderson (2002), Model Selection and Multimodel Inference, 2nd ed., chapter 4 (averaging by AICc
-and the variance between models); Whittle (1953), Arkiv för Matematik 2 (likelihood of a spectrum) and (1963),
-Biometrika 50 (recursion of the vector autoregression); Worsley et al. (2002), NeuroImage 15 (residuals have less
-correlation than the errors, by what the fit took from them).
+Sources: Burnham and Anderson (2002), Model Selection and Multimodel Inference, 2nd ed., chapter 4
+(averaging by AICc and the variance between models); Whittle (1953), Arkiv för Matematik 2
+(likelihood of a spectrum) and (1963), Biometrika 50 (recursion of the vector autoregression);
+Worsley et al. (2002), NeuroImage 15 (residuals have less correlation than the errors, by what the
+fit took from them).
 """
 
 import math
@@ -25,7 +28,12 @@ from numpy.typing import NDArray
 
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.residual_autocorrelation import levinson
-from greybox.statistics.variance_components import LEAST, VarianceComponents, variance_components, whittle_score
+from greybox.statistics.variance_components import (
+    LEAST,
+    VarianceComponents,
+    variance_components,
+    whittle_score,
+)
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,49 +42,57 @@ HIGHEST_ORDER = 50  # of an autoregression
 SAMPLES_PER_ORDER = 4  # at least, so that AICc is defined
 NUMBERS_PER_COEFFICIENT = 5  # at least, of a vector autoregression
 
-# Slow parts: correlation times from one sample to a third of the longest stretch, which is as slow as a record can
-# tell from a constant, and shares of the variance. Denser grids, by 1.5, change no standard error by 2 %.
+# Slow parts: correlation times from one sample to a third of the longest stretch, which is as slow
+# as a record can tell from a constant, and shares of the variance. Denser grids, by 1.5, change no
+# standard error by 2 %.
 SLOW_TIMES = 14
 SLOWEST = 1 / 3
 SHARES = np.array([0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.55, 0.75, 0.9, 1.0])
 
-# Frequencies over which the power of the sensitivities is smoothed, twice: the lines of a narrow-band input are in it,
-# which errors do not have.
+# Frequencies over which the power of the sensitivities is smoothed, twice: the lines of a
+# narrow-band input are in it, which errors do not have.
 SMOOTHED = (8, 32)
 
-# Frequencies at which spectra are compared: the lowest ones each, higher ones in bands whose relative width is this.
+# Frequencies at which spectra are compared: the lowest ones each, higher ones in bands whose
+# relative width is this.
 LOWEST = 256
 BAND = 0.015
 
 LEAST_WEIGHT = 1e-4  # of a model in an average; what is below does not show
 
-# How often the residuals are corrected for what the fit took from the errors; the third time changes standard errors by
-# less than 2 % (records of 100 samples, correlation times of 10).
+# How often the residuals are corrected for what the fit took from the errors; the third time
+# changes standard errors by less than 2 % (records of 100 samples, correlation times of 10).
 CORRECTIONS = 2
-# Relative change of a variance by a correction from which another one follows: that would change it by the square, 1 %.
+# Relative change of a variance by a correction from which another one follows: that would change it
+# by the square, 1 %.
 CORRECTED_AGAIN = 0.1
-# Samples above which they are not: what the fit takes is then far below the uncertainty of the spectrum, and counting
-# it, as for white errors, will do.
+# Samples above which they are not: what the fit takes is then far below the uncertainty of the
+# spectrum, and counting it, as for white errors, will do.
 LONGEST_CORRECTED = 50_000
 
-# Samples above which process noise is not looked for with the model's dynamics: so long a record shows its spectrum.
+# Samples above which process noise is not looked for with the model's dynamics: so long a record
+# shows its spectrum.
 LONGEST_MODELED = 10_000
 
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
-MOST_KEPT = 1 << 24  # numbers of the transforms that are kept for later use: 256 MB; of more, they are made again
+MOST_KEPT = (
+    1 << 24
+)  # numbers of the transforms that are kept for later use: 256 MB; of more, they are made again
 
-# Share of the products of samples some lag apart that must remain for missing samples to be ignored: below it, the
-# covariances at all lags but zero are more than 5 % too small.
+# Share of the products of samples some lag apart that must remain for missing samples to be
+# ignored: below it, the covariances at all lags but zero are more than 5 % too small.
 NEARLY_ALL = 0.95
 
-# Share of the sum of absolute autocorrelations within the correlation time: that of an exponential within its time
-# constant.
+# Share of the sum of absolute autocorrelations within the correlation time: that of an exponential
+# within its time constant.
 WITHIN = 1 - math.exp(-1)
 
-# -2 log likelihood above its least value from which the residuals exclude a spectrum: chi-squared, one number, 95 %.
+# -2 log likelihood above its least value from which the residuals exclude a spectrum: chi-squared,
+# one number, 95 %.
 EXCLUDED = 3.84
 
-# Variances of process noise that are tried, in units of the outputs' residuals: beyond, no record fails to exclude it.
+# Variances of process noise that are tried, in units of the outputs' residuals: beyond, no record
+# fails to exclude it.
 PROCESS_NOISE = np.geomspace(1e-3, 30.0, 40)
 
 TINY = 1e-300
@@ -91,16 +107,18 @@ class ColoredInformation:
     meat : (p, p) array
         Σ J' Σ_e J for sensitivities J over noise covariance.
     taken : float
-        tr(B⁻¹ meat): the sum of squares, in units of the given noise, that the parameters take from the errors.
+        tr(B⁻¹ meat): the sum of squares, in units of the given noise, that the parameters take from
+        the errors.
     uncertainty : float
         Variance of the logarithm of `taken`, over the spectra that the residuals may have.
     correlation_times : (k,) array
-        Of the errors of every output, samples: the lag within which 63 % of their absolute autocorrelations lie, which
-        is the time constant of an exponential decay.
+        Of the errors of every output, samples: the lag within which 63 % of their absolute
+        autocorrelations lie, which is the time constant of an exponential decay.
     corrected : bool
         Whether what the fit took from the errors is accounted for.
     hidden : float
-        How many times larger the variances would be by the worst spectrum that the residuals do not exclude.
+        How many times larger the variances would be by the worst spectrum that the residuals do not
+        exclude.
     spectrum : ErrorSpectrum or None
         Of the errors; None where all residuals are zero.
     """
@@ -135,19 +153,21 @@ def colored_information(
     noise : (k, k) array
         R.
     initial : sequence of (k, m, n) arrays, optional
-        R⁻¹ dy/dx by directions x of the initial states, which the fit moved along, of unit variance for white errors
-        of covariance R: what these took from the errors.
+        R⁻¹ dy/dx by directions x of the initial states, which the fit moved along, of unit variance
+        for white errors of covariance R: what these took from the errors.
     shocks : function, optional
-        Returns (k, s, n), dy of the longest stretch after unit jumps of s states, through which process noise reaches
-        the outputs. Long records do not ask for it.
+        Returns (k, s, n), dy of the longest stretch after unit jumps of s states, through which
+        process noise reaches the outputs. Long records do not ask for it.
 
-    Source of the sandwich: Morelli and Klein (1997), Accuracy of aerodynamic model parameters estimated from flight
-    test data, Journal of Guidance, Control, and Dynamics 20(1).
+    Source of the sandwich: Morelli and Klein (1997), Accuracy of aerodynamic model parameters
+    estimated from flight test data, Journal of Guidance, Control, and Dynamics 20(1).
     """
     there = np.any([e.any(axis=1) for e in residuals], axis=0)
     if not there.any():
         nothing = np.zeros(there.size)
-        return ColoredInformation(np.zeros_like(inverse), 0.0, 0.0, nothing, corrected=True, hidden=1.0, spectrum=None)
+        return ColoredInformation(
+            np.zeros_like(inverse), 0.0, 0.0, nothing, corrected=True, hidden=1.0, spectrum=None
+        )
     if there.all():
         problem = _Sandwich.of(weighted, residuals, inverse, noise, initial, shocks)
     else:
@@ -194,7 +214,9 @@ def score_covariance(weighted: Sequence[Array], spectrum: ErrorSpectrum | None) 
     if spectrum is None:
         return np.zeros((p, p))
     grid = _Grid.of(max(J.shape[2] for J in weighted))
-    return grid.score_covariance((grid.transform(J, spectrum.deviation) for J in weighted), spectrum.density)
+    return grid.score_covariance(
+        (grid.transform(J, spectrum.deviation) for J in weighted), spectrum.density
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +266,10 @@ class _Grid:
         low, high = self.omega[above - 1], self.omega[above]
         share = np.clip((omega - low) / (high - low), 0.0, 1.0)
         # Indexing would put the frequencies first in memory, where all that follows runs over them.
-        return np.take(values, above - 1, axis=-1) * (1 - share) + np.take(values, above, axis=-1) * share
+        return (
+            np.take(values, above - 1, axis=-1) * (1 - share)
+            + np.take(values, above, axis=-1) * share
+        )
 
     @cached_property
     def delays(self) -> Complex:
@@ -262,7 +287,9 @@ class _Grid:
             out[:] = np.fft.rfft(size * J, self.size)
         return result
 
-    def covariances(self, density: Callable[[int, int], Complex], k: int, order: int) -> tuple[Array, Complex]:
+    def covariances(
+        self, density: Callable[[int, int], Complex], k: int, order: int
+    ) -> tuple[Array, Complex]:
         """Return autocovariances (order + 1, k, k) and means over the bands (k, k, b) of a periodogram of k outputs.
 
         `density` gives it at all frequencies for two outputs, in both orders the conjugate.
@@ -295,7 +322,9 @@ class _Grid:
         """Return the correlation times (k,) of spectra (k, b), samples."""
         found = []
         for spectrum in spectra:
-            total = np.cumsum(np.abs(np.fft.irfft(self.spread_out(spectrum), self.size)[: self.longest]))
+            total = np.cumsum(
+                np.abs(np.fft.irfft(self.spread_out(spectrum), self.size)[: self.longest])
+            )
             found.append(float(np.sum(total < WITHIN * total[-1])))
         return np.array(found)
 
@@ -358,11 +387,13 @@ class _Sandwich:
     deviation : (k,) array
         Of the residuals.
     counts, seen : (k,) arrays
-        Samples that are there, and the share of the products of samples some lag apart that missing ones leave.
+        Samples that are there, and the share of the products of samples some lag apart that missing
+        ones leave.
     families : sequence of sequences
         For every output, the forms of spectra beside autoregressions.
     kept : list of (k, p, frequencies) arrays
-        Transforms of the weighted sensitivities; empty where they would fill the memory, or are needed no more.
+        Transforms of the weighted sensitivities; empty where they would fill the memory, or are
+        needed no more.
     """
 
     weighted: Sequence[Array]
@@ -426,7 +457,9 @@ class _Sandwich:
 
         slow = _Family.of(_slow_parts(grid), grid)
         families = [
-            [slow, _Family.of(_with_white(_smoothed_shapes(grid, own)), grid)] if own.max() > 0 else [slow]
+            [slow, _Family.of(_with_white(_smoothed_shapes(grid, own)), grid)]
+            if own.max() > 0
+            else [slow]
             for own in (power[i, i].real for i in range(k))
         ]
         return cls(
@@ -462,7 +495,9 @@ class _Sandwich:
     def mixture(self, lags: Array, banded: Complex) -> _Mixture:
         """Return the average of the spectra that may have made a periodogram, as in `periodogram`."""
         k = len(self.counts)
-        candidates = [self._apart([self._one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)])]
+        candidates = [
+            self._apart([self._one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)])
+        ]
         if k > 1:
             candidates.append(self._together(lags))
         if self.noise_parts is not None:
@@ -492,12 +527,18 @@ class _Sandwich:
         taken = sum(one.taken for one in alone)
         uncertainty = sum(one.uncertainty * one.taken**2 for one in alone) / max(taken**2, TINY)
         return _Evidence(
-            density, np.array([one.typical for one in alone]), sum(one.score for one in alone), taken, uncertainty
+            density,
+            np.array([one.typical for one in alone]),
+            sum(one.score for one in alone),
+            taken,
+            uncertainty,
         )
 
     def _judged_on_residuals(self, one: "_Evidence", banded: Complex) -> "_Evidence":
         """Return what the residuals say of a spectrum, with its penalty, instead of a periodogram of the errors."""
-        errors = whittle_score(one.density.transpose(2, 0, 1), banded.transpose(2, 0, 1), self._numbers)
+        errors = whittle_score(
+            one.density.transpose(2, 0, 1), banded.transpose(2, 0, 1), self._numbers
+        )
         penalty = one.score - errors + self._numbers.sum() * len(self.counts)
         return replace(one, score=penalty + self._score(one.density))
 
@@ -505,7 +546,9 @@ class _Sandwich:
     def _variances(self) -> VarianceComponents:
         parts = self.noise_parts
         assert parts is not None
-        return variance_components(parts.of_residuals, self._of_residuals, self._numbers, sensors=len(self.counts))
+        return variance_components(
+            parts.of_residuals, self._of_residuals, self._numbers, sensors=len(self.counts)
+        )
 
     @cached_property
     def _numbers(self) -> Array:
@@ -536,12 +579,16 @@ class _Sandwich:
         k, grid = len(self.counts), self.grid
         transforms = np.fft.rfft(self.shocks() / self.deviation[:, None, None], grid.size)
         spectra = [np.einsum("if,jf->ijf", H, H.conj()) for H in transforms.transpose(1, 0, 2)]
-        power = [float(np.einsum("iif->f", spectrum).real @ grid.weight) / k for spectrum in spectra]
+        power = [
+            float(np.einsum("iif->f", spectrum).real @ grid.weight) / k for spectrum in spectra
+        ]
         spectra = [spectrum / p for spectrum, p in zip(spectra, power, strict=True) if p > TINY]
         if not spectra:
             return None
         sensors = np.eye(k)[:, :, None] * np.eye(k)[:, None, :]
-        spectra = [np.repeat(one[:, :, None], len(grid.weight), 2).astype(complex) for one in sensors] + spectra
+        spectra = [
+            np.repeat(one[:, :, None], len(grid.weight), 2).astype(complex) for one in sensors
+        ] + spectra
 
         # Products of samples some lag apart that are there.
         there = [np.fft.rfft((e != 0).astype(float), grid.size) for e in self.residuals]
@@ -579,17 +626,28 @@ class _Sandwich:
         weight = weight[likely] / weight[likely].sum()
 
         kept = np.split(likely, np.cumsum([len(scale) for scale in scales[:-1]]))
-        responses = [np.abs(a @ grid.delays[: len(a)]) ** 2 for (a, _), k in zip(steps, kept[0], strict=True) if k]
+        responses = [
+            np.abs(a @ grid.delays[: len(a)]) ** 2
+            for (a, _), k in zip(steps, kept[0], strict=True)
+            if k
+        ]
         shapes = [1 / np.array(responses).reshape(-1, len(grid.omega))]
         shapes += [family.shapes[k] for family, k in zip(self.families[i], kept[1:], strict=True)]
         every = np.concatenate(
-            [scale[k][:, None] * shape for scale, k, shape in zip(scales, kept, shapes, strict=True)]
+            [
+                scale[k][:, None] * shape
+                for scale, k, shape in zip(scales, kept, shapes, strict=True)
+            ]
         )
         taken = grid.mean(every * self.power[i, i].real)
         logarithm = np.log(np.maximum(taken, TINY))
         spread = (logarithm - weight @ logarithm) ** 2 + np.concatenate(within)[likely]
         return _Evidence(
-            weight @ every, weight @ np.log(every), evidence, float(weight @ taken), float(weight @ spread)
+            weight @ every,
+            weight @ np.log(every),
+            evidence,
+            float(weight @ taken),
+            float(weight @ spread),
         )
 
     def _together(self, lags: Array) -> "_Evidence":
@@ -607,14 +665,17 @@ class _Sandwich:
         response = np.linalg.inv(np.eye(k) + np.tensordot(delays, a.reshape(k, best, k), (0, 1)))
         density = (response @ innovation @ response.conj().transpose(0, 2, 1)).transpose(1, 2, 0)
         typical = np.log(np.maximum(np.einsum("iib->ib", density).real, TINY))
-        return _Evidence(density, typical, float(scores[best]), self._taken(density), 2 * (best + 1) / n)
+        return _Evidence(
+            density, typical, float(scores[best]), self._taken(density), 2 * (best + 1) / n
+        )
 
     def hidden(self, meat: Array, density: Complex) -> float:
         """Return how many times larger the variances would be by the worst spectra that the residuals do not exclude.
 
-        The geometric mean over all directions, so that a bias, which a slow error is not told from in records of any
-        length, does not stand for all. Every output may have another spectrum; their limits combine as those of
-        independent numbers (Zou and Donner, 2008, Statistics in Medicine 27).
+        The geometric mean over all directions, so that a bias, which a slow error is not told from
+        in records of any length, does not stand for all. Every output may have another spectrum;
+        their limits combine as those of independent numbers (Zou and Donner, 2008, Statistics in
+        Medicine 27).
         """
         p = len(self.root)
         if p == 0:
@@ -628,12 +689,21 @@ class _Sandwich:
         worst = [float(size) + math.hypot(*added)]
         if self.noise_parts is not None:
             worst += [
-                float(_size(others + self.root.T @ self.grid.score_covariance(self.transforms(), one) @ self.root))
+                float(
+                    _size(
+                        others
+                        + self.root.T
+                        @ self.grid.score_covariance(self.transforms(), one)
+                        @ self.root
+                    )
+                )
                 for one in self._process_noise_not_excluded(self.noise_parts, density)
             ]
         return math.exp(max(*worst, found) - found)
 
-    def _process_noise_not_excluded(self, parts: "_NoiseParts", likely: Complex) -> Iterator[Complex]:
+    def _process_noise_not_excluded(
+        self, parts: "_NoiseParts", likely: Complex
+    ) -> Iterator[Complex]:
         """Yield the spectrum with most process noise that the residuals do not exclude beside a likely one, if any."""
         k = len(self.counts)
         found = self._variances
@@ -654,22 +724,31 @@ class _Sandwich:
     def _not_excluded(self, i: int) -> tuple[Array, Array]:
         """Return what one output tells (p, p), and the scores' covariances by spectra that are not excluded (m, p, p).
 
-        The likeliest stands first, by the restricted likelihood (Patterson and Thompson, 1971, Biometrika 58), since a
-        fit takes most from slow errors. Cosine transforms make these nearly independent, with no samples beyond the
-        ends.
+        The likeliest stands first, by the restricted likelihood (Patterson and Thompson, 1971,
+        Biometrika 58), since a fit takes most from slow errors. Cosine transforms make these nearly
+        independent, with no samples beyond the ends.
         """
         from scipy.fft import dct  # noqa: PLC0415  (importing greybox stays light)
 
-        shapes = np.concatenate([np.ones((1, len(self.grid.omega)))] + [family.shapes for family in self.families[i]])
+        shapes = np.concatenate(
+            [np.ones((1, len(self.grid.omega)))] + [family.shapes for family in self.families[i]]
+        )
         p = len(self.root)
         given = self.noise[i, i] / self.deviation[i] ** 2
         moments = np.zeros((len(self.grid.starts), p + 1, p + 1))
         counts = np.zeros(len(self.grid.starts))
         for J, e in zip(self.weighted, self.residuals, strict=True):
             n = e.shape[1]
-            rows = np.vstack([e[i] / self.deviation[i], self.root.T @ J[i] * given * self.deviation[i]])
+            rows = np.vstack(
+                [e[i] / self.deviation[i], self.root.T @ J[i] * given * self.deviation[i]]
+            )
             rows = np.asarray(dct(rows, axis=1, norm="ortho"))
-            band = np.searchsorted(self.grid.starts, np.arange(n) * self.grid.size / (2 * n), side="right") - 1
+            band = (
+                np.searchsorted(
+                    self.grid.starts, np.arange(n) * self.grid.size / (2 * n), side="right"
+                )
+                - 1
+            )
             first = _changes(band)
             there = band[first]
             counts += np.bincount(band, minlength=len(counts))
@@ -695,7 +774,8 @@ class _Sandwich:
     def _unmasked(self, density: Complex) -> Complex:
         """Return the spectrum of errors of which a share `seen` (k,) was present, at random.
 
-        Missing samples multiply covariances at all lags but zero by the share, as if part of the errors were white.
+        Missing samples multiply covariances at all lags but zero by the share, as if part of the
+        errors were white.
         """
         seen = self.seen
         if seen.min() >= NEARLY_ALL:
@@ -708,12 +788,15 @@ class _Sandwich:
     def taken_power(self, density: Complex) -> tuple[Array, Complex]:
         """Return the periodogram, as in `periodogram`, of what the fit took from errors of this spectrum.
 
-        Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ Pᵀ. What other data
-        bring to the estimate is taken to have errors of the same color.
+        Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
+        Pᵀ. What other data bring to the estimate is taken to have errors of the same color.
         """
         transforms = list(self.transforms())
         spread = self.grid.spread_out(density)
-        filtered = [self._in_time(_filtered(spread, F), J) for J, F in zip(self.weighted, transforms, strict=True)]
+        filtered = [
+            self._in_time(_filtered(spread, F), J)
+            for J, F in zip(self.weighted, transforms, strict=True)
+        ]
         size = self.deviation[:, None, None]
         bread, meat = np.zeros_like(self.inverse), np.zeros_like(self.inverse)
         for J, G in zip(self.weighted, filtered, strict=True):
@@ -727,9 +810,15 @@ class _Sandwich:
         sizes = self.noise / size[:, 0]
         unit = np.sqrt(self.counts)
         for s, e in enumerate(self.residuals):
-            J, transform, moved, covariance = self.weighted[s], transforms[s], self.inverse @ filtered[s], middle
+            J, transform, moved, covariance = (
+                self.weighted[s],
+                transforms[s],
+                self.inverse @ filtered[s],
+                middle,
+            )
             if self.initial is not None:
-                # Every stretch has initial states of its own, whose errors are correlated with those of the parameters.
+                # Every stretch has initial states of its own, whose errors are correlated with
+                # those of the parameters.
                 X = self.initial[s]
                 of_initial = self.grid.transform(X, self.deviation)
                 G = self._in_time(_filtered(spread, of_initial), X)
@@ -869,8 +958,8 @@ def _smoothed(values: Array, width: int) -> Array:
 def _whittle(r: Array) -> Iterator[tuple[Array, Array]]:
     """Yield the vector autoregressions of every order: coefficients (k, order * k) and innovation covariance (k, k).
 
-    The coefficients A_1, A_2 ... stand side by side. From r (lags + 1, k, k), with r(l) = E e(t + l) e(t)ᵀ, by
-    Whittle's recursion, so that all are stable.
+    The coefficients A_1, A_2 ... stand side by side. From r (lags + 1, k, k), with r(l) = E e(t +
+    l) e(t)ᵀ, by Whittle's recursion, so that all are stable.
     """
     k = r.shape[1]
     last_first = r[:0:-1].reshape(-1, k)
@@ -880,7 +969,9 @@ def _whittle(r: Array) -> Iterator[tuple[Array, Array]]:
     yield forward, ahead
     for order in range(1, len(r)):
         delta = r[order] + forward @ last_first[len(last_first) - (order - 1) * k :]
-        gain, back = -np.linalg.solve(np.array([behind.T, ahead]), np.array([delta.T, delta])).transpose(0, 2, 1)
+        gain, back = -np.linalg.solve(
+            np.array([behind.T, ahead]), np.array([delta.T, delta])
+        ).transpose(0, 2, 1)
         forward, backward = (
             np.hstack([forward + gain @ backward, gain]),
             np.hstack([back, backward + back @ forward]),
@@ -907,7 +998,8 @@ def _fast(count: int) -> int:
 def _seen(stretches: Sequence[Array]) -> Array:
     """Return the share (k,) of the products of samples some lag apart that missing ones leave, at the best such lag.
 
-    Near 1 where blocks are missing, or every n-th sample is present; less where samples are missing at random.
+    Near 1 where blocks are missing, or every n-th sample is present; less where samples are missing
+    at random.
     """
     present = [(e != 0).astype(float) for e in stretches]
     if all(np.all(e) for e in present):

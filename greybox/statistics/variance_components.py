@@ -1,12 +1,14 @@
 """Errors that are a sum of parts whose spectra are known but for their sizes: the variances, from a periodogram.
 
-Sensors have white noise each, and process noise reaches the outputs through the dynamics, which the model knows. Then a
-few variances say all of the spectrum, where an autoregression has to find the dynamics again, of which a record of a
-few correlation times tells little. The periodogram is compared with its expectation under every part, so that neither
-leakage in a short record nor what a fit took from the errors makes the variances too small.
+Sensors have white noise each, and process noise reaches the outputs through the dynamics, which the
+model knows. Then a few variances say all of the spectrum, where an autoregression has to find the
+dynamics again, of which a record of a few correlation times tells little. The periodogram is
+compared with its expectation under every part, so that neither leakage in a short record nor what a
+fit took from the errors makes the variances too small.
 
-Sources: Sykulski, Olhede, Guillaumin, Lilly and Early (2019), The debiased Whittle likelihood, Biometrika 106; Harville
-(1977), Maximum likelihood approaches to variance component estimation, JASA 72.
+Sources: Sykulski, Olhede, Guillaumin, Lilly and Early (2019), The debiased Whittle likelihood,
+Biometrika 106; Harville (1977), Maximum likelihood approaches to variance component estimation,
+JASA 72.
 """
 
 from dataclasses import dataclass
@@ -25,8 +27,8 @@ DAMPING = 1e-2  # at the beginning, of Levenberg and Marquardt
 UNDAMPED = 1e-6
 NO_STEP = 1e6  # damping beyond which there is no better point
 
-# Of the variance of an output: variances below are zero. A ridge of this size stands for what the expectations leave
-# out where a fit takes all power from a frequency.
+# Of the variance of an output: variances below are zero. A ridge of this size stands for what the
+# expectations leave out where a fit takes all power from a frequency.
 LEAST = 1e-4
 UNSEEN = 1e-8  # of the largest eigenvalue of the information: directions in which the likelihood does not change
 
@@ -57,13 +59,16 @@ def whittle_score(spectrum: Complex, periodogram: Complex, numbers: Array) -> fl
     return float(numbers @ (np.linalg.slogdet(spectrum)[1] + np.einsum("bii->b", ratio).real))
 
 
-def variance_components(expected: Complex, periodogram: Complex, numbers: Array, sensors: int) -> VarianceComponents:
+def variance_components(
+    expected: Complex, periodogram: Complex, numbers: Array, sensors: int
+) -> VarianceComponents:
     """Return the variances that make a periodogram most likely.
 
     Parameters
     ----------
     expected : (c, b, k, k) array
-        Expected periodograms of k outputs in b bands for parts of variance one, positive semidefinite.
+        Expected periodograms of k outputs in b bands for parts of variance one, positive
+        semidefinite.
     periodogram : (b, k, k) array
         Of one unit of power for each output, about.
     numbers : (b,) array

@@ -27,10 +27,20 @@ from greybox.solve.multistart import BATCHED
 from greybox.solve.time_limits import TimeLimits, is_search_over, limited
 from greybox.study.run_files import RunFiles
 from greybox.study.study import Study, read_study
-from greybox.study.study_folder import ANSWER, FIT, locked, member_folder, read_json, write_index, write_json
+from greybox.study.study_folder import (
+    ANSWER,
+    FIT,
+    locked,
+    member_folder,
+    read_json,
+    write_index,
+    write_json,
+)
 
 DISPLAY = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}  {desc}"
-SHARE = 0.99  # of a member's time that its runs take, for the display: the judgment comes after them
+SHARE = (
+    0.99  # of a member's time that its runs take, for the display: the judgment comes after them
+)
 
 # A problem that cannot be fitted ends its own member; anything else is a mistake of the program.
 MEMBER_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RuntimeError)
@@ -60,7 +70,9 @@ class Member:
     def __post_init__(self) -> None:
         """Take the problem's name where none is given."""
         if not isinstance(self.problem, Problem | Sum):
-            raise TypeError(f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them.")
+            raise TypeError(
+                f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them."
+            )
         self.by  # noqa: B018  (checks what it is made of)
         if not self.name:
             object.__setattr__(self, "name", self.problem.name)
@@ -101,10 +113,11 @@ def batch(
 ) -> Study:
     """Fit many problems, one after the other, and keep every run in a folder.
 
-    A batch that ended in any way, `kill -9` included, goes on when it is begun again with the same members and folder:
-    runs that are on disk are not made again, at most some two seconds of work of each worker are lost, and the answer
-    is that of a batch that was never interrupted. Members that failed are tried again. A member with more starts of the
-    same seed keeps the runs that it has; new members are added to those in the folder.
+    A batch that ended in any way, `kill -9` included, goes on when it is begun again with the same
+    members and folder: runs that are on disk are not made again, at most some two seconds of work
+    of each worker are lost, and the answer is that of a batch that was never interrupted. Members
+    that failed are tried again. A member with more starts of the same seed keeps the runs that it
+    has; new members are added to those in the folder.
 
     Parameters
     ----------
@@ -114,11 +127,11 @@ def batch(
     executor : concurrent.futures.Executor, optional
         What makes the runs, as of `greybox.fit`.
     seconds : float, optional
-        After which the batch ends; the member at hand and those that follow are then unfinished, and the same batch
-        goes on with them.
+        After which the batch ends; the member at hand and those that follow are then unfinished,
+        and the same batch goes on with them.
     start_seconds : float, optional
-        The same for the runs from each start. Those that it cuts count with what they reached, and are made again when
-        the member is fitted with a longer one.
+        The same for the runs from each start. Those that it cuts count with what they reached, and
+        are made again when the member is fitted with a longer one.
     progress : bool
         A bar on a terminal for anything longer than two seconds.
 
@@ -130,9 +143,11 @@ def batch(
     Raises
     ------
     ValueError, TypeError
-        For bad input, in one sentence; and when a member is not the problem that the folder has under its name.
+        For bad input, in one sentence; and when a member is not the problem that the folder has
+        under its name.
     OSError
-        When the folder cannot be written, or another process is at work on it. What was written stays usable.
+        When the folder cannot be written, or another process is at work on it. What was written
+        stays usable.
     RuntimeError
         When the executor has lost its workers; the same batch goes on with another.
     KeyboardInterrupt
@@ -168,12 +183,20 @@ def require_distinct(members: Sequence[Member]) -> None:
     names = [member.name for member in members]
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"{counted(names.count(name), 'member')} have the name {name!r}: name them apart.")
+            raise ValueError(
+                f"{counted(names.count(name), 'member')} have the name {name!r}: name them apart."
+            )
 
 
 @contextmanager
 def _shown(members: Sequence[Member], progress: bool) -> Iterator["_Display"]:
-    with tqdm(total=len(members), disable=None if progress else True, delay=2, leave=False, bar_format=DISPLAY) as bar:
+    with tqdm(
+        total=len(members),
+        disable=None if progress else True,
+        delay=2,
+        leave=False,
+        bar_format=DISPLAY,
+    ) as bar:
         yield _Display(bar)
 
 
@@ -190,7 +213,9 @@ class _Display:
 
         def report(done: int, count: int) -> None:
             members = f"{self._done} of {self._bar.total} done{self._failures}"
-            self._bar.set_description_str(f"{members}; {name}: {done} of {counted(count, 'start')}", refresh=False)
+            self._bar.set_description_str(
+                f"{members}; {name}: {done} of {counted(count, 'start')}", refresh=False
+            )
             self._bar.update(self._done + SHARE * done / count - self._bar.n)
 
         return report
@@ -231,7 +256,9 @@ def _fit_member(member: Member, folder: Path, executor: Executor | None, bar: _D
     bar.end(failed=bool(error))
 
 
-def _fitted(member: Member, kept: RunFiles, executor: Executor | None, report: Callable[[int, int], None]) -> Fit:
+def _fitted(
+    member: Member, kept: RunFiles, executor: Executor | None, report: Callable[[int, int], None]
+) -> Fit:
     return fit_keeping(
         kept,
         member.problem,

@@ -1,8 +1,8 @@
 """The bootstrap: a fit is repeated on data that were drawn anew, and what its answers spread over is their error.
 
-The replicates begin at the estimate: they say how far the minimum at hand moves with the errors of the data, not
-whether another one would be found. Sources: Efron and Tibshirani (1993), An Introduction to the Bootstrap; Davison and
-Hinkley (1997), Bootstrap Methods and their Application.
+The replicates begin at the estimate: they say how far the minimum at hand moves with the errors of
+the data, not whether another one would be found. Sources: Efron and Tibshirani (1993), An
+Introduction to the Bootstrap; Davison and Hinkley (1997), Bootstrap Methods and their Application.
 """
 
 import math
@@ -49,12 +49,16 @@ Resampling = Literal["residuals", "points", "parametric", "parts", "blocks"]
 Method = Literal["bca", "percentile"]
 
 CLOSE = 1e-4  # relative, within which a replicate counts as at its bound: that is how far IPOPT's barrier keeps it
-MANY_FAILED = 0.05  # share of replicates whose failure is a warning: the tails are of half that size
+MANY_FAILED = (
+    0.05  # share of replicates whose failure is a warning: the tails are of half that size
+)
 
-# Replicates beyond an end of an interval: with four, the end itself is uncertain by a quarter of a standard error.
+# Replicates beyond an end of an interval: with four, the end itself is uncertain by a quarter of a
+# standard error.
 FEWEST_BEYOND = 4
-# How much farther an interval reaches on one side than on the other from which it is said to be one-sided: of poles far
-# above the band it was 2.5 and more, of lags and the tilt model at most 2.1 (`benchmarks/bootstrap_coverage.py`).
+# How much farther an interval reaches on one side than on the other from which it is said to be
+# one-sided: of poles far above the band it was 2.5 and more, of lags and the tilt model at most 2.1
+# (`benchmarks/bootstrap_coverage.py`).
 ONE_SIDED = 2.5
 FEWEST_PARTS = 3  # of which a replicate is drawn: of two, half of the replicates have one alone
 
@@ -87,7 +91,8 @@ class Bootstrap:
     statuses : tuple of str
         Of the replicates that failed, by number; empty for the others.
     left_out : (m, q) array
-        The estimates with one observation left out each, for the acceleration; none where there are no such.
+        The estimates with one observation left out each, for the acceleration; none where there are
+        no such.
     bounds : (q, 2) array
         Infinite for what has none.
     dof : (q,) array
@@ -115,7 +120,9 @@ class Bootstrap:
     def __getitem__(self, name: str) -> Array:
         """Return the replicates of a quantity that did not fail."""
         if name not in self.names:
-            raise KeyError(f"{name!r} has no replicates; there are {alternatives(name, list(self.names))}")
+            raise KeyError(
+                f"{name!r} has no replicates; there are {alternatives(name, list(self.names))}"
+            )
         return self._done[:, self.names.index(name)]
 
     @property
@@ -126,13 +133,21 @@ class Bootstrap:
     @property
     def standard_error(self) -> dict[str, float]:
         """Standard deviations of the replicates by name."""
-        spread = self._done.std(axis=0, ddof=1) if len(self._done) > 1 else np.full(len(self.names), np.nan)
+        spread = (
+            self._done.std(axis=0, ddof=1)
+            if len(self._done) > 1
+            else np.full(len(self.names), np.nan)
+        )
         return dict(zip(self.names, spread.tolist(), strict=True))
 
     @property
     def bias(self) -> dict[str, float]:
         """Means of the replicates less the estimates, by name."""
-        away = self._done.mean(axis=0) - self.estimate if len(self._done) else np.full(len(self.names), np.nan)
+        away = (
+            self._done.mean(axis=0) - self.estimate
+            if len(self._done)
+            else np.full(len(self.names), np.nan)
+        )
         return dict(zip(self.names, away.tolist(), strict=True))
 
     def interval(
@@ -144,11 +159,12 @@ class Bootstrap:
         ----------
         level : float
         method : "bca" or "percentile"
-            Bias-corrected and accelerated, where the acceleration is that of the estimates with one observation left
-            out, zero where there are none; or the quantiles of the replicates.
+            Bias-corrected and accelerated, where the acceleration is that of the estimates with one
+            observation left out, zero where there are none; or the quantiles of the replicates.
         widened : bool
-            Take quantiles as far out as those of Student's t with the degrees of freedom of the fit, since replicates
-            do not tell how well the size of the errors is known (Hesterberg 2015, the expanded percentile interval).
+            Take quantiles as far out as those of Student's t with the degrees of freedom of the
+            fit, since replicates do not tell how well the size of the errors is known (Hesterberg
+            2015, the expanded percentile interval).
         """
         if not 0 < level < 1:
             raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
@@ -159,7 +175,9 @@ class Bootstrap:
             values = self._done[:, k]
             dof = float(self.dof[k]) if widened else math.inf
             if method == "bca":
-                low, high = bca_interval(values, float(self.estimate[k]), float(self._acceleration[k]), level, dof)
+                low, high = bca_interval(
+                    values, float(self.estimate[k]), float(self._acceleration[k]), level, dof
+                )
             else:
                 low, high = percentile_interval(values, level, dof)
             lower, upper = self.bounds[k]
@@ -174,8 +192,16 @@ class Bootstrap:
         """Shares of the replicates at the lower and at the upper bound, by name."""
         return {
             name: (
-                float(np.mean([_is_at(value, self.bounds[k][0]) for value in self._done[:, k]] or [0.0])),
-                float(np.mean([_is_at(value, self.bounds[k][1]) for value in self._done[:, k]] or [0.0])),
+                float(
+                    np.mean(
+                        [_is_at(value, self.bounds[k][0]) for value in self._done[:, k]] or [0.0]
+                    )
+                ),
+                float(
+                    np.mean(
+                        [_is_at(value, self.bounds[k][1]) for value in self._done[:, k]] or [0.0]
+                    )
+                ),
             )
             for k, name in enumerate(self.names)
         }
@@ -217,7 +243,16 @@ class Bootstrap:
         error, bias = self.standard_error, self.bias
         both = [self.interval(level, method) for method in ("percentile", "bca")]
         percent = f"{100 * level:g} %"
-        header = ["", "estimate", "± error", "± fit", "bias", "unit", f"{percent} percentile", f"{percent} BCa"]
+        header = [
+            "",
+            "estimate",
+            "± error",
+            "± fit",
+            "bias",
+            "unit",
+            f"{percent} percentile",
+            f"{percent} BCa",
+        ]
         rows = [
             [
                 name,
@@ -231,8 +266,12 @@ class Bootstrap:
             for k, name in enumerate(self.names)
         ]
         table = ["  " + line for line in text_table(header, rows, left=(0, 5, 6, 7)).splitlines()]
-        warnings = [f"  warning: {text}" for text in self.warnings] + [f"  note: {text}" for text in self.notes]
-        return "\n".join([title, "", *table, "", *warnings, f"  {self.seconds:.2f} s; seed {self.seed}"])
+        warnings = [f"  warning: {text}" for text in self.warnings] + [
+            f"  note: {text}" for text in self.notes
+        ]
+        return "\n".join(
+            [title, "", *table, "", *warnings, f"  {self.seconds:.2f} s; seed {self.seed}"]
+        )
 
     def summary(self, level: float = 0.95) -> dict[str, Any]:
         """Return everything but the replicates as plain values, for JSON; None for an open side, or no interval."""
@@ -299,35 +338,41 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
 ) -> Bootstrap:
     """Repeat a fit on data that are drawn anew, from its estimate, and return what its values spread over.
 
-    ================  ==================================================================================================
+    ================
+    ==================================================================================================
     ``"residuals"``   frequency responses: the fitted response with errors of the magnitudes that the residuals have, at
-                      any frequency and any angle. Errors are taken as isotropic in the complex plane and of one size,
-                      in proportion to what the criterion says (of one relative size; of the given variances; by the
-                      coherence)
-    ``"parametric"``  responses: the same with normal errors of the size of the residuals. Records: the fitted outputs
+                      any frequency and any angle. Errors are taken as isotropic in the complex
+                      plane and of one size, in proportion to what the criterion says (of one
+                      relative size; of the given variances; by the coherence)
+    ``"parametric"``  responses: the same with normal errors of the size of the residuals. Records:
+    the fitted outputs
                       with white normal errors of the fitted, or given, covariance
     ``"points"``      responses: as many of the measured points, drawn with replacement. Nothing is taken of the errors
                       but their independence
     ``"blocks"``      records: the fitted outputs with errors that are correlated in time as the residuals are, and
-                      from output to output. Residuals are whitened by the spectrum that the standard errors use, drawn,
-                      and colored again
+                      from output to output. Residuals are whitened by the spectrum that the
+                      standard errors use, drawn, and colored again
     ``"parts"``       sums: whole records or responses, drawn with replacement, and of parameters those that all share
-    ================  ==================================================================================================
+    ================
+    ==================================================================================================
 
-    Percentile intervals of few points are too narrow: of 5 to 12 points they covered 85 to 94 % instead of 95.
-    They are therefore widened, see `Bootstrap.interval`. The sum of relative errors (4.26) leaves some residuals close
-    to zero, as errors are not, so that replicates of residuals scatter too little: widened percentile intervals of 5 to
-    24 points covered 90 to 95 %, those of normal errors 92 to 95 %, those of points 89 to 95 %. Of a pole that the data
-    bound on one side alone they covered 91 to 93 %, BCa intervals 86 to 91, the standard error 84, a profile 95 to 97:
-    the answer says for which parameters. No transformation helps there, since percentile and BCa intervals are those
-    of any function of the parameter (Efron 1987): bias and acceleration are estimated from replicates that say little
-    of where the open side ends (DiCiccio and Efron 1996, Statistical Science 11). In time, of 400 samples with errors
-    of correlation 0.8 from one to the next, percentile intervals covered 92 %, BCa intervals 91, the standard error 94
-    (300 repeats; the others 100 each, hence ± 2 %; all figures by ``benchmarks/bootstrap_coverage.py`` and
+    Percentile intervals of few points are too narrow: of 5 to 12 points they covered 85 to 94 %
+    instead of 95. They are therefore widened, see `Bootstrap.interval`. The sum of relative errors
+    (4.26) leaves some residuals close to zero, as errors are not, so that replicates of residuals
+    scatter too little: widened percentile intervals of 5 to 24 points covered 90 to 95 %, those of
+    normal errors 92 to 95 %, those of points 89 to 95 %. Of a pole that the data bound on one side
+    alone they covered 91 to 93 %, BCa intervals 86 to 91, the standard error 84, a profile 95 to
+    97: the answer says for which parameters. No transformation helps there, since percentile and
+    BCa intervals are those of any function of the parameter (Efron 1987): bias and acceleration are
+    estimated from replicates that say little of where the open side ends (DiCiccio and Efron 1996,
+    Statistical Science 11). In time, of 400 samples with errors of correlation 0.8 from one to the
+    next, percentile intervals covered 92 %, BCa intervals 91, the standard error 94 (300 repeats;
+    the others 100 each, hence ± 2 %; all figures by ``benchmarks/bootstrap_coverage.py`` and
     ``benchmarks/profile_coverage.py``).
 
-    Residuals are enlarged by what the fit took from them. Constants that an earlier fit gave with errors are drawn too.
-    Every replicate is solved from the estimate: the spread of one minimum, not of the choice among several.
+    Residuals are enlarged by what the fit took from them. Constants that an earlier fit gave with
+    errors are drawn too. Every replicate is solved from the estimate: the spread of one minimum,
+    not of the choice among several.
 
     Parameters
     ----------
@@ -341,21 +386,23 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     seed : int
         The replicates do not depend on how many workers make them.
     block : int
-        Samples of the blocks in which whitened residuals are drawn, all outputs together. One serves, unless errors
-        come in bursts.
+        Samples of the blocks in which whitened residuals are drawn, all outputs together. One
+        serves, unless errors come in bursts.
     method : Transcription, optional
         Of records, as in the fit.
     executor : concurrent.futures.Executor, optional
         What makes the replicates, as of `greybox.fit`.
     folder : str or Path, optional
-        Where every replicate is kept as it is made, so that the same call goes on after whatever ended it.
+        Where every replicate is kept as it is made, so that the same call goes on after whatever
+        ended it.
     progress : bool or function
         As of `greybox.fit`.
 
     Raises
     ------
     ValueError
-        For what cannot be drawn from these data, with the reason; and for a problem that is not the fit's.
+        For what cannot be drawn from these data, with the reason; and for a problem that is not the
+        fit's.
     LookupError
         If a loaded fit does not know its model.
     RuntimeError
@@ -367,23 +414,31 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to begin from: {fit.status}.")
     if isinstance(replicates, bool) or not isinstance(replicates, int) or replicates < 2:
-        raise ValueError(f"replicates is {replicates!r:.40}: give a whole number of at least 2, 1000 for intervals.")
+        raise ValueError(
+            f"replicates is {replicates!r:.40}: give a whole number of at least 2, 1000 for intervals."
+        )
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ValueError(f"seed is {seed!r:.40}: give a whole number of at least 0.")
     if executor is not None and not isinstance(executor, Executor):
-        raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
+        raise TypeError(
+            f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2)."
+        )
     drawn = _resampling(fit, resampling)
     nlp = compiled_again(fit, problem, method)
     x = np.array([fit.estimate[name] for name in nlp.free])
     at_bound = np.array([{q.name: q.at_bound for q in fit.quantities}[name] for name in nlp.free])
-    constants = sum((c for c, _ in known_covariances(nlp)), np.zeros((len(nlp.names), len(nlp.names))))
+    constants = sum(
+        (c for c, _ in known_covariances(nlp)), np.zeros((len(nlp.names), len(nlp.names)))
+    )
     constants = constants[len(x) :, len(x) :]
     if fit.records:
         runner, about = _of_records(nlp, x, fit.cost, drawn, seed, block)
     else:
         neighbors = []
         if drawn == "parametric":
-            neighbors = [known and (known.correlation, known.scale) for known in assess(nlp, x).neighbors]
+            neighbors = [
+                known and (known.correlation, known.scale) for known in assess(nlp, x).neighbors
+            ]
         draws = response_draws(nlp, x, at_bound, constants, drawn, seed, neighbors)
         runner, about = response_replicates(nlp, draws, x), WORDS[drawn]
         if any(neighbors):
@@ -391,7 +446,8 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     quantities = _Quantities(fit, nlp, only_shared=drawn == "parts")
     outcomes = _made(runner, replicates, executor, folder, progress)
     values = quantities.at(
-        [outcomes[k] for k in range(replicates)], [runner.constants_of(k) for k in range(replicates)]
+        [outcomes[k] for k in range(replicates)],
+        [runner.constants_of(k) for k in range(replicates)],
     )
     without = [outcomes[-1 - k] for k in range(runner.left_out)]
     statuses = tuple("" if outcomes[k].converged else outcomes[k].status for k in range(replicates))
@@ -407,7 +463,9 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
         values=values,
         statuses=statuses,
         left_out=quantities.at(without, [nlp.constant_values] * len(without)),
-        bounds=np.array([q.bounds if q.kind == "free" else (-math.inf, math.inf) for q in quantities.lines]),
+        bounds=np.array(
+            [q.bounds if q.kind == "free" else (-math.inf, math.inf) for q in quantities.lines]
+        ),
         dof=np.array([q.dof for q in quantities.lines]),
         warnings=tuple(_warnings(statuses, min(q.dof for q in quantities.lines))),
         seconds=time.perf_counter() - began,
@@ -417,20 +475,34 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
 def _resampling(fit: Fit, asked: str | None) -> Any:
     """Return what is drawn, if these data allow it."""
     if fit.spectra:
-        raise ValueError(f"the fit {fit.name!r} has manoeuvres, which are not drawn yet: use fit.interval().")
+        raise ValueError(
+            f"the fit {fit.name!r} has manoeuvres, which are not drawn yet: use fit.interval()."
+        )
     if any(part.is_prior for part in fit.parts):
-        raise ValueError(f"the fit {fit.name!r} has a prior, which is not drawn: use fit.interval().")
+        raise ValueError(
+            f"the fit {fit.name!r} has a prior, which is not drawn: use fit.interval()."
+        )
     if fit.records and fit.responses:
-        raise ValueError(f"the fit {fit.name!r} has records and responses, which are drawn in no common way: use one.")
+        raise ValueError(
+            f"the fit {fit.name!r} has records and responses, which are drawn in no common way: use one."
+        )
     in_time = bool(fit.records)
-    allowed = ("blocks", "parametric", "parts") if in_time else ("parametric", "residuals", "points", "parts")
+    allowed = (
+        ("blocks", "parametric", "parts")
+        if in_time
+        else ("parametric", "residuals", "points", "parts")
+    )
     if asked is None:
         return allowed[0]
     if asked not in get_args(Resampling):
-        raise ValueError(f"resampling is {asked!r:.40}: give one of {', '.join(map(repr, get_args(Resampling)))}.")
+        raise ValueError(
+            f"resampling is {asked!r:.40}: give one of {', '.join(map(repr, get_args(Resampling)))}."
+        )
     if asked not in allowed:
         data = "records" if in_time else "frequency responses"
-        raise ValueError(f"resampling {asked!r} is not for {data}: give one of {', '.join(map(repr, allowed))}.")
+        raise ValueError(
+            f"resampling {asked!r} is not for {data}: give one of {', '.join(map(repr, allowed))}."
+        )
     if asked == "parts" and len(fit.parts) < FEWEST_PARTS:
         raise ValueError(
             f"the fit {fit.name!r} has {counted(len(fit.parts), 'part')}, and parts are drawn from at least "
@@ -452,8 +524,14 @@ def _of_records(
     solver = solver_for(nlp)
     search = multistart(nlp, solver, x[None], movable=False)
     nlp, search, solver, _ = refine_discretization(nlp, search, solver)
-    if not search.minima or search.nodes is None or search.minima[0].cost > cost + same_cost(nlp, cost):
-        raise ValueError(f"the fit of {nlp.problem.name!r} is not found again from its estimate: give its method=...")
+    if (
+        not search.minima
+        or search.nodes is None
+        or search.minima[0].cost > cost + same_cost(nlp, cost)
+    ):
+        raise ValueError(
+            f"the fit of {nlp.problem.name!r} is not found again from its estimate: give its method=..."
+        )
     x = search.minima[0].estimate
     trajectories = solver.profile(x, search.nodes).trajectories
     spectra: list[ErrorSpectrum | None] = [None] * len(nlp.parts)
@@ -477,10 +555,15 @@ class _Quantities:
         symbols = ca.SX.sym("x", len(nlp.names))
         named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
         lines = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
-        expressions = [ca.SX(found[q.name].evaluate(named)) if q.name in found else named[q.name] for q in lines]
+        expressions = [
+            ca.SX(found[q.name].evaluate(named)) if q.name in found else named[q.name]
+            for q in lines
+        ]
         if only_shared:
             everywhere = set.intersection(*({*part.parameters} for part in nlp.problem.parts))
-            own = ca.vertcat(ca.SX(0, 1), *[named[name] for name in nlp.free if name not in everywhere])
+            own = ca.vertcat(
+                ca.SX(0, 1), *[named[name] for name in nlp.free if name not in everywhere]
+            )
             keep = [not own.numel() or not ca.depends_on(e, own) for e in expressions]
             lines = [q for q, kept in zip(lines, keep, strict=True) if kept]
             expressions = [e for e, kept in zip(expressions, keep, strict=True) if kept]
@@ -544,7 +627,9 @@ def _kept(folder: str | Path | None) -> Iterator[RunFiles | None]:
 
 
 @contextmanager
-def _shown(count: int, progress: bool | Callable[[int, int], None]) -> Iterator[Callable[[int, int], None]]:
+def _shown(
+    count: int, progress: bool | Callable[[int, int], None]
+) -> Iterator[Callable[[int, int], None]]:
     if callable(progress):
         yield progress
     elif not progress:

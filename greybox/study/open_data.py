@@ -1,8 +1,9 @@
 """Frequency responses with their data left open: one function serves many data sets of one size, a column each.
 
-A compiled problem has its data as numbers inside. Refits of hundreds of data sets that differ in their numbers alone
-would spend most of their time on being compiled. Here frequencies, measured values and what is known of their errors
-are an input, and so are the constants of the problem, which an earlier fit may give with errors.
+A compiled problem has its data as numbers inside. Refits of hundreds of data sets that differ in
+their numbers alone would spend most of their time on being compiled. Here frequencies, measured
+values and what is known of their errors are an input, and so are the constants of the problem,
+which an earlier fit may give with errors.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,14 @@ ROWS = ("omega", "re", "im", "coherence", "variance", "dof")
 
 def data_table(data: FrequencyResponse) -> Array:
     """Return the numbers of a response, `ROWS` by points; NaN for what it does not have."""
-    rows = [data.omega, data.response.real, data.response.imag, data.coherence, data.variance, data.dof]
+    rows = [
+        data.omega,
+        data.response.real,
+        data.response.imag,
+        data.coherence,
+        data.variance,
+        data.dof,
+    ]
     return np.array([np.full(len(data), np.nan) if row is None else row for row in rows])
 
 
@@ -40,7 +48,8 @@ def given(constants: Array, counts: Array, tables: Sequence[Array]) -> Array:
 def formulas_of_frequency(nlp: Nlp) -> list[ca.Function] | None:
     """Return (parameters, frequency) -> response of every part of a problem of responses; None where one has none.
 
-    That is where a trim is found by Newton's method, or the response is that to a sine of finite amplitude.
+    That is where a trim is found by Newton's method, or the response is that to a sine of finite
+    amplitude.
     """
     found = [
         None
@@ -52,7 +61,9 @@ def formulas_of_frequency(nlp: Nlp) -> list[ca.Function] | None:
     return formulas if len(formulas) == len(found) else None
 
 
-def open_program(nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]) -> ca.Function:
+def open_program(
+    nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]
+) -> ca.Function:
     """Return (z, smoothing, given) -> the cost of a problem of responses as the solver has it, and what must be >= 0.
 
     Without `formulas` the frequencies that are given have no effect: they are those of the problem.
@@ -73,7 +84,13 @@ def open_program(nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequen
     parts = nlp.problem.parts
     small = all(f.is_a("SXFunction") for f in formulas or [nlp.responses])
     if formulas is not None:
-        small &= sum(f.n_instructions() * n * (len(nlp.free) + 1) for f, n in zip(formulas, sizes, strict=True)) < LARGE
+        small &= (
+            sum(
+                f.n_instructions() * n * (len(nlp.free) + 1)
+                for f, n in zip(formulas, sizes, strict=True)
+            )
+            < LARGE
+        )
     kind: Any = ca.SX if small else ca.MX
     z, smoothing = kind.sym("z", len(nlp.free)), kind.sym("smoothing")
     lengths = [len(nlp.constants), len(parts), *(len(ROWS) * size for size in sizes)]
@@ -92,7 +109,13 @@ def open_program(nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequen
     costs = [
         count * weight * _cost(part, response, _open(part.response, table, size), smoothing)
         for part, weight, count, response, table, size in zip(
-            parts, solver_weights(parts), ca.vertsplit(counts), responses, tables, sizes, strict=True
+            parts,
+            solver_weights(parts),
+            ca.vertsplit(counts),
+            responses,
+            tables,
+            sizes,
+            strict=True,
         )
     ]
     limits = stacked(limits_of(nlp.problem, kind), named, kind)

@@ -1,7 +1,8 @@
 """Refits of records whose outputs were drawn anew, from the estimate.
 
-As in `response_replicates`, a run is named by a number: from zero on a replicate, below zero the data without one
-piece. What travels is the compiled problem with the fitted outputs and the residuals.
+As in `response_replicates`, a run is named by a number: from zero on a replicate, below zero the
+data without one piece. What travels is the compiled problem with the fitted outputs and the
+residuals.
 """
 
 import math
@@ -27,8 +28,9 @@ Array = NDArray[np.float64]
 
 Drawn = Literal["blocks", "parametric", "parts"]
 
-# Pieces of which one is left out at a time, for the acceleration: each is a fit, and the skewness of twenty values is
-# known as well as that of the bias by a thousand replicates moves an end of an interval.
+# Pieces of which one is left out at a time, for the acceleration: each is a fit, and the skewness
+# of twenty values is known as well as that of the bias by a thousand replicates moves an end of an
+# interval.
 PIECES = 20
 
 
@@ -51,8 +53,8 @@ class RecordDraws:
     stretches : tuple of tuple of Stretched
         Of every part.
     residuals : tuple of (k, samples) arrays
-        Of every part, of mean zero: whitened where there is a spectrum, elsewhere as large as errors. Where an output
-        is missing, NaN, the replicate draws from its others.
+        Of every part, of mean zero: whitened where there is a spectrum, elsewhere as large as
+        errors. Where an output is missing, NaN, the replicate draws from its others.
     spectra : tuple of ErrorSpectrum or None
         What gives whitened residuals their color again, of every part.
     block : int
@@ -72,7 +74,10 @@ class RecordDraws:
     def outputs(self, number: int) -> list[list[Array]]:
         """Return the outputs (k, n) of every stretch of every part for a replicate."""
         random = np.random.default_rng([self.seed, number])
-        return [[self._drawn(random, one, part) for one in some] for part, some in enumerate(self.stretches)]
+        return [
+            [self._drawn(random, one, part) for one in some]
+            for part, some in enumerate(self.stretches)
+        ]
 
     def _drawn(self, random: np.random.Generator, one: Stretched, part: int) -> Array:
         k, n = one.measured.shape
@@ -126,14 +131,14 @@ def record_draws(
 ) -> RecordDraws:
     """Return how replicates are drawn of a problem of records, along its best `trajectories`.
 
-    Residuals are whitened by the `spectra` of the errors, one for every part; where there is none, they are enlarged
-    for the parameters and initial states that were fitted.
+    Residuals are whitened by the `spectra` of the errors, one for every part; where there is none,
+    they are enlarged for the parameters and initial states that were fitted.
 
     Raises
     ------
     ValueError
-        Where the residuals correct the states, for a block that is longer than the records, and for data that are
-        fitted exactly.
+        Where the residuals correct the states, for a block that is longer than the records, and for
+        data that are fitted exactly.
     """
     stretches, drawn_from, colors, roots = [], [], [], []
     share = len(nlp.free) / len(nlp.parts)
@@ -144,15 +149,23 @@ def record_draws(
                 f"the residuals of {part.name!r} correct its states, so that they cannot be drawn and added: use "
                 "OutputError, or resampling='parts' of several records."
             )
-        left = max(1 - (share + part.unknown_initial_states) / max(part.numbers, 1), 1 / max(part.numbers, 1))
+        left = max(
+            1 - (share + part.unknown_initial_states) / max(part.numbers, 1),
+            1 / max(part.numbers, 1),
+        )
         larger = 1 / math.sqrt(left)
         fitted = part.data.unpadded(part.simulated_outputs(trajectory))
-        own = [Stretched(one.outputs, values) for one, values in zip(part.data.stretches, fitted, strict=True)]
+        own = [
+            Stretched(one.outputs, values)
+            for one, values in zip(part.data.stretches, fitted, strict=True)
+        ]
         stretches.append(tuple(own))
         each = [one.measured - one.fitted for one in own]
         residuals = _centered(each)
         if not np.nan_to_num(residuals).any(axis=1).all():
-            raise ValueError(f"{part.name!r} is fitted exactly, so that the size of its errors is not known.")
+            raise ValueError(
+                f"{part.name!r} is fitted exactly, so that the size of its errors is not known."
+            )
         if spectrum is None:
             drawn_from.append(larger * residuals)
             colors.append(None)
@@ -161,11 +174,15 @@ def record_draws(
             colors.append(spectrum.of_draws(drawn_from[-1]))
         longest = max(one.measured.shape[1] for one in own)
         if not 1 <= block <= longest:
-            raise ValueError(f"block is {block}: give a number of samples from 1 to {longest}, those of the record.")
+            raise ValueError(
+                f"block is {block}: give a number of samples from 1 to {longest}, those of the record."
+            )
         given = part.covariance.known is not None
         covariance = part.covariance.covariance(trajectory.products) * (1.0 if given else larger**2)
         roots.append(np.linalg.cholesky(covariance))
-    return RecordDraws(drawn, seed, tuple(stretches), tuple(drawn_from), tuple(colors), block, tuple(roots))
+    return RecordDraws(
+        drawn, seed, tuple(stretches), tuple(drawn_from), tuple(colors), block, tuple(roots)
+    )
 
 
 def _centered(stretches: Sequence[Array]) -> Array:
@@ -188,7 +205,9 @@ class RecordReplicates(Runner):
         Its states at the beginning of every segment, of every part.
     """
 
-    def __init__(self, nlp: Nlp, draws: RecordDraws, start: Array, nodes: tuple[Array, ...]) -> None:
+    def __init__(
+        self, nlp: Nlp, draws: RecordDraws, start: Array, nodes: tuple[Array, ...]
+    ) -> None:
         """Keep them."""
         self._nlp, self._draws, self._start, self._nodes = nlp, draws, start, nodes
 
@@ -210,12 +229,18 @@ class RecordReplicates(Runner):
         began = time.perf_counter()
         number = int(start[0])
         if self._draws.drawn == "parts":
-            counts = self._draws.counts(number) if number >= 0 else 1 - np.eye(len(self._nodes))[-1 - number]
+            counts = (
+                self._draws.counts(number)
+                if number >= 0
+                else 1 - np.eye(len(self._nodes))[-1 - number]
+            )
             kept = np.flatnonzero(counts).tolist()
             parts = [self._part(k).with_weight(float(counts[k])) for k in kept]
             nodes = tuple(self._nodes[k] for k in kept)
         else:
-            outputs = self._draws.outputs(number) if number >= 0 else self._draws.without(-1 - number)
+            outputs = (
+                self._draws.outputs(number) if number >= 0 else self._draws.without(-1 - number)
+            )
             parts = [self._part(k).with_outputs(values) for k, values in enumerate(outputs)]
             nodes = self._nodes
         nlp = copy(self._nlp)

@@ -8,12 +8,15 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 
-def percentile_interval(values: ArrayLike, level: float, dof: float = math.inf) -> tuple[float, float]:
+def percentile_interval(
+    values: ArrayLike, level: float, dof: float = math.inf
+) -> tuple[float, float]:
     """Return the interval between the quantiles of replicates (b,); NaN without any.
 
-    With few degrees of freedom the quantiles lie as far out as Student's t: replicates scatter by errors whose size was
-    estimated, and know nothing of how well. Source: Hesterberg (2015), What teachers should know about the bootstrap,
-    The American Statistician 69 (the expanded percentile interval).
+    With few degrees of freedom the quantiles lie as far out as Student's t: replicates scatter by
+    errors whose size was estimated, and know nothing of how well. Source: Hesterberg (2015), What
+    teachers should know about the bootstrap, The American Statistician 69 (the expanded percentile
+    interval).
     """
     from scipy.special import ndtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
@@ -26,8 +29,8 @@ def bca_interval(
 ) -> tuple[float, float]:
     """Return the bias-corrected and accelerated interval of replicates (b,); NaN where the estimate is beyond all.
 
-    `dof` as of `percentile_interval`. Source: Efron (1987), Better bootstrap confidence intervals, JASA 82; Efron and
-    Tibshirani (1993), An Introduction to the Bootstrap, section 14.3.
+    `dof` as of `percentile_interval`. Source: Efron (1987), Better bootstrap confidence intervals,
+    JASA 82; Efron and Tibshirani (1993), An Introduction to the Bootstrap, section 14.3.
     """
     from scipy.special import ndtr, ndtri  # noqa: PLC0415  (as above)
 
@@ -58,10 +61,14 @@ def acceleration(left_out: ArrayLike) -> Array:
         return np.zeros(values.shape[1])
     away = values.mean(axis=0) - values
     squares = (away**2).sum(axis=0)
-    return np.where(squares > 0, (away**3).sum(axis=0) / (6 * np.where(squares > 0, squares, 1.0) ** 1.5), 0.0)
+    return np.where(
+        squares > 0, (away**3).sum(axis=0) / (6 * np.where(squares > 0, squares, 1.0) ** 1.5), 0.0
+    )
 
 
-def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int) -> NDArray[np.int_]:
+def drawn_blocks(
+    random: np.random.Generator, count: int, size: int, length: int
+) -> NDArray[np.int_]:
     """Return `count` places of a series of `size` samples, in blocks of so many that follow each other on a circle."""
     first = random.integers(0, size, -(-count // length))
     return ((first[:, None] + np.arange(length)) % size).ravel()[:count]

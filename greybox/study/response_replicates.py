@@ -1,8 +1,9 @@
 """Refits of frequency responses whose data were drawn anew, from the estimate, many at once.
 
-A run is named by a number, and draws its data itself: from zero on it is a replicate, whose random numbers follow from
-the seed and its number alone, and below zero the data without one observation, for the acceleration of BCa intervals.
-What travels to a worker is the measured data and the fitted response as numbers, and the compiled costs.
+A run is named by a number, and draws its data itself: from zero on it is a replicate, whose random
+numbers follow from the seed and its number alone, and below zero the data without one observation,
+for the acceleration of BCa intervals. What travels to a worker is the measured data and the fitted
+response as numbers, and the compiled costs.
 """
 
 import math
@@ -19,7 +20,13 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.scaling import Scaling
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.batched_solver import AT_MINIMUM, ITERATIONS, MOST_INSTRUCTIONS, MOST_UNKNOWNS, TOLERANCE
+from greybox.solve.batched_solver import (
+    AT_MINIMUM,
+    ITERATIONS,
+    MOST_INSTRUCTIONS,
+    MOST_UNKNOWNS,
+    TOLERANCE,
+)
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
@@ -31,14 +38,14 @@ Complexes = NDArray[np.complex128]
 
 Drawn = Literal["residuals", "points", "parametric", "parts"]
 
-# Of the variance of a residual, what is taken to be left of that of its error at least: a fit that all but passes
-# through a point says nothing of the error there, and must not make it infinite.
+# Of the variance of a residual, what is taken to be left of that of its error at least: a fit that
+# all but passes through a point says nothing of the error there, and must not make it infinite.
 LEAST_LEFT = 0.1
-UNSEEN = (
-    1e-7  # of the largest singular value of the sensitivities, below which a direction takes nothing from residuals
-)
+UNSEEN = 1e-7  # of the largest singular value of the sensitivities, below which a direction takes nothing from residuals
 
-FEW = "too few distinct points"  # status of a replicate whose points cannot determine the parameters
+FEW = (
+    "too few distinct points"  # status of a replicate whose points cannot determine the parameters
+)
 
 OMEGA, RE, IM = 0, 1, 2  # rows of a table
 
@@ -72,8 +79,8 @@ class ResponseDraws:
     unknowns : int
         How many parameters are free.
     neighbors : tuple of (float, float) or None
-        Of every part whose errors are correlated along frequency, the correlation of neighbors, and how many times
-        larger the variances are than `deviations` say.
+        Of every part whose errors are correlated along frequency, the correlation of neighbors, and
+        how many times larger the variances are than `deviations` say.
     """
 
     drawn: Drawn
@@ -99,10 +106,18 @@ class ResponseDraws:
             places = [random.integers(0, table.shape[1], table.shape[1]) for table in self.tables]
             if 2 * sum(np.unique(place).size for place in places) <= self.unknowns:
                 return None
-            return given(constants, counts, [t[:, place] for t, place in zip(self.tables, places, strict=True)])
+            return given(
+                constants,
+                counts,
+                [t[:, place] for t, place in zip(self.tables, places, strict=True)],
+            )
         if self.drawn == "parts":
             chosen = random.integers(0, len(self.tables), len(self.tables))
-            return given(constants, np.bincount(chosen, minlength=len(self.tables)).astype(float), self.tables)
+            return given(
+                constants,
+                np.bincount(chosen, minlength=len(self.tables)).astype(float),
+                self.tables,
+            )
         tables = []
         for k, table in enumerate(self.tables):
             measured = self.responses[k] + self.sizes[k] * self._errors(random, k)
@@ -169,8 +184,9 @@ def response_draws(
 ) -> ResponseDraws:
     """Return how replicates of a problem of responses are drawn, at the estimate x (p,).
 
-    Residuals are as large as the errors that they stand for once each is divided by the root of one less its leverage,
-    the mean of both components. Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section
+    Residuals are as large as the errors that they stand for once each is divided by the root of one
+    less its leverage, the mean of both components. Source: Davison and Hinkley (1997), Bootstrap
+    Methods and their Application, section
     6.2.2.
 
     Parameters
@@ -192,22 +208,33 @@ def response_draws(
     values = nlp.all_values(x)
     parts = [part for part in nlp.parts if isinstance(part, ResponsePart)]
     responses = [part.response(values) for part in parts]
-    sizes = [part.criterion.error_size(r, part.data) for part, r in zip(parts, responses, strict=True)]
     sizes = [
-        size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT)) if part.criterion.known_noise else size
+        part.criterion.error_size(r, part.data) for part, r in zip(parts, responses, strict=True)
+    ]
+    sizes = [
+        size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
+        if part.criterion.known_noise
+        else size
         for part, size in zip(parts, sizes, strict=True)
     ]
-    errors = [(part.data.response - r) / size for part, r, size in zip(parts, responses, sizes, strict=True)]
+    errors = [
+        (part.data.response - r) / size
+        for part, r, size in zip(parts, responses, sizes, strict=True)
+    ]
     spreads = [math.sqrt(float(np.mean(np.abs(error) ** 2))) for error in errors]
     for part, spread in zip(parts, spreads, strict=True):
         if not spread > math.sqrt(np.finfo(float).eps):
-            raise ValueError(f"{part.name!r} is fitted exactly, so that the size of its errors is not known.")
+            raise ValueError(
+                f"{part.name!r} is fitted exactly, so that the size of its errors is not known."
+            )
     slopes = [
         part.sensitivity(values)[:, : len(x)][:, ~at_bound] / (size * spread)[:, None]
         for part, size, spread in zip(parts, sizes, spreads, strict=True)
     ]
     leverages = _leverages(slopes, nlp.scaling.slope(x)[~at_bound])
-    errors = [e / np.sqrt(np.maximum(1 - h, LEAST_LEFT)) for e, h in zip(errors, leverages, strict=True)]
+    errors = [
+        e / np.sqrt(np.maximum(1 - h, LEAST_LEFT)) for e, h in zip(errors, leverages, strict=True)
+    ]
     deviations = []
     for k, part in enumerate(parts):
         square = float(np.mean(np.abs(errors[k]) ** 2))
@@ -251,8 +278,8 @@ def response_replicates(nlp: Nlp, draws: ResponseDraws, x: Array) -> "ResponseRe
     Raises
     ------
     ValueError
-        Where a criterion takes data as numbers alone, or points are drawn of a response that is known at the measured
-        frequencies alone.
+        Where a criterion takes data as numbers alone, or points are drawn of a response that is
+        known at the measured frequencies alone.
     """
     formulas = formulas_of_frequency(nlp)
     sizes = [table.shape[1] for table in draws.tables]
@@ -266,7 +293,9 @@ def response_replicates(nlp: Nlp, draws: ResponseDraws, x: Array) -> "ResponseRe
         fewer = ([size - (k == part) for k, size in enumerate(sizes)] for part in range(len(sizes)))
         without = [open_program(nlp, formulas, less) for less in fewer]
     program = open_program(nlp, formulas, sizes)
-    return ResponseReplicates(draws, program, without, nlp.scaling.to_solver(x), nlp.lower, nlp.upper, nlp.scaling)
+    return ResponseReplicates(
+        draws, program, without, nlp.scaling.to_solver(x), nlp.lower, nlp.upper, nlp.scaling
+    )
 
 
 class ResponseReplicates(Runner):
@@ -286,8 +315,8 @@ class ResponseReplicates(Runner):
     scaling : Scaling
     """
 
-    # A batch of 128 takes a tenth of a second for the tilt model: enough for workers to share a thousand replicates
-    # evenly, at 0.2 ms more for each than in one batch.
+    # A batch of 128 takes a tenth of a second for the tilt model: enough for workers to share a
+    # thousand replicates evenly, at 0.2 ms more for each than in one batch.
     together = 128
 
     def __init__(
@@ -338,7 +367,9 @@ class ResponseReplicates(Runner):
             else:
                 which, numbers = None, self._draws.replicate(number)
             if numbers is None:
-                found[row] = Outcome(np.full(len(self._start), np.nan), FEW, 0, 0.0, converged=False)
+                found[row] = Outcome(
+                    np.full(len(self._start), np.nan), FEW, 0, 0.0, converged=False
+                )
             else:
                 sets.setdefault(which, []).append((row, numbers))
         for which, some in sets.items():
@@ -365,7 +396,14 @@ class ResponseReplicates(Runner):
             )
             z, arrived, iterations = ends.z, ends.at_minimum, ends.iterations
         return [
-            Outcome(self._estimate(z[:, k]), AT_MINIMUM, int(iterations[k]), 0.0, converged=True, stage=IMPROVED)
+            Outcome(
+                self._estimate(z[:, k]),
+                AT_MINIMUM,
+                int(iterations[k]),
+                0.0,
+                converged=True,
+                stage=IMPROVED,
+            )
             if arrived[k]
             else self._by_ipopt(which, numbers[:, k])
             for k in range(count)
@@ -383,7 +421,9 @@ class ResponseReplicates(Runner):
         lower, upper = (self._scaling.to_solver(bound) for bound in self._bounds)
         bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": math.inf}
         begin = np.clip(self._start, lower, upper)
-        end, status, iterations = self._ipopt[which].solve(begin, np.concatenate([[SMOOTHING], numbers]), bounds)
+        end, status, iterations = self._ipopt[which].solve(
+            begin, np.concatenate([[SMOOTHING], numbers]), bounds
+        )
         return Outcome(self._estimate(end), status, iterations, 0.0, converged=status in CONVERGED)
 
     def _estimate(self, z: Array) -> Array:

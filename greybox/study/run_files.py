@@ -2,13 +2,15 @@
 
 Layout, version 1
 -----------------
-``runs-SERIAL-COUNT.h5``  sealed (`greybox.files.sealed_files`), with the attributes ``format`` ("greybox runs"),
-    ``layout``, ``fingerprint`` (of the compiled problem and its solver), ``statuses`` (JSON), and datasets with a row
-    a run: ``number`` (of the start), ``start`` (r, s) and ``estimate`` (r, p), ``cost``, ``status`` (index of
-    ``statuses``), ``converged``, ``iterations``, ``seconds``, ``stage`` (index of `STAGES`, the last where it is
-    missing); where runs have them, ``signature`` (r, m) and, of every part of the problem, ``nodes/0 ...`` (r, s n),
-    the states of (s, n) as the JSON attribute ``shapes`` has it. A row of NaN is none. A run may be in two files, of
-    which one replaces the other.
+``runs-SERIAL-COUNT.h5``  sealed (`greybox.files.sealed_files`), with the attributes ``format``
+("greybox runs"),
+    ``layout``, ``fingerprint`` (of the compiled problem and its solver), ``statuses`` (JSON), and
+    datasets with a row a run: ``number`` (of the start), ``start`` (r, s) and ``estimate`` (r, p),
+    ``cost``, ``status`` (index of ``statuses``), ``converged``, ``iterations``, ``seconds``,
+    ``stage`` (index of `STAGES`, the last where it is missing); where runs have them, ``signature``
+    (r, m) and, of every part of the problem, ``nodes/0 ...`` (r, s n), the states of (s, n) as the
+    JSON attribute ``shapes`` has it. A row of NaN is none. A run may be in two files, of which one
+    replaces the other.
 """
 
 import json
@@ -70,13 +72,17 @@ class _Columns:
             "start": np.array([start for _, start, _ in rows]),
             "estimate": np.array([outcome.estimate for outcome in outcomes]),
             "status": np.array([statuses.index(outcome.status) for outcome in outcomes]),
-            **{name: np.array([getattr(outcome, name) for outcome in outcomes]) for name in NUMBERS},
+            **{
+                name: np.array([getattr(outcome, name) for outcome in outcomes]) for name in NUMBERS
+            },
             "stage": np.array([STAGES.index(outcome.stage) for outcome in outcomes]),
         }
         if any(outcome.signature is not None for outcome in outcomes):
             columns["signature"] = _stacked([outcome.signature for outcome in outcomes])
         for k in range(len(nodes)):
-            columns[f"nodes/{k}"] = _stacked([None if o.nodes is None else o.nodes[k].ravel() for o in outcomes])
+            columns[f"nodes/{k}"] = _stacked(
+                [None if o.nodes is None else o.nodes[k].ravel() for o in outcomes]
+            )
         return _Columns(columns, statuses, [array.shape for array in nodes])
 
     @staticmethod
@@ -88,7 +94,9 @@ class _Columns:
         for name in dict.fromkeys([*both[0], *both[1]]):
             width = next(each[name].shape[1:] for each in both if name in each)
             missing = (np.full((len(each["number"]), *width), math.nan) for each in both)
-            columns[name] = np.concatenate([each.get(name, none) for each, none in zip(both, missing, strict=True)])
+            columns[name] = np.concatenate(
+                [each.get(name, none) for each, none in zip(both, missing, strict=True)]
+            )
         return _Columns(columns, statuses, first.shapes or second.shapes)
 
     def _with(self, statuses: list[str]) -> dict[str, NDArray[Any]]:
@@ -103,7 +111,9 @@ class _Columns:
         """Return start and outcome of a run."""
         columns = self.columns
         signature = columns["signature"][k] if "signature" in columns else None
-        nodes = tuple(columns[f"nodes/{part}"][k].reshape(shape) for part, shape in enumerate(self.shapes))
+        nodes = tuple(
+            columns[f"nodes/{part}"][k].reshape(shape) for part, shape in enumerate(self.shapes)
+        )
         outcome = Outcome(
             estimate=columns["estimate"][k],
             status=printable(self.statuses[int(columns["status"][k])]),
@@ -129,7 +139,9 @@ class _Known(Mapping[int, tuple[Array, Outcome]]):
 
     def __init__(self, parts: Sequence[_Columns]) -> None:
         self._parts = parts
-        self._numbers = np.concatenate([np.zeros(0, dtype=int), *(part.columns["number"] for part in parts)])
+        self._numbers = np.concatenate(
+            [np.zeros(0, dtype=int), *(part.columns["number"] for part in parts)]
+        )
         self._order = np.argsort(self._numbers, kind="stable")
         self._sorted = self._numbers[self._order]
         self._ends = np.cumsum([len(part) for part in parts])
@@ -193,7 +205,8 @@ class RunFiles(KeptRuns):
     def write(self) -> None:
         """Write all runs that are not on disk yet.
 
-        A file that is no longer than the new one becomes a part of it: n runs are in log2(n) files at most.
+        A file that is no longer than the new one becomes a part of it: n runs are in log2(n) files
+        at most.
 
         Raises
         ------
@@ -226,7 +239,10 @@ class RunFiles(KeptRuns):
     def remove(self) -> None:
         """Remove all runs, and what a killed process left of them."""
         self._files, self._unwritten = [], []
-        for path in (*(path for _, path in _paths(self._folder)), *self._folder.glob(".runs-*.part")):
+        for path in (
+            *(path for _, path in _paths(self._folder)),
+            *self._folder.glob(".runs-*.part"),
+        ):
             path.unlink(missing_ok=True)
 
 
@@ -241,7 +257,12 @@ def _paths(folder: Path) -> list[tuple[int, Path]]:
 
 
 def _fill(file: Node, runs: _Columns, fingerprint: str) -> None:
-    attributes = {"format": FORMAT, "layout": LAYOUT, "fingerprint": fingerprint, "statuses": json.dumps(runs.statuses)}
+    attributes = {
+        "format": FORMAT,
+        "layout": LAYOUT,
+        "fingerprint": fingerprint,
+        "statuses": json.dumps(runs.statuses),
+    }
     file.attrs.update({**attributes, "shapes": json.dumps(runs.shapes)})
     for name, column in runs.columns.items():
         file[name] = column
@@ -261,7 +282,9 @@ def _read(path: Path, fingerprint: str) -> _Columns:
         own = file.attrs["fingerprint"]
         runs = _columns(file) if layout <= LAYOUT else None
     if runs is None:
-        raise ValueError(f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox.")
+        raise ValueError(
+            f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox."
+        )
     if own != fingerprint:
         raise ValueError(
             f"{path} was made for another problem, with other options, or by another version of greybox or CasADi: "

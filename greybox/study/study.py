@@ -67,7 +67,9 @@ class Study:
         for member in self.members:
             if member.name == name:
                 return member
-        raise KeyError(f"the study has no member {name!r}; it has {', '.join(m.name for m in self.members)}.")
+        raise KeyError(
+            f"the study has no member {name!r}; it has {', '.join(m.name for m in self.members)}."
+        )
 
     def count(self, status: Status) -> int:
         """Return how many members have this status."""
@@ -77,7 +79,11 @@ class Study:
         return one_line(self, str(self.folder), self._state())
 
     def _state(self) -> str:
-        found = [f"{self.count(status)} {status}" for status in ("done", "failed", "unfinished") if self.count(status)]
+        found = [
+            f"{self.count(status)} {status}"
+            for status in ("done", "failed", "unfinished")
+            if self.count(status)
+        ]
         return f"{counted(len(self.members), 'member')}: {', '.join(found) or 'none'}"
 
     def __str__(self) -> str:
@@ -87,7 +93,9 @@ class Study:
             if member.status == "done":
                 groups.setdefault(tuple(member.answer["standard_error"]), []).append(member)
         blocks += [_estimates(names, members) for names, members in groups.items()]
-        failed = [f"{member.name}: {member.error}" for member in self.members if member.status == "failed"]
+        failed = [
+            f"{member.name}: {member.error}" for member in self.members if member.status == "failed"
+        ]
         if failed:
             blocks.append("\n".join(["Failed:", *(f"  {printable(text)}" for text in failed)]))
         return "\n\n".join(blocks)
@@ -104,7 +112,12 @@ def read_study(folder: str | Path) -> Study:
         If a file of it is damaged.
     """
     folder = Path(folder)
-    return Study(folder, tuple(_member(name, member_folder(folder, own)) for name, own in read_index(folder).items()))
+    return Study(
+        folder,
+        tuple(
+            _member(name, member_folder(folder, own)) for name, own in read_index(folder).items()
+        ),
+    )
 
 
 def _member(name: str, folder: Path) -> StudyMember:
@@ -120,7 +133,9 @@ def _member(name: str, folder: Path) -> StudyMember:
             _require_labels(answer)
             runs = int(answer["starts"])
     except (LookupError, TypeError, ValueError, AttributeError):
-        raise ValueError(f"{folder / ANSWER} is damaged: delete it to have it made again.") from None
+        raise ValueError(
+            f"{folder / ANSWER} is damaged: delete it to have it made again."
+        ) from None
     return StudyMember(name, folder, "failed" if error else "done", str(error), runs, answer)
 
 
@@ -132,7 +147,18 @@ def _require_labels(answer: Mapping[str, Any]) -> None:
 
 
 def _overview(members: tuple[StudyMember, ...]) -> str:
-    header = ["member", "status", "criterion", "delay", "runs", "converged", "agreeing", "minima", "cost", "warnings"]
+    header = [
+        "member",
+        "status",
+        "criterion",
+        "delay",
+        "runs",
+        "converged",
+        "agreeing",
+        "minima",
+        "cost",
+        "warnings",
+    ]
     return text_table(header, [_row(member) for member in members], left=(0, 1, 2, 3))
 
 
@@ -147,7 +173,9 @@ def _row(member: StudyMember) -> list[str]:
 
 
 def _estimates(names: tuple[str, ...], members: list[StudyMember]) -> str:
-    return text_table(["member", *names], [[member.name, *_cells(member.answer)] for member in members])
+    return text_table(
+        ["member", *names], [[member.name, *_cells(member.answer)] for member in members]
+    )
 
 
 def _cells(answer: Mapping[str, Any]) -> list[str]:

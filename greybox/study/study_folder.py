@@ -5,11 +5,11 @@ Layout, version 1
 ``study.json``          ``format`` ("greybox study"), ``layout``, and ``members``: name and folder of each, in order.
 ``lock``                locked by the process that writes.
 ``members/001-NAME/``   a member's ``runs-...h5`` (`greybox.study.run_files`), and once it is done ``fit.h5`` (as
-    `greybox.save` writes it) and ``answer.json``: the numbers of the fit, or ``error``, with ``fingerprint``, ``rule``
-    of the starts.
+    `greybox.save` writes it) and ``answer.json``: the numbers of the fit, or ``error``, with
+    ``fingerprint``, ``rule`` of the starts.
 
-Every file is written under a temporary name and renamed. What is in a folder may come from anyone: nothing in it is
-executed.
+Every file is written under a temporary name and renamed. What is in a folder may come from anyone:
+nothing in it is executed.
 """
 
 import json
@@ -28,8 +28,8 @@ INDEX = "study.json"
 LOCK = "lock"
 ANSWER = "answer.json"
 FIT = "fit.h5"
-# Seconds that a lock is waited for: a worker that was being started when its parent was killed still holds the parent's
-# files until its own program runs.
+# Seconds that a lock is waited for: a worker that was being started when its parent was killed
+# still holds the parent's files until its own program runs.
 PATIENCE = 2.0
 
 
@@ -54,7 +54,9 @@ def locked(folder: Path) -> Iterator[None]:
         ) from None
     except OSError as error:
         reason = error.strerror or str(error).rstrip(".")
-        raise type(error)(f"{folder} cannot be written ({reason}): choose another folder.") from error
+        raise type(error)(
+            f"{folder} cannot be written ({reason}): choose another folder."
+        ) from error
     try:
         yield
     finally:
@@ -80,7 +82,9 @@ def read_index(folder: Path) -> dict[str, str]:
         raise FileNotFoundError(f"{folder} is no study: there is no {INDEX} in it.")
     index = read_json(folder / INDEX)
     if index.get("format") != FORMAT or not isinstance(index.get("layout"), int):
-        raise ValueError(f"{folder / INDEX} is not the index of a study: give a folder that greybox batch wrote.")
+        raise ValueError(
+            f"{folder / INDEX} is not the index of a study: give a folder that greybox batch wrote."
+        )
     if index["layout"] > LAYOUT:
         raise ValueError(
             f"{folder} has layout {index['layout']} and this version reads up to {LAYOUT}: update greybox."
@@ -137,4 +141,8 @@ def _is_member(member: Any) -> bool:
         return False
     name, own = member.get("name"), member.get("folder")
     is_name = isinstance(name, str) and name == printable(name)
-    return is_name and isinstance(own, str) and re.fullmatch(r"\d{3,}-[A-Za-z0-9_.-]*", own) is not None
+    return (
+        is_name
+        and isinstance(own, str)
+        and re.fullmatch(r"\d{3,}-[A-Za-z0-9_.-]*", own) is not None
+    )

@@ -18,8 +18,8 @@ class Likelihoods:
     said : str
         Which likelihood, in words.
     fits : tuple of Fit
-        At the maximum of that likelihood next to the estimate; the fit itself where it is one of that likelihood, or
-        where its problem cannot be stated again.
+        At the maximum of that likelihood next to the estimate; the fit itself where it is one of
+        that likelihood, or where its problem cannot be stated again.
     costs : tuple of float
         Negative log-likelihoods, up to a constant of the data.
     nuisances : tuple of int
@@ -38,17 +38,21 @@ class Likelihoods:
 def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
     """Return the fits, which have the same responses, on the scale of one likelihood; else None.
 
-    That of the given variances where all data have them, otherwise that of errors of one relative variance. There is
-    none for other data and for weights.
+    That of the given variances where all data have them, otherwise that of errors of one relative
+    variance. There is none for other data and for weights.
     """
-    if any(part.weight != 1 for fit in fits for part in fit.parts) or not all(map(has_responses_alone, fits)):
+    if any(part.weight != 1 for fit in fits for part in fit.parts) or not all(
+        map(has_responses_alone, fits)
+    ):
         return None
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion: Criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
     restated = [_at_maximum(fit, criterion) for fit in fits]
     return Likelihoods(
         said=f"{type(criterion).__name__} ({criterion.description})",
-        fits=tuple(fit if found is None else found for fit, found in zip(fits, restated, strict=True)),
+        fits=tuple(
+            fit if found is None else found for fit, found in zip(fits, restated, strict=True)
+        ),
         costs=tuple(
             fit.costs[criterion.name] if found is None else found.cost
             for fit, found in zip(fits, restated, strict=True)
@@ -71,5 +75,7 @@ def _at_maximum(fit: Fit, criterion: Criterion) -> Fit | None:
         problem = problem_of(fit).with_(criterion=criterion)
     except (LookupError, ValueError):
         return None
-    found = fit_problem(problem, [{name: fit.estimate[name] for name in fit.free}], profiles=False, progress=False)
+    found = fit_problem(
+        problem, [{name: fit.estimate[name] for name in fit.free}], profiles=False, progress=False
+    )
     return found if found.converged and found.cost <= fit.costs[criterion.name] else None

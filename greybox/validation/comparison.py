@@ -11,7 +11,8 @@ from greybox.simulation.windows import seconds
 
 IDENTIFICATION = "identification"
 HELD_OUT = "held-out"
-# What is left out of fits of responses, one part of it after the other, and predicted by the fit to the rest.
+# What is left out of fits of responses, one part of it after the other, and predicted by the fit to
+# the rest.
 FREQUENCIES = "frequencies"
 PARTS = "parts"
 
@@ -19,7 +20,8 @@ PARTS = "parts"
 SIGNIFICANT = 0.05
 
 
-# Rows of the table beyond which its text leaves out details: what a page holds beside titles and sentences.
+# Rows of the table beyond which its text leaves out details: what a page holds beside titles and
+# sentences.
 PAGE = 45
 MOST_SIGNALS = 3  # that an output is shown to be correlated with: the largest findings
 
@@ -31,16 +33,16 @@ class Row:
     Attributes
     ----------
     data : str
-        "fit"; on which records the windows lie: "identification" or "held-out"; or what was left out and predicted by
-        the fit to the rest: "frequencies" or "parts".
+        "fit"; on which records the windows lie: "identification" or "held-out"; or what was left
+        out and predicted by the fit to the rest: "frequencies" or "parts".
     output : str
         Empty for what belongs to the whole fit.
     measure, unit : str
     values : tuple of float or None
         In the order of the fits.
     signal : str
-        Of a p-value of no correlation between the errors of the output and a signal, that signal; of what belongs to
-        such a row too.
+        Of a p-value of no correlation between the errors of the output and a signal, that signal;
+        of what belongs to such a row too.
     is_detail : bool
         Whether the text leaves it out where it would be longer than a page.
     """
@@ -74,7 +76,8 @@ class Comparison:
     statements : tuple of str
         What they mean, in sentences.
     window, lead : float or None
-        Lengths of the windows in s, as used in the first record in time: whole samples; None without one.
+        Lengths of the windows in s, as used in the first record in time: whole samples; None
+        without one.
     windows : mapping of str to int
         How many there are on identification data and on held-out records.
     predictions : mapping of str to tuple of tuples
@@ -92,7 +95,9 @@ class Comparison:
     window: float | None = None
     lead: float | None = None
     windows: Mapping[str, int] = field(default_factory=dict)
-    predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(default_factory=dict, repr=False)
+    predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(
+        default_factory=dict, repr=False
+    )
     supported: str = ""
     verdict: str = ""
 
@@ -115,7 +120,9 @@ class Comparison:
         """
         found = [r for r in self.rows if (r.data, r.output, r.measure) == (data, output, measure)]
         if not found or label not in self.labels:
-            raise ValueError(f"there is no {measure!r} of {label!r} for {data!r} and output {output!r} in the table.")
+            raise ValueError(
+                f"there is no {measure!r} of {label!r} for {data!r} and output {output!r} in the table."
+            )
         return found[0].values[self.labels.index(label)]
 
     def __repr__(self) -> str:
@@ -128,15 +135,24 @@ class Comparison:
         lines += self._section([r for r in shown if r.data == "fit"])
         for data, title in ((FREQUENCIES, "left-out frequencies"), (PARTS, "left-out responses")):
             rows = [r for r in self.rows if r.data == data]
-            lines += [f"  {title}, predicted by the fit to the others", "", *self._section(rows)] if rows else []
+            lines += (
+                [f"  {title}, predicted by the fit to the others", "", *self._section(rows)]
+                if rows
+                else []
+            )
         for data in (IDENTIFICATION, HELD_OUT):
             rows = [r for r in self.rows if r.data == data]
             if rows:
                 lines += [f"  {data} data: {self._windows(data)}", ""]
             for output in dict.fromkeys(r.output for r in rows):
-                lines += self._section([r for r in shown if r.data == data and r.output == output], output)
+                lines += self._section(
+                    [r for r in shown if r.data == data and r.output == output], output
+                )
         if len(shown) < len(self.rows):
-            lines += [f"  The most telling {len(shown)} of {len(self.rows)} rows; `table` has all.", ""]
+            lines += [
+                f"  The most telling {len(shown)} of {len(self.rows)} rows; `table` has all.",
+                "",
+            ]
         return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
 
     def _shown(self) -> list[Row]:
@@ -147,9 +163,13 @@ class Comparison:
         return shown if len(shown) <= PAGE else [row for row in shown if not row.is_detail]
 
     def _repr_html_(self) -> str:
-        rows = [[r.data, r.output, r.measure, r.unit, *(_cell(v) for v in r.values)] for r in self.rows]
+        rows = [
+            [r.data, r.output, r.measure, r.unit, *(_cell(v) for v in r.values)] for r in self.rows
+        ]
         table = html_table(["data", "output", "measure", "unit", *self.labels], rows, (0, 1, 2, 3))
-        title = html_text(f"Comparison of {', '.join(self.labels)}", "b") + html_text(f"Data: {self.data}")
+        title = html_text(f"Comparison of {', '.join(self.labels)}", "b") + html_text(
+            f"Data: {self.data}"
+        )
         return title + table + html_list(self.statements)
 
     def _windows(self, data: str) -> str:
@@ -179,23 +199,39 @@ class Comparison:
 def _without_uncorrelated(rows: Sequence[Row]) -> list[Row]:
     """Return the rows of one output with the signals that its errors are most clearly correlated with, first.
 
-    The others are one row with the least of their p-values. Many signals are many tests: a p-value counts below its
-    share of the limit (Bonferroni).
+    The others are one row with the least of their p-values. Many signals are many tests: a p-value
+    counts below its share of the limit (Bonferroni).
     """
     signals = list(dict.fromkeys(r.signal for r in rows if r.signal))
     least = {
-        name: min(v for r in rows if r.signal == name and r.is_p_value for v in (*r.values, 1.0) if v is not None)
+        name: min(
+            v
+            for r in rows
+            if r.signal == name and r.is_p_value
+            for v in (*r.values, 1.0)
+            if v is not None
+        )
         for name in signals
     }
-    found = [name for name in sorted(signals, key=lambda name: least[name]) if least[name] < SIGNIFICANT / len(signals)]
+    found = [
+        name
+        for name in sorted(signals, key=lambda name: least[name])
+        if least[name] < SIGNIFICANT / len(signals)
+    ]
     told = found[:MOST_SIGNALS]
-    result = [r for r in rows if not r.signal] + [r for name in told for r in rows if r.signal == name]
+    result = [r for r in rows if not r.signal] + [
+        r for name in told for r in rows if r.signal == name
+    ]
     others = [r for r in rows if r.signal and r.signal not in told and r.is_p_value]
     if len(others) > 1:
         columns = zip(*(r.values for r in others), strict=True)
-        values = tuple(min((v for v in column if v is not None), default=None) for column in columns)
+        values = tuple(
+            min((v for v in column if v is not None), default=None) for column in columns
+        )
         row = others[0]
-        result.append(Row(row.data, row.output, f"  {len(others)} other signals (least p)", "", values))
+        result.append(
+            Row(row.data, row.output, f"  {len(others)} other signals (least p)", "", values)
+        )
         return result
     return result + [r for r in rows if r.signal and r.signal not in told]
 

@@ -1,8 +1,8 @@
 """Frequency responses predicted by fits that have not seen them: over frequencies, or one part of a sum at a time.
 
-Points at one frequency are left out together, in all parts, since errors of one test are alike there. A part that is
-left out may have parameters of its own, which no other part tells of: these are estimated from it, at the values that
-the others give to what is shared.
+Points at one frequency are left out together, in all parts, since errors of one test are alike
+there. A part that is left out may have parameters of its own, which no other part tells of: these
+are estimated from it, at the values that the others give to what is shared.
 """
 
 import math
@@ -27,10 +27,14 @@ from greybox.validation.comparison import FREQUENCIES, PARTS, SIGNIFICANT, Row, 
 Array = NDArray[np.float64]
 
 FEWEST_FOLDS = 2
-FEWEST_FREQUENCIES = 5  # at which a mean difference is tested: with fewer the threshold of Student's t is above 2.8
+FEWEST_FREQUENCIES = (
+    5  # at which a mean difference is tested: with fewer the threshold of Student's t is above 2.8
+)
 
 
-def cross_validation(fits: Sequence[Fit], labels: Sequence[str], folds: int | str) -> tuple[list[Row], list[str]]:
+def cross_validation(
+    fits: Sequence[Fit], labels: Sequence[str], folds: int | str
+) -> tuple[list[Row], list[str]]:
     """Return measures of the predictions of left-out points by every fit, and sentences on pairs of them.
 
     Raises
@@ -39,7 +43,9 @@ def cross_validation(fits: Sequence[Fit], labels: Sequence[str], folds: int | st
         For records, folds out of range, and a fit whose problem cannot be stated again.
     """
     if not all(map(has_responses_alone, fits)):
-        raise ValueError("folds are for frequency responses alone: hold records out by records=[...].")
+        raise ValueError(
+            "folds are for frequency responses alone: hold records out by records=[...]."
+        )
     problems = [problem_of(fit) for fit in fits]
     if folds == PARTS:
         each = zip(fits, problems, labels, strict=True)
@@ -47,11 +53,15 @@ def cross_validation(fits: Sequence[Fit], labels: Sequence[str], folds: int | st
         kind = PARTS
     else:
         left_out = _folds(fits[0], folds)
-        predicted = [_frequencies_left_out(fit, problem, left_out) for fit, problem in zip(fits, problems, strict=True)]
+        predicted = [
+            _frequencies_left_out(fit, problem, left_out)
+            for fit, problem in zip(fits, problems, strict=True)
+        ]
         kind = FREQUENCIES
     measured = [part.data.response for part in fits[0].responses]
     errors = [
-        np.concatenate([np.abs(p / m - 1) for p, m in zip(of_fit, measured, strict=True)]) for of_fit, _ in predicted
+        np.concatenate([np.abs(p / m - 1) for p, m in zip(of_fit, measured, strict=True)])
+        for of_fit, _ in predicted
     ]
     own = [float(count) for _, count in predicted]
     rows = [
@@ -71,7 +81,11 @@ def _known(values: Iterable[float]) -> tuple[float | None, ...]:
 def _folds(fit: Fit, folds: int | str) -> list[list[NDArray[np.bool_]]]:
     """Return for every fold which points of every part it leaves out: every `folds`-th frequency."""
     omega = np.unique(np.concatenate([part.data.omega for part in fit.responses]))
-    if not isinstance(folds, int) or isinstance(folds, bool) or not FEWEST_FOLDS <= folds <= len(omega):
+    if (
+        not isinstance(folds, int)
+        or isinstance(folds, bool)
+        or not FEWEST_FOLDS <= folds <= len(omega)
+    ):
         raise ValueError(
             f"folds is {folds!r}: give a number from {FEWEST_FOLDS} to {len(omega)}, the number of frequencies, or "
             f"{PARTS!r} to leave out one response at a time."
@@ -80,7 +94,9 @@ def _folds(fit: Fit, folds: int | str) -> list[list[NDArray[np.bool_]]]:
     for k in range(folds):
         left_out = [np.isin(part.data.omega, omega[k::folds]) for part in fit.responses]
         if any(out.all() for out in left_out):
-            raise ValueError(f"folds is {folds}: one of them leaves no point of a response; give more folds.")
+            raise ValueError(
+                f"folds is {folds}: one of them leaves no point of a response; give more folds."
+            )
         found.append(left_out)
     return found
 
@@ -102,15 +118,21 @@ def _frequencies_left_out(
     return predicted, 0
 
 
-def _parts_left_out(fit: Fit, problem: AnyProblem, label: str) -> tuple[list[NDArray[np.complex128]], int]:
+def _parts_left_out(
+    fit: Fit, problem: AnyProblem, label: str
+) -> tuple[list[NDArray[np.complex128]], int]:
     """Return the responses of all parts, each predicted by the fit to the others, and how many values were its own."""
     if len(problem.parts) < FEWEST_FOLDS:
-        raise ValueError(f"{label} has one response, which cannot be left out: give folds as a number.")
+        raise ValueError(
+            f"{label} has one response, which cannot be left out: give folds as a number."
+        )
     predicted, count = [], 0
     for k, part in enumerate(problem.parts):
         others = [other for i, other in enumerate(problem.parts) if i != k]
         shared = {name for other in others for name in other.parameters}
-        of_part = {part.outside(name): name for name in part.declared if part.outside(name) in fit.free}
+        of_part = {
+            part.outside(name): name for name in part.declared if part.outside(name) in fit.free
+        }
         if not shared & set(of_part):
             raise ValueError(
                 f"{part.name!r} of {label} shares no free parameter with the other parts, which then say nothing of it."
@@ -120,10 +142,14 @@ def _parts_left_out(fit: Fit, problem: AnyProblem, label: str) -> tuple[list[NDA
         count += len(own)
         values = {} if found is None else {**fit.estimate, **found.estimate}
         if own and found is not None:
-            held = {inside: values[outside] for outside, inside in of_part.items() if outside not in own}
+            held = {
+                inside: values[outside] for outside, inside in of_part.items() if outside not in own
+            }
             alone = _refitted(part.with_(fixed={**part.fixed_values, **held}), fit)
             values = {} if alone is None else {**values, **alone.estimate}
-        predicted.append(_response(part, values) if values else np.full(len(part.data), np.nan, dtype=complex))
+        predicted.append(
+            _response(part, values) if values else np.full(len(part.data), np.nan, dtype=complex)
+        )
     return predicted, count
 
 
@@ -146,7 +172,9 @@ def _response(part: Problem, values: dict[str, float]) -> NDArray[np.complex128]
     inside = {name: values[part.outside(name)] for name in part.model.parameters}
     signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}
     try:
-        return response_of_test(part.model, inside, data.omega, part.amplitude, data.omega, **signals).response
+        return response_of_test(
+            part.model, inside, data.omega, part.amplitude, data.omega, **signals
+        ).response
     except ValueError:  # no operating point, or a pole on a frequency
         return np.full(len(data), np.nan, dtype=complex)
 
@@ -163,13 +191,20 @@ def _verdicts(errors: Sequence[Array], labels: Sequence[str], omega: Array, kind
         for b in range(a + 1, len(errors)):
             failed = [labels[i] for i in (a, b) if not np.all(np.isfinite(errors[i]))]
             if failed:
-                said.append(f"{' and '.join(failed)} could not be fitted without some of the points.")
+                said.append(
+                    f"{' and '.join(failed)} could not be fitted without some of the points."
+                )
                 continue
             difference = np.bincount(group, errors[b] - errors[a]) / counts
-            n, spread = len(difference), float(np.std(difference, ddof=1)) if len(difference) > 1 else 0.0
+            n, spread = (
+                len(difference),
+                float(np.std(difference, ddof=1)) if len(difference) > 1 else 0.0,
+            )
             sizes = [f"{number(100 * rms(errors[i]), 3)} %" for i in (a, b)]
             if n < FEWEST_FREQUENCIES or not spread > 0:
-                said.append(f"{labels[a]} and {labels[b]} predict {what} to {sizes[0]} and {sizes[1]} rms.")
+                said.append(
+                    f"{labels[a]} and {labels[b]} predict {what} to {sizes[0]} and {sizes[1]} rms."
+                )
                 continue
             t = float(difference.mean()) / (spread / math.sqrt(n))
             p = float(2 * stdtr(n - 1, -abs(t)))

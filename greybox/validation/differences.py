@@ -52,26 +52,44 @@ class Differences:
         differ = [q.name for q in told if q.differs]
         alike = [q.name for q in told if not q.differs]
         unknown = [q.name for q in self.quantities if math.isnan(q.p_value)]
-        texts = [f"{listed(differ)} {'differs' if len(differ) == 1 else 'differ'} beyond the errors"] if differ else []
+        texts = (
+            [f"{listed(differ)} {'differs' if len(differ) == 1 else 'differ'} beyond the errors"]
+            if differ
+            else []
+        )
         texts += [f"no difference of {listed(alike)} is beyond the errors"] if alike else []
-        texts += [f"of {listed(unknown)} nothing can be told without standard errors"] if unknown else []
+        texts += (
+            [f"of {listed(unknown)} nothing can be told without standard errors"] if unknown else []
+        )
         return f"{'; '.join(texts)} (5 % for all {counted(len(told), 'test')} together, Holm)."
 
     def __getitem__(self, name: str) -> Difference:
         for quantity in self.quantities:
             if quantity.name == name:
                 return quantity
-        raise KeyError(f"there is no {name!r}; there are {', '.join(q.name for q in self.quantities)}.")
+        raise KeyError(
+            f"there is no {name!r}; there are {', '.join(q.name for q in self.quantities)}."
+        )
 
     def __repr__(self) -> str:
-        return one_line(self, " and ".join(self.labels), counted(sum(q.differs for q in self.quantities), "difference"))
+        return one_line(
+            self,
+            " and ".join(self.labels),
+            counted(sum(q.differs for q in self.quantities), "difference"),
+        )
 
     def __str__(self) -> str:
         rows = []
         for q in self.quantities:
-            columns = [" ± ".join(with_error(v, e)) for v, e in zip(q.values, q.errors, strict=True)]
+            columns = [
+                " ± ".join(with_error(v, e)) for v, e in zip(q.values, q.errors, strict=True)
+            ]
             difference = " ± ".join(with_error(q.values[1] - q.values[0], math.hypot(*q.errors)))
-            p = "-" if math.isnan(q.p_of_all) else p_text(q.p_of_all).removeprefix("p = ").removeprefix("p ")
+            p = (
+                "-"
+                if math.isnan(q.p_of_all)
+                else p_text(q.p_of_all).removeprefix("p = ").removeprefix("p ")
+            )
             rows.append([q.name, *columns, difference, q.unit, p, "differs" if q.differs else ""])
         header = ["parameter", *self.labels, "difference", "unit", "p", ""]
         return "\n".join([text_table(header, rows, left=(0, 4, 6)), "", self.verdict])
@@ -82,9 +100,10 @@ def differences(
 ) -> Differences:
     """Test which parameters of two fits to different data differ beyond their errors.
 
-    Each by Welch's t, whose sizes of the errors are those of the two fits, and all of them together by Holm's
-    correction. The data must be independent of one another. What both fits hold fixed is taken as known: an error that
-    it has is common to both. Values are compared less their `Quantity.bias`.
+    Each by Welch's t, whose sizes of the errors are those of the two fits, and all of them together
+    by Holm's correction. The data must be independent of one another. What both fits hold fixed is
+    taken as known: an error that it has is common to both. Values are compared less their
+    `Quantity.bias`.
 
     Parameters
     ----------
@@ -97,13 +116,16 @@ def differences(
     Raises
     ------
     ValueError
-        For fits without an estimate or of the same data, and for names that one of them does not have.
+        For fits without an estimate or of the same data, and for names that one of them does not
+        have.
 
     Sources: Welch (1947), Biometrika 34; Holm (1979), Scandinavian Journal of Statistics 6.
     """
     check_fits((first, second))
     if {part.data.checksum for part in first.parts} & {part.data.checksum for part in second.parts}:
-        raise ValueError("the fits share data, so that their errors are not independent: use gb.compare.")
+        raise ValueError(
+            "the fits share data, so that their errors are not independent: use gb.compare."
+        )
     titles = tuple(labels) or (first.name, second.name)
     if len(titles) != 2 or titles[0] == titles[1]:
         titles = labels_of((first, second))
@@ -115,7 +137,8 @@ def differences(
         raise ValueError(f"{titles[0]} and {titles[1]} have no free parameter in common.")
 
     p_values = [
-        _welch(*((q.value - q.bias, q.standard_error, q.dof) for q in (one[name], other[name]))) for name in wanted
+        _welch(*((q.value - q.bias, q.standard_error, q.dof) for q in (one[name], other[name])))
+        for name in wanted
     ]
     return Differences(
         (titles[0], titles[1]),
@@ -141,13 +164,17 @@ def _welch(one: tuple[float, float, float], other: tuple[float, float, float]) -
     if not 0 < sum(variances) < math.inf:
         return math.nan
     shares = sum(v**2 / dof for v, (_, _, dof) in zip(variances, (one, other), strict=True))
-    dof = sum(variances) ** 2 / shares if shares > 0 else 1e9  # there Student's t is normal to all digits
+    dof = (
+        sum(variances) ** 2 / shares if shares > 0 else 1e9
+    )  # there Student's t is normal to all digits
     return float(2 * stdtr(min(dof, 1e9), -abs(one[0] - other[0]) / math.sqrt(sum(variances))))
 
 
 def _holm(p_values: Sequence[float]) -> list[float]:
     """Return the p-values for all tests together; NaN where there is none."""
-    order = sorted((k for k, p in enumerate(p_values) if not math.isnan(p)), key=lambda k: p_values[k])
+    order = sorted(
+        (k for k, p in enumerate(p_values) if not math.isnan(p)), key=lambda k: p_values[k]
+    )
     adjusted, largest = [math.nan] * len(p_values), 0.0
     for rank, k in enumerate(order):
         largest = max(largest, min(1.0, (len(order) - rank) * p_values[k]))

@@ -19,8 +19,9 @@ from greybox.simulation.windows import cut, default_length
 Predictions = tuple[tuple[Prediction, ...], ...]
 """Of every fit, of every record."""
 
-# s, the shortest defaults: a choice, printed with every comparison. A second is twenty time constants of a rotor, so
-# that the dynamics are seen, and short enough for an unstable plant; half of that is enough to estimate its state.
+# s, the shortest defaults: a choice, printed with every comparison. A second is twenty time
+# constants of a rotor, so that the dynamics are seen, and short enough for an unstable plant; half
+# of that is enough to estimate its state.
 SHORTEST_WINDOW = 1.0
 SHORTEST_LEAD = 0.5
 
@@ -54,10 +55,10 @@ def predict_same_windows(
 ) -> tuple[Predictions, list[str]]:
     """Predict the records of `data` (of every fit, in the same order) by all fits over the same windows.
 
-    With `fitted` they are the records that each was fitted to, and the k-th is predicted with what that part assumed.
-    On others each estimates values of the record's own, by default those of its fit, else those named `own` that it
-    has, see `greybox.predict`. Returns the predictions, and in words which windows were left out and what was
-    estimated.
+    With `fitted` they are the records that each was fitted to, and the k-th is predicted with what
+    that part assumed. On others each estimates values of the record's own, by default those of its
+    fit, else those named `own` that it has, see `greybox.predict`. Returns the predictions, and in
+    words which windows were left out and what was estimated.
     """
     window, lead = lengths
     by_record: list[list[Prediction]] = []
@@ -70,7 +71,10 @@ def predict_same_windows(
         windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
 
         owns = [() if fitted else _own(model, own) for model in models]
-        results = [predict_windows(m, windows, outputs, own=names) for m, names in zip(models, owns, strict=True)]
+        results = [
+            predict_windows(m, windows, outputs, own=names)
+            for m, names in zip(models, owns, strict=True)
+        ]
         predictions, note = _where_all_are_finite(results, labels)
         by_record.append(predictions)
         notes += note
@@ -87,7 +91,10 @@ def _own(model: ModelAtEstimate, names: Sequence[str] | None) -> tuple[str, ...]
     """Return those of the named values that a model has; None for its own where none are named."""
     if names is None:
         return None
-    possible = {*model.names, *(f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs))}
+    possible = {
+        *model.names,
+        *(f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs)),
+    }
     return tuple(name for name in names if name in possible)
 
 
@@ -113,7 +120,11 @@ def require_own(fits: Sequence[Fit], own: Sequence[str] | None) -> tuple[str, ..
 
 
 def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
-    shared = [name for name in models[0].system.outputs if all(name in model.system.outputs for model in models)]
+    shared = [
+        name
+        for name in models[0].system.outputs
+        if all(name in model.system.outputs for model in models)
+    ]
     outputs = tuple(name for name in shared if name in record.signals)
     if not outputs:
         raise ValueError(
@@ -134,7 +145,9 @@ def _where_all_are_finite(
     if not diverged.any():
         return [prediction for prediction, _, _ in results], []
 
-    label, reason = next((label, why) for label, (_, _, why) in zip(labels, results, strict=True) if why)
+    label, reason = next(
+        (label, why) for label, (_, _, why) in zip(labels, results, strict=True) if why
+    )
     reason = reason if reason.startswith(label) else f"{label}: {reason}"
     record = results[0][0].data.name or "the record"
     count = int(diverged.sum())
@@ -168,7 +181,9 @@ def _with_all_signals(records: Sequence[Record]) -> Record:
     return replace(first, signals={**first.signals, **more}, units=units, hold=hold)
 
 
-def not_held_out(fits: Sequence[Fit], labels: Sequence[str], records: Sequence[Record]) -> list[str]:
+def not_held_out(
+    fits: Sequence[Fit], labels: Sequence[str], records: Sequence[Record]
+) -> list[str]:
     """Say which of the records given as held out a fit was made with after all."""
     return [
         f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of it."

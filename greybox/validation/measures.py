@@ -29,19 +29,25 @@ Array = NDArray[np.float64]
 
 
 def fit_rows(
-    fits: Sequence[Fit], *, same_data: bool, comparable: bool, likelihoods: Likelihoods | None = None
+    fits: Sequence[Fit],
+    *,
+    same_data: bool,
+    comparable: bool,
+    likelihoods: Likelihoods | None = None,
 ) -> list[Row]:
     """Return what belongs to the fits as a whole: costs, sizes, AIC, AICc and BIC.
 
-    Costs are given where they are `comparable`, and the criteria of information where they are likelihoods too or the
-    fits have been given common `likelihoods`.
+    Costs are given where they are `comparable`, and the criteria of information where they are
+    likelihoods too or the fits have been given common `likelihoods`.
     """
     names = list(dict.fromkeys(fit.criterion for fit in fits))
     criterion = names[0] if len(names) == 1 else LIKELIHOOD
     numbers = [sum(count_numbers(part) for part in fit.parts) for fit in fits]
 
     rows = [
-        _row(f"cost: {criterion}", [fit.cost for fit in fits]) if comparable else _unknown_row("cost", fits),
+        _row(f"cost: {criterion}", [fit.cost for fit in fits])
+        if comparable
+        else _unknown_row("cost", fits),
         _row("free parameters", [len(fit.free) for fit in fits]),
         _row("numbers in the data", numbers),
         _row("degrees of freedom", [fit.dof for fit in fits]),
@@ -51,22 +57,34 @@ def fit_rows(
         rows += [_row("negative log-likelihood", likelihoods.costs)]
         rows += _information_rows(likelihoods.costs, unknowns, numbers)
     elif comparable and all(is_likelihood(fit) for fit in fits):
-        rows += _information_rows([fit.cost for fit in fits], [count_unknowns(fit) for fit in fits], numbers)
+        rows += _information_rows(
+            [fit.cost for fit in fits], [count_unknowns(fit) for fit in fits], numbers
+        )
     else:
         rows += [_unknown_row("AIC", fits), _unknown_row("BIC", fits)]
     if same_data:
         rows += _other_costs(fits, criterion if comparable else "")
         if all(fit.responses for fit in fits):
-            rows += [replace(_row("relative residual (rms)", [_relative_rms(fit) for fit in fits]), unit="%")]
+            rows += [
+                replace(
+                    _row("relative residual (rms)", [_relative_rms(fit) for fit in fits]), unit="%"
+                )
+            ]
     # That costs, AIC and BIC do not exist is worth a row; of other measures it is not.
-    return [row for row in rows if row.measure in ("cost", "AIC", "BIC") or any(v is not None for v in row.values)]
+    return [
+        row
+        for row in rows
+        if row.measure in ("cost", "AIC", "BIC") or any(v is not None for v in row.values)
+    ]
 
 
-def _information_rows(costs: Sequence[float], unknowns: Sequence[int], numbers: Sequence[int]) -> Iterator[Row]:
+def _information_rows(
+    costs: Sequence[float], unknowns: Sequence[int], numbers: Sequence[int]
+) -> Iterator[Row]:
     """Yield AIC = 2 k - 2 ln L, AICc and BIC = k ln n - 2 ln L, for k unknowns and n numbers, and their differences.
 
-    AICc adds 2 k (k + 1) / (n - k - 1); there is none where n is not larger than k + 1. Source: Burnham and Anderson
-    (2002), section 2.4.
+    AICc adds 2 k (k + 1) / (n - k - 1); there is none where n is not larger than k + 1. Source:
+    Burnham and Anderson (2002), section 2.4.
     """
     sizes = list(zip(unknowns, numbers, strict=True))
     penalties = {
@@ -77,7 +95,9 @@ def _information_rows(costs: Sequence[float], unknowns: Sequence[int], numbers: 
     for name, penalty in penalties.items():
         values = [term + 2 * cost for term, cost in zip(penalty, costs, strict=True)]
         yield _row(name, values)
-        yield _row(f"{name} less the least", [value - np.nanmin([*values, math.inf]) for value in values])
+        yield _row(
+            f"{name} less the least", [value - np.nanmin([*values, math.inf]) for value in values]
+        )
 
 
 def _other_costs(fits: Sequence[Fit], minimized: str) -> Iterator[Row]:
@@ -109,8 +129,14 @@ def _finite(values: Sequence[float]) -> tuple[float | None, ...]:
 def prediction_rows(kind: str, predictions: Predictions, fits: Sequence[Fit]) -> list[Row]:
     """Return the measures of every output over all windows of all records of a `kind` of data."""
     estimated = [sum(len(p.own) for p in of_fit) for of_fit in predictions]
-    rows = [Row(kind, "", "values estimated from the records", "", _finite(estimated))] if any(estimated) else []
-    outputs = list(dict.fromkeys(name for prediction in predictions[0] for name in prediction.outputs))
+    rows = (
+        [Row(kind, "", "values estimated from the records", "", _finite(estimated))]
+        if any(estimated)
+        else []
+    )
+    outputs = list(
+        dict.fromkeys(name for prediction in predictions[0] for name in prediction.outputs)
+    )
     for name in outputs:
         holding = tuple(tuple(p for p in of_fit if name in p.outputs) for of_fit in predictions)
         output = _Output(kind, name, holding)
@@ -139,14 +165,24 @@ class _Output:
         return any(p.data.has_time for p in self.predictions[0])
 
     def row(
-        self, measure: str, unit: str, values: Sequence[float], signal: str = "", *, is_detail: bool = False
+        self,
+        measure: str,
+        unit: str,
+        values: Sequence[float],
+        signal: str = "",
+        *,
+        is_detail: bool = False,
     ) -> Row:
         return Row(self.kind, self.name, measure, unit, _finite(values), signal, is_detail)
 
     def one_step(self) -> list[list[Array]]:
         """Return the errors one step ahead of every fit, in the order of time, cut where the records are."""
         return [
-            [piece for p in of_fit for piece in _in_time_order(p, p.one_step[p.outputs.index(self.name)])]
+            [
+                piece
+                for p in of_fit
+                for piece in _in_time_order(p, p.one_step[p.outputs.index(self.name)])
+            ]
             for of_fit in self.predictions
         ]
 
@@ -156,16 +192,31 @@ def _accuracy_rows(output: _Output) -> Iterator[Row]:
     pairs = []
     for of_fit in output.predictions:
         measured = np.concatenate([p.measured(output.name).ravel() for p in of_fit])
-        predicted = np.concatenate([p.predicted[p.outputs.index(output.name)].ravel() for p in of_fit])
+        predicted = np.concatenate(
+            [p.predicted[p.outputs.index(output.name)].ravel() for p in of_fit]
+        )
         pairs.append((measured, predicted))
     coefficients = [theil(measured, predicted) for measured, predicted in pairs]
 
-    yield output.row("fit", "%", [fit_percent(measured, predicted) for measured, predicted in pairs])
-    yield output.row("variance accounted for", "%", [variance_accounted_for(m, p) for m, p in pairs], is_detail=True)
-    yield output.row("Theil's coefficient", "", [t.coefficient for t in coefficients], is_detail=True)
+    yield output.row(
+        "fit", "%", [fit_percent(measured, predicted) for measured, predicted in pairs]
+    )
+    yield output.row(
+        "variance accounted for",
+        "%",
+        [variance_accounted_for(m, p) for m, p in pairs],
+        is_detail=True,
+    )
+    yield output.row(
+        "Theil's coefficient", "", [t.coefficient for t in coefficients], is_detail=True
+    )
     for share in ("bias", "variance", "covariance"):
-        yield output.row(f"  its share of {share}", "", [getattr(t, share) for t in coefficients], is_detail=True)
-    yield output.row("error (rms)", output.unit, [rms(measured - predicted) for measured, predicted in pairs])
+        yield output.row(
+            f"  its share of {share}", "", [getattr(t, share) for t in coefficients], is_detail=True
+        )
+    yield output.row(
+        "error (rms)", output.unit, [rms(measured - predicted) for measured, predicted in pairs]
+    )
 
 
 def _growth_rows(output: _Output) -> Iterator[Row]:
@@ -176,9 +227,13 @@ def _growth_rows(output: _Output) -> Iterator[Row]:
     for share in reported_shares([_horizon(p) for p in first]):
         errors = []
         for of_fit in output.predictions:
-            ahead = [p.residual(output.name)[:, samples_ahead(share, _horizon(p)) - 1] for p in of_fit]
+            ahead = [
+                p.residual(output.name)[:, samples_ahead(share, _horizon(p)) - 1] for p in of_fit
+            ]
             errors.append(rms(np.concatenate(ahead)))
-        yield output.row(f"  {_seconds_ahead(first, share)} s ahead", output.unit, errors, is_detail=True)
+        yield output.row(
+            f"  {_seconds_ahead(first, share)} s ahead", output.unit, errors, is_detail=True
+        )
 
 
 def _one_step_rows(output: _Output, fits: Sequence[Fit]) -> Iterator[Row]:
@@ -187,8 +242,13 @@ def _one_step_rows(output: _Output, fits: Sequence[Fit]) -> Iterator[Row]:
     if not output.in_time:
         yield output.row("error over noise", "", [rms(np.concatenate(of_fit)) for of_fit in errors])
         return
-    tests = [whiteness(of_fit, fitted=_gains(fit, output.name)) for of_fit, fit in zip(errors, fits, strict=True)]
-    yield output.row("one step ahead: error over noise", "", [rms(np.concatenate(of_fit)) for of_fit in errors])
+    tests = [
+        whiteness(of_fit, fitted=_gains(fit, output.name))
+        for of_fit, fit in zip(errors, fits, strict=True)
+    ]
+    yield output.row(
+        "one step ahead: error over noise", "", [rms(np.concatenate(of_fit)) for of_fit in errors]
+    )
     yield output.row("  white (p)", "", [test.p_value for test in tests])
 
 
@@ -197,14 +257,23 @@ def _input_rows(output: _Output, fits: Sequence[Fit], outputs: Sequence[str]) ->
     if not output.in_time:
         return
     errors = output.one_step()
-    for name in dict.fromkeys(name for fit in fits for part in fit.records for name in part.data.signals):
-        if name in outputs or not all(name in p.data.signals for of_fit in output.predictions for p in of_fit):
+    for name in dict.fromkeys(
+        name for fit in fits for part in fit.records for name in part.data.signals
+    ):
+        if name in outputs or not all(
+            name in p.data.signals for of_fit in output.predictions for p in of_fit
+        ):
             continue
-        signals = [[s for p in of_fit for s in _pieces(p.data, p.data[name])] for of_fit in output.predictions]
+        signals = [
+            [s for p in of_fit for s in _pieces(p.data, p.data[name])]
+            for of_fit in output.predictions
+        ]
         if all(_is_constant(of_fit) for of_fit in signals):
             continue
         tests = [input_correlation(e, u) for e, u in zip(errors, signals, strict=True)]
-        yield output.row(f"  not correlated with {name} (p)", "", [test.p_value for test in tests], name)
+        yield output.row(
+            f"  not correlated with {name} (p)", "", [test.p_value for test in tests], name
+        )
         lags = [test.outside for test in tests]
         yield output.row(f"  lags of {name} beyond 99 %", f"of {LAGS}", lags, name, is_detail=True)
 

@@ -20,13 +20,15 @@ from greybox.validation.same_data import (
     other_samples,
 )
 
-# How far twice the log-likelihood of the larger model may lie below that of the smaller: 0.02, where 3.84 is
-# significant at 5 %, since the two may have steps of different length, of which those are short enough that shift the
-# estimate by up to a tenth of a standard error; or what solvers leave of a large cost, 1e-9 of it.
+# How far twice the log-likelihood of the larger model may lie below that of the smaller: 0.02,
+# where 3.84 is significant at 5 %, since the two may have steps of different length, of which those
+# are short enough that shift the estimate by up to a tenth of a standard error; or what solvers
+# leave of a large cost, 1e-9 of it.
 RATIO_TOLERANCE = 0.02
 RELATIVE_COST_TOLERANCE = 1e-9
 
-# Relative eigenvalue below which the data do not see a direction of parameter space: that of rounding, twice.
+# Relative eigenvalue below which the data do not see a direction of parameter space: that of
+# rounding, twice.
 RANK = 1e-14
 
 # What scales a ratio, in words.
@@ -48,9 +50,10 @@ class NestedTest:
     likelihood_ratio : float
         Twice the difference of the costs; NaN where no ratio can be formed.
     scale : float
-        What makes it one of likelihoods: by how much the correlation of the residuals in time inflates it, 1 for white
-        residuals; of rows without a time whose variance was given, by how much the residuals' own is larger; of
-        responses, what the size of the errors says of the criterion.
+        What makes it one of likelihoods: by how much the correlation of the residuals in time
+        inflates it, 1 for white residuals; of rows without a time whose variance was given, by how
+        much the residuals' own is larger; of responses, what the size of the errors says of the
+        criterion.
     statistic : float
         What is compared with the F distribution.
     dof : (float, float)
@@ -77,9 +80,13 @@ class NestedTest:
         names = ", ".join(self.terms)
         verb = "is" if len(self.terms) == 1 else "are"
         if self.p_value < SIGNIFICANT:
-            verdict = f"{names} {verb} needed: {self.small} is rejected by the test against {self.large}"
+            verdict = (
+                f"{names} {verb} needed: {self.small} is rejected by the test against {self.large}"
+            )
         else:
-            verdict = f"{names} {verb} not needed: {self.small} explains the data as well as {self.large}"
+            verdict = (
+                f"{names} {verb} not needed: {self.small} explains the data as well as {self.large}"
+            )
 
         numerator, denominator = self.dof
         if math.isinf(denominator):
@@ -90,44 +97,56 @@ class NestedTest:
         method = "Wald test with the standard errors of the fit"
         if not math.isnan(self.likelihood_ratio):
             scaled = self.scaled_for == IN_TIME or self.scale != 1.0
-            ratio = "twice the difference of the costs" if self.scaled_for == SIZE else "likelihood ratio"
+            ratio = (
+                "twice the difference of the costs"
+                if self.scaled_for == SIZE
+                else "likelihood ratio"
+            )
             method = f"{ratio} {number(self.likelihood_ratio, 4)}"
-            method += f", divided by {number(self.scale, 3)} for {self.scaled_for}" if scaled else ""
+            method += (
+                f", divided by {number(self.scale, 3)} for {self.scaled_for}" if scaled else ""
+            )
         return f"{verdict} ({statistic}, {p_text(self.p_value)}; {method})."
 
 
-def nested_test(small: Fit, large: Fit, *, removed_at: Mapping[str, float] | None = None) -> NestedTest:
+def nested_test(
+    small: Fit, large: Fit, *, removed_at: Mapping[str, float] | None = None
+) -> NestedTest:
     """Test whether the parameters that `large` has free and `small` has not are needed.
 
-    That `large` contains `small` is decided by the parameters that `small` fixes or ties within the bounds of `large`
-    and, where the two are different models, by their equations: they must agree at random points where the parameters
-    that `small` lacks are zero or one.
+    That `large` contains `small` is decided by the parameters that `small` fixes or ties within the
+    bounds of `large` and, where the two are different models, by their equations: they must agree
+    at random points where the parameters that `small` lacks are zero or one.
 
-    The likelihood ratio is divided by the factor by which correlation of the residuals in time inflates the variance
-    of these parameters, so that the test keeps its size there (the mean of the scaled statistic is that of chi-square,
-    over its degrees of freedom F). Of rows without a time it is the F test of least squares. Of frequency responses it
-    is the ratio of whatever criterion was minimized, by the same rule: divided by the variance that the standard errors
-    give these parameters over the one that the curvature of the cost says. Where there is no such ratio, the estimates
-    are compared with their values in `small` by their covariance (Wald).
-    Where one of these values is on a bound, the statistic has half of its distribution at one degree of freedom less;
-    where several are, half of it at most has them all, and the p-value is an upper limit. So is decided whether there
-    is process noise: `OutputError` is `PredictionError(process_noise=...)` with none.
+    The likelihood ratio is divided by the factor by which correlation of the residuals in time
+    inflates the variance of these parameters, so that the test keeps its size there (the mean of
+    the scaled statistic is that of chi-square, over its degrees of freedom F). Of rows without a
+    time it is the F test of least squares. Of frequency responses it is the ratio of whatever
+    criterion was minimized, by the same rule: divided by the variance that the standard errors give
+    these parameters over the one that the curvature of the cost says. Where there is no such ratio,
+    the estimates are compared with their values in `small` by their covariance (Wald). Where one of
+    these values is on a bound, the statistic has half of its distribution at one degree of freedom
+    less; where several are, half of it at most has them all, and the p-value is an upper limit. So
+    is decided whether there is process noise: `OutputError` is `PredictionError(process_noise=...)`
+    with none.
 
     Parameters
     ----------
     small, large : Fit
         Of the same data.
     removed_at : mapping of name to value, optional
-        At which parameters leave the larger model as the smaller one, where neither zero nor one does, or where their
-        equations cannot be compared: ``{"T_rotor": 0.0}``. It is taken on trust.
+        At which parameters leave the larger model as the smaller one, where neither zero nor one
+        does, or where their equations cannot be compared: ``{"T_rotor": 0.0}``. It is taken on
+        trust.
 
     Raises
     ------
     ValueError
-        If the data differ, `small` is not shown to be `large` with terms removed, or `large` costs more.
+        If the data differ, `small` is not shown to be `large` with terms removed, or `large` costs
+        more.
 
-    Sources: Rotnitzky and Jewell (1990), Biometrika 77; Satorra and Bentler (1994); Klein and Morelli, chapter 5; Self
-    and Liang (1987), Journal of the American Statistical Association 82.
+    Sources: Rotnitzky and Jewell (1990), Biometrika 77; Satorra and Bentler (1994); Klein and
+    Morelli, chapter 5; Self and Liang (1987), Journal of the American Statistical Association 82.
     """
     check_fits((small, large))
     labels = _labels(small, large)
@@ -159,7 +178,9 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
     at_bound = {q.name for q in large.quantities if q.at_bound and q.kind == "free"}
     stuck = [name for name in place.terms if name in at_bound]
     if stuck and not set(stuck) <= set(place.on_bound):
-        raise ValueError(f"{listed(stuck)} of {labels[1]} ended at a bound: widen it before testing.")
+        raise ValueError(
+            f"{listed(stuck)} of {labels[1]} ended at a bound: widen it before testing."
+        )
     # A term that ended at the bound where the smaller model has it adds nothing, and has no error.
     inside = [k for k, name in enumerate(large.free) if name not in stuck]
     rows = [large.free.index(name) for name in stuck]
@@ -169,19 +190,27 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
     unknown[rows] = False
     if unknown.any() or not large.dof > 0 or (H.size and not np.all(np.linalg.eigvalsh(C) > 0)):
         lost = [name for name, gone in zip(large.free, unknown, strict=True) if gone] or place.terms
-        raise ValueError(f"the data do not determine {listed(list(lost))} of {labels[1]}: nothing can be tested.")
+        raise ValueError(
+            f"the data do not determine {listed(list(lost))} of {labels[1]}: nothing can be tested."
+        )
 
     scale = 1.0
     reason = _scaled_for(large)
-    has_ratio = len(large.responses) == len(large.parts) or (is_likelihood(small) and is_likelihood(large))
+    has_ratio = len(large.responses) == len(large.parts) or (
+        is_likelihood(small) and is_likelihood(large)
+    )
     if has_ratio and large.white is not None:
         ratio = _likelihood_ratio(small, large, labels)
-        estimated = reason == BEYOND and not any(isinstance(p.settings.get("noise"), Mapping) for p in large.parts)
+        estimated = reason == BEYOND and not any(
+            isinstance(p.settings.get("noise"), Mapping) for p in large.parts
+        )
         if H.size and not estimated:
             white = H.T @ large.white[np.ix_(inside, inside)] @ H
             scale = float(np.trace(np.linalg.solve(white, C))) / H.shape[1]
         statistic = max(ratio, 0.0) / (scale * r)
-        if estimated:  # n log(1 + x), x the relative decrease of the squares, of which F is x (n - p) / r
+        if (
+            estimated
+        ):  # n log(1 + x), x the relative decrease of the squares, of which F is x (n - p) / r
             numbers = sum(count_numbers(part) for part in large.parts)
             statistic = math.expm1(max(ratio, 0.0) / numbers) * large.dof / r
     else:
@@ -190,22 +219,31 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
         difference = H.T @ moved[inside]
         statistic = float(difference @ np.linalg.solve(C, difference)) / r if H.size else 0.0
     p_value = _p_value(statistic, r, large.dof, on_bound=bool(place.on_bound))
-    return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value, reason)
+    return NestedTest(
+        *labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value, reason
+    )
 
 
-def ratio_test(small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str, str]) -> NestedTest:
+def ratio_test(
+    small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str, str]
+) -> NestedTest:
     """Test a fit against a larger one that is known to contain it, if only as a limit.
 
-    There the larger one has no direction that leaves the smaller, so the scale is the mean over all that it determines.
+    There the larger one has no direction that leaves the smaller, so the scale is the mean over all
+    that it determines.
     """
     removed = len(large.free) - len(small.free)
     scale = cost_scale(large)
     if not (large.dof > 0 and scale > 0):
-        raise ValueError(f"the data leave {labels[1]} no degrees of freedom: nothing can be tested.")
+        raise ValueError(
+            f"the data leave {labels[1]} no degrees of freedom: nothing can be tested."
+        )
     ratio = 2 * (small.cost - large.cost)
     statistic = max(ratio, 0.0) / (scale * removed)
     p_value = _p_value(statistic, removed, large.dof, on_bound=False)
-    return NestedTest(*labels, terms, ratio, scale, statistic, (removed, large.dof), p_value, _scaled_for(large))
+    return NestedTest(
+        *labels, terms, ratio, scale, statistic, (removed, large.dof), p_value, _scaled_for(large)
+    )
 
 
 def with_independent_errors(fit: Fit) -> Fit:
@@ -226,8 +264,8 @@ def with_independent_errors(fit: Fit) -> Fit:
 def cost_scale(fit: Fit) -> float:
     """Return by what twice a difference of costs is divided to be one of log-likelihoods; NaN where it is not known.
 
-    The mean, over the directions that the data determine, of the variance that the standard errors say over the one
-    that the curvature of the cost says.
+    The mean, over the directions that the data determine, of the variance that the standard errors
+    say over the one that the curvature of the cost says.
     """
     if fit.white is None or fit.directions is None:
         return math.nan
@@ -258,7 +296,8 @@ def _labels(small: Fit, large: Fit) -> tuple[str, str]:
         return first, second
     kinds = {q.name: q.kind for q in small.quantities}
     stated = [
-        f"{', '.join(n for n in held if kinds[n] == kind)} {kind}" for kind in dict.fromkeys(map(kinds.get, held))
+        f"{', '.join(n for n in held if kinds[n] == kind)} {kind}"
+        for kind in dict.fromkeys(map(kinds.get, held))
     ]
     return f"{models[0]} with {' and '.join(stated)}", models[1]
 

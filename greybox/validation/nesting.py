@@ -1,10 +1,11 @@
 """Whether one model is another with parameters removed, fixed or tied: shown by their formulas, never by names alone.
 
-Two models are nested when every value of the smaller one's free parameters has a counterpart in the larger one with the
-same equations. Names say which counterpart that could be: a parameter that both have is the same in both, one that the
-smaller one fixes or ties has that value, and one that it lacks has a value that removes it, which is looked for among
-zero and one. Where the models are two classes, their equations are then evaluated at random points: formulas that
-differ agree there with probability zero.
+Two models are nested when every value of the smaller one's free parameters has a counterpart in the
+larger one with the same equations. Names say which counterpart that could be: a parameter that both
+have is the same in both, one that the smaller one fixes or ties has that value, and one that it
+lacks has a value that removes it, which is looked for among zero and one. Where the models are two
+classes, their equations are then evaluated at random points: formulas that differ agree there with
+probability zero.
 """
 
 import itertools
@@ -28,31 +29,36 @@ from greybox.modeling.transfer_function import TransferFunction
 
 Array = NDArray[np.float64]
 
-# Points at which formulas are compared: one would do where formulas are analytic; more see both sides of a branch.
+# Points at which formulas are compared: one would do where formulas are analytic; more see both
+# sides of a branch.
 POINTS = 200
-# Frequencies, and vectors of parameters, at which responses are compared that have to be solved for.
+# Frequencies, and vectors of parameters, at which responses are compared that have to be solved
+# for.
 FREQUENCIES = 12
 VECTORS = 5
 # Of those points, how many must have a finite value for an agreement to mean something.
 FEWEST_FINITE = 3
-# Relative difference below which two formulas have the same value: a thousand times the rounding of a long formula.
-# Responses about an operating point are solved for by iteration, hence the second.
+# Relative difference below which two formulas have the same value: a thousand times the rounding of
+# a long formula. Responses about an operating point are solved for by iteration, hence the second.
 SAME = 1e-9
 SAME_RESPONSE = 1e-6
 # Of the largest value of a vector: a smaller difference is rounding of terms that cancel.
 ROUNDING = 1e-14
-# Relative spread of the parameters about the smaller model's estimate, and the decades of states and inputs.
+# Relative spread of the parameters about the smaller model's estimate, and the decades of states
+# and inputs.
 PARAMETER_SPREAD = 0.3
 DECADES = (-2.0, 1.5)
 # Values that remove a parameter from a formula, as a factor, an exponent or a ratio may have them.
 NEUTRAL = (0.0, 1.0)
-# Parameters up to which all combinations of these values are tried; beyond it all are zero or all are one.
+# Parameters up to which all combinations of these values are tried; beyond it all are zero or all
+# are one.
 MOST_COMBINED = 4
 # The criteria for records of greybox, of which one is the other with gains of zero.
 SHIPPED = {"greybox:OutputError", "greybox:PredictionError"}
 # Of a value: two that are given to be equal, and a value on its bound.
 EQUAL = 1e-9
-# Relative singular value below which a direction of parameter space is not one of the smaller model.
+# Relative singular value below which a direction of parameter space is not one of the smaller
+# model.
 RANK = 1e-8
 
 
@@ -92,8 +98,8 @@ class NotNestedError(ValueError):
     Attributes
     ----------
     undecided : bool
-        True when they may be nested all the same, or are, and no test of nested models applies; False when they are two
-        different models.
+        True when they may be nested all the same, or are, and no test of nested models applies;
+        False when they are two different models.
     """
 
     def __init__(self, reason: str, undecided: bool = False) -> None:
@@ -101,11 +107,13 @@ class NotNestedError(ValueError):
         self.undecided = undecided
 
 
-def nesting(small: Fit, large: Fit, labels: tuple[str, str], removed_at: Mapping[str, float] | None = None) -> Nesting:
+def nesting(
+    small: Fit, large: Fit, labels: tuple[str, str], removed_at: Mapping[str, float] | None = None
+) -> Nesting:
     """Tell how `small` lies within `large`.
 
-    `removed_at` has the values at which parameters leave the larger model as the smaller one, as the user knows them;
-    they are taken on trust.
+    `removed_at` has the values at which parameters leave the larger model as the smaller one, as
+    the user knows them; they are taken on trust.
 
     Raises
     ------
@@ -120,11 +128,17 @@ def nesting(small: Fit, large: Fit, labels: tuple[str, str], removed_at: Mapping
     sources = _sources(slots, small, large, labels)
     deviations = _deviations(small, large)
     terms = tuple(name for name in large.free if name not in small.free and name not in deviations)
-    stated = {name: small.estimate[source] for name, source in sources.items() if source is not None and name in terms}
+    stated = {
+        name: small.estimate[source]
+        for name, source in sources.items()
+        if source is not None and name in terms
+    }
     absent = tuple(name for name, source in sources.items() if source is None)
     values = _removed(slots, small, large, labels, absent, stated, removed_at)
     if not _same_noise(small, large):
-        raise NotNestedError(f"{labels[0]} and {labels[1]} differ in their noise, constraints or weights too", True)
+        raise NotNestedError(
+            f"{labels[0]} and {labels[1]} differ in their noise, constraints or weights too", True
+        )
     if not terms:
         raise NotNestedError(f"every free parameter of {labels[1]} is free in {labels[0]}")
     return _embedding(small, large, labels, terms, sources, {**values, **deviations})
@@ -134,21 +148,26 @@ def _deviations(small: Fit, large: Fit) -> dict[str, float]:
     """Return the deviations of sensors, parameters beside process noise alone, that the smaller fit estimates along."""
     found = {}
     for a, b in zip(small.parts, large.parts, strict=True):
-        if isinstance(a, FittedRecord) and isinstance(b, FittedRecord) and b.driven and not a.driven:
+        if (
+            isinstance(a, FittedRecord)
+            and isinstance(b, FittedRecord)
+            and b.driven
+            and not a.driven
+        ):
             sizes = dict(zip(a.outputs, np.sqrt(np.diag(a.noise)).tolist(), strict=True))
             found |= {b.rename.get(f"v_{name}", f"v_{name}"): size for name, size in sizes.items()}
     return {name: size for name, size in found.items() if name in large.free}
 
 
-# --- names ------------------------------------------------------------------------------------------------------------
+# --- names
 
 
 @dataclass(frozen=True, eq=False)
 class _Slots:
     """The parameters of every part of two fits by their names inside, with their names outside.
 
-    `models` are those of the parts of both; None where they are not at hand, as they need not be where both fits have
-    the same.
+    `models` are those of the parts of both; None where they are not at hand, as they need not be
+    where both fits have the same.
     """
 
     small: tuple[Mapping[str, str], ...]
@@ -165,10 +184,12 @@ class _Slots:
             if not (same and all(a.rename == b.rename for a, b in pairs)):
                 raise NotNestedError(
                     "their models are not available: give them to gb.load, models=[...]",
-                    # Of other names than the larger one has they are two models, as far as names can say.
+                    # Of other names than the larger one has they are two models, as far as names
+                    # can say.
                     undecided=set(small.free) <= set(large.estimate),
                 )
-            # Without the models it is not known which part has which parameter; they are the same in both fits.
+            # Without the models it is not known which part has which parameter; they are the same
+            # in both fits.
             one, other = ({name: name for name in fit.estimate} for fit in (small, large))
             return cls((one,), (other,), None, same_models=True)
         return cls(
@@ -214,7 +235,11 @@ def _require_same_assumptions(small: Fit, large: Fit, labels: tuple[str, str]) -
             and (dict(a.at), a.sine) != (dict(b.at), b.sine)
         ):
             raise NotNestedError(f"{both} have different operating points")
-        if isinstance(a, FittedSpectrum) and isinstance(b, FittedSpectrum) and dict(a.at) != dict(b.at):
+        if (
+            isinstance(a, FittedSpectrum)
+            and isinstance(b, FittedSpectrum)
+            and dict(a.at) != dict(b.at)
+        ):
             raise NotNestedError(f"{both} have different operating points")
         if isinstance(a, FittedRecord) and isinstance(b, FittedRecord):
             if a.inputs != b.inputs:
@@ -226,8 +251,14 @@ def _require_fewer_terms(small: FittedRecord, large: FittedRecord, labels: tuple
     """Refuse what a criterion adds to the smaller fit and not to the larger one."""
     if small.gains and bool(small.driven) != bool(large.driven):
         both = f"{labels[0]} and {labels[1]}"
-        raise NotNestedError(f"the gains of {both} are free in one and follow from process noise in the other")
-    fewer = set(small.driven) <= set(large.driven) if large.driven else set(small.gains) <= set(large.gains)
+        raise NotNestedError(
+            f"the gains of {both} are free in one and follow from process noise in the other"
+        )
+    fewer = (
+        set(small.driven) <= set(large.driven)
+        if large.driven
+        else set(small.gains) <= set(large.gains)
+    )
     if not (fewer and set(small.biases) <= set(large.biases)):
         kind = "process noise" if small.driven else "gains"
         raise NotNestedError(f"{labels[0]} has {kind} or biases that {labels[1]} has not")
@@ -237,17 +268,29 @@ def _same_noise(small: Fit, large: Fit) -> bool:
     """Tell whether the fits differ in their parameters alone: not in constraints, weights, or what is said of noise."""
     for a, b in zip(small.parts, large.parts, strict=True):
         settings = [
-            {k: v for k, v in part.settings.items() if k not in ("biases", "corrected", "process_noise")}
+            {
+                k: v
+                for k, v in part.settings.items()
+                if k not in ("biases", "corrected", "process_noise")
+            }
             for part in (a, b)
         ]
-        if settings[0] != settings[1] or a.weight != b.weight or sorted(a.constraints) != sorted(b.constraints):
+        if (
+            settings[0] != settings[1]
+            or a.weight != b.weight
+            or sorted(a.constraints) != sorted(b.constraints)
+        ):
             return False
     return True
 
 
-def _sources(slots: _Slots, small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, str | None]:
+def _sources(
+    slots: _Slots, small: Fit, large: Fit, labels: tuple[str, str]
+) -> dict[str, str | None]:
     """Return for every free parameter of the larger fit its counterpart in the smaller one, None where it has none."""
-    of_small, of_large = ({q.name: q for q in fit.quantities if q.kind != "derived"} for fit in (small, large))
+    of_small, of_large = (
+        {q.name: q for q in fit.quantities if q.kind != "derived"} for fit in (small, large)
+    )
     sources: dict[str, str | None] = {}
     for a, b in zip(slots.small, slots.large, strict=True):
         for inside, name in b.items():
@@ -258,7 +301,9 @@ def _sources(slots: _Slots, small: Fit, large: Fit, labels: tuple[str, str]) -> 
                         f"{name} of {labels[1]} stands for different parameters of {labels[0]} "
                         f"({', '.join(sorted(str(n) for n in (sources[name], counterpart)))})"
                     )
-            elif counterpart is not None and not _held_alike(of_small[counterpart], of_large[name], small, large):
+            elif counterpart is not None and not _held_alike(
+                of_small[counterpart], of_large[name], small, large
+            ):
                 raise NotNestedError(
                     f"{labels[1]} holds {name} {of_large[name].kind} and {labels[0]} has {counterpart} "
                     f"{of_small[counterpart].kind}"
@@ -269,12 +314,14 @@ def _sources(slots: _Slots, small: Fit, large: Fit, labels: tuple[str, str]) -> 
 def _held_alike(small: Quantity, large: Quantity, small_fit: Fit, large_fit: Fit) -> bool:
     """Tell whether a parameter that the larger fit holds fixed or tied is held so in the smaller one."""
     if large.kind == "fixed":
-        return small.kind == "fixed" and math.isclose(small.value, large.value, rel_tol=EQUAL, abs_tol=0.0)
+        return small.kind == "fixed" and math.isclose(
+            small.value, large.value, rel_tol=EQUAL, abs_tol=0.0
+        )
     ties = [[part.tied for part in fit.parts] for fit in (small_fit, large_fit)]
     return small.kind == "tied" and ties[0] == ties[1]
 
 
-# --- formulas ---------------------------------------------------------------------------------------------------------
+# --- formulas
 
 
 def _removed(
@@ -288,9 +335,9 @@ def _removed(
 ) -> dict[str, float]:
     """Return the values at which the absent parameters leave the larger model as the smaller one.
 
-    `stated` are the values that the smaller one gives to other terms. Absent parameters of a criterion (biases and
-    gains) are zero. Terms that have no effect there are found too: with them no test of nested models has its size
-    (Davies 1977, Biometrika 64).
+    `stated` are the values that the smaller one gives to other terms. Absent parameters of a
+    criterion (biases and gains) are zero. Terms that have no effect there are found too: with them
+    no test of nested models has its size (Davies 1977, Biometrika 64).
     """
     unknown = [name for name in absent if name in removed_at]
     values = {name: float(removed_at[name]) for name in unknown}
@@ -321,7 +368,9 @@ def _removed(
             raise _idle(idle, [name for name in of_model if name not in idle], labels)
 
     terms = [name for name in (*values, *stated) if _is_of_model(slots, name)]
-    idle = [name for name in terms if len(terms) > 1 and equations.is_idle(name, {**values, **stated})]
+    idle = [
+        name for name in terms if len(terms) > 1 and equations.is_idle(name, {**values, **stated})
+    ]
     if idle:
         raise _idle(idle, [name for name in terms if name not in idle], labels)
     return values
@@ -384,7 +433,8 @@ class _Equations:
         assert self._slots.models is not None
         pairs = zip(self._slots.models, self._large.parts, strict=True)
         return all(
-            isinstance(part, FittedResponse) or isinstance(a, StateSpace) == isinstance(b, StateSpace)
+            isinstance(part, FittedResponse)
+            or isinstance(a, StateSpace) == isinstance(b, StateSpace)
             for (a, b), part in pairs
         )
 
@@ -400,7 +450,9 @@ class _Equations:
         other = {**values, name: moved}
         return all(self._part_agrees(k, other, values) for k in range(len(self._slots.small)))
 
-    def _part_agrees(self, k: int, values: Mapping[str, float], instead: Mapping[str, float] | None = None) -> bool:
+    def _part_agrees(
+        self, k: int, values: Mapping[str, float], instead: Mapping[str, float] | None = None
+    ) -> bool:
         """Compare a part of the larger fit with that of the smaller one, or with itself at other values."""
         assert self._slots.models is not None
         small, large = self._slots.models[k]
@@ -421,15 +473,23 @@ class _Equations:
             return _same_transfer_functions(large, reference, draw, pair, random)
         if isinstance(large, StateSpace) and isinstance(reference, StateSpace):
             order = delay_order(part.delay)
-            return _same_dynamics(dynamics(large, order), dynamics(reference, order), draw, pair, random)
+            return _same_dynamics(
+                dynamics(large, order), dynamics(reference, order), draw, pair, random
+            )
         return False
 
     def _of_large(
-        self, model: Model, names: Mapping[str, str], drawn: Mapping[str, float], values: Mapping[str, float]
+        self,
+        model: Model,
+        names: Mapping[str, str],
+        drawn: Mapping[str, float],
+        values: Mapping[str, float],
     ) -> dict[str, float]:
         """Return the larger model's parameters: those in `values` by outside name, those drawn, and its own."""
         return {
-            inside: values.get(names[inside], drawn.get(inside, self._large.estimate[names[inside]]))
+            inside: values.get(
+                names[inside], drawn.get(inside, self._large.estimate[names[inside]])
+            )
             for inside in model.parameters
         }
 
@@ -441,7 +501,9 @@ class _Equations:
             if self._kinds[name] != "fixed":
                 low, high = self._bounds[name]
                 moved = value + PARAMETER_SPREAD * (abs(value) or 1.0) * random.normal()
-                value = float(np.clip(moved, *((low, high) if low < high else (-math.inf, math.inf))))
+                value = float(
+                    np.clip(moved, *((low, high) if low < high else (-math.inf, math.inf)))
+                )
             drawn[inside] = value
         return drawn
 
@@ -450,7 +512,9 @@ _Draw = Callable[[], dict[str, float]]
 _Pair = Callable[[Mapping[str, float]], tuple[dict[str, float], dict[str, float]]]
 
 
-def _same_dynamics(large: Dynamics, small: Dynamics, draw: _Draw, pair: _Pair, random: np.random.Generator) -> bool:
+def _same_dynamics(
+    large: Dynamics, small: Dynamics, draw: _Draw, pair: _Pair, random: np.random.Generator
+) -> bool:
     """Compare right-hand sides, outputs and delays; states that the larger one has more must have no effect."""
     if not (set(small.inputs) <= set(large.inputs) and set(small.states) <= set(large.states)):
         return False
@@ -465,10 +529,15 @@ def _same_dynamics(large: Dynamics, small: Dynamics, draw: _Draw, pair: _Pair, r
         one = [p[name] for name in large.parameters]
         other = [q[name] for name in small.parameters]
         values = (
-            (_vector(large.derivative, x, u, one)[rows], _vector(small.derivative, x[rows], u[columns], other)),
+            (
+                _vector(large.derivative, x, u, one)[rows],
+                _vector(small.derivative, x[rows], u[columns], other),
+            ),
             (
                 _vector(large.output, x, u, one)[[large.outputs.index(n) for n in shared]],
-                _vector(small.output, x[rows], u[columns], other)[[small.outputs.index(n) for n in shared]],
+                _vector(small.output, x[rows], u[columns], other)[
+                    [small.outputs.index(n) for n in shared]
+                ],
             ),
             (_vector(large.delay, one)[columns], _vector(small.delay, other)),
         )
@@ -488,29 +557,44 @@ def _vector(function: Callable[..., object], *arguments: object) -> Array:
 
 
 def _same_transfer_functions(
-    large: TransferFunction, small: TransferFunction, draw: _Draw, pair: _Pair, random: np.random.Generator
+    large: TransferFunction,
+    small: TransferFunction,
+    draw: _Draw,
+    pair: _Pair,
+    random: np.random.Generator,
 ) -> bool:
     finite = 0
     for _ in range(POINTS):
         p, q = pair(draw())
         s = np.array([10 ** random.uniform(*DECADES) * np.exp(1j * random.uniform(0, np.pi / 2))])
         with np.errstate(all="ignore"):
-            one, other = (np.asarray(m.response(s, m.values(v)) + 0 * s) for m, v in ((large, p), (small, q)))
+            one, other = (
+                np.asarray(m.response(s, m.values(v)) + 0 * s) for m, v in ((large, p), (small, q))
+            )
         if not _same(one, other, SAME):
             return False
         finite += bool(np.all(np.isfinite(one)))
     return finite >= FEWEST_FINITE
 
 
-def _same_responses(large: Model, small: Model, part: FittedResponse, draw: _Draw, pair: _Pair) -> bool:
+def _same_responses(
+    large: Model, small: Model, part: FittedResponse, draw: _Draw, pair: _Pair
+) -> bool:
     """Compare responses at some of the data's frequencies, about the operating point that both are fitted at."""
     omega = part.data.omega[:: max(len(part.data) // FREQUENCIES, 1)]
-    signals = {"input": part.data.input, "output": part.data.output, "at": part.at, "delay": part.delay}
+    signals = {
+        "input": part.data.input,
+        "output": part.data.output,
+        "at": part.at,
+        "delay": part.delay,
+    }
     finite = 0
     for _ in range(VECTORS):
         try:
             one, other = (
-                response_of_test(model, values, omega, part.sine, part.data.omega, **signals).response
+                response_of_test(
+                    model, values, omega, part.sine, part.data.omega, **signals
+                ).response
                 for model, values in zip((large, small), pair(draw()), strict=True)
             )
         except ValueError:  # no operating point, or no value, at this draw
@@ -528,10 +612,12 @@ def _same(one: NDArray[np.inexact], other: NDArray[np.inexact], tolerance: float
         return False
     sizes = np.maximum(np.abs(one[finite]), np.abs(other[finite]))
     rounding = ROUNDING * np.max(sizes, initial=0.0)
-    return bool(np.all(np.abs(one[finite] - other[finite]) <= np.maximum(tolerance * sizes, rounding)))
+    return bool(
+        np.all(np.abs(one[finite] - other[finite]) <= np.maximum(tolerance * sizes, rounding))
+    )
 
 
-# --- the smaller model's place within the larger one ------------------------------------------------------------------
+# --- the smaller model's place within the larger one
 
 
 def _embedding(
@@ -557,20 +643,28 @@ def _embedding(
     slope = np.hstack([slope, np.eye(len(large.free))[:, along]])
 
     free = {q.name: q for q in large.quantities if q.kind == "free"}
-    beyond = [n for n, v in zip(large.free, point, strict=True) if n in terms and _beyond(free[n], v)]
+    beyond = [
+        n for n, v in zip(large.free, point, strict=True) if n in terms and _beyond(free[n], v)
+    ]
     if beyond:
         places = {name: point[large.free.index(name)] for name in beyond}
         stated = listed([f"{name} = {value:g}" for name, value in places.items()])
         low, high = free[beyond[0]].bounds
-        raise NotNestedError(f"{stated}, as in {labels[0]}, is outside the bounds ({low:g}, {high:g}) of {labels[1]}")
+        raise NotNestedError(
+            f"{stated}, as in {labels[0]}, is outside the bounds ({low:g}, {high:g}) of {labels[1]}"
+        )
     if not np.all(np.isfinite(slope)):
-        raise NotNestedError(f"the data do not determine what {labels[0]} ties to others", undecided=True)
+        raise NotNestedError(
+            f"the data do not determine what {labels[0]} ties to others", undecided=True
+        )
 
     directions = _left_null_space(slope, point)
     more = _initial_states(large) + len(along) - _initial_states(small)
     if more < 0 or not directions.shape[1]:
         fewer = counted(-more, "initial state") if more < 0 else "no parameter"
-        raise NotNestedError(f"{labels[1]} has {fewer} {'less' if more < 0 else 'more'} than {labels[0]}")
+        raise NotNestedError(
+            f"{labels[1]} has {fewer} {'less' if more < 0 else 'more'} than {labels[0]}"
+        )
     on_bound = tuple(n for n in terms if _on_bound(free[n], point[large.free.index(n)]))
     return Nesting(terms, point, directions, on_bound, more)
 
@@ -582,7 +676,9 @@ def _slope_of_tie(fit: Fit, name: str) -> Array:
     size = np.where(root > 0, root, 1.0)
     if not np.all(np.isfinite(both)):
         return np.full(len(fit.free), np.nan)
-    slope, *_ = np.linalg.lstsq(both[:-1, :-1] / np.outer(size, size), both[:-1, -1] / size, rcond=None)
+    slope, *_ = np.linalg.lstsq(
+        both[:-1, :-1] / np.outer(size, size), both[:-1, -1] / size, rcond=None
+    )
     return np.where(root > 0, slope / size, 0.0)
 
 
@@ -609,4 +705,6 @@ def _beyond(quantity: Quantity, value: float) -> bool:
 
 
 def _on_bound(quantity: Quantity, value: float) -> bool:
-    return any(math.isclose(value, bound, rel_tol=EQUAL, abs_tol=1e-300) for bound in quantity.bounds)
+    return any(
+        math.isclose(value, bound, rel_tol=EQUAL, abs_tol=1e-300) for bound in quantity.bounds
+    )

@@ -6,8 +6,9 @@ from greybox.files.text_table import listed, number
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.significance import Evidence, Pair
 
-# Difference in BIC that is "not worth more than a bare mention" (Kass and Raftery (1995), Bayes Factors, Journal of the
-# American Statistical Association 90, 773-795). BIC, not AIC, as a structure is sought and not the best prediction.
+# Difference in BIC that is "not worth more than a bare mention" (Kass and Raftery (1995), Bayes
+# Factors, Journal of the American Statistical Association 90, 773-795). BIC, not AIC, as a
+# structure is sought and not the best prediction.
 BARE_MENTION = 2.0
 
 
@@ -19,13 +20,18 @@ def smallest_supported(bic: Sequence[float], sizes: Sequence[int]) -> int:
 
 
 def parsimony(
-    labels: Sequence[str], bic: Sequence[float], sizes: Sequence[int], tests: Mapping[Pair, Evidence]
+    labels: Sequence[str],
+    bic: Sequence[float],
+    sizes: Sequence[int],
+    tests: Mapping[Pair, Evidence],
 ) -> tuple[int, str]:
     """Return which structure is the smallest that the data support, and why, in one sentence."""
     k = smallest_supported(bic, sizes)
     best = min(range(len(bic)), key=lambda i: bic[i])
     counts = f"{labels[k]} ({sizes[k]} free)"
-    alike = [i for i, value in enumerate(bic) if sizes[i] == sizes[k] and value - bic[k] <= BARE_MENTION]
+    alike = [
+        i for i, value in enumerate(bic) if sizes[i] == sizes[k] and value - bic[k] <= BARE_MENTION
+    ]
     if len(alike) > 1:
         text = (
             f"{listed([labels[i] for i in alike])} ({sizes[k]} free) are supported alike: their BIC differs by at most "

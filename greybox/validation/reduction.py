@@ -1,12 +1,14 @@
 """The smaller structure that a fit suggests: what its data do not determine goes to zero or infinity.
 
-Where the data determine combinations of parameters and not their members, the members can move together along a
-direction that leaves the combinations as they are, and nothing tells how far. Its two ends are structures without that
-direction: a₂ → ∞ with a₁/a₂ and a₃/a₂ kept. A parameter that the data do not determine has two ends of its own. Of all
-ends at which the response of the model has a limit the fits are compared with that of the larger structure, and the
-best one that no test rejects is taken; then the same is asked again.
+Where the data determine combinations of parameters and not their members, the members can move
+together along a direction that leaves the combinations as they are, and nothing tells how far. Its
+two ends are structures without that direction: a₂ → ∞ with a₁/a₂ and a₃/a₂ kept. A parameter that
+the data do not determine has two ends of its own. Of all ends at which the response of the model
+has a limit the fits are compared with that of the larger structure, and the best one that no test
+rejects is taken; then the same is asked again.
 
-Source: Transtrum and Qiu (2014), Model reduction by manifold boundaries, Physical Review Letters 113.
+Source: Transtrum and Qiu (2014), Model reduction by manifold boundaries, Physical Review Letters
+113.
 """
 
 import math
@@ -37,11 +39,12 @@ from greybox.validation.compare import compare
 from greybox.validation.comparison import SIGNIFICANT, Comparison, p_text
 from greybox.validation.nested_models import NestedTest, ratio_test
 
-# Relative difference of two responses a factor of ten apart on the way to a limit, below which there is one: a hundred
-# times what `Limit` leaves out.
+# Relative difference of two responses a factor of ten apart on the way to a limit, below which
+# there is one: a hundred times what `Limit` leaves out.
 ARRIVED = 1e-6
 
-# Times the fastest pole that there was: a limit with a faster one is too stiff for records. The limit is 2^26 away.
+# Times the fastest pole that there was: a limit with a faster one is too stiff for records. The
+# limit is 2^26 away.
 STIFF = 1e3
 STIFF_IN_TIME = "too stiff in time"
 
@@ -55,7 +58,8 @@ class Candidate:
     Attributes
     ----------
     powers : mapping of name to int
-        The parameters that move together, the first one to its end, and by which power of it each of them goes.
+        The parameters that move together, the first one to its end, and by which power of it each
+        of them goes.
     end : "infinity" or "zero"
     """
 
@@ -64,9 +68,12 @@ class Candidate:
 
     def __str__(self) -> str:
         name, *others = self.powers
-        text = f"{name} → ∞" if self.end == "infinity" else f"{name} → 0" if others else f"{name} = 0"
+        text = (
+            f"{name} → ∞" if self.end == "infinity" else f"{name} → 0" if others else f"{name} = 0"
+        )
         kept = [
-            f"{other}{'/' if self.powers[other] > 0 else '·'}{name}{_exponent(self.powers[other])}" for other in others
+            f"{other}{'/' if self.powers[other] > 0 else '·'}{name}{_exponent(self.powers[other])}"
+            for other in others
         ]
         return f"{text}, {' and '.join(kept)} kept" if kept else text
 
@@ -94,7 +101,8 @@ class Reduction:
     fit : Fit
         That of the reduced structure; the same where none was found.
     tried : tuple of Tried
-        All ends at which what the model says of the data has a limit, in the order in which they were fitted.
+        All ends at which what the model says of the data has a limit, in the order in which they
+        were fitted.
     test : NestedTest or None
         Of the reduced structure against the large one.
     comparison : Comparison or None
@@ -121,7 +129,13 @@ class Reduction:
             failed = one.fit is None or one.test is None
             cells = ["-", "-"] if failed else [number(one.fit.cost), p_text(one.test.p_value)]  # type: ignore[union-attr]
             rejected = not failed and one.test.p_value < SIGNIFICANT  # type: ignore[union-attr]
-            rows.append([str(one.candidate), *cells, "taken" if one.taken else "rejected" if rejected else one.why_not])
+            rows.append(
+                [
+                    str(one.candidate),
+                    *cells,
+                    "taken" if one.taken else "rejected" if rejected else one.why_not,
+                ]
+            )
         if rows:
             table = text_table(["limit", "cost", "test", ""], rows, left=(0, 3))
             lines += [*("  " + line for line in table.splitlines()), ""]
@@ -142,7 +156,9 @@ class Reduction:
             rejected = f"the data reject every {'other ' if stiff else ''}limit at {100 * SIGNIFICANT:.0f} %"
             said = [] if len(stiff) == len(self.tried) else [rejected]
             if stiff:
-                said.append(f"the equations are too stiff in time for {' or '.join(stiff)}: write those of the limit")
+                said.append(
+                    f"the equations are too stiff in time for {' or '.join(stiff)}: write those of the limit"
+                )
             return f"{self.large.name}: not reduced; {', and '.join(said)}."
         return (
             f"{self.large.name}: {counted(len(self.fit.free), 'parameter')} instead of {free}, cost "
@@ -156,8 +172,8 @@ def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> R
     Parameters
     ----------
     fit : Fit
-        Of frequency responses, of records, or of both. In time a limit with poles far above those of the structure is
-        told and not fitted: it asks for other equations.
+        Of frequency responses, of records, or of both. In time a limit with poles far above those
+        of the structure is told and not fitted: it asks for other equations.
     problem : Problem or Sum, optional
         What was fitted; needed where it has ties, constraints, or values fixed by an earlier fit.
     starts : int
@@ -166,23 +182,28 @@ def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> R
     Returns
     -------
     Reduction
-        A structure is taken where the ratio of the costs does not reject it at 5 %, and of several the one with the
-        lowest cost. At the end of a range the ratio tends to be smaller than its distribution says, so the p-value is
-        an upper limit.
+        A structure is taken where the ratio of the costs does not reject it at 5 %, and of several
+        the one with the lowest cost. At the end of a range the ratio tends to be smaller than its
+        distribution says, so the p-value is an upper limit.
 
     Raises
     ------
     ValueError
-        For a fit without an estimate, with manoeuvres or a-priori knowledge, or whose problem cannot be stated again.
+        For a fit without an estimate, with manoeuvres or a-priori knowledge, or whose problem
+        cannot be stated again.
     """
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to reduce: {fit.status}.")
     if fit.spectra or fit.priors:
         what = "manoeuvres" if fit.spectra else "a-priori knowledge"
-        raise ValueError(f"the fit {fit.name!r} has {what}, with which nothing is reduced: fix parameters instead.")
+        raise ValueError(
+            f"the fit {fit.name!r} has {what}, with which nothing is reduced: fix parameters instead."
+        )
     stated = problem_of(fit) if problem is None else problem
     if set(_free(stated)) != set(fit.free):
-        raise ValueError(f"problem {stated.name!r} has other unknowns than the fit: give the one fitted.")
+        raise ValueError(
+            f"problem {stated.name!r} has other unknowns than the fit: give the one fitted."
+        )
 
     tried: list[Tried] = []
     current = fit
@@ -240,7 +261,7 @@ def _free(problem: AnyProblem) -> dict[str, Any]:
     return {name: p for name, p in problem.parameters.items() if not p.fixed}
 
 
-# --- directions -------------------------------------------------------------------------------------------------------
+# --- directions
 
 
 def _candidates(fit: Fit) -> Iterator[Candidate]:
@@ -255,7 +276,9 @@ def _candidates(fit: Fit) -> Iterator[Candidate]:
         for name, error in zip(judged.names, judged.error, strict=True)
         if (not error <= ERROR_GUIDELINE or name in at_bound) and fit.estimate[name] != 0
     ]
-    products = [dict(zip(c.names, c.powers, strict=True)) for c in judged.combinations if c.is_product]
+    products = [
+        dict(zip(c.names, c.powers, strict=True)) for c in judged.combinations if c.is_product
+    ]
     for direction in _directions(products):
         for end in ("infinity", "zero"):
             yield Candidate(direction, end)
@@ -270,14 +293,24 @@ def _directions(products: Sequence[Direction]) -> Iterator[Direction]:
     The first of a direction moves by the power one: the one that all others are whole powers of.
     """
     members = list(dict.fromkeys(name for row in products for name in row))
-    for vector in _null_space([[row.get(name, 0) for name in members] for row in products], len(members)):
+    for vector in _null_space(
+        [[row.get(name, 0) for name in members] for row in products], len(members)
+    ):
         moving = [k for k, v in enumerate(vector) if v]
-        # Of several that would do, the one that most products have reads best as what the others are divided by.
-        pivot = min(moving, key=lambda k: (abs(vector[k]), -sum(members[k] in row for row in products)))
+        # Of several that would do, the one that most products have reads best as what the others
+        # are divided by.
+        pivot = min(
+            moving, key=lambda k: (abs(vector[k]), -sum(members[k] in row for row in products))
+        )
         if any((v / vector[pivot]).denominator > 1 for v in vector):
             continue
-        powers = {name: int(v / vector[pivot]) for name, v in zip(members, vector, strict=True) if v}
-        yield {members[pivot]: 1, **{name: p for name, p in powers.items() if name != members[pivot]}}
+        powers = {
+            name: int(v / vector[pivot]) for name, v in zip(members, vector, strict=True) if v
+        }
+        yield {
+            members[pivot]: 1,
+            **{name: p for name, p in powers.items() if name != members[pivot]},
+        }
 
 
 def _null_space(rows: Sequence[Sequence[int]], width: int) -> list[list[Fraction]]:
@@ -306,7 +339,7 @@ def _null_space(rows: Sequence[Sequence[int]], width: int) -> list[list[Fraction
     return basis
 
 
-# --- problems at a limit ----------------------------------------------------------------------------------------------
+# --- problems at a limit
 
 
 def _at_limit(problem: AnyProblem, candidate: Candidate, fit: Fit) -> AnyProblem | None:
@@ -327,17 +360,24 @@ def _part_at_limit(part: Problem, candidate: Candidate, fit: Fit) -> Problem | N
     first = next(iter(candidate.powers))
     others = [name for name in present if name != first]
     gone = {inside[name] for name in present}
-    if first not in present or not gone <= set(part.model.parameters):  # a bias of a sensor, or a gain
+    if first not in present or not gone <= set(
+        part.model.parameters
+    ):  # a bias of a sensor, or a gain
         return None
     kept = [(inside[name], candidate.powers[name], fit.estimate[name]) for name in others]
     model = at_limit(part.model, inside[first], fit.estimate[first], candidate.end, kept)
     rename = {name: outside for name, outside in part.rename.items() if name not in gone}
     for name in others:
         power = candidate.powers[name]
-        new, outside = invariant_name(inside[name], inside[first], power), invariant_name(name, first, power)
+        new, outside = (
+            invariant_name(inside[name], inside[first], power),
+            invariant_name(name, first, power),
+        )
         if new != outside:
             rename[new] = outside
-    bounds, box = ({n: v for n, v in stated.items() if n not in gone} for stated in (part.bounds, part.starts))
+    bounds, box = (
+        {n: v for n, v in stated.items() if n not in gone} for stated in (part.bounds, part.starts)
+    )
     free = [name for name in part.free if name not in gone]
     return part.with_(model=model, rename=rename, free=free, bounds=bounds, starts=box)
 
@@ -379,7 +419,8 @@ def _record(fit: Fit, k: int) -> FittedRecord:
 def _values(part: Problem, fit: Fit) -> dict[str, float]:
     """Return the values of the model's parameters at the estimate, as far as it has them."""
     return {
-        name: fit.estimate.get(part.outside(name), parameter.start) for name, parameter in part.model.parameters.items()
+        name: fit.estimate.get(part.outside(name), parameter.start)
+        for name, parameter in part.model.parameters.items()
     }
 
 
@@ -392,10 +433,14 @@ def _said(part: Problem, values: Mapping[str, float], fit: Fit, k: int) -> NDArr
         try:
             if isinstance(part.data, Record):
                 record, inputs = _record(fit, k), getattr(part.criterion, "inputs", None)
-                found = simulate(part.model, values, part.data, initial=record.initial, inputs=inputs)
+                found = simulate(
+                    part.model, values, part.data, initial=record.initial, inputs=inputs
+                )
                 return np.array([found[name] for name in record.outputs])
             pair = {"input": part.response.input, "output": part.response.output}
-            return frequency_response(part.model, values, part.response.omega, **pair, at=part.at).response
+            return frequency_response(
+                part.model, values, part.response.omega, **pair, at=part.at
+            ).response
         except (ValueError, ArithmeticError):
             return np.full(1, np.nan)
 
@@ -405,19 +450,26 @@ def _is_stiff(problem: AnyProblem, before: AnyProblem, fit: Fit) -> bool:
     for k, (part, old) in enumerate(zip(problem.parts, before.parts, strict=True)):
         if not isinstance(part.data, Record) or part.model is old.model:
             continue
-        poles = [_fastest(each.model, _values(each, fit), _record(fit, k).initial) for each in (part, old)]
+        poles = [
+            _fastest(each.model, _values(each, fit), _record(fit, k).initial)
+            for each in (part, old)
+        ]
         if not poles[0] <= STIFF * poles[1]:
             return True
     return False
 
 
-def _fastest(model: Model, values: Mapping[str, float], initial: Mapping[str, NDArray[np.float64]]) -> float:
+def _fastest(
+    model: Model, values: Mapping[str, float], initial: Mapping[str, NDArray[np.float64]]
+) -> float:
     """Return the largest |pole| about the first initial state, with the inputs at rest."""
     system = dynamics(model)
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
     slope = ca.jacobian(system.derivative(x, u, [values[name] for name in system.parameters]), x)
     state = [float(initial[name][0]) if name in initial else 0.0 for name in system.states]
-    matrix = ca.Function("A", [x, u], [ca.densify(slope)])(state, np.zeros(len(system.inputs))).full()
+    matrix = ca.Function("A", [x, u], [ca.densify(slope)])(
+        state, np.zeros(len(system.inputs))
+    ).full()
     if not np.all(np.isfinite(matrix)):
         return math.inf
     return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) if matrix.size else 0.0

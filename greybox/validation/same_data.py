@@ -16,7 +16,9 @@ def check_fits(fits: Sequence[Fit]) -> None:
     """Raise TypeError or ValueError for what is no fit, for a single one, and for one without an estimate."""
     for fit in fits:
         if not isinstance(fit, Fit):
-            raise TypeError(f"cannot compare {fit!r:.80}: give fits, such as gb.fit(problem) returns.")
+            raise TypeError(
+                f"cannot compare {fit!r:.80}: give fits, such as gb.fit(problem) returns."
+            )
     if len(fits) < 2:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
     for fit in fits:
@@ -51,9 +53,7 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
                 and isinstance(b, FittedRecord | FittedSpectrum)
                 and a.outputs != b.outputs
             ):
-                return (
-                    f"{name} was fitted to the outputs {', '.join(b.outputs)} and {names[0]} to {', '.join(a.outputs)}"
-                )
+                return f"{name} was fitted to the outputs {', '.join(b.outputs)} and {names[0]} to {', '.join(a.outputs)}"
     return ""
 
 
@@ -63,7 +63,9 @@ def _same(a: FittedPart, b: FittedPart) -> bool:
         return False
     if isinstance(a.data, Record) and isinstance(b.data, Record):
         return np.array_equal(a.data.time, b.data.time) and all(
-            np.array_equal(a.data[n], b.data[n], equal_nan=True) for n in a.data.signals if n in b.data.signals
+            np.array_equal(a.data[n], b.data[n], equal_nan=True)
+            for n in a.data.signals
+            if n in b.data.signals
         )
     return type(a) is type(b)
 
@@ -112,17 +114,23 @@ def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
 def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
     """Return why the costs of fits to the same data cannot be compared; empty where they can.
 
-    Those in time are negative log-likelihoods whatever the criterion assumes of the errors, and so are those of
-    MaximumLikelihood; other criteria can only be compared with themselves.
+    Those in time are negative log-likelihoods whatever the criterion assumes of the errors, and so
+    are those of MaximumLikelihood; other criteria can only be compared with themselves.
     """
     samples = other_samples(fits, names)
     if samples:
         return samples
-    weights = list(dict.fromkeys(", ".join(number(part.weight, 3) for part in fit.parts) for fit in fits))
+    weights = list(
+        dict.fromkeys(", ".join(number(part.weight, 3) for part in fit.parts) for fit in fits)
+    )
     if len(weights) > 1:
         return f"their data are weighted differently ({'; '.join(weights)})"
     first = fits[0]
-    same = all(a.has_criterion_of(b) for fit in fits[1:] for a, b in zip(first.parts, fit.parts, strict=True))
+    same = all(
+        a.has_criterion_of(b)
+        for fit in fits[1:]
+        for a, b in zip(first.parts, fit.parts, strict=True)
+    )
     if not same and not all(is_likelihood(fit) for fit in fits):
         return f"they are of different criteria ({'; '.join(dict.fromkeys(map(_stated_criteria, fits)))})"
     return ""

@@ -24,30 +24,35 @@ Array = NDArray[np.float64]
 
 ESTIMATION = "estimation"  # what the data that fits were made with say of them by their likelihoods
 
-# Windows below which predictions are not tested: the fewest for which `mean_test` estimates a correlation, and with two
-# the threshold of Student's t would be 12.7.
+# Windows below which predictions are not tested: the fewest for which `mean_test` estimates a
+# correlation, and with two the threshold of Student's t would be 12.7.
 FEWEST_WINDOWS = 3
 
-# Predictions whose mean squared errors differ by less than this share of the smaller one (0.05 % in rms) are equally
-# good for any use, however significant the difference is in a long record.
+# Predictions whose mean squared errors differ by less than this share of the smaller one (0.05 % in
+# rms) are equally good for any use, however significant the difference is in a long record.
 EQUAL_SQUARES = 1e-3
 
-# Share within which the 95 % interval of that difference must lie for models to be called equally good where no test
-# finds a difference: 5 % in rms, which no use of a model notices. Absence of evidence is none of absence.
+# Share within which the 95 % interval of that difference must lie for models to be called equally
+# good where no test finds a difference: 5 % in rms, which no use of a model notices. Absence of
+# evidence is none of absence.
 NEARLY_EQUAL_SQUARES = 0.1
 
-# Of an output's spread: ten times the local error that the simulator allows itself. Differences below it are rounding.
+# Of an output's spread: ten times the local error that the simulator allows itself. Differences
+# below it are rounding.
 SIMULATION_ACCURACY = 1e-6
 
-# Difference of AIC below which two models have substantial support alike: Burnham and Anderson (2002), section 2.6.
+# Difference of AIC below which two models have substantial support alike: Burnham and Anderson
+# (2002), section 2.6.
 EQUAL_AIC = 2.0
 # And from which one has essentially no support beside the other: ibid.
 NO_SUPPORT = 10.0
 
-# Standard errors within which an estimate is not distinguishable from zero: 95 % of a normal distribution.
+# Standard errors within which an estimate is not distinguishable from zero: 95 % of a normal
+# distribution.
 NOT_ZERO = 2.0
 
-# p-value below which residuals are called not white: one test for every output of every fit, hence less than 5 %.
+# p-value below which residuals are called not white: one test for every output of every fit, hence
+# less than 5 %.
 NOT_WHITE = 0.01
 
 Pair = tuple[int, int]
@@ -60,8 +65,8 @@ class Evidence:
     Attributes
     ----------
     better : int or None
-        1 where the first describes or predicts the data better, -1 where the second does, 0 where both do so equally
-        well; None where it cannot be told.
+        1 where the first describes or predicts the data better, -1 where the second does, 0 where
+        both do so equally well; None where it cannot be told.
     sentence : str
     nested : NestedTest or None
         The test, where one of them is the other with terms removed.
@@ -90,20 +95,26 @@ def verdicts(
 ) -> tuple[tuple[str, ...], Mapping[Pair, Evidence]]:
     """Return the sentences of a comparison, and the tests by the data of the fits.
 
-    `predictions` are those on the data of the fits and on held-out records, as far as there are; `comparable` says
-    whether the costs are. What held-out records say stands beside what the data of the fits say, not in its place.
-    Fits of responses by different criteria are tested by their common `likelihoods`, those that are not nested by their
-    `aic`, where these are known.
+    `predictions` are those on the data of the fits and on held-out records, as far as there are;
+    `comparable` says whether the costs are. What held-out records say stands beside what the data
+    of the fits say, not in its place. Fits of responses by different criteria are tested by their
+    common `likelihoods`, those that are not nested by their `aic`, where these are known.
     """
     sentences: list[str] = []
-    evidence: dict[str, dict[Pair, Evidence]] = {kind: {} for kind in (ESTIMATION, IDENTIFICATION, HELD_OUT)}
+    evidence: dict[str, dict[Pair, Evidence]] = {
+        kind: {} for kind in (ESTIMATION, IDENTIFICATION, HELD_OUT)
+    }
     for a, b in combinations(range(len(fits)), 2):
         pair = (a, b)
         found: dict[str, Evidence] = {}
         if same_data:
-            one_criterion = all(x.has_criterion_of(y) for x, y in zip(fits[a].parts, fits[b].parts, strict=True))
+            one_criterion = all(
+                x.has_criterion_of(y) for x, y in zip(fits[a].parts, fits[b].parts, strict=True)
+            )
             tested = likelihoods.fits if likelihoods is not None and not one_criterion else fits
-            found[ESTIMATION] = _estimation_evidence(tested, labels, pair, comparable, removed_at or {}, aic)
+            found[ESTIMATION] = _estimation_evidence(
+                tested, labels, pair, comparable, removed_at or {}, aic
+            )
         for kind in (IDENTIFICATION, HELD_OUT):
             if kind in predictions:
                 better, sentence = _errors_window_by_window(labels, predictions[kind], pair, kind)
@@ -131,8 +142,9 @@ def _estimation_evidence(
 ) -> Evidence:
     """Compare two fits by the data that both were made with.
 
-    Nested models by the ratio of their costs or Wald's test: the differences of their log-likelihoods have no normal
-    distribution, on which Vuong's test rests. Other models in time by that.
+    Nested models by the ratio of their costs or Wald's test: the differences of their
+    log-likelihoods have no normal distribution, on which Vuong's test rests. Other models in time
+    by that.
     """
     a, b = pair
     two = (fits[a], fits[b])
@@ -149,7 +161,10 @@ def _estimation_evidence(
             sentence = f"{labels[large]} contains {labels[small]}, and {test}"
             return Evidence(better if test.p_value < SIGNIFICANT else 0, sentence, test)
     if undecided:
-        return Evidence(None, f"{_cannot_be_told(labels, pair)}: {undecided}{_aic_text(two) if comparable else ''}.")
+        return Evidence(
+            None,
+            f"{_cannot_be_told(labels, pair)}: {undecided}{_aic_text(two) if comparable else ''}.",
+        )
     if all(len(fit.records) == len(fit.parts) for fit in two):
         return Evidence(*_likelihoods_sample_by_sample(fits, labels, pair))
     return Evidence(*_by_aic(labels, pair, aic)) if aic else Evidence(None, "")
@@ -161,15 +176,25 @@ def _by_aic(labels: Sequence[str], pair: Pair, aic: Sequence[float]) -> tuple[in
     both, difference = f"{labels[a]} and {labels[b]}", aic[b] - aic[a]
     said = f"AIC differs by {number(abs(difference), 3)}"
     if abs(difference) < EQUAL_AIC:
-        return 0, f"{both} fit the data equally well ({said}; below {EQUAL_AIC:g} neither is preferred)."
+        return (
+            0,
+            f"{both} fit the data equally well ({said}; below {EQUAL_AIC:g} neither is preferred).",
+        )
     if abs(difference) < NO_SUPPORT:
-        return None, f"{_cannot_be_told(labels, pair)} ({said}; from {NO_SUPPORT:g} on one of them has no support)."
+        return (
+            None,
+            f"{_cannot_be_told(labels, pair)} ({said}; from {NO_SUPPORT:g} on one of them has no support).",
+        )
     better, worse = (a, b) if difference > 0 else (b, a)
-    return (1 if difference > 0 else -1), f"{labels[better]} fits the data better than {labels[worse]} ({said})."
+    return (
+        1 if difference > 0 else -1
+    ), f"{labels[better]} fits the data better than {labels[worse]} ({said})."
 
 
 def _cannot_be_told(labels: Sequence[str], pair: Pair) -> str:
-    return f"It cannot be told which of {labels[pair[0]]} and {labels[pair[1]]} fits the data better"
+    return (
+        f"It cannot be told which of {labels[pair[0]]} and {labels[pair[1]]} fits the data better"
+    )
 
 
 def _nested_test(
@@ -186,7 +211,11 @@ def _nested_test(
     names = (labels[order[0]], labels[order[1]])
     if len(small.free) > len(large.free):
         raise NotNestedError(f"{names[1]} has fewer free parameters than {names[0]}")
-    stated = {name: value for name, value in removed_at.items() if name in large.free and name not in small.estimate}
+    stated = {
+        name: value
+        for name, value in removed_at.items()
+        if name in large.free and name not in small.estimate
+    }
     return nested_test_at(nesting(small, large, names, stated), small, large, names)
 
 
@@ -197,12 +226,15 @@ def _aic_text(fits: Sequence[Fit]) -> str:
     return f" (AIC {number(values[0], 6)} and {number(values[1], 6)})"
 
 
-def _likelihoods_sample_by_sample(fits: Sequence[Fit], labels: Sequence[str], pair: Pair) -> tuple[int | None, str]:
+def _likelihoods_sample_by_sample(
+    fits: Sequence[Fit], labels: Sequence[str], pair: Pair
+) -> tuple[int | None, str]:
     """Compare the likelihoods of models that are not nested sample by sample, less half of the AIC's penalty.
 
-    Where AIC differs by less than `EQUAL_AIC` nothing is tested: of one model fitted twice the differences are
-    rounding. Sources: Vuong (1989), Econometrica 57; for errors that are correlated in time Rivers and Vuong (2002),
-    Econometrics Journal 5; Burnham and Anderson (2002), section 2.6.
+    Where AIC differs by less than `EQUAL_AIC` nothing is tested: of one model fitted twice the
+    differences are rounding. Sources: Vuong (1989), Econometrica 57; for errors that are correlated
+    in time Rivers and Vuong (2002), Econometrics Journal 5; Burnham and Anderson (2002), section
+    2.6.
     """
     a, b = pair
     differences: list[Array] = []
@@ -222,7 +254,9 @@ def _likelihoods_sample_by_sample(fits: Sequence[Fit], labels: Sequence[str], pa
     z = mean / error if error > 0 else 0.0
     p = _two_sided(z)
     if not p < SIGNIFICANT:
-        return None, (f"{_cannot_be_told(labels, pair)} (Vuong, {p_text(p)}; AIC differs by {number(aic, 2)}).")
+        return None, (
+            f"{_cannot_be_told(labels, pair)} (Vuong, {p_text(p)}; AIC differs by {number(aic, 2)})."
+        )
     better, worse = (a, b) if z > 0 else (b, a)
     sentence = f"{labels[better]} fits the data better than {labels[worse]} (Vuong, {p_text(p)})."
     return (1 if z > 0 else -1), sentence
@@ -234,12 +268,16 @@ def _log_likelihoods(part: FittedRecord) -> Array:
     present = np.isfinite(residuals)
     variance = np.diag(part.noise)
 
-    if np.count_nonzero(part.noise) == len(variance):  # uncorrelated outputs: samples may miss some of them
+    if np.count_nonzero(part.noise) == len(
+        variance
+    ):  # uncorrelated outputs: samples may miss some of them
         squares = np.nan_to_num(residuals) ** 2 / variance[:, None]
         terms = np.where(present, -0.5 * (squares + np.log(2 * np.pi * variance)[:, None]), 0.0)
         return np.where(present.any(axis=0), terms.sum(axis=0), np.nan)
 
-    squares = np.einsum("in,ij,jn->n", np.nan_to_num(residuals), np.linalg.inv(part.noise), np.nan_to_num(residuals))
+    squares = np.einsum(
+        "in,ij,jn->n", np.nan_to_num(residuals), np.linalg.inv(part.noise), np.nan_to_num(residuals)
+    )
     logarithm = float(np.linalg.slogdet(2 * np.pi * part.noise)[1])
     return np.where(present.all(axis=0), -0.5 * (squares + logarithm), np.nan)
 
@@ -249,17 +287,22 @@ def _errors_window_by_window(
 ) -> tuple[int | None, str]:
     """Compare the mean squared errors window by window, in units of the smaller noise, see `Evidence.better`.
 
-    A mean difference below `EQUAL_SQUARES` of the smaller mean squared error, or below what simulations are accurate
-    to, is a tie whatever the test says: it may have the same sign in every window and yet be rounding. Beyond that two
-    models are equally good only where the interval of the difference lies within `NEARLY_EQUAL_SQUARES`; where the test
-    finds nothing and the interval is wider, nothing can be told.
-    Source: Diebold and Mariano (1995), Journal of Business and Economic Statistics 13; for few windows Harvey,
-    Leybourne and Newbold (1997), International Journal of Forecasting 13.
+    A mean difference below `EQUAL_SQUARES` of the smaller mean squared error, or below what
+    simulations are accurate to, is a tie whatever the test says: it may have the same sign in every
+    window and yet be rounding. Beyond that two models are equally good only where the interval of
+    the difference lies within `NEARLY_EQUAL_SQUARES`; where the test finds nothing and the interval
+    is wider, nothing can be told. Source: Diebold and Mariano (1995), Journal of Business and
+    Economic Statistics 13; for few windows Harvey, Leybourne and Newbold (1997), International
+    Journal of Forecasting 13.
     """
     a, b = pair
-    squares = [_mean_squares(one, other) for one, other in zip(predictions[a], predictions[b], strict=True)]
+    squares = [
+        _mean_squares(one, other) for one, other in zip(predictions[a], predictions[b], strict=True)
+    ]
     differences = [second - first for first, second, _ in squares]
-    first, second, rounding = (float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True))
+    first, second, rounding = (
+        float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True)
+    )
     every = np.concatenate(differences)
     windows = counted(every.size, predictions[a][0].window)
     differences = [
@@ -309,7 +352,8 @@ def _errors_window_by_window(
 def _mean_squares(one: Prediction, other: Prediction) -> tuple[Array, Array, Array]:
     """Return the mean squared errors of both in every window (w,), and what of them is rounding, in units of noise.
 
-    Values that were estimated from the record make them smaller by their share of its numbers, which is undone.
+    Values that were estimated from the record make them smaller by their share of its numbers,
+    which is undone.
     """
     first, second, rounding = np.zeros((3, len(one)))
     numbers = sum(int(np.isfinite(one.measured(output)).sum()) for output in one.outputs)
@@ -317,7 +361,9 @@ def _mean_squares(one: Prediction, other: Prediction) -> tuple[Array, Array, Arr
         noise = min(one.noise[k, k], other.noise[k, k])
         errors = np.array([one.residual(output), other.residual(output)])
         present = np.all(np.isfinite(errors), axis=0)
-        sums = np.where(present, errors**2, 0.0).sum(axis=2) / (np.maximum(present.sum(axis=1), 1) * noise)
+        sums = np.where(present, errors**2, 0.0).sum(axis=2) / (
+            np.maximum(present.sum(axis=1), 1) * noise
+        )
         first += sums[0] * numbers / max(numbers - len(one.own), 1)
         second += sums[1] * numbers / max(numbers - len(other.own), 1)
         rounding += (SIMULATION_ACCURACY * float(np.nanstd(one.data[output]))) ** 2 / noise
@@ -340,7 +386,10 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
 
 
 def _terms(
-    fits: Sequence[Fit], labels: Sequence[str], k: int, evidence: Mapping[str, Mapping[Pair, Evidence]]
+    fits: Sequence[Fit],
+    labels: Sequence[str],
+    k: int,
+    evidence: Mapping[str, Mapping[Pair, Evidence]],
 ) -> Iterator[str]:
     """Say of every parameter that another fit does not have free whether these data determine it."""
     quantities = {quantity.name: quantity for quantity in fits[k].quantities}
@@ -369,14 +418,22 @@ def _terms(
 
 
 def _not_found(
-    name: str, t: float, k: int, without: Sequence[int], evidence: Mapping[str, Mapping[Pair, Evidence]]
+    name: str,
+    t: float,
+    k: int,
+    without: Sequence[int],
+    evidence: Mapping[str, Mapping[Pair, Evidence]],
 ) -> bool:
     """Tell whether a parameter is not distinguishable from its value elsewhere.
 
     By the nested test where there is one of this parameter alone, else by its standard error.
     """
     found = [evidence.get(ESTIMATION, {}).get((k, i)) for i in without]
-    tests = [e.nested for e in found if e is not None and e.nested is not None and e.nested.terms == (name,)]
+    tests = [
+        e.nested
+        for e in found
+        if e is not None and e.nested is not None and e.nested.terms == (name,)
+    ]
     return any(not test.p_value < SIGNIFICANT for test in tests) if tests else t < NOT_ZERO
 
 
@@ -389,8 +446,8 @@ def _by_evidence(
 ) -> str:
     """Say what comparisons with the models without a term add to an estimate that is not at its `value` there.
 
-    By the data of the fits, or by held-out records alone where the fits have different data; where the two contradict
-    one another both are said.
+    By the data of the fits, or by held-out records alone where the fits have different data; where
+    the two contradict one another both are said.
     """
     kind = next(kind for kind in (ESTIMATION, IDENTIFICATION, HELD_OUT) if evidence.get(kind))
     if (
@@ -400,7 +457,9 @@ def _by_evidence(
     ):
         kind = IDENTIFICATION if evidence[IDENTIFICATION] else kind
     better = {i: evidence[kind][k, i].better for i in without}
-    other, equal, unknown = ([labels[i] for i in without if better[i] == verdict] for verdict in (-1, 0, None))
+    other, equal, unknown = (
+        [labels[i] for i in without if better[i] == verdict] for verdict in (-1, 0, None)
+    )
     if other:
         text = f"not {value}, but {_explain(other, kind)} better"
     elif unknown:
@@ -411,7 +470,11 @@ def _by_evidence(
         text = "determined by these data"
 
     held_out = evidence.get(HELD_OUT, {}) if kind != HELD_OUT else {}
-    against = [labels[i] for i in without if (k, i) in held_out and held_out[k, i].better == -1 and better[i] != -1]
+    against = [
+        labels[i]
+        for i in without
+        if (k, i) in held_out and held_out[k, i].better == -1 and better[i] != -1
+    ]
     if against:
         text += f", but {_explain(against, HELD_OUT)} better"
     return f"{text}."

@@ -1,16 +1,17 @@
 """Terms of a model chosen from a list of candidates: added and removed one at a time, by a test.
 
-A term is a parameter, and the model is without it where that parameter is zero (or another stated value). From the
-structure without any candidate, the term whose ratio of costs is the least likely by chance is added, if it is
-significant at the stated size shared by all that were tried; after that, terms that are no longer needed are removed.
-What the data cannot tell apart is looked for at the end, by putting each term that was left out in the place of each
-one that was chosen.
+A term is a parameter, and the model is without it where that parameter is zero (or another stated
+value). From the structure without any candidate, the term whose ratio of costs is the least likely
+by chance is added, if it is significant at the stated size shared by all that were tried; after
+that, terms that are no longer needed are removed. What the data cannot tell apart is looked for at
+the end, by putting each term that was left out in the place of each one that was chosen.
 
-What a term that is missing leaves in the residuals of a response looks like errors that are correlated along frequency:
-the tests take errors as independent, or they would find all of it in the errors. The standard errors of the fit that is
-chosen do not.
+What a term that is missing leaves in the residuals of a response looks like errors that are
+correlated along frequency: the tests take errors as independent, or they would find all of it in
+the errors. The standard errors of the fit that is chosen do not.
 
-Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4; the shares of the size are Bonferroni's.
+Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4; the shares of the
+size are Bonferroni's.
 """
 
 import math
@@ -74,8 +75,8 @@ class StepwiseSelection:
         With these terms, and without any candidate.
     trials : tuple of Trial
     alike : mapping of str to mapping of str to float
-        For each chosen term those that could stand in its place, by how much AIC is larger with them: less than 2, so
-        that the data do not tell them apart.
+        For each chosen term those that could stand in its place, by how much AIC is larger with
+        them: less than 2, so that the data do not tell them apart.
     size : float
         Of the test.
     """
@@ -94,7 +95,9 @@ class StepwiseSelection:
         tried = counted(len(self.candidates), "candidate")
         if not self.terms:
             return f"None of {tried} is supported: no term lowers the cost by more than chance."
-        text = f"{listed(self.terms)} of {tried} {'is' if len(self.terms) == 1 else 'are'} supported"
+        text = (
+            f"{listed(self.terms)} of {tried} {'is' if len(self.terms) == 1 else 'are'} supported"
+        )
         return f"{text}: cost {number(self.fit.cost, 4)} instead of {number(self.without.cost, 4)} without."
 
     def __repr__(self) -> str:
@@ -106,10 +109,23 @@ class StepwiseSelection:
             p = trial.why_not or p_text(trial.p_value).removeprefix("p = ").removeprefix("p ")
             done = {"add": "added", "remove": "removed"}[trial.change] if trial.done else ""
             rows.append(
-                [str(trial.step), trial.change, trial.term, number(trial.cost, 4), p, f"{trial.limit:.2g}", done]
+                [
+                    str(trial.step),
+                    trial.change,
+                    trial.term,
+                    number(trial.cost, 4),
+                    p,
+                    f"{trial.limit:.2g}",
+                    done,
+                ]
             )
         table = text_table(["step", "", "term", "cost", "p", "limit", ""], rows, left=(1, 2, 6))
-        lines = [f"{self.fit.name}: stepwise selection at {100 * self.size:g} %", "", f"  {self.verdict}", ""]
+        lines = [
+            f"{self.fit.name}: stepwise selection at {100 * self.size:g} %",
+            "",
+            f"  {self.verdict}",
+            "",
+        ]
         lines += [f"  {line}" for line in table.splitlines()]
         lines += ["", *(f"  {text}" for text in self._notes())]
         return "\n".join(lines).rstrip()
@@ -141,7 +157,8 @@ def stepwise(
     problem : Problem or Sum
         With a model that has all candidates.
     candidates : sequence of str, or mapping of name to value
-        Parameters, by their names outside; the value of each where its term is absent, zero if it is not stated.
+        Parameters, by their names outside; the value of each where its term is absent, zero if it
+        is not stated.
     size : float
         Of the tests, each of them the one of `nested_test`: the ratio of the costs.
     starts : int
@@ -150,8 +167,8 @@ def stepwise(
     Raises
     ------
     ValueError
-        For candidates that are no parameters of the problem, a size out of range, or a structure without any candidate
-        that has no fit.
+        For candidates that are no parameters of the problem, a size out of range, or a structure
+        without any candidate that has no fit.
     """
     absent = dict(candidates) if isinstance(candidates, Mapping) else dict.fromkeys(candidates, 0.0)
     require_known(absent, problem.parameters, "parameter", repr(problem.name))
@@ -161,14 +178,20 @@ def stepwise(
     current: Terms = frozenset()
     without = search.fit(current, None)
     if without is None:
-        raise ValueError(f"the problem {problem.name!r} has no fit without any of {', '.join(absent)}.")
+        raise ValueError(
+            f"the problem {problem.name!r} has no fit without any of {', '.join(absent)}."
+        )
 
     trials: list[Trial] = []
     seen, step, fit = {current}, 0, without
     while True:
         step += 1
         tried = search.additions(current, fit, step, size)
-        best = min((t for t in tried if t.p_value < t.limit), key=lambda t: (t.p_value, t.cost), default=None)
+        best = min(
+            (t for t in tried if t.p_value < t.limit),
+            key=lambda t: (t.p_value, t.cost),
+            default=None,
+        )
         trials += [_done(t, t is best) for t in tried]
         if best is None or current | {best.term} in seen:
             break
@@ -177,7 +200,9 @@ def stepwise(
         while len(current) > 1:
             fit = search.required(current)
             tried = search.removals(current, fit, step, size)
-            worst = max((t for t in tried if t.p_value > t.limit), key=lambda t: t.p_value, default=None)
+            worst = max(
+                (t for t in tried if t.p_value > t.limit), key=lambda t: t.p_value, default=None
+            )
             if worst is not None and current - {worst.term} in seen:
                 worst = None
             trials += [_done(t, t is worst) for t in tried]
@@ -213,7 +238,11 @@ class _Search:
         if terms not in self._fits:
             stated = with_terms(self._problem, terms, self._absent)
             free = {name for name, p in stated.parameters.items() if not p.fixed}
-            start = {} if near is None else {name: v for name, v in near.estimate.items() if name in free}
+            start = (
+                {}
+                if near is None
+                else {name: v for name, v in near.estimate.items() if name in free}
+            )
             found = fit_problem(stated, [start, Sobol(self._starts, 0)], progress=False)
             self._fits[terms] = found if found.converged else None
         return self._fits[terms]
@@ -226,19 +255,37 @@ class _Search:
     def additions(self, terms: Terms, fit: Fit, step: int, size: float) -> list[Trial]:
         left = [name for name in self._absent if name not in terms]
         return [
-            self._trial(step, "add", name, fit, self.fit(terms | {name}, fit), size / len(left), swapped=False)
+            self._trial(
+                step,
+                "add",
+                name,
+                fit,
+                self.fit(terms | {name}, fit),
+                size / len(left),
+                swapped=False,
+            )
             for name in left
         ]
 
     def removals(self, terms: Terms, fit: Fit, step: int, size: float) -> list[Trial]:
         return [
-            self._trial(step, "remove", name, self.fit(terms - {name}, fit), fit, size, swapped=True)
+            self._trial(
+                step, "remove", name, self.fit(terms - {name}, fit), fit, size, swapped=True
+            )
             for name in self._absent
             if name in terms
         ]
 
     def _trial(
-        self, step: int, change: str, term: str, small: Fit | None, large: Fit | None, limit: float, *, swapped: bool
+        self,
+        step: int,
+        change: str,
+        term: str,
+        small: Fit | None,
+        large: Fit | None,
+        limit: float,
+        *,
+        swapped: bool,
     ) -> Trial:
         changed = small if swapped else large
         if small is None or large is None:
@@ -248,8 +295,13 @@ class _Search:
         except ValueError:
             line = next(q for q in large.quantities if q.name == term)
             is_known = math.isfinite(line.standard_error)
-            p, why = math.nan, "at its bound" if line.at_bound else "no test" if is_known else "not determined"
-        return Trial(step, change, term, changed.cost if changed else math.nan, p, limit, why_not=why)
+            p, why = (
+                math.nan,
+                "at its bound" if line.at_bound else "no test" if is_known else "not determined",
+            )
+        return Trial(
+            step, change, term, changed.cost if changed else math.nan, p, limit, why_not=why
+        )
 
     def alike(self, terms: Terms, fit: Fit) -> dict[str, dict[str, float]]:
         """Return which terms could stand in the place of each chosen one, and how much larger AIC is with them."""
@@ -274,8 +326,15 @@ def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -
 def _part(part: Problem, terms: Terms, absent: Mapping[str, float]) -> Problem:
     inside: dict[str, str] = {part.outside(name): name for name in part.declared}
     chosen = {inside[name] for name in terms if name in inside}
-    left_out = {inside[name]: value for name, value in absent.items() if name not in terms and name in inside}
-    fixed: dict[str, Any] = {**{n: v for n, v in part.fixed_values.items() if n not in chosen}, **left_out}
+    left_out = {
+        inside[name]: value
+        for name, value in absent.items()
+        if name not in terms and name in inside
+    }
+    fixed: dict[str, Any] = {
+        **{n: v for n, v in part.fixed_values.items() if n not in chosen},
+        **left_out,
+    }
     declared_fixed = [name for name in chosen if part.model.parameters[name].fixed]
     free = [name for name in part.free if name not in left_out and name not in declared_fixed]
     return part.with_(fixed=fixed, free=[*free, *declared_fixed])

@@ -87,7 +87,9 @@ def test_a_study_is_run_compared_and_resumed(study, tmp_path, capsys):
     status, more, _ = answer(capsys, "batch", "--resume", "out", "--starts", 20)
     assert status == 0
     assert all(member["runs"] == 20 for member in more["members"])
-    assert more["members"][0]["answer"]["cost"] == pytest.approx(found["members"][0]["answer"]["cost"])
+    assert more["members"][0]["answer"]["cost"] == pytest.approx(
+        found["members"][0]["answer"]["cost"]
+    )
 
 
 def test_a_study_in_python(tmp_path, capsys):
@@ -102,7 +104,9 @@ def test_a_study_in_python(tmp_path, capsys):
 
 
 def test_members_without_an_answer_are_named(study, capsys):
-    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 5\n[[member]]\nproblem = "mine.py:hopeless"\n')
+    study.write_text(
+        '[[member]]\nproblem = "rotors"\nstarts = 5\n[[member]]\nproblem = "mine.py:hopeless"\n'
+    )
     (study.parent / "mine.py").write_text(
         MINE + "\ndef hopeless():\n    return small().with_(constraints=[lambda p: -1 - p.K**2])\n"
     )
@@ -120,17 +124,40 @@ def test_members_without_an_answer_are_named(study, capsys):
         ("", "has no members: write [[member]]"),
         ("start = 3\n[[member]]\nproblem = 'rotors'", "states 'start', which is not known"),
         ("[[member]]\nproblems = 'rotors'", "has 'problems', which is not known"),
-        ("[[member]]\nproblem = 'rotorz'", "there is no included problem 'rotorz'; did you mean 'rotors'?"),
-        ("[[member]]\nproblem = 'rotors'\ncriterion = 3", "criterion = 3 is not understood: give text"),
-        ("[[member]]\nproblem = 'rotors'\nseed = [0, 'a']", "seed = 'a' is not understood: give a whole number"),
-        ("[[member]]\nproblem = 'rotors'\nstarts = 'a'", "starts = 'a' is not understood: give a whole number"),
+        (
+            "[[member]]\nproblem = 'rotorz'",
+            "there is no included problem 'rotorz'; did you mean 'rotors'?",
+        ),
+        (
+            "[[member]]\nproblem = 'rotors'\ncriterion = 3",
+            "criterion = 3 is not understood: give text",
+        ),
+        (
+            "[[member]]\nproblem = 'rotors'\nseed = [0, 'a']",
+            "seed = 'a' is not understood: give a whole number",
+        ),
+        (
+            "[[member]]\nproblem = 'rotors'\nstarts = 'a'",
+            "starts = 'a' is not understood: give a whole number",
+        ),
         ("[[member]]\nproblem = 'rotors'\nfix = 3", "fix = 3 is not understood: give a table"),
-        ("[[member]]\nproblem = 'rotors'\nfix = {T = 'a'}", "is not understood: give a table {name = number}"),
-        ("[[member]]\nproblem = 'rotors'\nfree = 3", "free = 3 is not understood: give a list of names"),
-        ("[[member]]\nproblem = 'rotors'\n[[member]]\nproblem = 'rotors'", "2 members have the name 'rotors'"),
+        (
+            "[[member]]\nproblem = 'rotors'\nfix = {T = 'a'}",
+            "is not understood: give a table {name = number}",
+        ),
+        (
+            "[[member]]\nproblem = 'rotors'\nfree = 3",
+            "free = 3 is not understood: give a list of names",
+        ),
+        (
+            "[[member]]\nproblem = 'rotors'\n[[member]]\nproblem = 'rotors'",
+            "2 members have the name 'rotors'",
+        ),
     ],
 )
-def test_what_is_wrong_in_a_study_file_is_said_before_anything_is_written(study, tmp_path, capsys, text, said):
+def test_what_is_wrong_in_a_study_file_is_said_before_anything_is_written(
+    study, tmp_path, capsys, text, said
+):
     study.write_text(text)
     status, found, _ = answer(capsys, "batch", study, "--out", "out")
     assert status == 2
@@ -153,13 +180,18 @@ def test_usage(study, tmp_path, capsys):
         assert said in found["error"]
     study.write_text("[[member]]\nproblem = 'rotors'\nstarts = 2\n")
     assert answer(capsys, "batch", study, "--out", "out")[0] == 0
-    assert "go on with it by --resume out" in answer(capsys, "batch", study, "--out", "out")[1]["error"]
+    assert (
+        "go on with it by --resume out"
+        in answer(capsys, "batch", study, "--out", "out")[1]["error"]
+    )
 
 
 def test_ctrl_c_says_how_to_go_on(study, capsys, monkeypatch, press_ctrl_c):
     study.write_text('[[member]]\nproblem = "rotors"\nstarts = 12\nseed = [0, 1]\n')
     add = RunFiles.add
-    monkeypatch.setattr(RunFiles, "add", lambda self, *run: (add(self, *run), run[0] == 7 and press_ctrl_c()))
+    monkeypatch.setattr(
+        RunFiles, "add", lambda self, *run: (add(self, *run), run[0] == 7 and press_ctrl_c())
+    )
     assert main(["batch", str(study), "--out", "out"]) == 130
     shown = capsys.readouterr()
     assert "greybox: interrupted; `greybox batch --resume out` goes on." in shown.err
@@ -175,10 +207,16 @@ def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
     status, found, said = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
     assert status == 1
     assert [member["status"] for member in found["members"]] == ["unfinished"] * 2
-    assert found["error"].startswith("2 of 2 members have no answer: rotors: seed 0, rotors: seed 1;")
-    assert found["error"].endswith("; the time limit ended the study, `greybox batch --resume out` goes on.")
+    assert found["error"].startswith(
+        "2 of 2 members have no answer: rotors: seed 0, rotors: seed 1;"
+    )
+    assert found["error"].endswith(
+        "; the time limit ended the study, `greybox batch --resume out` goes on."
+    )
     assert "greybox: 2 of 2 members" in said
-    status, found, _ = answer(capsys, "batch", "--resume", "out", "--seconds", 1e6, "--start-seconds", 1e6)
+    status, found, _ = answer(
+        capsys, "batch", "--resume", "out", "--seconds", 1e6, "--start-seconds", 1e6
+    )
     assert status == 0
     assert all(member["status"] == "done" and member["runs"] == 12 for member in found["members"])
 
@@ -204,13 +242,18 @@ def test_where_a_study_is_and_what_it_was_begun_with(tmp_path):
     stated = options(study="paper", out=tmp_path / "new", starts=7)
     assert _stated(stated) == ("paper", tmp_path / "new", 7)
     goes_on = options(resume=begun)
-    for origin, said in ((None, "does not say which study"), ({"study": 3}, "does not say which study file it is of")):
+    for origin, said in (
+        (None, "does not say which study"),
+        ({"study": 3}, "does not say which study file it is of"),
+    ):
         if origin is not None:
             write_json(begun / ORIGIN, origin)
         with pytest.raises(UsageError, match=said):
             _stated(goes_on)
     write_json(begun / ORIGIN, {"study": "paper", "starts": "5"})
-    with pytest.raises(UsageError, match=r"does not say which study file it is of: call gb.batch as it was begun"):
+    with pytest.raises(
+        UsageError, match=r"does not say which study file it is of: call gb.batch as it was begun"
+    ):
         _stated(goes_on)
     write_json(begun / ORIGIN, {"study": "paper", "starts": 5})
     assert _stated(goes_on) == ("paper", begun, 5)
@@ -231,9 +274,21 @@ def test_where_a_study_is_and_what_it_was_begun_with(tmp_path):
 @pytest.mark.parametrize(
     ("error", "status", "said"),
     [
-        (BlockingIOError("another process is at work in out: wait."), 2, "another process is at work in out: wait."),
-        (OSError("the disk is full."), 1, "the disk is full; `greybox batch --resume out` goes on."),
-        (ExecutorLostError("the workers are gone."), 1, "the workers are gone; `greybox batch --resume out` goes on."),
+        (
+            BlockingIOError("another process is at work in out: wait."),
+            2,
+            "another process is at work in out: wait.",
+        ),
+        (
+            OSError("the disk is full."),
+            1,
+            "the disk is full; `greybox batch --resume out` goes on.",
+        ),
+        (
+            ExecutorLostError("the workers are gone."),
+            1,
+            "the workers are gone; `greybox batch --resume out` goes on.",
+        ),
     ],
 )
 def test_a_batch_that_ends_says_how_it_goes_on(study, capsys, monkeypatch, error, status, said):

@@ -28,7 +28,17 @@ def test_fewer_than_two_replicates_are_no_answer(capsys, monkeypatch, failed, st
     monkeypatch.setattr(command, "stated_fit", lambda options: ("fit", "problem"))
     monkeypatch.setattr(command, "bootstrap", bootstrap)
     got, out, err = run(
-        capsys, "bootstrap", "x.h5", "--replicates", "5", "--seed", "7", "--block", "3", "--level", "0.9"
+        capsys,
+        "bootstrap",
+        "x.h5",
+        "--replicates",
+        "5",
+        "--seed",
+        "7",
+        "--block",
+        "3",
+        "--level",
+        "0.9",
     )
     assert (got, out) == (status, "said at 0.9\n")
     assert err == ("greybox: too few.\n" if status else "")
@@ -40,10 +50,14 @@ def test_fewer_than_two_replicates_are_no_answer(capsys, monkeypatch, failed, st
 
 @pytest.mark.parametrize("level", ["0", "1", "95"])
 def test_a_level_lies_between_zero_and_one(capsys, level):
-    assert "must lie between 0 and 1, e.g. 0.95" in refused(capsys, "bootstrap", "x.h5", "--level", level)
+    assert "must lie between 0 and 1, e.g. 0.95" in refused(
+        capsys, "bootstrap", "x.h5", "--level", level
+    )
 
 
-@pytest.mark.parametrize(("folder", "more"), [("replicates", "; the same command goes on in replicates"), (None, "")])
+@pytest.mark.parametrize(
+    ("folder", "more"), [("replicates", "; the same command goes on in replicates"), (None, "")]
+)
 def test_what_was_interrupted_goes_on_where_it_was_kept(capsys, monkeypatch, folder, more):
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
@@ -51,16 +65,26 @@ def test_what_was_interrupted_goes_on_where_it_was_kept(capsys, monkeypatch, fol
     monkeypatch.setattr(command, "stated_fit", lambda options: ("fit", "problem"))
     monkeypatch.setattr(command, "bootstrap", interrupted)
     out = [] if folder is None else ["--out", folder]
-    assert run(capsys, "bootstrap", "x.h5", *out) == (130, f"interrupted{more}\n", f"greybox: interrupted{more}.\n")
+    assert run(capsys, "bootstrap", "x.h5", *out) == (
+        130,
+        f"interrupted{more}\n",
+        f"greybox: interrupted{more}.\n",
+    )
 
 
 def test_replicates_are_kept_in_a_folder_and_a_lost_executor_is_told(capsys, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
-    assert "file is a file: give a folder" in refused(capsys, "bootstrap", "x.h5", "--out", tmp_path / "file")
+    assert "file is a file: give a folder" in refused(
+        capsys, "bootstrap", "x.h5", "--out", tmp_path / "file"
+    )
 
     def lost(*arguments, **options):
         raise ExecutorLostError("the workers are gone.")
 
     monkeypatch.setattr(command, "stated_fit", lambda options: ("fit", "problem"))
     monkeypatch.setattr(command, "bootstrap", lost)
-    assert run(capsys, "bootstrap", "x.h5", "--out", tmp_path) == (1, "", "greybox: the workers are gone.\n")
+    assert run(capsys, "bootstrap", "x.h5", "--out", tmp_path) == (
+        1,
+        "",
+        "greybox: the workers are gone.\n",
+    )

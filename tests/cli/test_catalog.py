@@ -23,22 +23,32 @@ def test_every_included_problem_is_found_by_its_name(name):
 
 def test_a_model_takes_arguments():
     assert find_model("polynomial:Polynomial(3, 2)").label == "Polynomial(3, 2)"
-    for text in ("polynomial:Polynomial(n=3)", "polynomial:Polynomial(3, x)", "polynomial:Polynomial(3"):
+    for text in (
+        "polynomial:Polynomial(n=3)",
+        "polynomial:Polynomial(3, x)",
+        "polynomial:Polynomial(3",
+    ):
         with pytest.raises(ValueError, match=r"not understood|there is no model"):
             find_model(text)
 
 
 def test_the_nearest_name_is_suggested():
-    with pytest.raises(ValueError, match="no included problem 'pitch_hoover'; did you mean 'pitch_hover'"):
+    with pytest.raises(
+        ValueError, match="no included problem 'pitch_hoover'; did you mean 'pitch_hover'"
+    ):
         find_problem("pitch_hoover")
-    with pytest.raises(ValueError, match="there is no model 'tilt:Tilted'; tilt has Tilt, TiltRate, LinearTilt"):
+    with pytest.raises(
+        ValueError, match="there is no model 'tilt:Tilted'; tilt has Tilt, TiltRate, LinearTilt"
+    ):
         find_model("tilt:Tilted")
 
 
 def test_a_file_that_is_named_like_a_module_is_refused(tmp_path):
     path = tmp_path / "json.py"
     path.write_text("")
-    with pytest.raises(ValueError, match=r"has the name of another Python module, 'json': rename the file"):
+    with pytest.raises(
+        ValueError, match=r"has the name of another Python module, 'json': rename the file"
+    ):
         find_model(f"{path}:Lag")
     with pytest.raises(FileNotFoundError, match="there is no file"):
         find_problem(str(tmp_path / "none.py"))

@@ -34,7 +34,8 @@ def test_a_response_in_hertz_decibels_and_degrees(capsys, own, foreign):
     model = f"{own()}:Lag"
     said = answer(capsys, "--model", model, "--data", foreign, "--columns", *POLAR, *QUICK)
     assert said["estimate"] == pytest.approx(TRUTH, rel=1e-6)
-    # A unit that is given goes before that in the header: the same numbers in rad/s are another system.
+    # A unit that is given goes before that in the header: the same numbers in rad/s are another
+    # system.
     slow = ["frequency=Freq:rad/s", *POLAR[1:]]
     said = answer(capsys, "--model", model, "--data", foreign, "--columns", *slow, *QUICK)
     assert said["estimate"]["T"] == pytest.approx(0.2 * 2 * np.pi, rel=1e-6)
@@ -45,11 +46,16 @@ def test_a_record_in_milliseconds_and_degrees(capsys, own, tmp_path):
     time = np.arange(100) * 0.02
     y = np.radians(30) * (1 - np.exp(-time / 0.3))
     y += 0.005 * np.random.default_rng(0).normal(size=100)
-    lines = ["ms,step,tilt (deg)", *(f"{1000 * t},1,{np.degrees(v)}" for t, v in zip(time, y, strict=True))]
+    lines = [
+        "ms,step,tilt (deg)",
+        *(f"{1000 * t},1,{np.degrees(v)}" for t, v in zip(time, y, strict=True)),
+    ]
     (tmp_path / "step.csv").write_text("\n".join(lines))
     columns = ["--columns", "time=ms:ms", "u=step", "y=tilt"]
     for method in ([], ["--method", "collocation"]):
-        said = answer(capsys, "--model", model, "--data", "step.csv", *columns, *method, "--starts", "2")
+        said = answer(
+            capsys, "--model", model, "--data", "step.csv", *columns, *method, "--starts", "2"
+        )
         assert said["estimate"] == pytest.approx({"K": np.radians(30), "T": 0.3}, rel=0.03)
 
 
@@ -65,27 +71,57 @@ def test_bounds_and_starts(capsys, own):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--columns", "frequency"], "--columns 'frequency' is not understood: write NAME=COLUMN:UNIT"),
-        (["--columns", "frequency=Freq", "frequency=Mag"], "--columns names frequency twice: Freq and Mag."),
-        (["--columns", *POLAR[:2]], "is no frequency response by frequency, magnitude alone: name the columns"),
+        (
+            ["--columns", "frequency"],
+            "--columns 'frequency' is not understood: write NAME=COLUMN:UNIT",
+        ),
+        (
+            ["--columns", "frequency=Freq", "frequency=Mag"],
+            "--columns names frequency twice: Freq and Mag.",
+        ),
+        (
+            ["--columns", *POLAR[:2]],
+            "is no frequency response by frequency, magnitude alone: name the columns",
+        ),
         (
             ["--columns", *POLAR[:2], "phase=Phase"],
             "has the column 'Phase' without a unit: say whether it is deg or rad",
         ),
-        (["--columns", *POLAR[:2], "phase=Phse:deg"], "has no column 'Phse'; it has Freq (Hz), Mag, Phase"),
-        (["--columns", "omega=Freq", *POLAR[1:]], "has no 'omega', which is not a column of a frequency response"),
-        (["--columns", *POLAR, "gain=Mag"], "has no 'gain', which is not a column of a frequency response"),
-        (["--columns", *POLAR[:2], "phase=Phase:dB"], "the unit of phase is 'dB': give 'deg' or 'rad'"),
-        (["--columns", "u=Mag", "y=Note"], "foreign.csv has no column 'Note'; it has Freq [Hz], Mag, Phase"),
+        (
+            ["--columns", *POLAR[:2], "phase=Phse:deg"],
+            "has no column 'Phse'; it has Freq (Hz), Mag, Phase",
+        ),
+        (
+            ["--columns", "omega=Freq", *POLAR[1:]],
+            "has no 'omega', which is not a column of a frequency response",
+        ),
+        (
+            ["--columns", *POLAR, "gain=Mag"],
+            "has no 'gain', which is not a column of a frequency response",
+        ),
+        (
+            ["--columns", *POLAR[:2], "phase=Phase:dB"],
+            "the unit of phase is 'dB': give 'deg' or 'rad'",
+        ),
+        (
+            ["--columns", "u=Mag", "y=Note"],
+            "foreign.csv has no column 'Note'; it has Freq [Hz], Mag, Phase",
+        ),
         (["--columns", "u=Mag:furlong", "y=Phase"], "the unit 'furlong' is not known"),
-        (["--columns", *POLAR, "--method", "collocation"], "--method is for records and foreign has none"),
+        (
+            ["--columns", *POLAR, "--method", "collocation"],
+            "--method is for records and foreign has none",
+        ),
         (
             ["--columns", *POLAR, "--bounds", "K=3"],
             "--bounds 'K=3' is not understood: write NAME=LOW:HIGH, e.g. a1=-10:10.",
         ),
         (["--columns", *POLAR, "--bounds", "b=0:3"], "foreign has no parameter 'b'; it has K, T"),
         (["--columns", *POLAR, "--bounds", "K=3:0"], "K: bounds (3.0, 0.0) are reversed or empty"),
-        ([], "say which columns they are, with units that become SI, --columns time=COLUMN:ms u=COLUMN y=COLUMN"),
+        (
+            [],
+            "say which columns they are, with units that become SI, --columns time=COLUMN:ms u=COLUMN y=COLUMN",
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_a_sentence(capsys, own, foreign, arguments, words):
@@ -98,12 +134,16 @@ def test_columns_go_with_data(capsys, own):
 
 def test_a_study_states_bounds_too(capsys, own, tmp_path):
     name = own()
-    (tmp_path / "study.toml").write_text(f'[[member]]\nproblem = "{name}"\nbounds = {{K = [0, 2]}}\nstarts = 4\n')
+    (tmp_path / "study.toml").write_text(
+        f'[[member]]\nproblem = "{name}"\nbounds = {{K = [0, 2]}}\nstarts = 4\n'
+    )
     status, out, _ = run(capsys, "batch", "study.toml", "--out", "folder", "--json")
     assert status == 0
     assert json.loads(out)["members"][0]["answer"]["at_bound"] == ["K"]
     (tmp_path / "wrong.toml").write_text(f'[[member]]\nproblem = "{name}"\nbounds = {{K = 2}}\n')
-    assert "give a table {name = [low, high]}" in refused(capsys, "batch", "wrong.toml", "--out", "other")
+    assert "give a table {name = [low, high]}" in refused(
+        capsys, "batch", "wrong.toml", "--out", "other"
+    )
 
 
 def test_a_study_states_starts_boxes_and_methods_as_the_options_do(own, tmp_path):
@@ -117,7 +157,9 @@ starts_box = {{K = [1, 2]}}
     (part,) = member.problem.parts
     assert part.parameters["K"].start == 1.5
     assert part.parameters["K"].starts == (1.0, 2.0)
-    (tmp_path / "drag.toml").write_text('[[member]]\nproblem = "sitl_drag"\nmethod = "single-shooting"\n')
+    (tmp_path / "drag.toml").write_text(
+        '[[member]]\nproblem = "sitl_drag"\nmethod = "single-shooting"\n'
+    )
     (drag,) = read_study_file(tmp_path / "drag.toml")
     assert drag.method == gb.SingleShooting()
     (tmp_path / "bad.toml").write_text('[[member]]\nproblem = "sitl_drag"\nmethod = "single"\n')

@@ -19,7 +19,11 @@ def test_saved_fits_are_compared(capsys, tmp_path):
     answer = json.loads(out)
     assert answer["supported"] == "four"
     assert {"measure", "values"} <= answer["table"][0].keys()
-    assert "other was fitted to other data" in refused(capsys, "compare", paths["four"], paths["other"])
+    assert "other was fitted to other data" in refused(
+        capsys, "compare", paths["four"], paths["other"]
+    )
     assert "there is one fit" in refused(capsys, "compare", paths["four"])
     assert "is given twice" in refused(capsys, "compare", paths["four"], paths["four"])
-    assert "is neither a number" in refused(capsys, "compare", paths["four"], paths["three"], "--folds", "1")
+    assert "is neither a number" in refused(
+        capsys, "compare", paths["four"], paths["three"], "--folds", "1"
+    )

@@ -41,7 +41,11 @@ def test_bad_data_files(capsys, tmp_path, table, words):
 
 def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
     answer = json.loads(run(capsys, *DRAG, FLIGHT, "--starts", "2", "--json", "--fix", "C_x=0")[1])
-    fit = gb.fit(gb.Problem(Drag(), gb.read(FLIGHT)["sitl_drag_hover"], fixed={"C_x": 0.0}), starts=2, progress=False)
+    fit = gb.fit(
+        gb.Problem(Drag(), gb.read(FLIGHT)["sitl_drag_hover"], fixed={"C_x": 0.0}),
+        starts=2,
+        progress=False,
+    )
     assert answer["outputs"][0]["output"] == "v"
     assert answer["cost"] == pytest.approx(fit.cost, rel=1e-9)
     assert answer["estimate"]["a5"] == pytest.approx(fit.estimate["a5"], rel=1e-6)
@@ -55,11 +59,21 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
             "pitch",
             "no message with the signals of Drag (theta, v); it has data: pitch, v: say which columns they are",
         ),
-        ("[rad]", "[deg]", "theta in deg, but a fit needs rad: --columns theta=theta v=v converts it."),
-        ("time [s]", "when", "the dynamic model Drag needs samples in time, and data has rows without a time: give"),
+        (
+            "[rad]",
+            "[deg]",
+            "theta in deg, but a fit needs rad: --columns theta=theta v=v converts it.",
+        ),
+        (
+            "time [s]",
+            "when",
+            "the dynamic model Drag needs samples in time, and data has rows without a time: give",
+        ),
     ],
 )
-def test_a_table_that_is_no_record_of_the_model_is_a_sentence_with_the_way(capsys, tmp_path, old, new, words):
+def test_a_table_that_is_no_record_of_the_model_is_a_sentence_with_the_way(
+    capsys, tmp_path, old, new, words
+):
     path = tmp_path / "data.csv"
     path.write_text(FLIGHT.read_text().replace(old, new))
     sentence = refused(capsys, *DRAG, path)
@@ -85,7 +99,9 @@ def test_a_response_with_semicolons_is_recognized(capsys, tmp_path):
     omega = [0.5, 1.0, 2.0, 4.0, 8.0]
     values = [1 / (0.25j * w + 1) for w in omega]
     rows = [f"{w};{v.real:.9f};{v.imag:.9f}" for w, v in zip(omega, values, strict=True)]
-    path.write_text("# Böe\n" + spelled("omega_rad_s;alpha;beta\n" + "\n".join(rows)), encoding="latin-1")
+    path.write_text(
+        "# Böe\n" + spelled("omega_rad_s;alpha;beta\n" + "\n".join(rows)), encoding="latin-1"
+    )
     options = ("--model", "polynomial:Polynomial(1, 0)", "--data", path, "--starts", "5", "--json")
     estimate = json.loads(run(capsys, "fit", *options)[1])["estimate"]
     assert list(estimate.values()) == pytest.approx([4.0, 4.0], rel=1e-5)
@@ -122,9 +138,13 @@ def test_fit_says_of_a_record_what_inspect_says(capsys, tmp_path):
     found = json.loads(run(capsys, "inspect", path, "--json")[1])["findings"]
     for word, text in zip(("fewer cells", "'fault'", "infinite"), found, strict=False):
         assert word in text
-    warnings = json.loads(run(capsys, *DRAG, path, "--starts", "1", "--json", "--fix", "C_x=0")[1])["warnings"]
+    warnings = json.loads(run(capsys, *DRAG, path, "--starts", "1", "--json", "--fix", "C_x=0")[1])[
+        "warnings"
+    ]
     expected = [*found, "v was taken as it is, in 'pixels': the unit 'pixels' is not known."]
-    assert sorted(w for w in warnings if w.startswith("data of")) == sorted(f"data of 'flight': {x}" for x in expected)
+    assert sorted(w for w in warnings if w.startswith("data of")) == sorted(
+        f"data of 'flight': {x}" for x in expected
+    )
 
 
 def test_a_log_with_many_messages_asks_for_a_problem_file(capsys):
@@ -176,7 +196,9 @@ def test_manoeuvres_are_fitted_together(capsys, tmp_path):
     study = benchmark("transient_coverage")
     random = np.random.default_rng(1)
     paths = []
-    for k, flown in enumerate([(8.0, (1.0, 2.0, 2.5, 3.0), [0.0, 0.0]), (6.0, (0.5, 1.2, 1.9), [0.0, 0.0])]):
+    for k, flown in enumerate(
+        [(8.0, (1.0, 2.0, 2.5, 3.0), [0.0, 0.0]), (6.0, (0.5, 1.2, 1.9), [0.0, 0.0])]
+    ):
         record = study.measured(study.short_period_record(*flown), {"q": 0.02}, random)
         spectrum = gb.spectral.transient_spectrum(record, "u", "q", study.BAND)
         paths.append(tmp_path / f"manoeuvre_{k}.csv")
@@ -191,12 +213,15 @@ def test_manoeuvres_are_fitted_together(capsys, tmp_path):
     status, out, _ = run(capsys, *command, paths[0], "--criterion", "equation-error")
     assert json.loads(out)["criterion"] == "equation-error"
     other = [word for word in command if word != "--json"]
-    assert "is for frequency responses and" in refused(capsys, *other, paths[0], "--criterion", "relative-error")
+    assert "is for frequency responses and" in refused(
+        capsys, *other, paths[0], "--criterion", "relative-error"
+    )
 
 
 def test_a_file_that_is_neither_response_nor_record_is_said(tmp_path):
     (tmp_path / "words.csv").write_text("some words\nand more of them\n")
     with pytest.raises(
-        ValueError, match=r"words\.csv is neither a frequency response, with columns omega_rad_s, alpha, beta"
+        ValueError,
+        match=r"words\.csv is neither a frequency response, with columns omega_rad_s, alpha, beta",
     ):
         read_data(tmp_path / "words.csv", Tilt())

@@ -32,9 +32,7 @@ def test_the_main_job(capsys):
 def test_json_has_the_promised_keys_and_no_nan(capsys):
     status, out, _ = run(capsys, "fit", "yaw_hover", *QUICK, "--json")
     answer = json.loads(out, parse_constant=lambda word: pytest.fail(f"{word} in JSON"))
-    promised = (
-        "problem criterion delay starts seed converged agreeing minima cost status estimate standard_error derived"
-    )
+    promised = "problem criterion delay starts seed converged agreeing minima cost status estimate standard_error derived"
     assert status == 0
     assert set(promised.split()) | {"warnings", "seconds", "versions"} <= set(answer)
     assert answer["problem"] == "yaw_hover"
@@ -94,7 +92,9 @@ def test_a_full_disk_costs_the_file_but_not_the_answer(capsys, tmp_path, monkeyp
         status, out, err = run(capsys, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5")
     assert status == 1
     assert "a1" in out
-    expected = "greybox: x.h5 cannot be written (File too large): free space or choose another folder."
+    expected = (
+        "greybox: x.h5 cannot be written (File too large): free space or choose another folder."
+    )
     assert err.splitlines()[-1] == expected
     assert list(tmp_path.iterdir()) == []
 
@@ -117,7 +117,9 @@ def test_a_stored_result_of_a_users_model_loads_without_it(capsys, own, tmp_path
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "own.h5").write_bytes((tmp_path / "own.h5").read_bytes())
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=tmp_path / "elsewhere", capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=tmp_path / "elsewhere", capture_output=True, text=True, check=True
+    )
     assert "time constant" in done.stdout
     assert "ELSEWHERE MISSING the model Lag of the module" in done.stdout
     assert "THERE MISSING the model Lag of the module" in done.stdout
@@ -153,18 +155,27 @@ def test_the_shipped_records(capsys):
 
 
 def test_workers_give_the_same_answer(capsys):
-    one, two = (json.loads(run(capsys, "fit", "rotors", "--starts", "20", "--workers", n, "--json")[1]) for n in (1, 2))
+    one, two = (
+        json.loads(run(capsys, "fit", "rotors", "--starts", "20", "--workers", n, "--json")[1])
+        for n in (1, 2)
+    )
     assert {**one, "seconds": 0} == {**two, "seconds": 0}
 
 
 def test_there_is_at_least_one_worker(capsys):
-    assert "'0' is not an integer of at least 1" in refused(capsys, "fit", "rotors", "--workers", "0")
-    assert "not allowed with" in refused(capsys, "fit", "rotors", "--workers", "2", "--scheduler", "127.0.0.1:1")
+    assert "'0' is not an integer of at least 1" in refused(
+        capsys, "fit", "rotors", "--workers", "0"
+    )
+    assert "not allowed with" in refused(
+        capsys, "fit", "rotors", "--workers", "2", "--scheduler", "127.0.0.1:1"
+    )
 
 
 def test_dask_is_named_where_it_is_missing(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    assert "pip install 'greybox-id[dask]'" in refused(capsys, "fit", "rotors", "--scheduler", "127.0.0.1:1")
+    assert "pip install 'greybox-id[dask]'" in refused(
+        capsys, "fit", "rotors", "--scheduler", "127.0.0.1:1"
+    )
 
 
 def rate_response(path, **more):
@@ -180,7 +191,9 @@ def rate_response(path, **more):
 
 def test_a_model_of_another_quantity_is_refused_by_its_unit(capsys, tmp_path):
     rate_response(tmp_path / "rate.csv")
-    status, _, err = run(capsys, "fit", "--model", "rate:DampedAngle", "--data", tmp_path / "rate.csv")
+    status, _, err = run(
+        capsys, "fit", "--model", "rate:DampedAngle", "--data", tmp_path / "rate.csv"
+    )
     assert status == 2
     assert "theta is in rad/s in the response and in rad in DampedAngle" in err
     assert "take the model of the rate" in err
@@ -188,7 +201,16 @@ def test_a_model_of_another_quantity_is_refused_by_its_unit(capsys, tmp_path):
 
 def test_a_filter_in_the_path_is_part_of_the_model(capsys, tmp_path):
     rate_response(tmp_path / "rate.csv")
-    command = ["fit", "--model", "rate:DampedRotation", "--data", tmp_path / "rate.csv", "--starts", "5", "--json"]
+    command = [
+        "fit",
+        "--model",
+        "rate:DampedRotation",
+        "--data",
+        tmp_path / "rate.csv",
+        "--starts",
+        "5",
+        "--json",
+    ]
     answer = json.loads(run(capsys, *command, "--through", "filters:LowPass(20)")[1])
     truth = {"K_phi": 90, "a": 0.7, "T_rotor": 0.05, "T_delay": 0}
     for name, value in truth.items():
@@ -199,7 +221,16 @@ def test_a_filter_in_the_path_is_part_of_the_model(capsys, tmp_path):
 
 def test_a_filter_that_the_response_states_is_named(capsys, tmp_path):
     rate_response(tmp_path / "rate.csv", about={"gyro-filter": "LowPass(20.0, 0.7071067811865476)"})
-    command = ["fit", "--model", "rate:DampedRotation", "--data", tmp_path / "rate.csv", "--starts", "3", "--json"]
+    command = [
+        "fit",
+        "--model",
+        "rate:DampedRotation",
+        "--data",
+        tmp_path / "rate.csv",
+        "--starts",
+        "3",
+        "--json",
+    ]
     answer = json.loads(run(capsys, *command, "--through", "gyro-filter")[1])
     assert answer["estimate"]["T_rotor"] == pytest.approx(0.05, rel=1e-3)
     status, _, err = run(capsys, *command, "--through", "gyro-notch")
@@ -207,14 +238,25 @@ def test_a_filter_that_the_response_states_is_named(capsys, tmp_path):
     assert "--through gyro-notch is no filter that the data state; they state gyro-filter." in err
 
 
-# --- fits that were ended ---------------------------------------------------------------------------------------------
+# --- fits that were ended
 
 # Runs are on disk at once.
 EAGER = "import greybox.study.run_files\ngreybox.study.run_files.UNWRITTEN = 0.0\n" + OWN
 
 
 def command(name, *words):
-    return [sys.executable, "-m", "greybox", "fit", name, "--search", "multistart", "--out", "own.h5", *words]
+    return [
+        sys.executable,
+        "-m",
+        "greybox",
+        "fit",
+        name,
+        "--search",
+        "multistart",
+        "--out",
+        "own.h5",
+        *words,
+    ]
 
 
 def kept_runs():
@@ -239,12 +281,19 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
     add = RunFiles.add
     monkeypatch.setattr(RunFiles, "add", lambda self, *run: (made.append(run), add(self, *run)))
     count = before + 20
-    assert "--force to begin anew" in refused(capsys, *command(name, "--starts", count, "--seed", "1")[3:])
+    assert "--force to begin anew" in refused(
+        capsys, *command(name, "--starts", count, "--seed", "1")[3:]
+    )
     assert (kept_runs(), made) == (before, [])
     assert run(capsys, *command(name, "--starts", count)[3:])[0] == 0
-    assert len([number for number, *_ in made if number < count]) == 20  # the others sharpen the best
+    assert (
+        len([number for number, *_ in made if number < count]) == 20
+    )  # the others sharpen the best
     assert [path.name for path in Path().glob("own.h5*")] == ["own.h5"]
-    fit, whole = gb.load("own.h5"), gb.fit(find_problem(name)[0], count, 3, search="multistart", progress=False)
+    fit, whole = (
+        gb.load("own.h5"),
+        gb.fit(find_problem(name)[0], count, 3, search="multistart", progress=False),
+    )
     assert [r.cost for r in fit.runs] == [r.cost for r in whole.runs]
     assert (fit.estimate, fit.standard_error) == (whole.estimate, whole.standard_error)
     assert "own.h5 exists: give another name, or --force" in refused(capsys, *command(name)[3:])
@@ -254,7 +303,9 @@ def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
     monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 2.0)
     name = own()
     add = RunFiles.add
-    monkeypatch.setattr(RunFiles, "add", lambda self, *run: (run[0] == 7 and press_ctrl_c(), add(self, *run)))
+    monkeypatch.setattr(
+        RunFiles, "add", lambda self, *run: (run[0] == 7 and press_ctrl_c(), add(self, *run))
+    )
     status, out, err = run(capsys, *command(name, "--starts", 30)[3:])
     assert (status, err) == (130, "greybox: interrupted.\n")
     assert "the same command goes on with 8 runs" in out
@@ -286,7 +337,9 @@ def test_a_fit_that_its_time_limit_ends_goes_on(capsys, own, clock):
 
 
 def test_a_start_has_its_time_limit(capsys, own, clock):
-    status, out, _ = run(capsys, *command(own(), "--starts", 3, "--start-seconds", 2.5, "--json")[3:])
+    status, out, _ = run(
+        capsys, *command(own(), "--starts", 3, "--start-seconds", 2.5, "--json")[3:]
+    )
     found = json.loads(out)
     assert status == 1
     assert found["error"].startswith("no start converged (3 × time limit of a start)")
@@ -301,21 +354,34 @@ def test_what_is_no_time_is_refused(capsys, flag, text):
 
 
 def fit_options(**stated):
-    known = {"starts": None, "seed": None, "until_found_again": None, "search": "batched", "no_profiles": False}
+    known = {
+        "starts": None,
+        "seed": None,
+        "until_found_again": None,
+        "search": "batched",
+        "no_profiles": False,
+    }
     return Namespace(**known | stated)
 
 
 def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeypatch):
     def stated(**options):
         settings = {"starts": 5, "seed": 3, "method": gb.SingleShooting()}
-        monkeypatch.setattr("greybox.cli.fit_command.stated_problem", lambda options: ("problem", settings))
+        monkeypatch.setattr(
+            "greybox.cli.fit_command.stated_problem", lambda options: ("problem", settings)
+        )
         return _stated_fit(fit_options(**options)).keywords
 
     made = stated()
     assert (made["starts"], made["seed"], made["profiles"]) == (5, 3, True)
     assert (type(made["by"].method), made["by"].search) == (gb.SingleShooting, "batched")
     made = stated(starts=9, seed=0, no_profiles=True, search="multistart")
-    assert (made["starts"], made["seed"], made["profiles"], made["by"].search) == (9, 0, False, "multistart")
+    assert (made["starts"], made["seed"], made["profiles"], made["by"].search) == (
+        9,
+        0,
+        False,
+        "multistart",
+    )
     for seed, taken in ((None, 3), (0, 0), (8, 8)):
         made = stated(until_found_again=0.01, seed=seed)
         assert made["starts"] == UntilFoundAgain(error=0.01, seed=taken)
@@ -323,7 +389,8 @@ def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeyp
 
 
 @pytest.mark.parametrize(
-    ("out", "more"), [("own.h5", "; the same command goes on with the runs that were kept"), (None, "")]
+    ("out", "more"),
+    [("own.h5", "; the same command goes on with the runs that were kept"), (None, "")],
 )
 def test_workers_that_are_lost_are_told(capsys, own, monkeypatch, out, more):
     def lost(*arguments, **options):
@@ -334,7 +401,9 @@ def test_workers_that_are_lost_are_told(capsys, own, monkeypatch, out, more):
     assert run(capsys, "fit", own(), *words) == (1, "", f"greybox: the workers are gone{more}.\n")
 
 
-def test_ctrl_c_before_any_run_has_no_answer_and_while_drawing_no_figure(capsys, own, monkeypatch, tmp_path):
+def test_ctrl_c_before_any_run_has_no_answer_and_while_drawing_no_figure(
+    capsys, own, monkeypatch, tmp_path
+):
     name = own()
 
     def stopped(*arguments, **options):

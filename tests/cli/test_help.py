@@ -15,14 +15,20 @@ from command_line import OWN, refused, run
 from greybox.cli.main import _parser
 from greybox.cli.terminal import colored, no_terminal
 
-(COMMANDS,) = (action.choices for action in _parser()._actions if isinstance(action, argparse._SubParsersAction))
+(COMMANDS,) = (
+    action.choices
+    for action in _parser()._actions
+    if isinstance(action, argparse._SubParsersAction)
+)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_examples_that_are_understood(capsys, name):
     status, out, _ = run(capsys, name, "--help")
     assert status == 0
-    examples = re.findall(rf"^  greybox ({name}\b.*)$", out.partition("examples:\n")[2], re.MULTILINE)
+    examples = re.findall(
+        rf"^  greybox ({name}\b.*)$", out.partition("examples:\n")[2], re.MULTILINE
+    )
     assert examples
     for line in examples:
         words = shlex.split(line.partition(" > ")[0])
@@ -60,7 +66,12 @@ def test_colors_stand_on_terminals_only(monkeypatch):
     monkeypatch.delenv("NO_COLOR", raising=False)
     shown = colored(TEXT, Terminal())
     assert re.sub(r"\x1b\[[\d;]*m", "", shown) == TEXT
-    assert re.findall(r"\x1b\[[^0][\d;]*m(.*?)\x1b\[0m", shown) == ["greybox:", "AT BOUND", "  warning:", "  FAILED:"]
+    assert re.findall(r"\x1b\[[^0][\d;]*m(.*?)\x1b\[0m", shown) == [
+        "greybox:",
+        "AT BOUND",
+        "  warning:",
+        "  FAILED:",
+    ]
     assert colored(TEXT, io.StringIO()) == TEXT
     assert colored(TEXT, None) == TEXT
     assert colored(TEXT, no_terminal(Terminal())) == TEXT
@@ -85,14 +96,23 @@ def test_bash_completes_commands_options_and_problems(capsys, tmp_path):
 ask() {{ COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); _shtab_greybox; echo "${{COMPREPLY[@]}}"; }}
 ask greybox f; ask greybox fit --starts-b; ask greybox fit pitch_h; ask greybox fit mi; ask greybox profile fit
 """
-    out = subprocess.run(["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert out.splitlines()[:4] == ["fit", "--starts-box", "pitch_hover pitch_hover_ls pitch_hover_sines", "mine.py"]
+    out = subprocess.run(
+        ["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    assert out.splitlines()[:4] == [
+        "fit",
+        "--starts-box",
+        "pitch_hover pitch_hover_ls pitch_hover_sines",
+        "mine.py",
+    ]
     assert "fit.h5" in out.splitlines()[4]
 
 
 def test_without_shtab_the_sentence_names_the_extra(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "shtab", None)
-    assert "needs shtab: pip install 'greybox-id[completion]'." in refused(capsys, "completion", "zsh")
+    assert "needs shtab: pip install 'greybox-id[completion]'." in refused(
+        capsys, "completion", "zsh"
+    )
 
 
 def test_the_orders_that_are_tried_are_those_that_are_told():

@@ -40,7 +40,9 @@ def test_the_single_commands_give_the_same(capsys, tmp_path, monkeypatch):
     for line in answer["commands"]:
         words = shlex.split(line)
         assert words[0] == "greybox"
-        assert run(capsys, *words[1:], *([] if words[1] == "inspect" else ["--force"]))[0] == 0, line
+        assert run(capsys, *words[1:], *([] if words[1] == "inspect" else ["--force"]))[0] == 0, (
+            line
+        )
     again = gb.read_response("sitl_pitch_response.csv"), gb.load("sitl_pitch_fit.h5")
     assert again[0].checksum == written[0].checksum
     assert again[1].estimate == pytest.approx(written[1].estimate, rel=1e-9)
@@ -51,7 +53,19 @@ def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(OWN)
     structures = ["own.py:Own", "tilt:Tilt+T_rotor+T_delay"]
-    command = ["identify", LOG, "--setpoint", "ATT.DesPitch", "--band", "1.5", "30", "--starts", "3", "--out", "own"]
+    command = [
+        "identify",
+        LOG,
+        "--setpoint",
+        "ATT.DesPitch",
+        "--band",
+        "1.5",
+        "30",
+        "--starts",
+        "3",
+        "--out",
+        "own",
+    ]
     command += ["--structures", *structures]
     answer = json.loads(run(capsys, *command, "--json")[1])
     assert len(answer["measurement"]["omega"]) == 9

@@ -18,10 +18,20 @@ PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT
 
 
 def test_inspect_says_what_a_log_holds(capsys, tmp_path):
-    status, out, _ = run(capsys, "inspect", LOG, "--announced", "SINE", "--plot", tmp_path / "log.png")
+    status, out, _ = run(
+        capsys, "inspect", LOG, "--announced", "SINE", "--plot", tmp_path / "log.png"
+    )
     assert status == 0
     assert out.splitlines()[-1] == f"next: greybox identify {LOG} --announced SINE"
-    for words in ("ArduCopter", "frame QUAD/PLUS", "modes GUIDED from", "ATT", "RATE", "20.11", "sitl_pitch.BIN"):
+    for words in (
+        "ArduCopter",
+        "frame QUAD/PLUS",
+        "modes GUIDED from",
+        "ATT",
+        "RATE",
+        "20.11",
+        "sitl_pitch.BIN",
+    ):
         assert words in out
     assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
 
@@ -45,7 +55,9 @@ def test_the_next_command_for_a_table_names_what_it_needs(capsys, tmp_path):
     rows = "\n".join(f"{t},{math.sin(3 * t)},{math.cos(3 * t)}" for t in time)
     (tmp_path / "flight.csv").write_text(f"time,r,y\n{rows}\n")
     out = run(capsys, "inspect", tmp_path / "flight.csv")[1]
-    expected = f"next: greybox response {tmp_path / 'flight.csv'} --input u=SIGNAL --output theta=SIGNAL"
+    expected = (
+        f"next: greybox response {tmp_path / 'flight.csv'} --input u=SIGNAL --output theta=SIGNAL"
+    )
     assert out.splitlines()[-1] == expected
 
 
@@ -56,7 +68,10 @@ def test_columns_without_names_are_stated(capsys, tmp_path):
     out = run(capsys, *words)[1]
     assert "sine" in out
     assert out.splitlines()[-1].endswith("--columns time=1:ms r=2 y=3:deg")
-    assert "write NAME=COLUMN:UNIT" in run(capsys, "inspect", tmp_path / "flight.asc", "--columns", "time")[2]
+    assert (
+        "write NAME=COLUMN:UNIT"
+        in run(capsys, "inspect", tmp_path / "flight.asc", "--columns", "time")[2]
+    )
 
 
 def test_the_rate_of_messages_in_bursts_is_their_mean(capsys, tmp_path):
@@ -126,7 +141,13 @@ def test_the_next_command_follows_from_what_was_found(message, found, stated, fo
     name, _, field = message.partition(".")
     log = Recording({name: Record([0.0, 1.0], {field: [0.0, 1.0]})})
     tests = [Segment(0.0, 1.0, kind=kind, axis=message, omega=9.0) for kind in found]
-    options = {"log": "my.BIN", "announced": "", "setpoint": "", "fields": [], "columns": []} | stated
+    options = {
+        "log": "my.BIN",
+        "announced": "",
+        "setpoint": "",
+        "fields": [],
+        "columns": [],
+    } | stated
     is_sine = found[:1] == ["sine"]
     parts = (tests, []) if is_sine else ([], tests)
     assert _following(log, *parts, Namespace(**options)) == following

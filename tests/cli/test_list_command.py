@@ -38,16 +38,28 @@ def test_a_model_is_shown_with_all_that_it_declares(capsys):
     ]
     answer = json.loads(run(capsys, "list", "tilt:Tilt", "--json")[1])
     assert answer["parameters"] == rows
-    assert (answer["inputs"], answer["outputs"]) == (list(model.input_names), list(model.output_names))
+    assert (answer["inputs"], answer["outputs"]) == (
+        list(model.input_names),
+        list(model.output_names),
+    )
     assert answer["name"] == "tilt:Tilt"
     lines = run(capsys, "list", "tilt:Tilt")[1].splitlines()
     assert lines[0] == "Tilt: u -> theta"
     begins = next(
-        k for k, line in enumerate(lines) if line.split() == ["parameter", "start", "bounds", "unit", "meaning"]
+        k
+        for k, line in enumerate(lines)
+        if line.split() == ["parameter", "start", "bounds", "unit", "meaning"]
     )
     for line, (name, p) in zip(lines[begins + 2 :], model.parameters.items(), strict=True):
         bounds = f"[{p.bounds[0]:g}, {p.bounds[1]:g}]"
-        words = [name, number(p.start), *bounds.split(), p.unit, *(["fixed"] if p.fixed else []), *p.about.split()]
+        words = [
+            name,
+            number(p.start),
+            *bounds.split(),
+            p.unit,
+            *(["fixed"] if p.fixed else []),
+            *p.about.split(),
+        ]
         assert line.split() == words
 
 

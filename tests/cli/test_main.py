@@ -40,11 +40,17 @@ from greybox.cli.output import BAD_INPUT, FAILED, USABLE
             ["refit"],
             "there is no 'refit'; there are list, inspect, identify, response,",
         ),
-        (["fit", "pitch_hover", "--stars", "5"], "unrecognized arguments: --stars 5, did you mean --starts?"),
+        (
+            ["fit", "pitch_hover", "--stars", "5"],
+            "unrecognized arguments: --stars 5, did you mean --starts?",
+        ),
         (["fit", "pitch_hover", "--fix", "t_delay=0"], "did you mean 'T_delay'?"),
         (["fit", "pitch_hover", "--free", "T_dealy"], "did you mean 'T_delay'?"),
         (["fit", "pitch_hover", "--criterion", "relative-eror"], "did you mean 'relative-error'?"),
-        (["fit", "pitch_hover", "--out", "fit.csv"], "is not a known kind of saved fit: end it in .h5"),
+        (
+            ["fit", "pitch_hover", "--out", "fit.csv"],
+            "is not a known kind of saved fit: end it in .h5",
+        ),
         (["fit", "pitch_hover", "--out", "fit"], "is not a known kind of saved fit: end it in .h5"),
         ([], "COMMAND"),
     ],
@@ -71,7 +77,11 @@ def test_errors_are_json_too(capsys):
         ("def problem", "def stuff", "define problem()"),
         ("p.K / (p.T * s + 1)", "p.K / (p.tau * s + 1)", "has no 'tau'; it has K, T"),
         ("p.K / (p.T * s + 1)", "p.K / (p.T * undefined + 1)", "line 11: NameError"),
-        ("gb.Parameter(1.0, bounds=(0, 10)", "gb.Parameter(1.0, bounds=(10, 0)", "line 7: ValueError: bounds (10, 0)"),
+        (
+            "gb.Parameter(1.0, bounds=(0, 10)",
+            "gb.Parameter(1.0, bounds=(10, 0)",
+            "line 7: ValueError: bounds (10, 0)",
+        ),
         (
             "gb.Parameter(1.0, bounds=(0, 10)",
             "gb.Parameter(11.0, bounds=(0, 10)",
@@ -95,7 +105,9 @@ def test_debug_shows_the_traceback(capsys):
 
 
 def test_what_a_users_file_prints_stays_off_standard_output(capsys, own):
-    status, out, err = run(capsys, "fit", own(OWN.replace("def data", "print('hello')\n\ndef data")), "--json")
+    status, out, err = run(
+        capsys, "fit", own(OWN.replace("def data", "print('hello')\n\ndef data")), "--json"
+    )
     assert status == 0
     assert "hello" in err
     json.loads(out)
@@ -103,7 +115,9 @@ def test_what_a_users_file_prints_stays_off_standard_output(capsys, own):
 
 @pytest.mark.parametrize(("status", "told"), [(USABLE, FAILED), (BAD_INPUT, BAD_INPUT), (130, 130)])
 def test_an_answer_that_cannot_be_written_is_a_failure(capsys, monkeypatch, status, told):
-    monkeypatch.setattr(main_module, "write", lambda text, stream: "disk full" if stream is sys.stdout else "")
+    monkeypatch.setattr(
+        main_module, "write", lambda text, stream: "disk full" if stream is sys.stdout else ""
+    )
     assert main_module._tell({}, "an answer", status, False) == told
     monkeypatch.setattr(main_module, "write", lambda text, stream: "")
     assert main_module._tell({}, "an answer", status, False) == status

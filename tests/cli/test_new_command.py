@@ -42,7 +42,9 @@ def test_a_model_runs_as_it_is(capsys, folder, kind):
     assert status == 0
     assert f"FreshModel{len(kind)}: " in out
     if not kind:  # starting Python takes a second
-        printed = subprocess.run([sys.executable, f"{name}.py"], capture_output=True, text=True, check=True).stdout
+        printed = subprocess.run(
+            [sys.executable, f"{name}.py"], capture_output=True, text=True, check=True
+        ).stdout
         assert "P(j 10 rad/s) = " in printed
     text = (folder / f"{name}.py").read_text()
     assert max(map(len, text.splitlines())) <= 120
@@ -51,18 +53,27 @@ def test_a_model_runs_as_it_is(capsys, folder, kind):
 
 def test_nothing_is_overwritten_or_hidden(capsys, folder):
     (folder / "mine.py").write_text("precious")
-    assert "mine.py exists: give another name, or --force" in refused(capsys, "new", "model", "mine")
+    assert "mine.py exists: give another name, or --force" in refused(
+        capsys, "new", "model", "mine"
+    )
     assert (folder / "mine.py").read_text() == "precious"
     assert run(capsys, "new", "model", "mine", "--force")[0] == 0
     for name in ("numpy", "json.py", "greybox"):
         assert "is the name of a Python package" in refused(capsys, "new", "problem", name)
-    assert "'2 pitch' cannot be the name of a Python file" in refused(capsys, "new", "model", "2 pitch")
+    assert "'2 pitch' cannot be the name of a Python file" in refused(
+        capsys, "new", "model", "2 pitch"
+    )
     assert "the folder of missing" in refused(capsys, "new", "model", "missing/pitch")
 
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("a1_rate", "A1Rate"), ("x", "X"), ("_2dof", "Model2dof"), ("pitchRate_fast", "pitchRateFast")],
+    [
+        ("a1_rate", "A1Rate"),
+        ("x", "X"),
+        ("_2dof", "Model2dof"),
+        ("pitchRate_fast", "pitchRateFast"),
+    ],
 )
 def test_a_class_has_the_name_of_its_file(capsys, folder, name, expected):
     assert run(capsys, "new", "model", f"{name}.py")[0] == 0

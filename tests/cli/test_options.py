@@ -36,7 +36,9 @@ def test_assignments():
 def test_probabilities_and_times():
     assert (probability("0.25"), seconds("1e-9"), seconds("90")) == (0.25, 1e-9, 90.0)
     for text in ("0", "1", "-0.1", "nan", "x"):
-        with pytest.raises(argparse.ArgumentTypeError, match="is not a probability between 0 and 1"):
+        with pytest.raises(
+            argparse.ArgumentTypeError, match="is not a probability between 0 and 1"
+        ):
             probability(text)
     for text in ("0", "-1", "inf", "nan", "x"):
         with pytest.raises(argparse.ArgumentTypeError, match="is not a number of seconds above 0"):
@@ -49,10 +51,18 @@ def test_intervals_and_uncertain_values():
         "b": (0.0, float("inf")),
         "c": (-float("inf"), -2.0),
     }
-    assert uncertain_values(["a=-3.2+-0.1", "b=1e3±20"], "--prior") == {"a": (-3.2, 0.1), "b": (1000.0, 20.0)}
+    assert uncertain_values(["a=-3.2+-0.1", "b=1e3±20"], "--prior") == {
+        "a": (-3.2, 0.1),
+        "b": (1000.0, 20.0),
+    }
     for word in ("a", "a=1", "=1:2", "a=x:1", "a=1:2:3"):
-        with pytest.raises(UsageError, match=r"--bounds .* is not understood: write NAME=LOW:HIGH, e\.g\. a1=-10:10"):
+        with pytest.raises(
+            UsageError,
+            match=r"--bounds .* is not understood: write NAME=LOW:HIGH, e\.g\. a1=-10:10",
+        ):
             intervals([word], "--bounds")
     for word in ("a", "a=1", "a=1+-", "a=1+-2+-3"):
-        with pytest.raises(UsageError, match=r"--prior .* is not understood: write NAME=VALUE\+-SIGMA"):
+        with pytest.raises(
+            UsageError, match=r"--prior .* is not understood: write NAME=VALUE\+-SIGMA"
+        ):
             uncertain_values([word], "--prior")

@@ -25,7 +25,9 @@ def test_files_that_exist_are_kept_unless_forced(tmp_path):
 
 def test_a_figure_has_the_suffix_of_one(tmp_path):
     require_figure(tmp_path / "a.PNG", force=False)
-    with pytest.raises(UsageError, match=r"not a known kind of figure: end it in \.png, \.pdf, \.svg"):
+    with pytest.raises(
+        UsageError, match=r"not a known kind of figure: end it in \.png, \.pdf, \.svg"
+    ):
         require_figure(tmp_path / "a.jpeg", force=False)
 
 
@@ -44,7 +46,9 @@ def test_a_figure_that_cannot_be_drawn_leaves_no_file(tmp_path):
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeypatch):
     """As of another user; this one may be root, who can write everywhere."""
     monkeypatch.setattr("greybox.cli.output.os.access", lambda path, mode: path != tmp_path)
-    with pytest.raises(UsageError, match=r"the folder of .*fit\.h5 cannot be written: give another one"):
+    with pytest.raises(
+        UsageError, match=r"the folder of .*fit\.h5 cannot be written: give another one"
+    ):
         require_writable(tmp_path / "fit.h5", force=False)
 
 
@@ -55,6 +59,8 @@ def test_a_working_directory_that_was_removed_is_said(tmp_path, monkeypatch):
     assert has_working_directory()
     gone.rmdir()
     assert not has_working_directory()
-    with pytest.raises(UsageError, match="the working directory was removed: change to one that exists"):
+    with pytest.raises(
+        UsageError, match="the working directory was removed: change to one that exists"
+    ):
         require_writable(Path("fit.h5"), force=False)
     require_writable(tmp_path / "fit.h5", force=False)

@@ -34,7 +34,9 @@ def stated(made, *words):
 
 
 def test_every_option_reaches_the_parts_that_have_the_parameter():
-    both = problem("a", rename={"K": "K_a"}, fixed={"T": 0.3}) + problem("b", fixed={"T": 0.3}, bounds={"K": (0, 7)})
+    both = problem("a", rename={"K": "K_a"}, fixed={"T": 0.3}) + problem(
+        "b", fixed={"T": 0.3}, bounds={"K": (0, 7)}
+    )
     words = "--fix K_a=2 --free T c --bounds T=0.1:4 --start T=0.4 --starts-box T=0.2:1 --prior c=1+-0.1".split()
     first, second = stated(both, *words).parts
     assert first.fixed_values == {"K": 2.0}
@@ -55,5 +57,8 @@ def test_names_that_are_not_there_and_an_earlier_fit_as_prior_are_told():
     fit = gb.fit(problem("earlier"), starts=1, progress=False, profiles=False)
     known = problem("a", prior=fit)
     assert stated(known, "--fix", "c=2").fixed_values == {"c": 2.0}
-    with pytest.raises(UsageError, match="--prior goes with parameters, and a has an earlier fit as prior: leave it"):
+    with pytest.raises(
+        UsageError,
+        match="--prior goes with parameters, and a has an earlier fit as prior: leave it",
+    ):
         stated(known, "--prior", "K=3+-0.1")

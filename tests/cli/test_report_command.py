@@ -26,7 +26,9 @@ def results(tmp_path_factory):
     bad = roll_hover.problem().with_(name="bad", constraints=[lambda p: p.a2 - 1e6])
     members = [
         gb.study.Member(roll_hover.problem(), starts=4, name="good one"),
-        gb.study.Member(roll_hover.problem().with_(fixed={"a1": -10.0}), starts=4, name="worse one"),
+        gb.study.Member(
+            roll_hover.problem().with_(fixed={"a1": -10.0}), starts=4, name="worse one"
+        ),
         gb.study.Member(bad, starts=1, name="bad one"),
     ]
     gb.batch(members, folder / "study", progress=False)
@@ -49,7 +51,9 @@ def test_a_result_becomes_a_page(capsys, results, tmp_path, monkeypatch):
 
 def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
     page = tmp_path / "all.html"
-    status, out, _ = run(capsys, "report", results / "roll.h5", results / "study", "--out", page, "--json")
+    status, out, _ = run(
+        capsys, "report", results / "roll.h5", results / "study", "--out", page, "--json"
+    )
     assert status == 0
     assert json.loads(out)["results"] == ["Tilt", "good one", "worse one", "bad one"]
     assert json.loads(out)["bytes"] == page.stat().st_size
@@ -58,12 +62,15 @@ def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
     assert "no start converged" in text
 
 
-def test_of_a_large_study_the_best_or_chosen_members_are_read_and_drawn(capsys, results, tmp_path, monkeypatch):
+def test_of_a_large_study_the_best_or_chosen_members_are_read_and_drawn(
+    capsys, results, tmp_path, monkeypatch
+):
     monkeypatch.setattr(sys.modules["greybox.html_report.report"], "DETAILED", 1)
     loaded = []
     load = gb.load
     monkeypatch.setattr(
-        "greybox.estimate.storage.load", lambda path, *a: loaded.append(path.parent.name) or load(path, *a)
+        "greybox.estimate.storage.load",
+        lambda path, *a: loaded.append(path.parent.name) or load(path, *a),
     )
     page = tmp_path / "study.html"
 
@@ -96,7 +103,9 @@ def test_profiles_and_a_bootstrap_stand_beside_the_fit(capsys, results, tmp_path
     assert str(gb.load(tmp_path / "roll.h5").profiles["a1"]) in text
     assert "Profile of a1" in text
     assert f"{json.loads(out)['quantities']['a2']['standard_error']:.3g}" in text
-    (tmp_path / "other.json").write_text(out.replace('"problem": "', '"problem": "not '), encoding="utf-8")
+    (tmp_path / "other.json").write_text(
+        out.replace('"problem": "', '"problem": "not '), encoding="utf-8"
+    )
     assert "no fit of that name" in refused(capsys, *page, tmp_path / "other.json")
     (tmp_path / "bad.json").write_text('{"failed": 3}', encoding="utf-8")
     assert "is not understood" in refused(capsys, *page, tmp_path / "bad.json")
@@ -116,21 +125,27 @@ def test_a_model_of_ones_own_is_drawn_where_its_file_is_given(capsys, own, tmp_p
 
 def test_held_out_records_are_predicted(capsys, own, tmp_path):
     text = RECORD.replace(
-        "settings =", 'def slow():\n    return gb.Problem(Lag(), problem().data, fixed={"T": 1.0})\n\nsettings ='
+        "settings =",
+        'def slow():\n    return gb.Problem(Lag(), problem().data, fixed={"T": 1.0})\n\nsettings =',
     )
     file = own(text)
     for name in ("problem", "slow"):
         assert run(capsys, "fit", f"{file}:{name}", "--starts", "2", "--out", f"{name}.h5")[0] == 0
     time = np.arange(150) / 50
     u = np.sin(5 * time)
-    lines = [f"{t:.2f},{a:.6f},{b:.6f}" for t, a, b in zip(time, u, 0.3 * np.sin(5 * time - 1), strict=True)]
+    lines = [
+        f"{t:.2f},{a:.6f},{b:.6f}"
+        for t, a, b in zip(time, u, 0.3 * np.sin(5 * time - 1), strict=True)
+    ]
     (tmp_path / "flight.csv").write_text("\n".join(["time,u,y [m]", *lines]))
     both = ("problem.h5", "slow.h5", "--model", file)
     assert run(capsys, "report", *both, "--held-out", "flight.csv", "--out", "held.html")[0] == 0
     page = (tmp_path / "held.html").read_text(encoding="utf-8")
     assert "held-out" in page
     assert "Time history, flight" in page
-    alone = refused(capsys, "report", "slow.h5", "--model", file, "--held-out", "flight.csv", "--out", "x.html")
+    alone = refused(
+        capsys, "report", "slow.h5", "--model", file, "--held-out", "flight.csv", "--out", "x.html"
+    )
     assert "give two or more results" in alone
 
 
@@ -151,7 +166,14 @@ def test_the_command_of_a_study_is_what_its_folder_knows(tmp_path, origin, comma
 
 def test_responses_are_not_held_out(capsys, results, tmp_path):
     (tmp_path / "bode.csv").write_text("omega_rad_s,alpha,beta\n1,0.5,-0.1\n2,0.4,-0.3\n")
-    both = ("report", results / "roll.h5", results / "roll.h5", "--out", tmp_path / "x.html", "--held-out")
+    both = (
+        "report",
+        results / "roll.h5",
+        results / "roll.h5",
+        "--out",
+        tmp_path / "x.html",
+        "--held-out",
+    )
     assert "takes records, columns of time and signals: compare responses in Python" in refused(
         capsys, *both, tmp_path / "bode.csv"
     )

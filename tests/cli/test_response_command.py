@@ -21,13 +21,17 @@ PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])
 def test_log_to_response_to_fit(capsys, tmp_path, suffix):
     out = tmp_path / f"pitch{suffix}"
-    status, text, _ = run(capsys, "response", LOG, *PITCH, "--out", out, "--plot", tmp_path / "bode.png")
+    status, text, _ = run(
+        capsys, "response", LOG, *PITCH, "--out", out, "--plot", tmp_path / "bode.png"
+    )
     assert status == 0
     assert "no problems found" in text
     measured = gb.read_response(out, input="u", output="theta")
     assert len(measured) == 10
     assert measured.variance is not None
-    status, text, _ = run(capsys, "fit", "--model", "rate:DampedAngle", "--data", out, "--starts", "10", "--json")
+    status, text, _ = run(
+        capsys, "fit", "--model", "rate:DampedAngle", "--data", out, "--starts", "10", "--json"
+    )
     assert status == 0
     assert json.loads(text)["estimate"]["K_phi"] == pytest.approx(91.0, rel=0.01)
 
@@ -44,7 +48,9 @@ def test_single_tests_can_be_chosen(capsys):
 
 
 def test_one_frequency_alone_is_refused_with_the_reason(capsys, tmp_path):
-    status, out, err = run(capsys, "response", LOG, *PITCH, "--tests", "2", "--json", "--out", tmp_path / "x.csv")
+    status, out, err = run(
+        capsys, "response", LOG, *PITCH, "--tests", "2", "--json", "--out", tmp_path / "x.csv"
+    )
     assert status == 1
     assert "one frequency gives two numbers" in json.loads(out)["error"]
     assert "one frequency gives two numbers" in err
@@ -56,7 +62,9 @@ def sweep_table(path, noise=0.0):
     from scipy.signal import chirp, lsim
 
     time = np.arange(0, 60, 0.01)
-    u = chirp(time, 0.1, 60, 5, method="logarithmic") * np.minimum(1, np.minimum(time, 60 - time) / 3)
+    u = chirp(time, 0.1, 60, 5, method="logarithmic") * np.minimum(
+        1, np.minimum(time, 60 - time) / 3
+    )
     y = lsim(([5], [0.2, 1]), u, time)[1] + noise * np.random.default_rng(0).normal(size=time.size)
     np.savetxt(path, np.c_[time, u, y], delimiter=",", header="time,u,y", comments="")
 
@@ -65,7 +73,9 @@ def closed_loop_table(path, setpoint):
     """A lag in a feedback loop that follows `setpoint(t)`, with sensor noise, as a table time, r, u, y."""
     step, y, x = 0.01, 0.0, 0.0
     rows = []
-    for t, noise in zip(np.arange(0, 80, step), np.random.default_rng(1).normal(0, 1e-3, 8000), strict=True):
+    for t, noise in zip(
+        np.arange(0, 80, step), np.random.default_rng(1).normal(0, 1e-3, 8000), strict=True
+    ):
         r, y = setpoint(t), x + noise
         u = 4 * (r - y)
         rows.append((t, r, u, y))
@@ -73,11 +83,15 @@ def closed_loop_table(path, setpoint):
     np.savetxt(path, rows, delimiter=",", header="time,r,u,y", comments="")
 
 
-@pytest.mark.parametrize("setpoint", [lambda t: 0.1 * np.sin(0.05 * t), lambda t: 1e-5 * np.sin(3 * t)])
+@pytest.mark.parametrize(
+    "setpoint", [lambda t: 0.1 * np.sin(0.05 * t), lambda t: 1e-5 * np.sin(3 * t)]
+)
 def test_what_cannot_identify_anything_is_refused(capsys, tmp_path, setpoint):
     """Excited at 0.05 rad/s only, or with the amplitude of the sensor's noise."""
     closed_loop_table(tmp_path / "flight.csv", setpoint)
-    status, out, _ = run(capsys, "response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--json")
+    status, out, _ = run(
+        capsys, "response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--json"
+    )
     assert status in (1, 2)
     assert json.loads(out)["error"]
 
@@ -113,8 +127,14 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
         (["response", LOG, *PITCH, "--points", "0"], "--points 0"),
         (["response", LOG, *PITCH, "--settle", "nan"], "--settle nan"),
         (["response", LOG, *PITCH, "--rate", "1e9"], "more than ten times"),
-        (["response", LOG, "--input", "x=RATE.POut", "--output", "x=ATT.Pitch"], "have the same name"),
-        (["response", LOG, "--input", "RATE.POut", "--output", "y=RATE.POut"], "are the same signal"),
+        (
+            ["response", LOG, "--input", "x=RATE.POut", "--output", "x=ATT.Pitch"],
+            "have the same name",
+        ),
+        (
+            ["response", LOG, "--input", "RATE.POut", "--output", "y=RATE.POut"],
+            "are the same signal",
+        ),
         (["response", LOG, *PITCH, "--axis", "roll"], "no test has the axis 'roll'"),
         (["response", LOG, *PITCH, "--method", "magic"], "'magic'"),
         (["response", LOG, *PITCH, "--rate", "0"], "rate 0"),
@@ -172,13 +192,24 @@ def test_in_closed_loop_the_excitation_is_the_instrument(capsys, tmp_path):
     error = np.abs(biased - lag(np.array(direct["omega"]))) / np.sqrt(direct["variance"])
     assert np.sqrt(np.mean(error**2)) > 2
     at = np.array(direct["omega"]) > 10
-    assert np.abs(biased[at] + 0.25).mean() < np.abs(lag(np.array(direct["omega"])[at]) + 0.25).mean()
+    assert (
+        np.abs(biased[at] + 0.25).mean() < np.abs(lag(np.array(direct["omega"])[at]) + 0.25).mean()
+    )
     assert answer["direct_difference"]["largest"] > 0.05
 
 
 def test_a_closed_loop_without_an_excitation_is_refused(capsys, tmp_path):
     closed_loop_table(tmp_path / "flight.csv", lambda t: 0.0)
-    command = ["response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--whole", "--json"]
+    command = [
+        "response",
+        tmp_path / "flight.csv",
+        "--input",
+        "u",
+        "--output",
+        "y",
+        "--whole",
+        "--json",
+    ]
     status, out, _ = run(capsys, *command)
     assert status == 2
     assert "closed loop (r is in it)" in json.loads(out)["error"]
@@ -188,7 +219,17 @@ def test_a_closed_loop_without_an_excitation_is_refused(capsys, tmp_path):
 
 def test_a_band_is_cut(capsys, tmp_path):
     sweep_table(tmp_path / "sweep.csv")
-    command = ["response", tmp_path / "sweep.csv", "--input", "u", "--output", "y", "--whole", "--json", "--band"]
+    command = [
+        "response",
+        tmp_path / "sweep.csv",
+        "--input",
+        "u",
+        "--output",
+        "y",
+        "--whole",
+        "--json",
+        "--band",
+    ]
     answer = json.loads(run(capsys, *command, "0.5", "2", "Hz")[1])
     assert min(answer["omega"]) >= np.pi
     assert max(answer["omega"]) <= 4 * np.pi
@@ -205,9 +246,17 @@ def test_a_band_is_cut(capsys, tmp_path):
 def test_what_was_chosen_and_dropped_is_said(capsys, tmp_path):
     out = tmp_path / "pitch.csv"
     text = run(capsys, "response", LOG, "--setpoint", "ATT.DesPitch", *PITCH[2:], "--out", out)[1]
-    assert "closed loop (ATT.DesPitch is in the log): amplitudes at the frequency of the excitation" in text
-    assert "converted: theta from deg to rad with half a step of 0.01 deg that the log cuts off." in text
-    assert "SINE looks like a message that announces tests too: use it with --announced SINE." in text
+    assert (
+        "closed loop (ATT.DesPitch is in the log): amplitudes at the frequency of the excitation"
+        in text
+    )
+    assert (
+        "converted: theta from deg to rad with half a step of 0.01 deg that the log cuts off."
+        in text
+    )
+    assert (
+        "SINE looks like a message that announces tests too: use it with --announced SINE." in text
+    )
     about = gb.read_response(out).about
     assert about["log"] == "sitl_pitch.BIN"
     assert about["signals"].startswith("u = RATE.POut, theta = ATT.Pitch")
@@ -225,9 +274,13 @@ def test_a_manoeuvre_from_the_log_to_its_model(capsys, tmp_path):
     def flown(t):
         return np.array([0.0, 0.1, -0.1, 0.1, 0.0])[np.searchsorted(edges, t + 1e-9)]
 
-    t, u, q = study.simulated(a, b, np.array([[p["K"], p["K"] * p["T_z"]]]), [flown], p["T"], 14.0, [0.0, 0.0])
+    t, u, q = study.simulated(
+        a, b, np.array([[p["K"], p["K"] * p["T_z"]]]), [flown], p["T"], 14.0, [0.0, 0.0]
+    )
     log, spectrum = tmp_path / "flight.csv", tmp_path / "manoeuvre.csv"
-    rows = np.column_stack([t, u[0], q[0] + 0.005 * np.random.default_rng(2).standard_normal(t.size)])
+    rows = np.column_stack(
+        [t, u[0], q[0] + 0.005 * np.random.default_rng(2).standard_normal(t.size)]
+    )
     np.savetxt(log, rows, delimiter=",", header="time (s),u,q", comments="")
     status, out, _ = run(capsys, "inspect", log, "--json")
     answer = json.loads(out)
@@ -237,13 +290,17 @@ def test_a_manoeuvre_from_the_log_to_its_model(capsys, tmp_path):
     status, out, _ = run(capsys, *command, "--held", "u", "--out", spectrum, "--band", "0.5", "15")
     assert status == 0
     assert "2-1-1" in out
-    fit = gb.fit(gb.Problem(study.ShortPeriod(), gb.data.read_spectrum(spectrum)), starts=1, progress=False)
+    fit = gb.fit(
+        gb.Problem(study.ShortPeriod(), gb.data.read_spectrum(spectrum)), starts=1, progress=False
+    )
     for name, value in p.items():
         assert abs(fit.estimate[name] - value) < 4 * fit.standard_error[name], name
     _, out, _ = run(capsys, *command, "--json")
     assert "half a sample" in out or "linear between samples" in out
     assert "there is no manoeuvre 5" in refused(capsys, *command[:3], "5", *command[4:])
-    assert "or a --manoeuvre" in refused(capsys, "response", log, "--input", "u", "q", "--output", "q")
+    assert "or a --manoeuvre" in refused(
+        capsys, "response", log, "--input", "u", "q", "--output", "q"
+    )
 
 
 def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
@@ -260,12 +317,33 @@ def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
     log, out = tmp_path / "flight.csv", tmp_path / "matrix.csv"
     rows = np.column_stack([0.04 * np.arange(3000), flown.T])
     np.savetxt(log, rows, delimiter=",", header="time (s),da,dr,e_a,e_r,p", comments="")
-    command = ["response", log, "--input", "da", "dr", "--output", "p", "--period", "20", "--instrument", "e_a", "e_r"]
-    status, text, _ = run(capsys, *command, "--out", out, "--plot", tmp_path / "matrix.png", "--json")
+    command = [
+        "response",
+        log,
+        "--input",
+        "da",
+        "dr",
+        "--output",
+        "p",
+        "--period",
+        "20",
+        "--instrument",
+        "e_a",
+        "e_r",
+    ]
+    status, text, _ = run(
+        capsys, *command, "--out", out, "--plot", tmp_path / "matrix.png", "--json"
+    )
     answer = json.loads(text)
     assert status == 0
-    assert [(one["output"], one["input"]) for one in answer["responses"]] == [("p", "da"), ("p", "dr")]
-    assert "from 12.00 to 110.00 s at 25 Hz: 4 periods of 20 s, after 2 s of settling." in answer["choices"]
+    assert [(one["output"], one["input"]) for one in answer["responses"]] == [
+        ("p", "da"),
+        ("p", "dr"),
+    ]
+    assert (
+        "from 12.00 to 110.00 s at 25 Hz: 4 periods of 20 s, after 2 s of settling."
+        in answer["choices"]
+    )
     assert (tmp_path / "matrix.png").read_bytes().startswith(b"\x89PNG")
     for one, truth in zip(answer["responses"], [(4.0, 2.0), (1.5, 1.0)], strict=True):
         s = 1j * np.array(one["omega"])
@@ -291,13 +369,19 @@ def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
 
 def test_several_signals_need_a_period_and_are_named(capsys):
     several = ("response", LOG, "--input", "u=RATE.POut", "r=RATE.ROut", "--output", "q=RATE.P")
-    assert "greybox: --input u=RATE.POut r=RATE.ROut are several signals: give one, or the --period" in refused(
-        capsys, *several
+    assert (
+        "greybox: --input u=RATE.POut r=RATE.ROut are several signals: give one, or the --period"
+        in refused(capsys, *several)
     )
     both = refused(capsys, *several, "p=RATE.R")
-    assert "--input u=RATE.POut r=RATE.ROut and --output q=RATE.P p=RATE.R are several signals" in both
+    assert (
+        "--input u=RATE.POut r=RATE.ROut and --output q=RATE.P p=RATE.R are several signals" in both
+    )
 
 
 def test_one_input_has_one_instrument():
-    with pytest.raises(UsageError, match=r"--instrument SIDD\.Targ X\.y are several signals: give one for each input"):
+    with pytest.raises(
+        UsageError,
+        match=r"--instrument SIDD\.Targ X\.y are several signals: give one for each input",
+    ):
         stated_choices(Namespace(instrument=["SIDD.Targ", "X.y"]))

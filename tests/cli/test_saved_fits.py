@@ -17,7 +17,11 @@ from command_line import QUICK, refused, run
 )
 def test_models_of_ones_own_are_given_by_their_file(capsys, own, tmp_path, command):
     name = own()
-    text = (tmp_path / name).read_text().replace("omega + 1))", "omega + 1) * (1 + 0.01 * np.cos(omega)))")
+    text = (
+        (tmp_path / name)
+        .read_text()
+        .replace("omega + 1))", "omega + 1) * (1 + 0.01 * np.cos(omega)))")
+    )
     (tmp_path / name).write_text(text)  # fitted exactly, it has no errors
     run(capsys, "fit", name, "--out", "fit.h5", "--quiet", *QUICK)
     run(capsys, "fit", name, "--fix", "T=0.19", "--out", "fixed.h5", "--quiet", *QUICK)

@@ -34,7 +34,9 @@ SOLVERS = {
 
 
 def heed_ctrl_c():
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # which parallel tests ignore, and processes inherit that
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # which parallel tests ignore, and processes inherit that
 
 
 def greybox(*arguments, **options):
@@ -50,11 +52,23 @@ def test_ctrl_c_prints_and_saves_the_best_fit_so_far(tmp_path, kind, as_json):
     saved = tmp_path / "fits" / "fit.h5"
     options = ["--json"] if as_json else []
     done = greybox(
-        "fit", "own.py", "--starts", 20_000, "--search", "multistart", "--out", saved, *options, cwd=tmp_path
+        "fit",
+        "own.py",
+        "--starts",
+        20_000,
+        "--search",
+        "multistart",
+        "--out",
+        saved,
+        *options,
+        cwd=tmp_path,
     )
     assert done.returncode == 130
     assert done.stderr == b"greybox: interrupted.\n"
-    assert {path.name for path in saved.parent.iterdir()} == {"fit.h5", "fit.h5.runs"}  # the runs, to go on with
+    assert {path.name for path in saved.parent.iterdir()} == {
+        "fit.h5",
+        "fit.h5.runs",
+    }  # the runs, to go on with
 
     fit = gb.load(saved)
     assert [run.converged for run in fit.runs] == [True, True, False]
@@ -86,7 +100,16 @@ def test_ctrl_c_during_the_first_imports_has_no_traceback(tmp_path):
 def test_ctrl_c_while_a_figure_is_drawn_leaves_the_fit(tmp_path):
     environment = with_pressing_module(tmp_path, "matplotlib")
     done = greybox(
-        "fit", "pitch_hover", "--starts", 2, "--plot", "x.png", "--out", "x.h5", env=environment, cwd=tmp_path
+        "fit",
+        "pitch_hover",
+        "--starts",
+        2,
+        "--plot",
+        "x.png",
+        "--out",
+        "x.h5",
+        env=environment,
+        cwd=tmp_path,
     )
     assert done.returncode == 130
     assert done.stderr == b"greybox: interrupted.\n"
@@ -122,4 +145,6 @@ def test_a_working_directory_that_was_removed_is_said(tmp_path):
     inside = f"cd {shlex.quote(str(gone))} && rmdir ../gone && {sys.executable} -m greybox fit pitch_hover --out x.h5"
     done = subprocess.run(["sh", "-c", inside], capture_output=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == b"greybox: the working directory was removed: change to one that exists.\n"
+    assert (
+        done.stderr == b"greybox: the working directory was removed: change to one that exists.\n"
+    )

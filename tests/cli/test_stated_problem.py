@@ -32,19 +32,35 @@ def test_own_file_with_its_settings(capsys, own):
 
 def test_own_model_and_own_data(capsys, own, tmp_path):
     name = own()
-    (tmp_path / "response.csv").write_text("omega_rad_s,alpha,beta\n1,2.8846153846,-0.5769230769\n5,1.5,-1.5\n")
-    status, out, _ = run(capsys, "fit", "--model", f"{name}:Lag", "--data", "response.csv", "--json", *QUICK)
+    (tmp_path / "response.csv").write_text(
+        "omega_rad_s,alpha,beta\n1,2.8846153846,-0.5769230769\n5,1.5,-1.5\n"
+    )
+    status, out, _ = run(
+        capsys, "fit", "--model", f"{name}:Lag", "--data", "response.csv", "--json", *QUICK
+    )
     assert status == 0
     assert json.loads(out)["estimate"] == pytest.approx({"K": 3.0, "T": 0.2}, rel=1e-6)
     fixed = ["--fix", "T=0.3", "--json", *QUICK]
-    answer = json.loads(run(capsys, "fit", "--model", f"{name}:Lag", "--data", "response.csv", *fixed)[1])
+    answer = json.loads(
+        run(capsys, "fit", "--model", f"{name}:Lag", "--data", "response.csv", *fixed)[1]
+    )
     assert answer["estimate"]["T"] == 0.3
 
 
 def test_shipped_model_with_freed_and_fixed_parameters(capsys, tmp_path):
     table = (files("greybox.problems") / "data" / "table_4_3.csv").read_text().replace("pitch_", "")
     (tmp_path / "pitch.csv").write_text(table)
-    command = ["fit", "--model", "tilt:Tilt", "--data", tmp_path / "pitch.csv", "--fix", "a5=0.2", "--free", "T_delay"]
+    command = [
+        "fit",
+        "--model",
+        "tilt:Tilt",
+        "--data",
+        tmp_path / "pitch.csv",
+        "--fix",
+        "a5=0.2",
+        "--free",
+        "T_delay",
+    ]
     status, out, _ = run(capsys, *command, "--json", "--starts", "16")
     answer = json.loads(out)
     assert status == 0
@@ -53,7 +69,18 @@ def test_shipped_model_with_freed_and_fixed_parameters(capsys, tmp_path):
 
 
 def test_fix_and_free_also_restate_a_problem(capsys):
-    out = run(capsys, "fit", "pitch_hover", "--fix", "a5=0.3", "--free", "T_rotor", "--json", "--starts", "16")[1]
+    out = run(
+        capsys,
+        "fit",
+        "pitch_hover",
+        "--fix",
+        "a5=0.3",
+        "--free",
+        "T_rotor",
+        "--json",
+        "--starts",
+        "16",
+    )[1]
     answer = json.loads(out)
     assert answer["estimate"]["a5"] == 0.3
     assert answer["standard_error"]["T_rotor"] > 0
@@ -81,7 +108,9 @@ def test_a_record_that_does_not_fit_the_command(own, capsys):
 def test_a_criterion_in_time_is_named_like_the_others(own, capsys):
     path = own(RECORD)
     for name in ("output-error", "prediction-error"):
-        answer = json.loads(run(capsys, "fit", path, "--criterion", name, "--json", "--starts", "2")[1])
+        answer = json.loads(
+            run(capsys, "fit", path, "--criterion", name, "--json", "--starts", "2")[1]
+        )
         assert answer["criterion"] == name
         assert (answer["status"], answer["costs"]) == ("converged", {})
 
@@ -92,7 +121,9 @@ def test_what_else_a_problem_says_of_its_records_stays_with_another_criterion():
     problem = gb.Problem(Lag(), record, rule) + gb.Problem(Lag(), measured(Lag(), [1.0, 2.0]))
     found = _with_criterion(problem, gb.OutputError())
     assert [part.criterion for part in found.parts] == [rule, gb.RelativeLikelihood()]
-    with pytest.raises(ValueError, match=r"MagnitudePhase and .* OutputError: the cost of a likelihood adds"):
+    with pytest.raises(
+        ValueError, match=r"MagnitudePhase and .* OutputError: the cost of a likelihood adds"
+    ):
         _with_criterion(problem, gb.MagnitudePhase())
 
 
@@ -106,7 +137,7 @@ def test_biases_of_records_are_fixed_by_their_names(capsys):
     assert "no parameter 'theta_bias'; it has a5, C_x, theta_bias_1, theta_bias_2" in sentence
 
 
-# --- records on the command line --------------------------------------------------------------------------------------
+# --- records on the command line
 
 
 def test_words_of_a_response_are_refused_for_a_record(capsys):
@@ -115,7 +146,9 @@ def test_words_of_a_response_are_refused_for_a_record(capsys):
             capsys, *DRAG, FLIGHT, *more
         )
     sentence = refused(capsys, "fit", "sitl_drag", "--criterion", "relative-error")
-    assert "--criterion relative-error is for frequency responses and sitl_drag has none" in sentence
+    assert (
+        "--criterion relative-error is for frequency responses and sitl_drag has none" in sentence
+    )
 
 
 def test_data_or_a_model_in_the_place_of_a_problem(capsys):
@@ -125,22 +158,29 @@ def test_data_or_a_model_in_the_place_of_a_problem(capsys):
 
 
 def test_a_users_file_chooses_the_transcription_and_its_integrator(own, capsys):
-    text = RECORD.replace('"starts": 3', '"starts": 3, "method": gb.SingleShooting(integrator=gb.Rosenbrock())')
+    text = RECORD.replace(
+        '"starts": 3', '"starts": 3, "method": gb.SingleShooting(integrator=gb.Rosenbrock())'
+    )
     assert run(capsys, "fit", own(text))[0] == 0
 
 
 def test_unknown_settings_are_refused(own, capsys):
     path = own(RECORD.replace('"starts": 3', '"tries": 3'))
-    assert "has 'tries': it may contain 'starts', 'seed' and 'method'" in refused(capsys, "fit", path)
+    assert "has 'tries': it may contain 'starts', 'seed' and 'method'" in refused(
+        capsys, "fit", path
+    )
 
 
 def test_an_ode_is_behind_no_filter_and_no_structure_of_a_ladder():
     for pair in ((LinearTilt(), Tilt()), (Tilt(), LinearTilt())):
-        with pytest.raises(UsageError, match="--through needs two transfer functions, the plant's and the filter's"):
+        with pytest.raises(
+            UsageError, match="--through needs two transfer functions, the plant's and the filter's"
+        ):
             through(*pair)
     assert through(Tilt(), Tilt()).output == Tilt().output
     with pytest.raises(
-        UsageError, match="--structures tilt:LinearTilt: LinearTilt is an ODE; fit it to the response by"
+        UsageError,
+        match="--structures tilt:LinearTilt: LinearTilt is an ODE; fit it to the response by",
     ):
         _transfer_function("tilt:LinearTilt")
     assert _transfer_function("tilt:Tilt").label == "Tilt"

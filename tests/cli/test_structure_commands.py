@@ -1,6 +1,7 @@
 """Commands that judge and choose structures: `reduce`, `identifiability`, `orders`, `stepwise`; priors and regions.
 
-What they say is what the functions of the same names return, whose tests hold it against outside truths.
+What they say is what the functions of the same names return, whose tests hold it against outside
+truths.
 """
 
 import json
@@ -51,7 +52,9 @@ def test_a_saved_fit_is_reduced(capsys, tmp_path, yaw):
 def test_the_region_of_two_parameters(capsys, tmp_path):
     """It is wider than each interval alone by √(2 F) over Student's t."""
     saved, figure = tmp_path / "lag.h5", tmp_path / "region.png"
-    data = measured(Polynomial(1, 0), np.geomspace(0.3, 30, 8), {"b0": 6.0, "a0": 3.0}, noise=0.05, seed=3)
+    data = measured(
+        Polynomial(1, 0), np.geomspace(0.3, 30, 8), {"b0": 6.0, "a0": 3.0}, noise=0.05, seed=3
+    )
     gb.save(gb.fit(gb.Problem(Polynomial(1, 0), data, gb.SquaredRelativeError()), starts=1), saved)
     command = ("profile", saved, "--contour", "b0", "a0")
     found = answer(capsys, *command, "--plot", figure)
@@ -60,14 +63,24 @@ def test_the_region_of_two_parameters(capsys, tmp_path):
     alone = answer(capsys, "profile", saved)["profiles"]
     for k, name in enumerate(("b0", "a0")):
         wider = np.ptp(points[:, k]) / (alone[name]["high"] - alone[name]["low"])
-        assert wider == pytest.approx(np.sqrt(2 * fisher.ppf(0.95, 2, 14)) / student.ppf(0.975, 14), rel=0.02)
+        assert wider == pytest.approx(
+            np.sqrt(2 * fisher.ppf(0.95, 2, 14)) / student.ppf(0.975, 14), rel=0.02
+        )
     assert figure.stat().st_size > 1000
     assert "leave out other names and workers" in refused(capsys, *command, "--workers", "2")
 
 
 def test_what_a_structure_could_tell_and_what_a_fit_has_told(capsys, own, yaw):
     found = answer(
-        capsys, "identifiability", "tilt:LinearTilt", "--outputs", "theta", "--at", "theta=0", "--fix", "a1=1"
+        capsys,
+        "identifiability",
+        "tilt:LinearTilt",
+        "--outputs",
+        "theta",
+        "--at",
+        "theta=0",
+        "--fix",
+        "a1=1",
     )
     assert "a1" not in found["identifiable"]
     assert {"a2", "a3", "a4"} <= set(found["identifiable"])
@@ -75,7 +88,9 @@ def test_what_a_structure_could_tell_and_what_a_fit_has_told(capsys, own, yaw):
     assert answer(capsys, "identifiability", lost)["not_identifiable"] == [
         {"names": ["K", "T"], "initial_states": [], "to_fix": 1}
     ]
-    assert "K and T cannot be told apart: fix one of them" in run(capsys, "identifiability", lost)[1]
+    assert (
+        "K and T cannot be told apart: fix one of them" in run(capsys, "identifiability", lost)[1]
+    )
 
     told = answer(capsys, "identifiability", yaw)
     assert told["beyond"] == ["a1_tilde", "a2", "a3_tilde"]
@@ -85,7 +100,9 @@ def test_what_a_structure_could_tell_and_what_a_fit_has_told(capsys, own, yaw):
 
 
 def test_orders_of_a_response(capsys, tmp_path):
-    table, chosen, figure = (tmp_path / name for name in ("response.csv", "chosen.h5", "orders.png"))
+    table, chosen, figure = (
+        tmp_path / name for name in ("response.csv", "chosen.h5", "orders.png")
+    )
     truth = {"b0": 8.0, "a0": 9.0, "a1": 2.0}
     write_response(measured(Polynomial(2, 0), np.geomspace(0.3, 30, 15), truth, noise=0.01), table)
     command = ("orders", table, "--n", "1", "2", "--integrators", "0", "--starts", "1")
@@ -98,20 +115,47 @@ def test_orders_of_a_response(capsys, tmp_path):
 
 def test_terms_are_chosen(capsys, own, tmp_path):
     saved = tmp_path / "chosen.h5"
-    found = answer(capsys, "stepwise", own(TERMS), "--candidates", "extra", "T=0.1", "--starts", "1", "--out", saved)
+    found = answer(
+        capsys,
+        "stepwise",
+        own(TERMS),
+        "--candidates",
+        "extra",
+        "T=0.1",
+        "--starts",
+        "1",
+        "--out",
+        saved,
+    )
     assert found["terms"] == ["T"]
     assert gb.load(saved).estimate["extra"] == 0.0
     assert {t["term"] for t in found["trials"]} == {"extra", "T"}
-    assert "write NAME or NAME=VALUE" in refused(capsys, "stepwise", own(TERMS), "--candidates", "T=x")
+    assert "write NAME or NAME=VALUE" in refused(
+        capsys, "stepwise", own(TERMS), "--candidates", "T=x"
+    )
 
 
 def test_what_is_known_before_the_data(capsys, own):
     """The mean of data and prior, weighted by their variances."""
     name = own()
-    alone = answer(capsys, "fit", "yaw_hover", "--criterion", "relative-likelihood", "--fix", "a2=800", "--starts", "2")
-    prior = answer(capsys, "fit", "yaw_hover", "--prior", "a4=5.0+-0.3", "--fix", "a2=800", "--starts", "2")
+    alone = answer(
+        capsys,
+        "fit",
+        "yaw_hover",
+        "--criterion",
+        "relative-likelihood",
+        "--fix",
+        "a2=800",
+        "--starts",
+        "2",
+    )
+    prior = answer(
+        capsys, "fit", "yaw_hover", "--prior", "a4=5.0+-0.3", "--fix", "a2=800", "--starts", "2"
+    )
     assert prior["prior"]["a4"]["mean"] == 5.0
     share = prior["prior"]["a4"]["share"]
-    assert prior["estimate"]["a4"] == pytest.approx(share * 5.0 + (1 - share) * alone["estimate"]["a4"], abs=0.05)
+    assert prior["estimate"]["a4"] == pytest.approx(
+        share * 5.0 + (1 - share) * alone["estimate"]["a4"], abs=0.05
+    )
     assert "a1=3.2+-0.1" in refused(capsys, "fit", name, "--prior", "K=3")
     assert "has no parameter 'L'" in refused(capsys, "fit", name, "--prior", "L=3±1")

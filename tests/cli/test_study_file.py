@@ -89,11 +89,20 @@ def test_every_key_reaches_the_member(folder):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("bounds = {T = [1]}", "bounds = {'T': [1]} is not understood: give a table {name = [low, high]}."),
+        (
+            "bounds = {T = [1]}",
+            "bounds = {'T': [1]} is not understood: give a table {name = [low, high]}.",
+        ),
         ("bounds = {T = [true, 2]}", "is not understood: give a table {name = [low, high]}."),
-        ("prior = {T = 1.0}", "prior = {'T': 1.0} is not understood: give a table {name = [mean, sigma]}."),
+        (
+            "prior = {T = 1.0}",
+            "prior = {'T': 1.0} is not understood: give a table {name = [mean, sigma]}.",
+        ),
         ("starts_box = 3", "starts_box = 3 is not understood: give a table {name = [low, high]}."),
-        ("start = {T = true}", "start = {'T': True} is not understood: give a table {name = number}."),
+        (
+            "start = {T = true}",
+            "start = {'T': True} is not understood: give a table {name = number}.",
+        ),
         ("input = 3", "input = 3 is not understood: give text."),
         ("method = 'magic'", "method 'magic' is not known; use"),
         ("seed = true", "seed = True is not understood: give a whole number, or a list of such."),
@@ -110,17 +119,24 @@ def test_what_is_not_understood_is_told(folder, line, said):
 def test_files_of_other_kinds_and_without_members_are_told(folder):
     (folder / "study.txt").write_text("")
     with pytest.raises(
-        UsageError, match=r"study\.txt is not a known kind of study file: write study\.toml, or study\.py"
+        UsageError,
+        match=r"study\.txt is not a known kind of study file: write study\.toml, or study\.py",
     ):
         read_study_file(folder / "study.txt")
-    with pytest.raises(UsageError, match=r"lag_of_study\.py has no function members\(\): define it"):
+    with pytest.raises(
+        UsageError, match=r"lag_of_study\.py has no function members\(\): define it"
+    ):
         read_study_file(folder / "lag_of_study.py")
     (folder / "other_study.py").write_text("def members():\n    return [1]\n")
     with pytest.raises(
-        UsageError, match=r"members\(\) in .*other_study\.py returns \[1\]: return a list of gb\.study\.Member"
+        UsageError,
+        match=r"members\(\) in .*other_study\.py returns \[1\]: return a list of gb\.study\.Member",
     ):
         read_study_file(folder / "other_study.py")
-    with pytest.raises(UsageError, match=r"there is no included study 'papers', there is paper: or give study\.toml"):
+    with pytest.raises(
+        UsageError,
+        match=r"there is no included study 'papers', there is paper: or give study\.toml",
+    ):
         find_study("papers")
     assert find_study("study.toml").name == "study.toml"
     assert find_study("paper").name == "_paper_study.py"

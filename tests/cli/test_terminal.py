@@ -45,7 +45,10 @@ class Broken(io.StringIO):
 def test_what_stands_in_the_way_is_returned():
     assert write("text", None) == ""
     assert write("text", Broken(BrokenPipeError())) == ""
-    assert write("text", Broken(OSError(errno.ENOSPC, "No space left on device"))) == "No space left on device"
+    assert (
+        write("text", Broken(OSError(errno.ENOSPC, "No space left on device")))
+        == "No space left on device"
+    )
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no TERM")

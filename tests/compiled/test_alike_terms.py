@@ -6,13 +6,18 @@ import pytest
 
 from greybox.compiled.alike_terms import SecondOrder, _alike, _terms
 
-OMEGA = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0])  # at one a product is simplified: a term of another form
+OMEGA = np.array(
+    [0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0]
+)  # at one a product is simplified: a term of another form
 MEASURED = 0.03 * np.array([9, 8, -4, 3, 1, -2, 0.5])
 
 
 def cost(z, smoothing):
     """Return a sum of roots, weighted and shifted, and a term of its own."""
-    terms = [ca.sqrt((z[0] * ca.exp(-w * z[1]) - y) ** 2 + smoothing) for w, y in zip(OMEGA, MEASURED, strict=True)]
+    terms = [
+        ca.sqrt((z[0] * ca.exp(-w * z[1]) - y) ** 2 + smoothing)
+        for w, y in zip(OMEGA, MEASURED, strict=True)
+    ]
     return 2 * (sum(terms[:4]) - 0.5 * sum(terms[4:])) + z[2] ** 4 - 3
 
 
@@ -23,19 +28,26 @@ def test_derivatives_are_those_of_the_sum(m, large, monkeypatch):
     z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
     whole = cost(z, smoothing)
     hessian, gradient = ca.hessian(whole, z)
-    expected = ca.Function("expected", [z, smoothing], [whole, gradient, ca.vec(ca.densify(hessian))])
+    expected = ca.Function(
+        "expected", [z, smoothing], [whole, gradient, ca.vec(ca.densify(hessian))]
+    )
     rng = np.random.default_rng(m)
     points, smooth = rng.uniform(0.1, 1, (3, m)), rng.uniform(1e-6, 1e-2, (1, m))
     found = SecondOrder([z, smoothing], whole)(points, smooth)
     for k in {0, m // 2, m - 1}:
         for value, known in zip(found, expected(points[:, k], smooth[:, k]), strict=True):
-            assert value.reshape(-1, m)[:, k] == pytest.approx(np.asarray(known).ravel(), rel=1e-12, abs=1e-12)
+            assert value.reshape(-1, m)[:, k] == pytest.approx(
+                np.asarray(known).ravel(), rel=1e-12, abs=1e-12
+            )
 
 
 def test_terms_of_one_form_differ_in_their_constants():
     z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
     [alike], rest = _alike([z, smoothing], cost(z, smoothing))
-    assert alike.constants.shape == (3, 6)  # factor, frequency and measurement; without the frequency of one
+    assert alike.constants.shape == (
+        3,
+        6,
+    )  # factor, frequency and measurement; without the frequency of one
     rows = [sorted(np.abs(row)) for row in alike.constants]
     assert sorted(alike.constants[0]) == [-1, -1, -1, 2, 2, 2]
     assert [0.5, 2, 3, 5, 8, 13] in rows

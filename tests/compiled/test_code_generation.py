@@ -16,7 +16,9 @@ LENGTH = 4
 def sample():
     """Three states, of which the last follows neither the others nor a parameter, four parameters, two residuals."""
     x, q, d = ca.SX.sym("x", 3), ca.SX.sym("q", 4), ca.SX.sym("d", 3)
-    after = ca.vertcat(0.9 * x[0] + 0.1 * q[2] * ca.sin(x[1]), q[0] * x[1] + d[0] ** 2, 0.5 * x[2] + d[1])
+    after = ca.vertcat(
+        0.9 * x[0] + 0.1 * q[2] * ca.sin(x[1]), q[0] * x[1] + d[0] ** 2, 0.5 * x[2] + d[1]
+    )
     residuals = ca.vertcat(d[2] - x[0] * x[2], d[0] - q[3] * x[1])
     return ca.Function("sample", [x, q, d], [after, residuals, ca.sin(x)])
 
@@ -55,9 +57,7 @@ def function(factor):
 def test_a_compiler_that_is_missing_or_fails_is_told(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("PATH", str(tmp_path))
-    missing = (
-        "compile=True needs a C compiler and none of cc, gcc, clang was found: install one, or leave out compile=True."
-    )
+    missing = "compile=True needs a C compiler and none of cc, gcc, clang was found: install one, or leave out compile=True."
     with pytest.raises(RuntimeError, match=f"^{re.escape(missing)}$"):
         compiled(function(2.0))
     compiler = tmp_path / "gcc"

@@ -20,7 +20,9 @@ def relative(problem_model, data, values):
 
 
 def test_scaling_goes_there_and_back():
-    both = compile_problem(gb.Problem(LagLagDelay(), NOISY, rename={"K": "K2"}) + gb.Problem(Lag(), LAG))
+    both = compile_problem(
+        gb.Problem(LagLagDelay(), NOISY, rename={"K": "K2"}) + gb.Problem(Lag(), LAG)
+    )
     assert both.scaling.logarithmic.any()
     assert not both.scaling.logarithmic.all()
     random = np.random.default_rng(0)
@@ -33,13 +35,19 @@ def test_scaling_goes_there_and_back():
 
 
 def test_a_linear_variable_is_of_order_one_and_a_logarithmic_one_is_the_logarithm():
-    linear, log = compile_problem(gb.Problem(LagLagDelay(), NOISY)), compile_problem(gb.Problem(Lag(), LAG))
+    linear, log = (
+        compile_problem(gb.Problem(LagLagDelay(), NOISY)),
+        compile_problem(gb.Problem(Lag(), LAG)),
+    )
     assert_allclose(linear.scaling.to_solver(linear.upper), 1)
     assert_allclose(log.scaling.to_solver(np.array([np.e, np.e**2])), [1, 2])
 
 
 def test_cost_is_the_naive_sum_with_weights():
-    a, b = gb.Problem(LagLagDelay(), NOISY), gb.Problem(Lag(), LAG, rename={"K": "gain"}, weight=2.5)
+    a, b = (
+        gb.Problem(LagLagDelay(), NOISY),
+        gb.Problem(Lag(), LAG, rename={"K": "gain"}, weight=2.5),
+    )
     values = {"K": 4.0, "T1": 0.5, "T2": 0.2, "tau": 0.1, "gain": 2.0, "T": 0.3}
     first = relative(LagLagDelay(), NOISY, {k: values[k] for k in TWO_LAGS})
     second = relative(Lag(), LAG, {"K": 2.0, "T": 0.3})
@@ -60,7 +68,9 @@ def test_cost_refuses_an_unknown_name():
 
 
 def test_a_problem_without_unknowns_is_refused():
-    with pytest.raises(ValueError, match=r"no parameter of 'made' is free: free one, e\.g\. free=\('K',\)"):
+    with pytest.raises(
+        ValueError, match=r"no parameter of 'made' is free: free one, e\.g\. free=\('K',\)"
+    ):
         gb.fit(gb.Problem(LagLagDelay(), NOISY, fixed=TWO_LAGS))
 
 
@@ -75,7 +85,9 @@ def test_what_the_solver_minimizes_is_the_smoothed_cost_of_the_scaled_variables(
 @pytest.mark.parametrize("T", [1e-3, 1e-1, 10.0, 1e3])
 @pytest.mark.parametrize("K", [2e-3, 500.0])
 def test_logarithmic_parameters_recover_the_truth_over_decades(T, K):
-    fit = gb.fit(gb.Problem(Lag(), measured(Lag(), np.geomspace(1e-4, 1e4, 15), {"K": K, "T": T})), starts=12)
+    fit = gb.fit(
+        gb.Problem(Lag(), measured(Lag(), np.geomspace(1e-4, 1e4, 15), {"K": K, "T": T})), starts=12
+    )
     assert fit.agreeing >= 10
     assert fit.estimate["K"] == pytest.approx(K, rel=1e-6)
     assert fit.estimate["T"] == pytest.approx(T, rel=1e-6)
@@ -93,13 +105,28 @@ def forward_flight(omega, p, theta):
         ]
     )
     b = np.array([0, 0, 0, 1 / p["T_rotor"]])
-    return np.array([np.linalg.solve(1j * w * np.eye(4) - A, b)[2] * np.exp(-1j * w * p["T_delay"]) for w in omega])
+    return np.array(
+        [
+            np.linalg.solve(1j * w * np.eye(4) - A, b)[2] * np.exp(-1j * w * p["T_delay"])
+            for w in omega
+        ]
+    )
 
 
 def test_a_trim_by_newton_compiles_to_mx_and_agrees_with_the_model_linearized_by_hand():
     omega, theta = np.geomspace(0.5, 20, 12), np.radians(5)
-    truth = {"a1": -10.0, "a2": 3.0, "a3": 4.0, "a4": 250.0, "T_rotor": 0.048, "T_delay": 0.0042, "C_x": 0.08}
-    data = gb.FrequencyResponse(omega, forward_flight(omega, truth, theta), input="u", output="theta", name="5 deg")
+    truth = {
+        "a1": -10.0,
+        "a2": 3.0,
+        "a3": 4.0,
+        "a4": 250.0,
+        "T_rotor": 0.048,
+        "T_delay": 0.0042,
+        "C_x": 0.08,
+    }
+    data = gb.FrequencyResponse(
+        omega, forward_flight(omega, truth, theta), input="u", output="theta", name="5 deg"
+    )
     problem = gb.Problem(NonlinearTilt(), data, at={"theta": theta})
     assert compile_problem(problem).program.is_a("MXFunction")
     assert gb.cost(problem, truth) == pytest.approx(0, abs=1e-9)
@@ -148,5 +175,8 @@ def test_a_criterion_with_local_minima_of_its_own_is_located_by_squares(criterio
     assert (nlp.locating is not None) == is_located
     if nlp.locating is not None:
         z = nlp.scaling.to_solver(np.array([2.0, 5.0]))
-        e = np.abs(gb.frequency_response(Lag(), {"K": 2.0, "T": 5.0}, LAG.omega).response / LAG.response - 1)
+        e = np.abs(
+            gb.frequency_response(Lag(), {"K": 2.0, "T": 5.0}, LAG.omega).response / LAG.response
+            - 1
+        )
         assert float(nlp.locating(z, 0.0)[0]) == pytest.approx(2 * np.sum(e**2), rel=1e-9)

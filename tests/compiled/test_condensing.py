@@ -40,7 +40,13 @@ def dense(hessian, transition, coupled, stationarity, continuity, variance):
     return solution[: s * n].reshape(s, n, r), solution[s * n :].reshape(s, n, r)
 
 
-CUTS = {"one": [0], "two": [1, 0], "chain": [1] * 11 + [0], "pieces": [1, 1, 0, 0, 1, 0, 1, 1, 1, 0], "loose": [0] * 6}
+CUTS = {
+    "one": [0],
+    "two": [1, 0],
+    "chain": [1] * 11 + [0],
+    "pieces": [1, 1, 0, 0, 1, 0, 1, 1, 1, 0],
+    "loose": [0] * 6,
+}
 
 
 @pytest.mark.parametrize("variance", [0.0, 0.7])
@@ -50,7 +56,9 @@ def test_it_is_the_dense_solution(cut, n, r, variance):
     system = made(len(CUTS[cut]), n, r, CUTS[cut], seed=n + r)
     variance = variance * np.arange(1, n + 1.0)
     for found, wanted in zip(
-        solve_continuity(**system, variance=variance), dense(**system, variance=variance), strict=True
+        solve_continuity(**system, variance=variance),
+        dense(**system, variance=variance),
+        strict=True,
     ):
         assert_allclose(found, wanted, rtol=1e-8, atol=1e-10)
 
@@ -68,7 +76,9 @@ def test_data_at_the_end_alone_determine_the_states_before():
     system = made(8, 2, 1, [1] * 7 + [0], definite=False)
     system["hessian"][-1] = np.eye(2)
     for found, wanted in zip(
-        solve_continuity(**system, variance=np.zeros(2)), dense(**system, variance=np.zeros(2)), strict=True
+        solve_continuity(**system, variance=np.zeros(2)),
+        dense(**system, variance=np.zeros(2)),
+        strict=True,
     ):
         assert_allclose(found, wanted, rtol=1e-6, atol=1e-8)
 
@@ -91,7 +101,9 @@ def test_states_of_very_different_size(size):
 
 
 def test_work_grows_with_the_number_of_segments_not_with_its_square():
-    few, many = (_solvers.of(s, 3, 4)._function.sz_w() for s in (400, 4000))  # room for the factors of the sparse QR
+    few, many = (
+        _solvers.of(s, 3, 4)._function.sz_w() for s in (400, 4000)
+    )  # room for the factors of the sparse QR
     assert many < 11 * few
 
 

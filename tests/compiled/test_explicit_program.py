@@ -27,12 +27,19 @@ class Drag(gb.StateSpace):
 def response(force, seed):
     omega, random = np.array([0.3, 1.0, 4.0]), np.random.default_rng(seed)
     values = (0.5 + 0.1 * random.normal(size=3)) / (1 + 1j * omega)
-    return gb.Problem(Drag(), gb.FrequencyResponse(omega, values, "F", "v"), gb.SquaredRelativeError(), at={"F": force})
+    return gb.Problem(
+        Drag(),
+        gb.FrequencyResponse(omega, values, "F", "v"),
+        gb.SquaredRelativeError(),
+        at={"F": force},
+    )
 
 
 def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives():
     """Two operating points, one of them of a parameter of its own and of another weight; two constraints."""
-    second = response(5.0, 2).with_(rename={"w": "w2"}, weight=0.4, constraints=[lambda p: p.c * p.m**2 - p.w])
+    second = response(5.0, 2).with_(
+        rename={"w": "w2"}, weight=0.4, constraints=[lambda p: p.c * p.m**2 - p.w]
+    )
     problem = response(2.0, 1).with_(constraints=[lambda p: p.m - p.c**2]) + second
     nlp = compile_problem(problem)
     assert nlp.roots is not None
@@ -42,10 +49,14 @@ def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives
     def whole(v):
         return np.concatenate([value.full().ravel() for value in nlp.program(v, 0.0)])
 
-    assert_allclose(np.concatenate([v.full().ravel() for v in explicit(z, 0.0, nlp.roots(z))]), whole(z))
+    assert_allclose(
+        np.concatenate([v.full().ravel() for v in explicit(z, 0.0, nlp.roots(z))]), whole(z)
+    )
     x = nlp.scaling.to_parameters(z)
     assert_allclose(whole(z)[1:], [1.6 - 0.7**2, 0.7 * 1.6**2 + 0.2], rtol=1e-9)
-    assert whole(z)[0] == sum(nlp.parts[k].weight * nlp.response_cost(x).full()[k, 0] for k in (0, 1))
+    assert whole(z)[0] == sum(
+        nlp.parts[k].weight * nlp.response_cost(x).full()[k, 0] for k in (0, 1)
+    )
 
     gradient, hessian = nlp.program_derivatives["grad_f"], nlp.program_derivatives["hess_lag"]
     slopes = numeric_jacobian(whole, z)

@@ -75,14 +75,20 @@ def test_states_that_stay_away_from_zero_begin_as_measured_and_others_at_rest():
     a, b = np.array([-2.0, -3.0, -2.5, -2.4]), np.array([1.0, -1.0, 2.0, -1.9])
     measured, inputs = np.array([5 - 0.5 * a, a + b, 4 * b]), np.zeros((1, 4))
     states = chain()
-    assert states.as_measured(np.full((3, 4), 7.0), measured) == pytest.approx(np.array([a, b, [7.0] * 4]))
+    assert states.as_measured(np.full((3, 4), 7.0), measured) == pytest.approx(
+        np.array([a, b, [7.0] * 4])
+    )
     found = states.at(measured, inputs, np.ones(1), UNKNOWN)
     assert found == pytest.approx(np.array([a, [0.0] * 4, [0.0] * 4]))
-    given = states.at(measured, inputs, np.ones(1), np.array([9.0, 9.0, -0.3]))  # what is shown is not taken as known
+    given = states.at(
+        measured, inputs, np.ones(1), np.array([9.0, 9.0, -0.3])
+    )  # what is shown is not taken as known
     assert given == pytest.approx(np.array([a, [0.0] * 4, [-0.3] * 4]))
     always = chain(mean_over_deviation=0.01).at(measured, inputs, np.ones(1), UNKNOWN)
     assert always == pytest.approx(np.array([a, b, [0.0] * 4]))
-    assert chain(("sum", "z")).at(measured[1:], inputs, np.ones(1), UNKNOWN) == pytest.approx(np.zeros((3, 4)))
+    assert chain(("sum", "z")).at(measured[1:], inputs, np.ones(1), UNKNOWN) == pytest.approx(
+        np.zeros((3, 4))
+    )
 
 
 def test_poles_are_those_of_the_linearization():
@@ -107,7 +113,9 @@ def test_sizes_are_tried_together_and_then_of_each_state():
     """In units of the outputs, of which one is a thousand times as large; where an input is zero nothing is finite."""
     inputs = np.array([[1.0, 1.0, 0.0, 1.0]])
     measured = np.array([[0.1] * 4, [1000.0] * 4])
-    found = InitialStates(dynamics(Levels()), ("v", "w"), Strategies()).at(measured, inputs, np.ones(1), UNKNOWN[:2])
+    found = InitialStates(dynamics(Levels()), ("v", "w"), Strategies()).at(
+        measured, inputs, np.ones(1), UNKNOWN[:2]
+    )
     assert found == pytest.approx(np.array([[0.01] * 4, [100.0] * 4]))
     one = InitialStates(dynamics(Levels()), ("v", "w"), replace(Strategies(), sweeps=0))
     assert np.ptp(one.at(measured, inputs, np.ones(1), UNKNOWN[:2])) == 0  # all of one size
@@ -125,7 +133,9 @@ def test_samples_without_a_finite_model_take_the_states_of_the_nearest():
             return (x.h,)
 
     level = np.array([[2.0, 3.0, -1.0, -1.0, 5.0]])
-    found = InitialStates(dynamics(Seen()), ("h",), Strategies()).at(level, np.zeros((1, 5)), np.ones(1), UNKNOWN[:1])
+    found = InitialStates(dynamics(Seen()), ("h",), Strategies()).at(
+        level, np.zeros((1, 5)), np.ones(1), UNKNOWN[:1]
+    )
     assert found.tolist() == [[2.0, 3.0, 3.0, 5.0, 5.0]]
 
 
@@ -142,7 +152,9 @@ def test_samples_at_which_states_begin():
     assert outputs == pytest.approx(np.array([[0, 3, 6, 10, 40], [4, 4, 4, 2, 6]]))
     assert inputs.tolist() == [[0, 3, 6, 100, 103]]
     begins = at_samples(data, 3, spread=True)[1]
-    assert begins.tolist() == [[0, 3, 6, 101]]  # the second stretch begins 0.618 of three samples later
+    assert begins.tolist() == [
+        [0, 3, 6, 101]
+    ]  # the second stretch begins 0.618 of three samples later
 
 
 class Gauge(Jet):
@@ -159,7 +171,9 @@ class Gauge(Jet):
 def test_what_is_missed_counts_in_units_of_the_output_on_either_side_of_zero(sign):
     """A level of 4 by one gauge and of 100 by the other: in units of what was measured, ten misses least."""
     measured = np.array([[sign * 2e4] * 3, [np.log(100)] * 3])
-    missed = {h: (np.sqrt(h) / 2 - 1) ** 2 + (np.log(h) / np.log(100) - 1) ** 2 for h in (1, 10, 100)}
+    missed = {
+        h: (np.sqrt(h) / 2 - 1) ** 2 + (np.log(h) / np.log(100) - 1) ** 2 for h in (1, 10, 100)
+    }
     assert min(missed, key=missed.get) == 10
     found = InitialStates(dynamics(Gauge()), ("v", "log"), Strategies()).at(
         measured, np.zeros((1, 3)), np.array([1.0, sign]), UNKNOWN[:1]
@@ -183,6 +197,8 @@ def test_a_hidden_state_that_is_best_at_zero_returns_there():
 
 
 def test_an_output_that_was_never_measured_begins_at_zero():
-    stretch = Stretch(np.arange(4.0)[None], np.array([[np.nan] * 4, [1.0, 2.0, 3.0, 4.0]]), np.arange(4), 0.1)
+    stretch = Stretch(
+        np.arange(4.0)[None], np.array([[np.nan] * 4, [1.0, 2.0, 3.0, 4.0]]), np.arange(4), 0.1
+    )
     outputs, _ = at_samples(SampledData((stretch,), ("y", "z"), 5), 2)
     assert outputs.tolist() == [[0.0, 0.0], [1.0, 3.0]]

@@ -14,7 +14,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.riccati import steady_state_gain
 
-# --- the filter -------------------------------------------------------------------------------------------------------
+# --- the filter
 
 
 @pytest.mark.parametrize("growth", [0.5, 0.99, 1.0, 1.3])
@@ -32,10 +32,12 @@ def test_the_steady_gain_solves_the_equation_of_riccati(growth):
 
 
 def test_what_no_output_shows_has_no_steady_state_gain():
-    assert np.isnan(steady_state_gain(np.diag([0.5, 1.2]), np.array([[1.0, 0.0]]), np.ones(2))).all()
+    assert np.isnan(
+        steady_state_gain(np.diag([0.5, 1.2]), np.array([[1.0, 0.0]]), np.ones(2))
+    ).all()
 
 
-# --- the states -------------------------------------------------------------------------------------------------------
+# --- the states
 
 
 def spring_flight(n=1234, seed=0, **wind):
@@ -63,7 +65,9 @@ def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
 @pytest.mark.parametrize(("n", "segment"), [(600, 20), (1100, 1100)])
 def test_the_cost_of_excerpts_that_are_the_whole_is_that_of_the_simulation(n, segment):
     """In segments of a second, and in one of the whole flight."""
-    nlp = compile_problem(gb.Problem(Spring(), spring_flight(n), WIND), gb.MultipleShooting(segment=segment))
+    nlp = compile_problem(
+        gb.Problem(Spring(), spring_flight(n), WIND), gb.MultipleShooting(segment=segment)
+    )
     (part,) = nlp.parts
     values = SPRING | {"K_x_x": 0.3, "K_x_v": 0.05, "K_v_x": 0.5, "K_v_v": 0.6}
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
@@ -72,7 +76,7 @@ def test_the_cost_of_excerpts_that_are_the_whole_is_that_of_the_simulation(n, se
     assert cost == pytest.approx(part.covariance.cost(simulated.products), rel=1e-9)
 
 
-# --- fits -------------------------------------------------------------------------------------------------------------
+# --- fits
 
 
 def test_all_starts_end_in_one_minimum_with_all_gains_free():
@@ -114,13 +118,16 @@ def test_what_innovations_do_not_drive_need_not_be_forgotten():
 def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_errors():
     data = windy_flight(0, {"v": 0.5, "q": 0.5}, 25)
     output, prediction = (
-        sum(run.iterations for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=2).runs)
+        sum(
+            run.iterations
+            for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=2).runs
+        )
         for rule in (gb.OutputError(inputs="held"), WIND)
     )
     assert prediction <= 1.5 * output
 
 
-# --- where its poles are ----------------------------------------------------------------------------------------------
+# --- where its poles are
 
 
 @cache
@@ -139,7 +146,13 @@ def spring_gain(*process_noise, **values):
 
 @pytest.mark.parametrize(
     ("radius", "is_stable", "is_at_limit"),
-    [(0.5, True, False), (0.99488, True, False), (0.99492, True, True), (0.99498, True, True), (0.99502, False, True)],
+    [
+        (0.5, True, False),
+        (0.99488, True, False),
+        (0.99492, True, True),
+        (0.99498, True, True),
+        (0.99502, False, True),
+    ],
 )
 def test_a_predictor_is_stable_within_the_limit_and_at_it_within_a_fiftieth_of_the_distance(
     radius, is_stable, is_at_limit

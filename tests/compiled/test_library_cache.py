@@ -69,7 +69,8 @@ def test_a_folder_of_somebody_else_is_refused(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "getuid", lambda: folder.stat().st_uid + 1)
     for use in (kept_library, lambda key: keep_library(key, b"library")):
         with pytest.raises(
-            RuntimeError, match=r"does not belong to you, .* set XDG_CACHE_HOME to a folder of your own"
+            RuntimeError,
+            match=r"does not belong to you, .* set XDG_CACHE_HOME to a folder of your own",
         ):
             use("key")
 

@@ -7,7 +7,10 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 
-LAG = [measured(Lag(), TWO_LAGS_OMEGA, {"K": 3.0, "T": T}, noise=0.05, seed=k) for k, T in enumerate((0.2, 0.4))]
+LAG = [
+    measured(Lag(), TWO_LAGS_OMEGA, {"K": 3.0, "T": T}, noise=0.05, seed=k)
+    for k, T in enumerate((0.2, 0.4))
+]
 
 
 def part(k, *constraints, **options):

@@ -8,7 +8,11 @@ from greybox.compiled.part import ColoredErrors
 
 @pytest.mark.parametrize(
     ("hidden", "dof", "wider"),
-    [(9.0, 5.0, 3 * 1.959964 / 2.570582), (9.0, np.inf, 3.0), (1.2, 5.0, 1.0)],  # quantiles as in tables
+    [
+        (9.0, 5.0, 3 * 1.959964 / 2.570582),
+        (9.0, np.inf, 3.0),
+        (1.2, 5.0, 1.0),
+    ],  # quantiles as in tables
 )
 def test_intervals_that_slow_errors_widen_have_the_normal_quantile(hidden, dof, wider):
     """And are never called narrower."""

@@ -35,7 +35,9 @@ def record(seed, samples=150, step=0.02, hold=8, offset=0.0):
     random = np.random.default_rng(seed)
     time = step * np.arange(samples)
     u = np.repeat(random.standard_normal(samples // hold + 1), hold)[:samples]
-    flown = gb.simulate(Spring(), TRUTH, gb.Record(time, {"u": u}), initial={"v": random.normal(), "x": 1.0})
+    flown = gb.simulate(
+        Spring(), TRUTH, gb.Record(time, {"u": u}), initial={"v": random.normal(), "x": 1.0}
+    )
     noise = random.standard_normal((2, samples)) * np.array([[0.05], [0.1]]) * (1 + seed % 3)
     y = np.array([flown["x"] + offset, flown["v"]]) + noise
     y[0, 40:55] = np.nan
@@ -55,7 +57,10 @@ CASES = {
     "biases": {"criterion": gb.OutputError(biases=("x",))},
     "full covariance": {"criterion": gb.OutputError(noise="full"), "own": ("a",)},
     "known noise": {"criterion": gb.OutputError(noise={"x": 0.1, "v": 0.1})},
-    "known initial states": {"criterion": gb.OutputError(initial={"x": lambda p: p.c / 4}), "own": ("c",)},
+    "known initial states": {
+        "criterion": gb.OutputError(initial={"x": lambda p: p.c / 4}),
+        "own": ("c",),
+    },
 }
 
 
@@ -70,7 +75,9 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
     groups = Groups(nlp.parts)
     assert len(groups.parts) <= 2  # one for every step between samples
     random = np.random.default_rng(1)
-    z = nlp.scaling.to_solver(np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free]))
+    z = nlp.scaling.to_solver(
+        np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free])
+    )
     z = z + 0.05 * random.standard_normal(z.size)
     each = [part.initial_trajectory(z) for part in nlp.parts]
     each = [
@@ -78,7 +85,9 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
         for part, t in zip(nlp.parts, each, strict=True)
     ]
     joined = groups.joined([t.nodes for t in each])
-    together = [group.trajectory(z, nodes) for group, nodes in zip(groups.parts, joined, strict=True)]
+    together = [
+        group.trajectory(z, nodes) for group, nodes in zip(groups.parts, joined, strict=True)
+    ]
     assert_allclose(
         sum(group.cost(t, 0.0) for group, t in zip(groups.parts, together, strict=True)),
         sum(part.cost(t, 0.0) for part, t in zip(nlp.parts, each, strict=True)),
@@ -92,8 +101,14 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
         assert_allclose(ours.detail.placed.data, one.detail.placed.data)
     for simulated in (False, True):
         for curvature in (False, True):
-            found = [_system(part, t, curvature, simulated) for part, t in zip(nlp.parts, each, strict=True)]
-            shared = [_system(part, t, curvature, simulated) for part, t in zip(groups.parts, together, strict=True)]
+            found = [
+                _system(part, t, curvature, simulated)
+                for part, t in zip(nlp.parts, each, strict=True)
+            ]
+            shared = [
+                _system(part, t, curvature, simulated)
+                for part, t in zip(groups.parts, together, strict=True)
+            ]
             for wanted, ours in zip(
                 *(map(sum, zip(*systems, strict=True)) for systems in (found, shared)), strict=True
             ):
@@ -104,7 +119,9 @@ def _system(part, trajectory, curvature, simulated):
     """Hessian, gradient and decrease of the nodes alone, exact in the continuity, whose scales do not matter then."""
     if simulated:
         trajectory = part.trajectory(trajectory.z, trajectory.nodes, simulated=True)
-    linear = part.linearize(trajectory, part.residual_weight(trajectory), covariance_curvature=curvature)
+    linear = part.linearize(
+        trajectory, part.residual_weight(trajectory), covariance_curvature=curvature
+    )
     condensed = part.condense(linear, trajectory, np.zeros(2))
     return condensed.hessian, condensed.gradient, np.array(condensed.decrease)
 
@@ -116,7 +133,9 @@ def test_the_answer_is_that_of_records_one_by_one(case, monkeypatch):
     alone = gb.fit(problem_of(case), starts=2, progress=False)
     assert_allclose(together.cost, alone.cost, rtol=1e-9)
     for name in together.free:
-        assert abs(together.estimate[name] - alone.estimate[name]) < 1e-4 * alone.standard_error[name]
+        assert (
+            abs(together.estimate[name] - alone.estimate[name]) < 1e-4 * alone.standard_error[name]
+        )
         assert together.standard_error[name] == pytest.approx(alone.standard_error[name], rel=1e-4)
     for one, other in zip(together.records, alone.records, strict=True):
         assert_allclose(one.residual("x"), other.residual("x"), atol=1e-5)
@@ -127,7 +146,9 @@ def test_records_of_equal_models_share_the_compiled_sample():
     each = records()
     parts = compile_problem(sum(gb.Problem(Spring(), one) for one in each)).parts
     assert len({id(part.step) for part in parts}) <= 2
-    other = compile_problem(gb.Problem(Spring(), each[0]) + gb.Problem(Spring(), each[1], delay="pade:2")).parts
+    other = compile_problem(
+        gb.Problem(Spring(), each[0]) + gb.Problem(Spring(), each[1], delay="pade:2")
+    ).parts
     assert other[0].step is not other[1].step
 
 
@@ -144,11 +165,16 @@ def test_models_with_arguments_are_alike_where_their_equations_are():
 
     each = records()[:2]
     given = each[0].time, {name: each[0][name] for name in ("u", "x", "v")}
-    held, unseen = gb.Record(*given, hold={"u": 0.02}), gb.Record(given[0], {"u": given[1]["u"], "x": given[1]["x"]})
+    held, unseen = (
+        gb.Record(*given, hold={"u": 0.02}),
+        gb.Record(given[0], {"u": given[1]["u"], "x": given[1]["x"]}),
+    )
     method = gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1))
 
     def shared(first, second, record=each[1], **options):
-        one, other = compile_problem(gb.Problem(first, each[0]) + gb.Problem(second, record, **options), method).parts
+        one, other = compile_problem(
+            gb.Problem(first, each[0]) + gb.Problem(second, record, **options), method
+        ).parts
         return one.step is other.step
 
     assert shared(Pushed(2.0), Pushed(force=2.0))
@@ -164,18 +190,30 @@ def test_models_with_arguments_are_alike_where_their_equations_are():
 
 def test_records_compiled_to_c_have_the_same_linearization(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    nlp = compile_problem(problem_of("own parameter"), gb.MultipleShooting(segment=10, compile=True))
+    nlp = compile_problem(
+        problem_of("own parameter"), gb.MultipleShooting(segment=10, compile=True)
+    )
     (group, *_) = Groups(nlp.parts).parts
     assert isinstance(group, RecordGroup)
-    z = nlp.scaling.to_solver(np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free]))
+    z = nlp.scaling.to_solver(
+        np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free])
+    )
     trajectory = group.initial_trajectory(z)
     weight = group.residual_weight(trajectory)
     compiled = group.linearize(trajectory, weight)
     monkeypatch.setattr(group.segments, "_compiled", None)
     interpreted = group.linearize(trajectory, weight)
-    for name in ("transition", "node_hessian", "cross_hessian", "parameter_hessian", "parameter_gradient"):
+    for name in (
+        "transition",
+        "node_hessian",
+        "cross_hessian",
+        "parameter_hessian",
+        "parameter_gradient",
+    ):
         wanted = getattr(interpreted, name)
-        assert_allclose(getattr(compiled, name), wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+        assert_allclose(
+            getattr(compiled, name), wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max()
+        )
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +221,10 @@ def mixed():
     """Three records and a response; the second record is another group by its parameter, the third by its step."""
     omega = np.array([1.0, 2.0, 4.0])
     response = gb.FrequencyResponse(omega, 1 / (1 + 1j * omega), "u", "x")
-    each = [gb.Problem(Spring(), one) for one in (record(0), record(3, samples=300), record(2, step=0.01))]
+    each = [
+        gb.Problem(Spring(), one)
+        for one in (record(0), record(3, samples=300), record(2, step=0.01))
+    ]
     problem = sum([*each[:2], gb.Problem(Spring(), response), each[2].with_(weight=2.0)])
     return compile_problem(problem, gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1)))
 
@@ -194,7 +235,11 @@ def test_excerpts_share_the_samples_as_the_parts_have_them(mixed):
     assert all(one is other for one, other in zip(excerpts(parts, 600), parts, strict=True))
     found = excerpts(parts, 240)
     assert found[2] is parts[2]
-    wanted = [part.excerpt(share).samples for part, share in zip(parts, (60, 120, 0, 60), strict=True) if part.samples]
+    wanted = [
+        part.excerpt(share).samples
+        for part, share in zip(parts, (60, 120, 0, 60), strict=True)
+        if part.samples
+    ]
     assert [part.samples for part in found if part.samples] == wanted
     assert len(set(wanted)) > 1
     group = Groups(parts).parts[0]
@@ -208,7 +253,9 @@ def test_groups_give_back_what_they_were_given(mixed):
     parts, groups = mixed.parts, Groups(mixed.parts)
     assert [isinstance(group, RecordGroup) for group in groups.parts] == [True, False, False]
     z = mixed.origin
-    trajectories = [part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True) for part in parts]
+    trajectories = [
+        part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True) for part in parts
+    ]
     nodes = [t.nodes for t in trajectories]
     joined = groups.joined(nodes)
     assert [len(own) for own in joined] == [45, 0, 15]
@@ -220,8 +267,12 @@ def test_groups_give_back_what_they_were_given(mixed):
         assert_allclose(back.nodes, own.nodes)
         assert_allclose(back.products, own.products, rtol=1e-9)
     spreads = [part.covariance.spread for part in parts[:2]]
-    outputs = [part.simulated_outputs(t) for part, t in zip(parts[:2], trajectories[:2], strict=True)]
-    scaled = np.hstack([values / spread[:, None] for values, spread in zip(outputs, spreads, strict=True)])
+    outputs = [
+        part.simulated_outputs(t) for part, t in zip(parts[:2], trajectories[:2], strict=True)
+    ]
+    scaled = np.hstack(
+        [values / spread[:, None] for values, spread in zip(outputs, spreads, strict=True)]
+    )
     assert_allclose(groups.parts[0].signature(together[0]), scaled.ravel(), rtol=1e-9)
     group = groups.parts[0]
     initial = group.split(group.initial_trajectory(z))

@@ -55,7 +55,10 @@ def test_times_are_in_seconds_and_degrees_of_freedom_do_not_depend_on_them():
     n = 400
     e = lfilter([1], [1, -0.8], np.random.default_rng(2).normal(size=n))[None]
     J = np.ones((1, 1, n))
-    fast, slow = (colored_errors([J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, step) for step in (0.01, 1.0))
+    fast, slow = (
+        colored_errors([J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, step)
+        for step in (0.01, 1.0)
+    )
     assert_allclose(slow.correlation_times, 100 * fast.correlation_times)
     assert (fast.duration, slow.duration) == (pytest.approx(4.0), 400.0)
     assert fast.dof == slow.dof
@@ -76,8 +79,9 @@ def test_white_errors_of_any_size_leave_no_fewer_degrees_of_freedom(size):
 def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monkeypatch):
     """Two stretches of two outputs whose covariance is not diagonal, with what other data tell of the parameters.
 
-    Parameters that take more of these errors than of white ones leave as many times fewer independent numbers; of a
-    long record, whose spectrum does not allow for what the fit took, the variance is larger by it instead.
+    Parameters that take more of these errors than of white ones leave as many times fewer
+    independent numbers; of a long record, whose spectrum does not allow for what the fit took, the
+    variance is larger by it instead.
     """
     monkeypatch.setattr("greybox.statistics.residual_spectrum.LONGEST_CORRECTED", longest)
     random, initial_states = np.random.default_rng(4), 3

@@ -33,7 +33,9 @@ def made():
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
     record = record.with_signals(F=np.where(np.arange(120) == 61, np.nan, record["F"]))
     part, z = part_of(record, gb.OutputError(inputs="held", biases=("x",)), free=("d",))
-    nodes = part.initial_trajectory(z).nodes + 0.1 * np.random.default_rng(0).normal(size=(part.data.segments, 2))
+    nodes = part.initial_trajectory(z).nodes + 0.1 * np.random.default_rng(0).normal(
+        size=(part.data.segments, 2)
+    )
     return part, z, part.trajectory(z, nodes)
 
 
@@ -67,7 +69,8 @@ def test_gaps_are_ends_less_the_next_nodes_and_none_crosses_a_break(made):
     part, _, trajectory = made
     assert (~part.data.coupled).sum() == 2
     assert_allclose(
-        trajectory.gaps[:-1], np.where(part.data.coupled[:-1, None], trajectory.ends[:-1] - trajectory.nodes[1:], 0)
+        trajectory.gaps[:-1],
+        np.where(part.data.coupled[:-1, None], trajectory.ends[:-1] - trajectory.nodes[1:], 0),
     )
 
 
@@ -84,12 +87,24 @@ def test_the_linearization_is_that_of_finite_differences(made):
     full = J.T @ J
     for k in range(s):
         at = slice(k * n, (k + 1) * n)
-        assert_allclose(linear.node_hessian[k], full[at, at], rtol=1e-4, atol=1e-5 * np.abs(full).max())
-        assert_allclose(linear.node_gradient[k], J[:, at].T @ e, rtol=1e-4, atol=1e-5 * np.abs(J.T @ e).max())
+        assert_allclose(
+            linear.node_hessian[k], full[at, at], rtol=1e-4, atol=1e-5 * np.abs(full).max()
+        )
+        assert_allclose(
+            linear.node_gradient[k], J[:, at].T @ e, rtol=1e-4, atol=1e-5 * np.abs(J.T @ e).max()
+        )
     assert_allclose(
-        slope.T @ linear.parameter_hessian[0] @ slope, Jz.T @ Jz, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ Jz).max()
+        slope.T @ linear.parameter_hessian[0] @ slope,
+        Jz.T @ Jz,
+        rtol=1e-4,
+        atol=1e-5 * np.abs(Jz.T @ Jz).max(),
     )
-    assert_allclose(slope.T @ linear.parameter_gradient[0], Jz.T @ e, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ e).max())
+    assert_allclose(
+        slope.T @ linear.parameter_gradient[0],
+        Jz.T @ e,
+        rtol=1e-4,
+        atol=1e-5 * np.abs(Jz.T @ e).max(),
+    )
 
 
 @pytest.mark.parametrize("relaxed", [0.0, 0.3])
@@ -112,7 +127,9 @@ def test_condensing_is_the_dense_elimination(made, relaxed, damping):
     H = J.T @ J + np.diag(condensed.damping.ravel())
     if damping and relaxed:
         P = np.linalg.inv(penalty)
-        assert_allclose(condensed.damping.ravel(), damping * np.diag(J.T @ J + A.T @ P @ A), rtol=1e-3)
+        assert_allclose(
+            condensed.damping.ravel(), damping * np.diag(J.T @ J + A.T @ P @ A), rtol=1e-3
+        )
     elif damping:  # of the first states alone: continuity gives the others
         first = part.data.begins_stretch
         own = np.diag(J.T @ J).reshape(condensed.damping.shape)[first]
@@ -135,11 +152,20 @@ def test_condensing_is_the_dense_elimination(made, relaxed, damping):
     size = np.abs(multiplier).max()
     assert_allclose(condensed.multiplier[linked].ravel(), multiplier, atol=1e-3 * size)
     size = np.abs(multiplier_follow).max()
-    assert_allclose(condensed.multiplier_sensitivity[linked].reshape(count, -1), multiplier_follow, atol=1e-3 * size)
+    assert_allclose(
+        condensed.multiplier_sensitivity[linked].reshape(count, -1),
+        multiplier_follow,
+        atol=1e-3 * size,
+    )
 
     scale = np.abs(step).max()
     assert_allclose(condensed.node_step.ravel(), step, atol=1e-4 * scale)
-    assert_allclose(condensed.node_sensitivity.reshape(nodes, -1), follow, rtol=1e-3, atol=1e-4 * np.abs(follow).max())
+    assert_allclose(
+        condensed.node_sensitivity.reshape(nodes, -1),
+        follow,
+        rtol=1e-3,
+        atol=1e-4 * np.abs(follow).max(),
+    )
     hessian = Jz.T @ Jz + Jz.T @ J @ follow + B.T @ multiplier_follow
     gradient = Jz.T @ e + Jz.T @ J @ step + B.T @ multiplier
     assert_allclose(condensed.hessian, hessian, atol=1e-4 * np.abs(hessian).max())
@@ -234,10 +260,14 @@ def test_an_excerpt_and_a_refinement_are_parts_of_their_own(made):
 
 def test_other_outputs_make_the_part_of_the_record_that_has_them():
     record = spring(60)
-    shifted = record.with_signals(x=record["x"] + 5.0)  # so far from zero that the first nodes are as measured
+    shifted = record.with_signals(
+        x=record["x"] + 5.0
+    )  # so far from zero that the first nodes are as measured
     part, z = part_of(record)
     before = part.initial_trajectory(z)
-    other = part.with_outputs([np.array([shifted[name] for name in part.outputs])]).initial_trajectory(z)
+    other = part.with_outputs(
+        [np.array([shifted[name] for name in part.outputs])]
+    ).initial_trajectory(z)
     wanted = part_of(shifted)[0].initial_trajectory(z)
     assert np.abs(wanted.nodes - before.nodes).max() > 1
     assert_allclose(other.nodes, wanted.nodes)
@@ -340,7 +370,9 @@ def informed(request):
     record = record.with_signals(F=np.where(np.arange(120) == 71, np.nan, record["F"]))
     if options["noise"] == "full":
         record = record.with_signals(v=np.where(np.isfinite(record["x"]), record["v"], np.nan))
-    part, z, nlp = compiled(record, gb.OutputError(inputs="held", biases=("x",), **options), free=("d",))
+    part, z, nlp = compiled(
+        record, gb.OutputError(inputs="held", biases=("x",), **options), free=("d",)
+    )
     begins = part.data.begins_stretch
     trajectory = part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True)
     weight = part.residual_weight(trajectory)
@@ -360,7 +392,10 @@ def informed(request):
     nodes = numeric_jacobian(lambda v: moved(v, first).nodes.ravel(), z)
     nodes = nodes + numeric_jacobian(lambda v: moved(z, v).nodes.ravel(), first) @ follow
     alone, direct = dense(
-        part, z, trajectory.nodes, lambda *at: (weight @ residuals(*at).reshape(len(weight), -1)).ravel()
+        part,
+        z,
+        trajectory.nodes,
+        lambda *at: (weight @ residuals(*at).reshape(len(weight), -1)).ravel(),
     )
     x = nlp.scaling.to_parameters(z)
     scale = nlp.scaling.slope(x)
@@ -385,7 +420,13 @@ def informed(request):
 
 def test_information_is_that_of_a_regression_on_parameters_and_initial_states(informed):
     """Of stated deviations, the residuals show how large they are."""
-    part, found, J, weight, measured = informed.part, informed.found, informed.J, informed.weight, informed.measured
+    part, found, J, weight, measured = (
+        informed.part,
+        informed.found,
+        informed.J,
+        informed.weight,
+        informed.measured,
+    )
     p = J.shape[1]
     close = {"rtol": 1e-4, "atol": 1e-6 * np.abs(J).max() ** 2}
     assert_allclose((found.jacobian.T @ found.jacobian)[:p, :p], J.T @ J, **close)
@@ -399,7 +440,11 @@ def test_information_is_that_of_a_regression_on_parameters_and_initial_states(in
     white = ((weight @ part.residuals(informed.trajectory)) ** 2).sum(axis=1) / measured.sum(axis=1)
     share = np.ones(2) if informed.is_full else white
     each = J.reshape(2, -1, p)
-    meat = sum(v * own.T @ own for v, own in zip(share, each, strict=True)) * measured.sum() / found.numbers
+    meat = (
+        sum(v * own.T @ own for v, own in zip(share, each, strict=True))
+        * measured.sum()
+        / found.numbers
+    )
     one, spread = found.spread(1.3)
     assert one == 1
     assert_allclose(spread[:p, :p], 1.69 * meat, **close)
@@ -414,7 +459,9 @@ def test_initial_states_follow_the_parameters_that_are_told_apart_by_what_is_lef
     changes = informed.nodes.reshape(len(begins), 2, p)[begins] * informed.noticed[:, None]
     assert list(found.initial) == (["v"] if informed.is_known else ["x", "v"])
     for name, rows in found.initial.items():
-        assert_allclose(rows[:, :p], changes[:, "xv".index(name)], rtol=1e-3, atol=1e-4 * np.abs(changes).max())
+        assert_allclose(
+            rows[:, :p], changes[:, "xv".index(name)], rtol=1e-3, atol=1e-4 * np.abs(changes).max()
+        )
 
 
 def test_what_is_told_stands_in_its_part_of_the_record(informed):
@@ -440,18 +487,25 @@ def test_errors_of_outputs_are_those_of_parameters_and_of_initial_states_at_thes
     slopes = np.einsum("ka,anp->knp", plain, informed.J.reshape(k, -1, p))
     apart = np.einsum("ka,anp->knp", plain, by_first.reshape(k, -1, 4))
     variance = np.einsum("knp,pq,knq->kn", slopes, covariance[:p, :p], slopes)
-    variance += np.einsum("knp,pq,knq->kn", apart, np.linalg.pinv(by_first.T @ by_first, rcond=1e-10), apart)
+    variance += np.einsum(
+        "knp,pq,knq->kn", apart, np.linalg.pinv(by_first.T @ by_first, rcond=1e-10), apart
+    )
     wanted = np.full((k, 120), np.nan)
     at = np.concatenate([stretch.rows for stretch in part.data.stretches])
-    wanted[:, at] = np.hstack(part.data.unpadded(np.where(informed.measured, np.sqrt(variance), np.nan)))
+    wanted[:, at] = np.hstack(
+        part.data.unpadded(np.where(informed.measured, np.sqrt(variance), np.nan))
+    )
     assert_allclose(informed.found.output_errors(covariance, None), wanted, rtol=1e-3)
 
-    # With errors three times as large as the noise that weighs them, and of parameters that are known.
+    # With errors three times as large as the noise that weighs them, and of parameters that are
+    # known.
     size, colored = np.sqrt(np.diag(plain @ plain.T)), informed.found.colored(np.eye(p))
     omega = colored.spectrum.omega
     density = (plain @ plain.T / size / size[:, None])[:, :, None] * np.ones(len(omega))
     larger = replace(colored, spectrum=ErrorSpectrum(omega, density, 3 * size))
-    alone, thrice = (informed.found.output_errors(0 * covariance, errors) for errors in (None, larger))
+    alone, thrice = (
+        informed.found.output_errors(0 * covariance, errors) for errors in (None, larger)
+    )
     assert_allclose(thrice, 3 * alone, rtol=1e-6)
 
 
@@ -489,7 +543,9 @@ def test_a_delay_is_discontinuous_where_a_held_input_reaches_what_is_compared_at
     def found(data, **options):
         criterion = gb.OutputError(inputs=options.pop("inputs", "held"))
         method = gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1))
-        problem = gb.Problem(Direct(), data, criterion, free=("d",), rename={"d": "late"}, **options)
+        problem = gb.Problem(
+            Direct(), data, criterion, free=("d",), rename={"d": "late"}, **options
+        )
         return compile_problem(problem, method).parts[0].discontinuous_delays
 
     assert found(both) == {"late": ("F", "pull")}
@@ -499,7 +555,9 @@ def test_a_delay_is_discontinuous_where_a_held_input_reaches_what_is_compared_at
 
 def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood():
     """Of known initial states, so that one simulation has them all; the Fisher information is that of S and of e."""
-    criterion = gb.PredictionError(process_noise=("v",), inputs="held", initial={"x": 0.1, "v": -0.2})
+    criterion = gb.PredictionError(
+        process_noise=("v",), inputs="held", initial={"x": 0.1, "v": -0.2}
+    )
     nlp = compile_problem(gb.Problem(Spring(), spring(80), criterion))
     values = SPRING | {"w_v": 0.4, "v_x": 0.06, "v_v": 0.09}
     (part,), z = nlp.parts, nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
@@ -515,12 +573,21 @@ def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood
     assert_allclose(condensed.gradient, gradient, rtol=1e-4, atol=1e-5 * np.abs(gradient).max())
     J = numeric_jacobian(lambda v: (weight @ part.residuals(run(v))).ravel(), z)
     S = run(z).detail.placed.filter.covariance
-    change = numeric_jacobian(lambda v: run(v).detail.placed.filter.covariance.ravel(), z).reshape(2, 2, -1)
+    change = numeric_jacobian(lambda v: run(v).detail.placed.filter.covariance.ravel(), z).reshape(
+        2, 2, -1
+    )
     relative = np.einsum("ab,bcp->acp", np.linalg.inv(S), change)
     fisher = J.T @ J + 80 / 2 * np.einsum("abp,baq->pq", relative, relative)
     assert_allclose(condensed.hessian, fisher, rtol=1e-4, atol=1e-5 * np.abs(fisher).max())
-    told = part.information(nlp.names, nlp.all_values(nlp.scaling.to_parameters(z)), (), trajectory, np.ones(len(z)))
-    assert_allclose((told.jacobian.T @ told.jacobian)[:6, :6], fisher, rtol=1e-4, atol=1e-5 * np.abs(fisher).max())
+    told = part.information(
+        nlp.names, nlp.all_values(nlp.scaling.to_parameters(z)), (), trajectory, np.ones(len(z))
+    )
+    assert_allclose(
+        (told.jacobian.T @ told.jacobian)[:6, :6],
+        fisher,
+        rtol=1e-4,
+        atol=1e-5 * np.abs(fisher).max(),
+    )
     assert told.colored is None  # the errors of a predictor are white
 
 
@@ -550,7 +617,9 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     k = len(sensors)
     assert_allclose(w[: k * k].reshape(k, k), np.diag(10 / spread))
 
-    evaluate = ca.Function("f", [symbol, program.unknowns, program.parameters], [program.error, program.equations])
+    evaluate = ca.Function(
+        "f", [symbol, program.unknowns, program.parameters], [program.error, program.equations]
+    )
     error, equations = (v.full().ravel() for v in evaluate(z, unknowns, w))
     errors = part.residuals(trajectory)
     assert_allclose(error, (np.diag(10 / spread) @ errors).ravel(order="F"), atol=1e-9)
@@ -578,10 +647,15 @@ def test_a_steady_filter_needs_nine_tenths_of_the_samples_that_are_compared(miss
     record = record.with_signals(x=np.where(holes, np.nan, record["x"]))
     criterion = gb.PredictionError(process_noise="v", inputs="held")
     problem = gb.Problem(Spring(), record, criterion, free=("d",), name="flight")
-    (part,) = compile_problem(problem, gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1))).parts
+    (part,) = compile_problem(
+        problem, gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1))
+    ).parts
     assert part.data.stretches[0].masked == 4
     if is_enough:
         assert part.noise_model.step == pytest.approx(0.05)
     else:
-        with pytest.raises(ValueError, match=r"^'flight' has all of x, v at too few samples for process_noise, whose"):
+        with pytest.raises(
+            ValueError,
+            match=r"^'flight' has all of x, v at too few samples for process_noise, whose",
+        ):
             _ = part.noise_model

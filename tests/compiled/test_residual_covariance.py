@@ -16,7 +16,9 @@ from greybox.compiled.residual_covariance import (
 )
 
 RANDOM = np.random.default_rng(0)
-RESIDUALS = np.array([[1.0, 0.0, 0.0], [0.6, 0.5, 0.0], [0.0, -0.1, 2e-3]]) @ RANDOM.normal(size=(3, 400))
+RESIDUALS = np.array([[1.0, 0.0, 0.0], [0.6, 0.5, 0.0], [0.0, -0.1, 2e-3]]) @ RANDOM.normal(
+    size=(3, 400)
+)
 NAMES = ("a", "b", "c")
 SIGMA = {"a": 0.8, "b": 0.5, "c": 0.02}
 
@@ -34,7 +36,9 @@ def holed(seed=1):
 
 
 def density(values, sigma):
-    return -sum(norm.logpdf(v[np.isfinite(v)], scale=s).sum() for v, s in zip(values, sigma, strict=True))
+    return -sum(
+        norm.logpdf(v[np.isfinite(v)], scale=s).sum() for v, s in zip(values, sigma, strict=True)
+    )
 
 
 class Twins(gb.StateSpace):
@@ -53,8 +57,13 @@ class Twins(gb.StateSpace):
 def twins(noise, **signals):
     random, n = np.random.default_rng(4), 300
     u = np.repeat(random.normal(size=n // 10), 10)
-    flown = gb.simulate(Twins(), {"a": 3.0}, gb.Record(0.05 * np.arange(n), {"u": u}), inputs="held")
-    measured = {"x": flown["x"] + 0.05 * random.normal(size=n), "other": flown["other"] + 0.05 * random.normal(size=n)}
+    flown = gb.simulate(
+        Twins(), {"a": 3.0}, gb.Record(0.05 * np.arange(n), {"u": u}), inputs="held"
+    )
+    measured = {
+        "x": flown["x"] + 0.05 * random.normal(size=n),
+        "other": flown["other"] + 0.05 * random.normal(size=n),
+    }
     measured["same"] = 2 * measured["x"] + 1e-3 * random.normal(size=n)
     made = {name: make(measured) for name, make in signals.items()}
     record = gb.Record(0.05 * np.arange(n), {"u": u} | measured | made)
@@ -68,7 +77,10 @@ def twins(noise, **signals):
             {"same": lambda m: 2 * m["x"]},
             "x and same are exactly dependent in the record, one following from the other,",
         ),
-        ({"same": lambda m: np.degrees(m["x"]).astype(np.float32) - 7}, "x and same are exactly dependent"),
+        (
+            {"same": lambda m: np.degrees(m["x"]).astype(np.float32) - 7},
+            "x and same are exactly dependent",
+        ),
         (
             {"same": lambda m: m["x"] - 3 * m["other"]},
             "x, same and other are exactly dependent in the record, one following from the others,",
@@ -77,7 +89,9 @@ def twins(noise, **signals):
     ids=["twice", "single precision", "sum"],
 )
 def test_outputs_that_are_exactly_dependent_are_named_with_the_cure(signals, words):
-    with pytest.raises(ValueError, match=r"noise='diagonal', or leave one of them out\.$") as refused:
+    with pytest.raises(
+        ValueError, match=r"noise='diagonal', or leave one of them out\.$"
+    ) as refused:
         gb.fit(twins("full", **signals), starts=1, progress=False)
     assert str(refused.value).startswith(words)
     assert gb.fit(twins("diagonal", **signals), starts=1, progress=False).runs[0].status
@@ -102,7 +116,9 @@ def test_given_deviations(values):
 @pytest.mark.parametrize("values", [RESIDUALS, holed()], ids=["whole", "holes"])
 def test_estimated_variances_are_the_most_likely_ones(values):
     noise, products = made("diagonal", values)
-    best = minimize(lambda z: density(values, np.exp(z)), np.log([*SIGMA.values()]), options={"gtol": 1e-8})
+    best = minimize(
+        lambda z: density(values, np.exp(z)), np.log([*SIGMA.values()]), options={"gtol": 1e-8}
+    )
     assert_allclose(noise.cost(products), best.fun, rtol=1e-9)
     assert_allclose(np.sqrt(np.diag(noise.covariance(products))), np.exp(best.x), rtol=1e-5)
 
@@ -130,10 +146,17 @@ def test_weights_make_the_residuals_white(choice):
 def test_the_gradient_of_the_cost_is_that_of_the_weighted_squares(choice):
     """Relaxation: with weights from the residuals the Gauss-Newton gradient is that of the likelihood."""
     noise, products = made(choice)
-    direction, h = np.random.default_rng(5).normal(size=RESIDUALS.shape) * RESIDUALS.std(axis=1)[:, None], 1e-6
+    direction, h = (
+        np.random.default_rng(5).normal(size=RESIDUALS.shape) * RESIDUALS.std(axis=1)[:, None],
+        1e-6,
+    )
     costs = [noise.cost(r @ r.T) for r in (RESIDUALS + h * direction, RESIDUALS - h * direction)]
     weight = noise.weight(products)
-    assert_allclose(np.sum((weight @ RESIDUALS) * (weight @ direction)), (costs[0] - costs[1]) / (2 * h), rtol=1e-6)
+    assert_allclose(
+        np.sum((weight @ RESIDUALS) * (weight @ direction)),
+        (costs[0] - costs[1]) / (2 * h),
+        rtol=1e-6,
+    )
 
 
 @pytest.mark.parametrize("choice", ["diagonal", "full"])
@@ -161,10 +184,14 @@ def test_an_output_that_never_moves():
 
 
 @pytest.mark.parametrize(("choice", "h"), [("diagonal", 1e-3), ("full", 1e-5)])
-def test_the_hessian_of_the_cost_is_that_of_the_weighted_squares_less_what_the_covariance_follows(choice, h):
+def test_the_hessian_of_the_cost_is_that_of_the_weighted_squares_less_what_the_covariance_follows(
+    choice, h
+):
     """Second differences of the likelihood along two directions in which the residuals are linear."""
     noise, products = made(choice)
-    directions = np.random.default_rng(6).normal(size=(2, *RESIDUALS.shape)) * RESIDUALS.std(axis=1)[:, None]
+    directions = (
+        np.random.default_rng(6).normal(size=(2, *RESIDUALS.shape)) * RESIDUALS.std(axis=1)[:, None]
+    )
     directions += 0.5 * RESIDUALS
 
     def cost(first, second):
@@ -174,7 +201,12 @@ def test_the_hessian_of_the_cost_is_that_of_the_weighted_squares_less_what_the_c
     pairs = [(h, 0), (-h, 0), (0, h), (0, -h), (h, h), (h, -h), (-h, h), (-h, -h)]
     a, b, c, d, e, f, g, i = (cost(*pair) for pair in pairs)
     middle = cost(0, 0)
-    hessian = np.array([[a + b - 2 * middle, (e - f - g + i) / 4], [(e - f - g + i) / 4, c + d - 2 * middle]]) / h**2
+    hessian = (
+        np.array(
+            [[a + b - 2 * middle, (e - f - g + i) / 4], [(e - f - g + i) / 4, c + d - 2 * middle]]
+        )
+        / h**2
+    )
     weight = noise.weight(products)
     white, slopes = weight @ RESIDUALS, np.array([weight @ direction for direction in directions])
     squares = np.einsum("vkn,wkn->vw", slopes, slopes)
@@ -186,7 +218,9 @@ def test_a_predicted_covariance_is_that_of_the_density():
     predicted = np.array([[2.0, 0.3], [0.3, 0.5]])
     noise = ResidualCovariance(np.array([400, 400]), np.ones(2), None, True, predicted)
     values = RESIDUALS[:2]
-    assert noise.cost(values @ values.T) == pytest.approx(-multivariate_normal(cov=predicted).logpdf(values.T).sum())
+    assert noise.cost(values @ values.T) == pytest.approx(
+        -multivariate_normal(cov=predicted).logpdf(values.T).sum()
+    )
     assert noise.covariance(values @ values.T) is predicted
     assert noise.cost(np.full((2, 2), np.nan)) == np.inf
 
@@ -197,20 +231,31 @@ def test_costs_of_records_add_and_each_has_a_covariance_of_its_own(choice):
     each = [made(choice, values) for values in records]
     known = None if each[0][0].known is None else np.array([noise.known for noise, _ in each])
     together = ResidualCovariance(
-        np.array([noise.counts for noise, _ in each]), np.array([n.spread for n, _ in each]), known, choice == "full"
+        np.array([noise.counts for noise, _ in each]),
+        np.array([n.spread for n, _ in each]),
+        known,
+        choice == "full",
     )
     products = np.array([product for _, product in each])
-    assert together.cost(products) == pytest.approx(sum(noise.cost(product) for noise, product in each))
+    assert together.cost(products) == pytest.approx(
+        sum(noise.cost(product) for noise, product in each)
+    )
     wanted = [noise.covariance(product) for noise, product in each]
     assert_allclose(together.covariance(products), wanted)
-    assert_allclose(together.weight(products), [noise.weight(product) for noise, product in each], atol=1e-9)
+    assert_allclose(
+        together.weight(products), [noise.weight(product) for noise, product in each], atol=1e-9
+    )
     moments = np.random.default_rng(8).normal(size=(3, 3, 3, 4))
-    curvature = [noise.curvature_of_covariance(m) for (noise, _), m in zip(each, moments, strict=True)]
+    curvature = [
+        noise.curvature_of_covariance(m) for (noise, _), m in zip(each, moments, strict=True)
+    ]
     assert_allclose(together.curvature_of_covariance(moments), curvature)
 
     some = together.of(np.array([2, 0]))
     assert_allclose(some.covariance(products[[2, 0]]), [wanted[2], wanted[0]])
-    assert some.cost(products[[2, 0]]) == pytest.approx(each[2][0].cost(products[2]) + each[0][0].cost(products[0]))
+    assert some.cost(products[[2, 0]]) == pytest.approx(
+        each[2][0].cost(products[2]) + each[0][0].cost(products[0])
+    )
     one = each[0][0]
     assert one.of(np.array([0])) is one
 
@@ -229,11 +274,17 @@ def test_outputs_are_dependent_where_single_precision_does_not_part_them(apart, 
     """Of two outputs of unit spread that differ by this, the combination that is nearly constant has half of it."""
     random = np.random.default_rng(0)
     x = random.normal(size=500)
-    # A third that is independent takes no part, nor does one that never moves, and rows with holes do not count.
-    measured = np.array([1e4 * x, np.ones(500), random.normal(size=500), x + apart * random.normal(size=500)])
+    # A third that is independent takes no part, nor does one that never moves, and rows with holes
+    # do not count.
+    measured = np.array(
+        [1e4 * x, np.ones(500), random.normal(size=500), x + apart * random.normal(size=500)]
+    )
     measured[3, :30] = np.nan
     if refused:
-        with pytest.raises(ValueError, match=r"^a and d are exactly dependent in the record, one following from the"):
+        with pytest.raises(
+            ValueError,
+            match=r"^a and d are exactly dependent in the record, one following from the",
+        ):
             require_independent(("a", "b", "c", "d"), measured)
     else:
         require_independent(("a", "b", "c", "d"), measured)
@@ -250,11 +301,16 @@ def test_a_hessian_less_another_keeps_its_share_in_every_direction():
     assert_allclose(scaled / units / units[:, None], (axes * [3.0, 0.5, 0.1]) @ axes.T, atol=1e-6)
     assert_allclose(reduced_hessian(-hessian, by, 0.1), -hessian)  # what has no factor stays
     blind = np.diag([2.0, 0.0])
-    assert_allclose(reduced_hessian(blind, np.diag([1.0, 0.0]), 0.1), np.diag([1.0, 0.0]), atol=1e-8)
+    assert_allclose(
+        reduced_hessian(blind, np.diag([1.0, 0.0]), 0.1), np.diag([1.0, 0.0]), atol=1e-8
+    )
 
 
 def test_what_follows_a_covariance_is_limited_where_the_hessian_is_flat():
     hessian, right = np.diag([2.0, 1e-3]), np.array([4.0, 1.0])
     assert_allclose(followed_by_covariance(hessian, right, 0.1), [-2.0, -10.0])
     turned = np.array([[0.6, -0.8], [0.8, 0.6]])
-    assert_allclose(followed_by_covariance(turned @ hessian @ turned.T, turned @ right, 0.1), turned @ [-2.0, -10.0])
+    assert_allclose(
+        followed_by_covariance(turned @ hessian @ turned.T, turned @ right, 0.1),
+        turned @ [-2.0, -10.0],
+    )

@@ -47,7 +47,10 @@ def two_parts(criterion=None):
 def tilt():
     """A state space with a delay, at the hover."""
     values = {"a1": 2.0, "a2": 5.0, "a3": 1.0, "a4": 100.0}
-    return gb.Problem(LinearTilt(), measured(LinearTilt(), np.geomspace(1, 40, 20), values, noise=0.02, output="theta"))
+    return gb.Problem(
+        LinearTilt(),
+        measured(LinearTilt(), np.geomspace(1, 40, 20), values, noise=0.02, output="theta"),
+    )
 
 
 @pytest.fixture
@@ -65,7 +68,9 @@ def hessian(nlp, z, smoothing, multipliers):
     return np.triu(ca.Function("h", [x], [whole])(z).full())
 
 
-@pytest.mark.parametrize("problem", [*map(two_parts, CRITERIA), tilt()], ids=[*(c.name for c in CRITERIA), "ODE"])
+@pytest.mark.parametrize(
+    "problem", [*map(two_parts, CRITERIA), tilt()], ids=[*(c.name for c in CRITERIA), "ODE"]
+)
 def test_values_and_derivatives_are_those_of_the_expression(problem, as_large, monkeypatch):
     mapped = compile_problem(problem)
     monkeypatch.undo()
@@ -75,7 +80,9 @@ def test_values_and_derivatives_are_those_of_the_expression(problem, as_large, m
     assert plain.program_derivatives == {}
     random = np.random.default_rng(5)
     for _ in range(5):
-        x = np.array([p.in_box(random.uniform()) for p in (problem.parameters[name] for name in plain.free)])
+        x = np.array(
+            [p.in_box(random.uniform()) for p in (problem.parameters[name] for name in plain.free)]
+        )
         z = plain.scaling.to_solver(x)
         for one, other in zip(plain.program(z, 1e-8), mapped.program(z, 1e-8), strict=True):
             assert_allclose(other, one, rtol=1e-12)
@@ -86,7 +93,9 @@ def test_values_and_derivatives_are_those_of_the_expression(problem, as_large, m
         for one, other in zip(plain.parts, mapped.parts, strict=True):
             values = plain.all_values(x)
             assert_allclose(other.response(values), one.response(values), rtol=1e-12)
-            assert_allclose(other.sensitivity(values), one.sensitivity(values), rtol=1e-9, atol=1e-12)
+            assert_allclose(
+                other.sensitivity(values), one.sensitivity(values), rtol=1e-9, atol=1e-12
+            )
         assert_allclose(mapped.costs(np.array([x, x])), plain.costs(np.array([x, x])), rtol=1e-12)
 
 
@@ -106,7 +115,9 @@ def test_a_mapped_problem_travels(as_large):
     z = nlp.scaling.to_solver(np.array([nlp.problem.parameters[name].start for name in nlp.free]))
     back = pickle.loads(pickle.dumps(nlp))
     assert float(back.program(z, 0.0)[0]) == float(nlp.program(z, 0.0)[0])
-    assert_allclose(*(each.program_derivatives["hess_lag"](z, 0.0, 1, 0) for each in (back, nlp)), rtol=1e-14)
+    assert_allclose(
+        *(each.program_derivatives["hess_lag"](z, 0.0, 1, 0) for each in (back, nlp)), rtol=1e-14
+    )
 
 
 def test_a_formula_with_numbers_for_each_frequency_is_not_mapped(as_large):
@@ -134,10 +145,18 @@ def test_two_hundred_parameters_need_no_large_expressions():
         return sum(p[name] * a / (s + a) for name, a in zip(self.parameters, poles, strict=True))
 
     parameters = {f"p{k}": gb.Parameter(1.0, bounds=(0.1, 10)) for k in range(count)}
-    many = type("Many", (gb.TransferFunction,), {"__doc__": "A sum of lags.", "response": response, **parameters})
+    many = type(
+        "Many",
+        (gb.TransferFunction,),
+        {"__doc__": "A sum of lags.", "response": response, **parameters},
+    )
     omega = np.geomspace(0.1, 100, 300)
-    data = gb.FrequencyResponse(omega, np.sum(poles[:, None] / (1j * omega + poles[:, None]), axis=0))
+    data = gb.FrequencyResponse(
+        omega, np.sum(poles[:, None] / (1j * omega + poles[:, None]), axis=0)
+    )
     nlp = compile_problem(gb.Problem(many(), data))
     assert nlp.program.n_instructions() < 1000
     assert nlp.program_derivatives["hess_lag"].n_instructions() < 1000
-    assert float(nlp.program(nlp.scaling.to_solver(np.ones(count)), 0.0)[0]) == pytest.approx(0, abs=1e-9)
+    assert float(nlp.program(nlp.scaling.to_solver(np.ones(count)), 0.0)[0]) == pytest.approx(
+        0, abs=1e-9
+    )

@@ -24,7 +24,9 @@ class Lag(gb.TransferFunction):
 
 def part_of_lag():
     measured = 2.5 / (1 + 0.4j * OMEGA)
-    nlp = compile_problem(gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, measured, input="u", output="y")))
+    nlp = compile_problem(
+        gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, measured, input="u", output="y"))
+    )
     return nlp, nlp.parts[0], measured
 
 
@@ -59,7 +61,9 @@ def test_costs_and_their_derivatives_are_those_of_the_criterion():
 
     steps = 1e-5 * np.eye(2)
     assert_allclose(gradient, [(cost(z + h) - cost(z - h)) / 2e-5 for h in steps], rtol=1e-6)
-    slopes = np.array([(part.linearize(part.trajectory(z + h, None), None)[0] - gradient) / 1e-5 for h in steps])
+    slopes = np.array(
+        [(part.linearize(part.trajectory(z + h, None), None)[0] - gradient) / 1e-5 for h in steps]
+    )
     values, vectors = np.linalg.eigh((slopes + slopes.T) / 2)
     assert_allclose(hessian, (vectors * np.abs(values)) @ vectors.T, rtol=1e-3)
     assert np.linalg.eigvalsh(hessian).min() > 0
@@ -70,7 +74,9 @@ def test_the_response_and_how_it_follows_the_values():
     values = np.array([9.0, 0.7])
     lag = 1 / (1 + 0.7j * OMEGA)
     assert_allclose(part.response(values), 3 * lag, rtol=1e-12)
-    assert_allclose(part.sensitivity(values), np.transpose([lag / 6, -3j * OMEGA * lag**2]), rtol=1e-12)
+    assert_allclose(
+        part.sensitivity(values), np.transpose([lag / 6, -3j * OMEGA * lag**2]), rtol=1e-12
+    )
 
 
 def test_a_measured_zero_tells_no_runs_apart():
@@ -160,7 +166,8 @@ def test_relative_errors_have_a_bias_along_the_response_and_no_errors_in_common_
 
 
 @pytest.mark.parametrize(
-    "columns", [{}, {"common_errors": np.array([[0.1, 0.05j, 0.0, 0.05] * 5, [0.0, 0.1, 0.1j, 0.0] * 5])}]
+    "columns",
+    [{}, {"common_errors": np.array([[0.1, 0.05j, 0.0, 0.05] * 5, [0.0, 0.1, 0.1j, 0.0] * 5])}],
 )
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()])
 def test_neighbors_are_correlated_as_errors_are_in_units_of_their_size(criterion, columns):
@@ -171,7 +178,9 @@ def test_neighbors_are_correlated_as_errors_are_in_units_of_their_size(criterion
     draws = random.normal(size=(2, 21))
     smooth = (draws[:, :-1] + 0.8 * draws[:, 1:]) * 0.08
     measured, variance = lag * (1 + smooth[0] + 1j * smooth[1]), np.linspace(0.02, 0.05, 20)
-    data = gb.FrequencyResponse(omega, measured, input="u", output="y", variance=variance, **columns)
+    data = gb.FrequencyResponse(
+        omega, measured, input="u", output="y", variance=variance, **columns
+    )
     nlp = compile_problem(gb.Problem(Lag(), data, criterion))
     part, x, root = nlp.parts[0], np.array([5.0, 0.7]), np.array([[0.3], [-0.2]])
     found = part.neighbors(x, root, 1.2)
@@ -182,10 +191,14 @@ def test_neighbors_are_correlated_as_errors_are_in_units_of_their_size(criterion
     design = [slope @ root, *(data.common_errors[:, :, None] if columns else [])]
     design = turned[:, None] * np.hstack(design)
     ratio = np.mean(np.abs(measured - lag) ** 2 / variance) * 1.2**2 if is_known else None
-    wanted = neighbor_correlation(turned * (measured - lag), np.vstack([design.real, design.imag]), ratio)
+    wanted = neighbor_correlation(
+        turned * (measured - lag), np.vstack([design.real, design.imag]), ratio
+    )
     assert 0.1 < found.mean < 0.9
     assert_allclose(found.rho, wanted.rho)
     assert_allclose(found.weight, wanted.weight, rtol=1e-6, atol=1e-12)
     assert_allclose(found.scale, wanted.scale, rtol=1e-6)
-    told = part.information(tuple(nlp.free), x, (), part.trajectory(nlp.scaling.to_solver(x), None), np.ones(2))
+    told = part.information(
+        tuple(nlp.free), x, (), part.trajectory(nlp.scaling.to_solver(x), None), np.ones(2)
+    )
     assert told.correlated(1.2, root, 30.0).correlation == pytest.approx(found.mean)

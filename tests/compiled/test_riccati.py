@@ -59,7 +59,9 @@ def test_its_derivatives_are_those_of_differences():
         above, below = model.at(VALUES + h), model.at(VALUES - h)
         for name in ("gain", "covariance"):
             difference = (getattr(above, name) - getattr(below, name)) / 2e-5
-            assert_allclose(getattr(found, f"{name}_slope")[:, :, column], difference, rtol=1e-6, atol=1e-9)
+            assert_allclose(
+                getattr(found, f"{name}_slope")[:, :, column], difference, rtol=1e-6, atol=1e-9
+            )
 
 
 def test_without_process_noise_nothing_is_corrected():
@@ -79,7 +81,9 @@ def test_noise_in_one_direction_of_states_of_unlike_sizes():
     process = np.outer(direction, direction) * 0.04
     scale = np.diag([1.0, 1e6])
     inverse = np.diag([1.0, 1e-6])
-    wanted = scale @ solve_discrete_are((inverse @ F @ scale).T, (C @ scale).T, inverse @ process @ inverse, np.eye(2))
+    wanted = scale @ solve_discrete_are(
+        (inverse @ F @ scale).T, (C @ scale).T, inverse @ process @ inverse, np.eye(2)
+    )
     assert_allclose(steady_covariance(F, C, process), wanted @ scale, rtol=1e-8)
 
 

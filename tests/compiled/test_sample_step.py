@@ -41,11 +41,15 @@ def data(y=1.5, z=-0.4, present=(1, 1)):
     return np.array([0, 1, 1.0, 1.2, 1.8, 4.0, 5.0, 7.0, y, z, *present, STEP])
 
 
-@pytest.mark.parametrize(("held", "now"), [((False, False), 0.3 * 4 + 0.7 * 5), ((True, True), 4.0)])
+@pytest.mark.parametrize(
+    ("held", "now"), [((False, False), 0.3 * 4 + 0.7 * 5), ((True, True), 4.0)]
+)
 def test_residuals_and_innovations_are_of_delayed_inputs_less_their_biases(held, now):
     """The second input is 1.3 samples late: three tenths of the way back to the sample before."""
     step, x = made(held), np.array([0.8, -0.6])
-    corrected, mean, change, residual, simulated = (v.full().ravel() for v in step.measurement(x, VALUES, data()))
+    corrected, mean, change, residual, simulated = (
+        v.full().ravel() for v in step.measurement(x, VALUES, data())
+    )
     outputs = np.array([0.8, -0.6 + 3 * (now - 0.25) - 0.2])
     assert_allclose(simulated, outputs)
     assert_allclose(residual, [1.5 - outputs[0], -0.4 - outputs[1]])
@@ -81,7 +85,9 @@ def test_some_outputs_in_another_order():
 
 def test_the_step_goes_on_from_the_corrected_state():
     step, x = made(), np.array([0.8, -0.6])
-    corrected, mean, change, residual, simulated = (v.full().ravel() for v in step.measurement(x, VALUES, data()))
+    corrected, mean, change, residual, simulated = (
+        v.full().ravel() for v in step.measurement(x, VALUES, data())
+    )
     after, same, alike = (v.full().ravel() for v in step.function(x, VALUES, data()))
     assert_allclose(same, residual)
     assert_allclose(alike, simulated)
@@ -89,7 +95,11 @@ def test_the_step_goes_on_from_the_corrected_state():
     from scipy.integrate import solve_ivp
 
     wanted = solve_ivp(
-        lambda t, x: A @ x + B @ (mean + change * (t / STEP - 0.5)), (0, STEP), corrected, rtol=1e-10, atol=1e-12
+        lambda t, x: A @ x + B @ (mean + change * (t / STEP - 0.5)),
+        (0, STEP),
+        corrected,
+        rtol=1e-10,
+        atol=1e-12,
     ).y[:, -1]
     assert_allclose(after, wanted, rtol=1e-7)
 
@@ -117,5 +127,8 @@ def test_a_fold_has_the_derivatives_of_its_steps():
     found = slopes([0.3, -0.1], VALUES)[0].full()
     for k in range(len(NAMES)):
         h = 1e-6 * np.eye(len(NAMES))[k]
-        ends = [step.simulate(np.array([0.3, -0.1]), VALUES + sign * h, rows.T)[0][-1] for sign in (1, -1)]
+        ends = [
+            step.simulate(np.array([0.3, -0.1]), VALUES + sign * h, rows.T)[0][-1]
+            for sign in (1, -1)
+        ]
         assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-6, atol=1e-9)

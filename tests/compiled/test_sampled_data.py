@@ -6,7 +6,14 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 import greybox as gb
-from greybox.compiled.sampled_data import SampledData, Stretch, gapless, input_over_step, joined, sampled_data
+from greybox.compiled.sampled_data import (
+    SampledData,
+    Stretch,
+    gapless,
+    input_over_step,
+    joined,
+    sampled_data,
+)
 
 STEP = 0.02
 RANDOM = np.random.default_rng(0)
@@ -14,12 +21,18 @@ RANDOM = np.random.default_rng(0)
 
 def record(n=60, outputs=("y",), step=STEP, start=3.0, **signals):
     time = start + step * np.arange(n)
-    given = {"u": np.random.default_rng(1).normal(size=n)} | {k: np.arange(n) + 100.0 for k in outputs} | signals
+    given = (
+        {"u": np.random.default_rng(1).normal(size=n)}
+        | {k: np.arange(n) + 100.0 for k in outputs}
+        | signals
+    )
     return gb.Record(time, given, name="made")
 
 
 def cut(data, *, inputs=("u",), outputs=("y",), lead=0.0, segment_length=7, complete=False):
-    return sampled_data(data, inputs, outputs, lead=lead, segment_length=segment_length, complete=complete)
+    return sampled_data(
+        data, inputs, outputs, lead=lead, segment_length=segment_length, complete=complete
+    )
 
 
 def measured_input(u, held):
@@ -59,7 +72,9 @@ def test_moments_and_their_slope_are_continuous_where_a_whole_sample_is_passed()
 
     def moments(delay):
         whole, windows = made.delayed_inputs(np.array([delay * STEP]))
-        return np.array([input_over_step(windows[:, k], delay - whole[0, k], False)[:2] for k in range(28)])
+        return np.array(
+            [input_over_step(windows[:, k], delay - whole[0, k], False)[:2] for k in range(28)]
+        )
 
     for delay in (1.0, 2.0, 5.0):
         h = 1e-5
@@ -143,12 +158,18 @@ def test_the_past_of_a_delay_is_not_compared():
         (np.repeat([0.0, 1.0], [10, 50]), 0),  # a step
         (np.concatenate([np.zeros(5), RANDOM.normal(size=55)]), 0),
         (np.concatenate([np.zeros(4), RANDOM.normal(size=56)]), 20),
-        (np.repeat(RANDOM.normal(size=8), 8)[:60], 20),  # commands at a lower rate: the past is as unknown
+        (
+            np.repeat(RANDOM.normal(size=8), 8)[:60],
+            20,
+        ),  # commands at a lower rate: the past is as unknown
         (np.concatenate([np.zeros(20), np.repeat(RANDOM.normal(size=8), 5)]), 0),
         (np.ones(60), 0),
         (np.repeat([0.0, 1.0, 0.0], [5, 5, 50]), 0),  # a pulse
         (np.repeat([0.0, 1.0, 2.0], [5, 5, 50]), 20),  # a staircase
-        (np.repeat([0.0, 1.0, 2.0, 3.0], [12, 5, 20, 23]), 0),  # the first hold against the shorter half of the others
+        (
+            np.repeat([0.0, 1.0, 2.0, 3.0], [12, 5, 20, 23]),
+            0,
+        ),  # the first hold against the shorter half of the others
         (np.repeat([0.0, 1.0, 2.0, 3.0], [9, 5, 20, 26]), 20),
     ],
 )
@@ -160,7 +181,9 @@ def test_an_input_that_rests_at_the_beginning_has_rested_before(u, masked):
 
 
 def test_every_input_asks_for_the_past_that_its_own_delay_reaches():
-    made = cut(record(60, w=np.repeat([0.0, 1.0], [30, 30])), inputs=("u", "w"), lead=[3 * STEP, 20 * STEP])
+    made = cut(
+        record(60, w=np.repeat([0.0, 1.0], [30, 30])), inputs=("u", "w"), lead=[3 * STEP, 20 * STEP]
+    )
     assert made.masked == 3
     made = cut(record(60, w=np.arange(60.0)), inputs=("u", "w"), lead=[3 * STEP, 20 * STEP])
     assert made.masked == 20
@@ -214,7 +237,9 @@ def test_two_inputs_with_their_own_delays():
 
 def test_filling_up():
     made = SampledData((Stretch(np.zeros((1, 5)), np.zeros((1, 5)), np.arange(5), 0.1),), ("y",), 4)
-    assert_allclose(made.padded([np.ones((2, 5))], -1.0), np.array([[1, 1, 1, 1, 1, -1, -1, -1]] * 2))
+    assert_allclose(
+        made.padded([np.ones((2, 5))], -1.0), np.array([[1, 1, 1, 1, 1, -1, -1, -1]] * 2)
+    )
 
 
 def jittered(size, n=60):
@@ -229,11 +254,15 @@ def test_small_jitter_counts_as_uniform_and_large_does_not():
 
 
 def test_bad_records():
-    with pytest.raises(ValueError, match=r"never change \(u\) and y is indistinguishable from noise: nothing can"):
+    with pytest.raises(
+        ValueError, match=r"never change \(u\) and y is indistinguishable from noise: nothing can"
+    ):
         cut(record(u=np.ones(60), y=RANDOM.normal(size=60)))
     assert cut(record(u=np.ones(60))).constant_inputs
     assert not cut(record()).constant_inputs
-    with pytest.raises(ValueError, match="longest delay in the bounds takes 5 s; give a longer record or a smaller"):
+    with pytest.raises(
+        ValueError, match="longest delay in the bounds takes 5 s; give a longer record or a smaller"
+    ):
         cut(record(), lead=5.0)
     with pytest.raises(ValueError, match="no measured value of y"):
         cut(record(y=np.full(60, np.nan)))
@@ -273,7 +302,12 @@ def test_excerpts_of_several_stretches_have_shares_of_the_samples():
 def test_the_first_sample_of_a_record_begins_it_and_no_later_stretch_does():
     u = np.random.default_rng(2).normal(size=60)
     u[30] = np.nan
-    assert cut(record(60, u=u), segment_length=20).begins_record.tolist() == [True, False, False, False]
+    assert cut(record(60, u=u), segment_length=20).begins_record.tolist() == [
+        True,
+        False,
+        False,
+        False,
+    ]
     u[0] = np.nan
     assert not cut(record(60, u=u), segment_length=20).begins_record.any()
 
@@ -291,9 +325,16 @@ def test_every_stretch_may_have_delays_of_its_own():
     assert_allclose(second[3:, 5], [22, 23, 24])
     # Filled up with the last values; a delay below zero looks ahead, at the end at what is last.
     assert_allclose(second[:, -1], around[:, -1])
-    ahead = cut(record(10, u=np.arange(10.0)), segment_length=10).delayed_inputs(np.array([-3 * STEP]))[1]
+    ahead = cut(record(10, u=np.arange(10.0)), segment_length=10).delayed_inputs(
+        np.array([-3 * STEP])
+    )[1]
     assert_allclose(
-        ahead, [[2, 3, 4, 5, 6, 7, 8, 9, 9, 9], [3, 4, 5, 6, 7, 8, 9, 9, 9, 9], [4, *range(5, 10), *[9] * 4]]
+        ahead,
+        [
+            [2, 3, 4, 5, 6, 7, 8, 9, 9, 9],
+            [3, 4, 5, 6, 7, 8, 9, 9, 9, 9],
+            [4, *range(5, 10), *[9] * 4],
+        ],
     )
 
 
@@ -312,7 +353,10 @@ def test_records_one_after_the_other():
 
 def static(data, **options):
     return sampled_data(
-        data, ("u",), ("y",), **({"lead": 0.0, "segment_length": 7, "complete": False, "static": True} | options)
+        data,
+        ("u",),
+        ("y",),
+        **({"lead": 0.0, "segment_length": 7, "complete": False, "static": True} | options),
     )
 
 
@@ -326,11 +370,15 @@ def test_of_a_static_model_every_sample_counts():
     assert rows.rows.tolist() == rows.outputs[0].tolist() == [0, 2, 5, 6]
     with pytest.raises(ValueError, match=r"the record has no row with all inputs and an output"):
         static(gb.Record(None, {"u": u, "y": np.where(np.isfinite(u), np.nan, 1.0)}))
-    with pytest.raises(ValueError, match=r"the record 'made' has no sample with all inputs and an output \(u; y\)"):
+    with pytest.raises(
+        ValueError, match=r"the record 'made' has no sample with all inputs and an output \(u; y\)"
+    ):
         static(record(7, u=u, y=np.where(np.isfinite(u), np.nan, 1.0)))
 
 
-@pytest.mark.parametrize(("off", "is_uniform"), [(0.24, True), (0.26, False), (-0.24, True), (-0.26, False)])
+@pytest.mark.parametrize(
+    ("off", "is_uniform"), [(0.24, True), (0.26, False), (-0.24, True), (-0.26, False)]
+)
 def test_samples_lie_within_a_quarter_of_a_step(off, is_uniform):
     time = STEP * np.arange(60)
     time[30] += off * STEP
@@ -338,7 +386,9 @@ def test_samples_lie_within_a_quarter_of_a_step(off, is_uniform):
     if is_uniform:
         assert [len(s) for s in cut(data).stretches] == [60]
     else:
-        with pytest.raises(ValueError, match=r"sampling is not uniform from 0 s on \(off by 0\.26 steps\)"):
+        with pytest.raises(
+            ValueError, match=r"sampling is not uniform from 0 s on \(off by 0\.26 steps\)"
+        ):
             cut(data)
 
 
@@ -356,7 +406,9 @@ def test_three_samples_say_something_of_a_model_with_states(samples, is_usable):
     if is_usable:
         assert [len(s) for s in cut(data).stretches] == [3]
     else:
-        with pytest.raises(ValueError, match=r"gap-free one with all inputs lasts 0\.04 s; give a longer record\.$"):
+        with pytest.raises(
+            ValueError, match=r"gap-free one with all inputs lasts 0\.04 s; give a longer record\.$"
+        ):
             cut(data)
 
 
@@ -367,6 +419,8 @@ def test_a_delay_is_whole_samples_to_a_thousandth(lead, masked):
 
 
 def test_outputs_that_never_change_say_nothing():
-    with pytest.raises(ValueError, match=r"the outputs of the record never change \(y\): nothing can be estimated"):
+    with pytest.raises(
+        ValueError, match=r"the outputs of the record never change \(y\): nothing can be estimated"
+    ):
         cut(record(y=np.full(60, 3.0)))
     assert cut(record(outputs=("y", "z"), y=np.full(60, 3.0)), outputs=("y", "z")).segments

@@ -27,7 +27,12 @@ def test_variables_are_in_units_of_the_start_box_or_logarithms():
     for x, z in zip(X, Z, strict=True):
         assert_allclose(scaling.slope(x), [1 / 7, 1 / x[1], 1 / 4])
         symbols = ca.SX.sym("z", 3)
-        assert_allclose(ca.Function("x", [symbols], [ca.vertcat(*scaling.expressions(symbols))])(z).full().ravel(), x)
+        assert_allclose(
+            ca.Function("x", [symbols], [ca.vertcat(*scaling.expressions(symbols))])(z)
+            .full()
+            .ravel(),
+            x,
+        )
 
 
 @pytest.mark.parametrize(

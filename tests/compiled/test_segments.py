@@ -19,7 +19,9 @@ def made():
     model = Spring()
     system = dynamics(model)
     criterion = gb.OutputError()
-    step = sample_step(system, [False], criterion, system.outputs, tuple(model.parameters), gb.RungeKutta(), 2)
+    step = sample_step(
+        system, [False], criterion, system.outputs, tuple(model.parameters), gb.RungeKutta(), 2
+    )
     random = np.random.default_rng(0)
     q = np.array([p.start for p in model.parameters.values()])
     rows = np.zeros((step.width, COUNT * LENGTH))
@@ -36,7 +38,9 @@ def by_steps(step, initial, q, rows):
     for k in range(COUNT):
         x = initial[k]
         for j in range(LENGTH):
-            following, _, y = (np.asarray(v).ravel() for v in step.function(x, q, rows[:, k * LENGTH + j]))
+            following, _, y = (
+                np.asarray(v).ravel() for v in step.function(x, q, rows[:, k * LENGTH + j])
+            )
             states.append(x)
             outputs.append(y)
             x = following
@@ -107,7 +111,9 @@ def test_a_guarded_root_below_zero_leaves_the_solver_finite_derivatives():
             return (x.h,)
 
     system = dynamics(Drained())
-    step = sample_step(system, [False], gb.OutputError(), system.outputs, ("k",), gb.RungeKutta(), 1)
+    step = sample_step(
+        system, [False], gb.OutputError(), system.outputs, ("k",), gb.RungeKutta(), 1
+    )
     segments = Segments(step, 1, LENGTH, np.array([0]))
     rows = np.zeros((step.width, LENGTH))
     rows[-1] = 0.05
@@ -135,7 +141,9 @@ def test_sensitivities_of_outputs_below_a_guarded_root_are_differences(own):
             return (x.h, p.k * gb.sqrt(gb.maximum(x.h, 0)))
 
     system = dynamics(Tank())
-    step = sample_step(system, [False], gb.OutputError(), system.outputs, ("k", "b"), gb.RungeKutta(), 1)
+    step = sample_step(
+        system, [False], gb.OutputError(), system.outputs, ("k", "b"), gb.RungeKutta(), 1
+    )
     rows = np.zeros((step.width, 2 * 12))
     rows[-1] = 0.05
     low, k, b = -0.33, 1.3, 0.9  # from below zero, and from above; both end above
@@ -171,7 +179,9 @@ def measured_rows(rows, outputs=1):
     """The data with the output measured at all samples but one."""
     rows = rows.copy()
     rows[-1 - outputs : -1] = 1.0
-    rows[-1 - 2 * outputs : -1 - outputs] = np.random.default_rng(5).normal(size=(outputs, rows.shape[1]))
+    rows[-1 - 2 * outputs : -1 - outputs] = np.random.default_rng(5).normal(
+        size=(outputs, rows.shape[1])
+    )
     rows[-2, 4] = 0.0
     return rows
 
@@ -182,7 +192,9 @@ def ends_and_residuals(step, initial, q, rows):
     for k in range(COUNT):
         x = initial[k]
         for j in range(LENGTH):
-            x, e, _ = (np.asarray(v).ravel() for v in step.function(x, q[:, k], rows[:, k * LENGTH + j]))
+            x, e, _ = (
+                np.asarray(v).ravel() for v in step.function(x, q[:, k], rows[:, k * LENGTH + j])
+            )
             residuals.append(e)
         ends.append(x)
     return np.array(ends), np.reshape(residuals, (COUNT, LENGTH, -1))
@@ -275,7 +287,10 @@ def test_the_mean_transition_is_that_of_samples_over_the_whole_record(made):
     for k in range(COUNT * LENGTH):
         x = segments.in_order(states)[:, k]
         for column, h in enumerate(1e-6 * np.eye(2)):
-            more, less = ([np.asarray(v).ravel() for v in step.function(x + s * h, q, rows[:, k])] for s in (1, -1))
+            more, less = (
+                [np.asarray(v).ravel() for v in step.function(x + s * h, q, rows[:, k])]
+                for s in (1, -1)
+            )
             A[:, column] += (more[0] - less[0]) / 2e-6 / (COUNT * LENGTH)
             C[:, column] += (more[2] - less[2]) / 2e-6 / (COUNT * LENGTH)
     assert_allclose(transition, A, rtol=1e-6, atol=1e-8)
@@ -291,7 +306,10 @@ def test_sensitivities_of_other_states_parameters_or_data_are_not_the_last_ones(
         return Segments(step, COUNT, LENGTH, active)
 
     segments, everything = fresh(), slice(None)
-    data, other_data = segments.columns(measured_rows(rows)), segments.columns(1.5 * measured_rows(rows))
+    data, other_data = (
+        segments.columns(measured_rows(rows)),
+        segments.columns(1.5 * measured_rows(rows)),
+    )
     states, _ = segments.simulate(initial, q, data)
     for asked in ((states, 1.1 * q, data), (1.1 * states, q, data), (states, q, other_data)):
         first = segments.sensitivities(states, q, data, everything)

@@ -31,7 +31,9 @@ class Plant(gb.StateSpace):
 
 
 def plant(start, starts):
-    return type("Plant", (Plant,), {"pole": gb.Parameter(start, bounds=(-1e9, 1e3), starts=starts)})()
+    return type(
+        "Plant", (Plant,), {"pole": gb.Parameter(start, bounds=(-1e9, 1e3), starts=starts)}
+    )()
 
 
 def chosen(model, method=None):
@@ -70,7 +72,12 @@ def test_what_the_method_says_holds():
     method = gb.MultipleShooting(segment=7, integrator=gb.RungeKutta(substeps=3))
     assert chosen(plant(-1e6, (-1e6, -1e5)), method) == (3, 7)
     assert chosen(plant(-1e6, (-1e6, -1e5)), gb.MultipleShooting(segment=7))[1] == 7
-    assert chosen(plant(-1e6, (-1e6, -1e5)), gb.MultipleShooting(integrator=gb.RungeKutta(substeps=3)))[0] == 3
+    assert (
+        chosen(
+            plant(-1e6, (-1e6, -1e5)), gb.MultipleShooting(integrator=gb.RungeKutta(substeps=3))
+        )[0]
+        == 3
+    )
 
 
 @pytest.mark.parametrize("rate", [3.0, 12.0, 25.0])
@@ -81,7 +88,9 @@ def test_a_model_and_its_mirror_image_ask_for_the_same_steps(rate):
 
     def asked(sign):
         record = gb.Record(time, {"u": sign * u, "x": sign * x})
-        problem = gb.Problem(plant(-rate, (-rate, -0.9 * rate)), record, gb.OutputError(inputs="held"))
+        problem = gb.Problem(
+            plant(-rate, (-rate, -0.9 * rate)), record, gb.OutputError(inputs="held")
+        )
         (part,) = compile_problem(problem, gb.MultipleShooting()).parts
         return part.substeps
 
@@ -122,7 +131,10 @@ class Pair(gb.StateSpace):
 def test_substeps_follow_the_error_of_a_segment_in_units_of_spread_and_motion():
     """Of ten samples by the polynomial of the classic scheme, at two substeps and at twice as many."""
     lag, growth, gain = -12.0, 3.0, 0.5
-    states, inputs = np.array([[1.0, -2.0, 0.5, 0.1], [0.3, 0.2, -0.1, 0.4]]), np.array([[0.4, -1.0, 2.0, 0.0]])
+    states, inputs = (
+        np.array([[1.0, -2.0, 0.5, 0.1], [0.3, 0.2, -0.1, 0.4]]),
+        np.array([[0.4, -1.0, 2.0, 0.0]]),
+    )
 
     def after(count):
         ends = []
@@ -136,15 +148,17 @@ def test_substeps_follow_the_error_of_a_segment_in_units_of_spread_and_motion():
     spread = np.abs(fine - fine.mean(axis=1, keepdims=True)).mean(axis=1)
     size = spread + np.abs(fine - states).max(axis=1)
     error = (np.abs(fine - coarse).max(axis=1) / size).max()
-    judge = _AccuracyJudge.of(dynamics(Pair()), gb.RungeKutta(), replace(Strategies(), local_accuracy=error / 5.0**4))
-    assert judge.substeps(2, states, inputs, np.array([lag, growth, gain]), STEP) == accurate_substeps(
-        2, error, error / 5.0**4, 4
+    judge = _AccuracyJudge.of(
+        dynamics(Pair()), gb.RungeKutta(), replace(Strategies(), local_accuracy=error / 5.0**4)
     )
+    assert judge.substeps(
+        2, states, inputs, np.array([lag, growth, gain]), STEP
+    ) == accurate_substeps(2, error, error / 5.0**4, 4)
     slack = error / 5.1**4, error / 4.9**4
     found = [
-        _AccuracyJudge.of(dynamics(Pair()), gb.RungeKutta(), replace(Strategies(), local_accuracy=each)).substeps(
-            2, states, inputs, np.array([lag, growth, gain]), STEP
-        )
+        _AccuracyJudge.of(
+            dynamics(Pair()), gb.RungeKutta(), replace(Strategies(), local_accuracy=each)
+        ).substeps(2, states, inputs, np.array([lag, growth, gain]), STEP)
         for each in slack
     ]
     assert found == [11, 10]
@@ -161,7 +175,10 @@ def test_without_a_look_at_accuracy_the_upper_quartile_of_the_draws_is_stable():
         assert (rates[0], rates.size) == (start, 17)
         assert np.unique(rates).size == 17
         scheme = method.scheme
-        counts = [stable_substeps(np.array([[r]]), STEP, reach=scheme.reach, wave=scheme.wave) for r in rates]
+        counts = [
+            stable_substeps(np.array([[r]]), STEP, reach=scheme.reach, wave=scheme.wave)
+            for r in rates
+        ]
         assert part.substeps == max(counts[0], np.quantile(counts, 0.75))
 
 

@@ -44,7 +44,12 @@ def flown(samples=300, seed=0):
 
     found = solve_ivp(derivative, (0, time[-1]), [0.5, 0.0], t_eval=time, max_step=1e-2, rtol=1e-8)
     noisy = found.y + 0.01 * random.normal(size=found.y.shape)
-    return gb.Record(time, {"u": u, "x": noisy[0], "v": noisy[1]}, units={"u": "1", "x": "m", "v": "m/s"}, name="cart")
+    return gb.Record(
+        time,
+        {"u": u, "x": noisy[0], "v": noisy[1]},
+        units={"u": "1", "x": "m", "v": "m/s"},
+        name="cart",
+    )
 
 
 RECORD = flown()
@@ -64,7 +69,9 @@ METHODS = (
 
 def problem(**options):
     noise = options.pop("noise", "diagonal")
-    return gb.Problem(Cart(), RECORD, criterion=gb.OutputError(noise=noise, inputs="held"), **options)
+    return gb.Problem(
+        Cart(), RECORD, criterion=gb.OutputError(noise=noise, inputs="held"), **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +84,10 @@ def test_all_methods_find_one_minimum(method, reference):
     fit = gb.fit(problem(free=["tau"]), starts=[{}], method=method)
     assert fit.converged, fit.status
     for name in fit.free:
-        assert abs(fit.estimate[name] - reference.estimate[name]) < 0.02 * reference.standard_error[name], name
+        assert (
+            abs(fit.estimate[name] - reference.estimate[name])
+            < 0.02 * reference.standard_error[name]
+        ), name
         assert fit.standard_error[name] == pytest.approx(reference.standard_error[name], rel=0.02)
     assert fit.cost == pytest.approx(reference.cost, abs=2e-3)
     assert method.label in fit.records[0].method
@@ -85,7 +95,9 @@ def test_all_methods_find_one_minimum(method, reference):
 
 def test_the_truth_is_found(reference):
     for name in reference.free:
-        assert abs(reference.estimate[name] - TRUTH[name]) < 3 * reference.standard_error[name], name
+        assert abs(reference.estimate[name] - TRUTH[name]) < 3 * reference.standard_error[name], (
+            name
+        )
 
 
 @pytest.mark.parametrize("noise", ["diagonal", "full", {"x": 0.01, "v": 0.02}], ids=str)
@@ -108,7 +120,9 @@ def test_constraints_ties_bounds_and_known_states_hold_for_all(method):
         "tied": {"b": lambda p: 0.4 * p.k},
         "constraints": [lambda p: 3.5 - p.k],
     }
-    known = gb.OutputError(noise={"x": 0.01, "v": 0.01}, inputs="held", initial={"x": lambda p: 0.125 * p.k})
+    known = gb.OutputError(
+        noise={"x": 0.01, "v": 0.01}, inputs="held", initial={"x": lambda p: 0.125 * p.k}
+    )
     stated = gb.Problem(Cart(), RECORD, criterion=known, **options)
     usual, other = (gb.fit(stated, starts=[{}], method=m) for m in (gb.MultipleShooting(), method))
     assert usual.estimate["k"] == pytest.approx(3.5, abs=1e-5)
@@ -124,7 +138,9 @@ def test_compiled_is_the_same(tmp_path, monkeypatch):
     if not any(shutil.which(name) for name in ("cc", "gcc", "clang")):
         pytest.skip("there is no C compiler on this machine")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    plain, compiled = (gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=c)) for c in (False, True))
+    plain, compiled = (
+        gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=c)) for c in (False, True)
+    )
     assert compiled.cost == pytest.approx(plain.cost, abs=1e-6)
     assert len(list((tmp_path / "greybox").glob("*.so"))) == 1
     assert (tmp_path / "greybox").stat().st_mode & 0o777 == 0o700
@@ -136,7 +152,9 @@ def test_compiled_is_the_same(tmp_path, monkeypatch):
 def test_without_a_compiler_the_cure_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(RuntimeError, match="compile=True needs a C compiler and none of cc, gcc, clang was found"):
+    with pytest.raises(
+        RuntimeError, match="compile=True needs a C compiler and none of cc, gcc, clang was found"
+    ):
         gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=True))
 
 
@@ -144,7 +162,9 @@ def test_ipopt_confirms_the_descended_minimum():
     """Started at the minimum that Gauss-Newton found, IPOPT with the exact Hessian stays there."""
     fit = gb.fit(problem(), starts=[{}])
     again = gb.fit(
-        problem(), starts=[{n: fit.estimate[n] for n in fit.free}], method=gb.MultipleShooting(hessian="exact")
+        problem(),
+        starts=[{n: fit.estimate[n] for n in fit.free}],
+        method=gb.MultipleShooting(hessian="exact"),
     )
     assert again.cost == pytest.approx(fit.cost, abs=1e-6)
 
@@ -153,7 +173,10 @@ def test_ipopt_confirms_the_descended_minimum():
     ("make", "words"),
     [
         (lambda: gb.MultipleShooting(segment=0), "segment 0 must be a whole number of samples"),
-        (lambda: gb.SingleShooting(hessian="newton"), "hessian 'newton' is not known: use 'gauss-newton' or 'exact'"),
+        (
+            lambda: gb.SingleShooting(hessian="newton"),
+            "hessian 'newton' is not known: use 'gauss-newton' or 'exact'",
+        ),
         (lambda: gb.Collocation(degree=12), "degree 12 must be a whole number from 1 to 9"),
         (lambda: gb.MultipleShooting(integrator="rk4"), "integrator is 'rk4': give RungeKutta"),
         (lambda: gb.RungeKutta(substeps=0), "substeps 0 must be a whole number"),
@@ -183,7 +206,12 @@ def test_options_of_the_solver_are_checked(options, words):
 
 
 def test_a_warning_names_what_was_chosen_and_what_is_to_be_changed():
-    assert gb.MultipleShooting().finer(4) == f"method=MultipleShooting(integrator={gb.RungeKutta(4)!r})"
+    assert (
+        gb.MultipleShooting().finer(4)
+        == f"method=MultipleShooting(integrator={gb.RungeKutta(4)!r})"
+    )
     chosen = gb.MultipleShooting(segment=1, integrator=gb.RungeKutta(2))
     assert chosen.finer(8) == f"method=MultipleShooting(segment=1, integrator={gb.RungeKutta(8)!r})"
-    assert chosen.described(1, 2).endswith("1 sample per segment, " + f"{gb.RungeKutta().name}, 2 steps per sample")
+    assert chosen.described(1, 2).endswith(
+        "1 sample per segment, " + f"{gb.RungeKutta().name}, 2 steps per sample"
+    )

@@ -38,7 +38,11 @@ class Seat(gb.StateSpace):
 def seat_record():
     """Of smooth inputs at 50 Hz, of which what is interpolated is far below the noise; it ends away from its begin."""
     t = 0.02 * np.arange(401)
-    late = gb.Record(t, {"u": np.sin(t) ** 3 + 0.3 * t, "w": np.cos(1.7 * t) - 0.2 * t}, hold={"u": 0.0, "w": 0.0})
+    late = gb.Record(
+        t,
+        {"u": np.sin(t) ** 3 + 0.3 * t, "w": np.cos(1.7 * t) - 0.2 * t},
+        hold={"u": 0.0, "w": 0.0},
+    )
     felt = gb.simulate(Seat(), FELT, late)
     return late.with_signals(felt=felt["felt"], load=felt["load"])
 
@@ -60,7 +64,9 @@ def made(request):
     model, truth, clean, inputs, outputs, criterion = CASES[request.param]
     noise = dict.fromkeys([outputs] if isinstance(outputs, str) else outputs, 0.005)
     record = study.measured(clean, noise, np.random.default_rng(1))
-    nlp = compile_problem(gb.Problem(model, transient_spectrum(record, inputs, outputs, study.BAND), criterion))
+    nlp = compile_problem(
+        gb.Problem(model, transient_spectrum(record, inputs, outputs, study.BAND), criterion)
+    )
     (part,) = nlp.parts
     z = nlp.scaling.to_solver(np.array([truth[name] for name in nlp.free]))
     return nlp, part, z, part.trajectory(z, None)
@@ -93,7 +99,9 @@ def numbers_of(part, at):
     covariance = at.errors @ at.errors.T / n
     if not at.covariance.full:
         covariance = np.diag(np.diag(covariance))
-    return n / 2 * (np.linalg.slogdet(2 * np.pi * covariance)[1] + len(covariance)) - 2 * at.logarithms
+    return (
+        n / 2 * (np.linalg.slogdet(2 * np.pi * covariance)[1] + len(covariance)) - 2 * at.logarithms
+    )
 
 
 def test_the_cost_is_that_of_normal_errors(made):
@@ -110,11 +118,14 @@ def test_the_cost_is_that_of_normal_errors(made):
     weight = at.covariance.weight(trajectory.products)
     by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(-1, at.basis.shape[-1])
     slope = by_ends.T @ (weight @ at.errors).ravel()
-    assert_allclose(slope / np.linalg.norm(by_ends, axis=0), 0, atol=1e-4 * np.linalg.norm(weight @ at.errors))
+    assert_allclose(
+        slope / np.linalg.norm(by_ends, axis=0), 0, atol=1e-4 * np.linalg.norm(weight @ at.errors)
+    )
     signature = part.signature(trajectory)
     size = np.sqrt(np.mean(np.abs(measured) ** 2, axis=1))[:, None]
     assert_allclose(
-        signature, np.concatenate([v.ravel() for v in ((at.modelled / size).real, (at.modelled / size).imag)])
+        signature,
+        np.concatenate([v.ravel() for v in ((at.modelled / size).real, (at.modelled / size).imag)]),
     )
 
 
@@ -126,7 +137,9 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
     factor = (nlp.scaling.to_parameters(z + 1e-6) - x) / 1e-6
     _, wanted = part.linearize(trajectory, None)
     information = found.jacobian.T @ found.jacobian
-    assert_allclose(information * factor * factor[:, None], wanted, rtol=1e-4, atol=1e-6 * np.abs(wanted).max())
+    assert_allclose(
+        information * factor * factor[:, None], wanted, rtol=1e-4, atol=1e-6 * np.abs(wanted).max()
+    )
     assert found.numbers == part.numbers - len(part.states)
     one, meat = found.spread(1.0)
     ratio = np.linalg.eigvals(np.linalg.solve(information, meat)).real
@@ -168,8 +181,12 @@ def test_the_spread_is_that_of_white_errors_but_for_the_end_terms(made):
     x = nlp.scaling.to_parameters(z)
     found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))
     mean, variance = np.split(found.jacobian, [part.numbers])
-    if len(part.outputs) == 1 or trajectory.detail.covariance.full:  # of others, the correlation shows in it
-        wanted = mean.T @ mean * part.numbers / (part.numbers - len(part.states)) + variance.T @ variance
+    if (
+        len(part.outputs) == 1 or trajectory.detail.covariance.full
+    ):  # of others, the correlation shows in it
+        wanted = (
+            mean.T @ mean * part.numbers / (part.numbers - len(part.states)) + variance.T @ variance
+        )
         assert_allclose(found.spread(1.0)[1], wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
     assert variance.any() == part._is_equation_error
     assert part.has_states

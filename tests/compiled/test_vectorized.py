@@ -67,7 +67,9 @@ def test_every_operation_of_two_numbers(name):
     found = Columns(f)(FIRST[None], SECOND[None])[0]
     assert_allclose(found, by_casadi(f, FIRST, SECOND), rtol=1e-14, equal_nan=True)
     shared = Columns(f, shared=(1,))(FIRST[None], np.array([0.3]))[0]
-    assert_allclose(shared, by_casadi(f, FIRST, np.full(FIRST.size, 0.3)), rtol=1e-14, equal_nan=True)
+    assert_allclose(
+        shared, by_casadi(f, FIRST, np.full(FIRST.size, 0.3)), rtol=1e-14, equal_nan=True
+    )
 
 
 def test_an_operation_without_a_numpy_function_is_left_to_casadi():
@@ -86,7 +88,9 @@ def test_an_operation_without_a_numpy_function_is_left_to_casadi():
 def test_any_number_of_columns(m):
     x, q = ca.SX.sym("x", 3), ca.SX.sym("q", 2)
     common = ca.exp(q[0]) * ca.sin(q[1])  # of shared numbers alone
-    f = ca.Function("f", [x, q], [ca.vertcat(common * x[0] + x[1], x[2] / q[1]), common, ca.mtimes(x, x.T)])
+    f = ca.Function(
+        "f", [x, q], [ca.vertcat(common * x[0] + x[1], x[2] / q[1]), common, ca.mtimes(x, x.T)]
+    )
     columns, shared = np.random.default_rng(m).normal(size=(3, m)), np.array([0.4, -0.7])
     found = Columns(f, shared=(1,))(columns, shared)
     c = np.exp(0.4) * np.sin(-0.7)
@@ -114,14 +118,18 @@ def test_calls_do_not_disturb_one_another():
 
 def test_what_is_not_finite_gives_no_warning():
     x = ca.SX.sym("x")
-    found = Columns(function(ca.vertcat(ca.log(x), 1 / x, ca.exp(1e4 * x)), x))(np.tile([[0.0, 1.0]], FEW))[0]
+    found = Columns(function(ca.vertcat(ca.log(x), 1 / x, ca.exp(1e4 * x)), x))(
+        np.tile([[0.0, 1.0]], FEW)
+    )[0]
     assert_allclose(found[:, 0], [-np.inf, np.inf, 1])
     assert np.isinf(found[2, 1])
 
 
 def test_constants_and_structural_zeros():
     x = ca.SX.sym("x")
-    f = ca.Function("f", [x], [ca.densify(ca.vertcat(ca.SX(0), x, ca.SX(3.5))), ca.densify(ca.SX(2, 2))])
+    f = ca.Function(
+        "f", [x], [ca.densify(ca.vertcat(ca.SX(0), x, ca.SX(3.5))), ca.densify(ca.SX(2, 2))]
+    )
     found = Columns(f)(MANY[None])
     assert_allclose(found[0], [0 * MANY, MANY, np.full(MANY.size, 3.5)])
     assert_allclose(found[1], np.zeros((4, MANY.size)))
@@ -131,7 +139,15 @@ def test_comparisons_count_as_numbers_where_they_are_calculated_with():
     x = ca.SX.sym("x", 3)
     low, high = x[0] < x[1], x[1] <= x[2]
     both = ca.logic_and(low, ca.logic_not(high))
-    values = [low + high, low - high, -low, 3 * low, ca.if_else(both, x[0], x[1] / x[2]), ca.sqrt(low) + both, high]
+    values = [
+        low + high,
+        low - high,
+        -low,
+        3 * low,
+        ca.if_else(both, x[0], x[1] / x[2]),
+        ca.sqrt(low) + both,
+        high,
+    ]
     function = ca.Function("f", [x], [ca.vertcat(*values)])
     points = np.random.default_rng(0).integers(-2, 3, (3, 500)).astype(float)
     [found] = Columns(function)(points)
@@ -149,7 +165,11 @@ def test_entries_that_a_function_leaves_out_are_zeros(kind, m):
     squares, product, nothing = Columns(f)(columns, others)
     zeros = np.zeros(m)
     assert_allclose(squares, [columns[0] ** 2, zeros, zeros, columns[0] * columns[1]], rtol=1e-13)
-    assert_allclose(product, [others[0] * columns[0], others[1] * columns[0] + others[3] * columns[1]], rtol=1e-13)
+    assert_allclose(
+        product,
+        [others[0] * columns[0], others[1] * columns[0] + others[3] * columns[1]],
+        rtol=1e-13,
+    )
     assert_allclose(nothing, np.zeros((3, m)))
     (shared, *_) = Columns(f, shared=(0,))(columns[:, 0], others)
     assert_allclose(shared, np.tile(squares[:, :1], m))

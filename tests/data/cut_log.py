@@ -2,9 +2,10 @@
 
 python tests/data/cut_log.py IN.BIN OUT.BIN --from 60 --to 70 --messages ATT RATE XKF1 [--every 2]
 
-The messages that describe the log and the vehicle (FMT, UNIT, MULT, FMTU, PARM, VER, and the texts, modes and events of
-all times) are kept whole, the others as they are or left out; ``--every N`` keeps each Nth of every type and instance.
-``--parameters`` keeps only the parameters whose names start so.
+The messages that describe the log and the vehicle (FMT, UNIT, MULT, FMTU, PARM, VER, and the texts,
+modes and events of all times) are kept whole, the others as they are or left out; ``--every N``
+keeps each Nth of every type and instance. ``--parameters`` keeps only the parameters whose names
+start so.
 """
 
 import argparse
@@ -24,9 +25,13 @@ def cut(data, start, end, names, every=1, parameters=("",)):
     for i, layout in enumerate(found.layouts):
         offsets = found.offsets[found.of(i)]
         if layout.name == "PARM":
-            offsets = [at for at in offsets if _parameter(data, at, layout).startswith(tuple(parameters))]
+            offsets = [
+                at for at in offsets if _parameter(data, at, layout).startswith(tuple(parameters))
+            ]
         elif layout.name not in ABOUT:
-            offsets = _chosen(data, offsets, layout, start, end, every) if layout.name in names else []
+            offsets = (
+                _chosen(data, offsets, layout, start, end, every) if layout.name in names else []
+            )
         kept += [(int(at), layout.length) for at in offsets]
     return b"".join(data[at : at + length] for at, length in sorted(kept))
 
@@ -48,17 +53,26 @@ def _parameter(data, at, layout: Layout):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("source", type=Path)
     parser.add_argument("target", type=Path)
     parser.add_argument("--from", dest="start", type=float, default=0, help="s on the log's clock")
     parser.add_argument("--to", dest="end", type=float, default=float("inf"), help="s")
     parser.add_argument("--messages", nargs="+", default=["ATT", "RATE"])
     parser.add_argument("--every", type=int, default=1, help="keep each Nth")
-    parser.add_argument("--parameters", nargs="+", default=[""], help="beginnings of parameter names to keep")
+    parser.add_argument(
+        "--parameters", nargs="+", default=[""], help="beginnings of parameter names to keep"
+    )
     options = parser.parse_args()
     piece = cut(
-        options.source.read_bytes(), options.start, options.end, options.messages, options.every, options.parameters
+        options.source.read_bytes(),
+        options.start,
+        options.end,
+        options.messages,
+        options.every,
+        options.parameters,
     )
     options.target.write_bytes(piece)
     print(f"{options.target}: {len(piece)} bytes")  # noqa: T201

@@ -30,29 +30,50 @@ def test_values_are_copied_and_read_only():
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ({"omega": [], "response": []}, r"the frequency response is empty: give at least one frequency"),
+        (
+            {"omega": [], "response": []},
+            r"the frequency response is empty: give at least one frequency",
+        ),
         ({"omega": [[1, 2, 4]]}, r"omega must be one-dimensional, but has shape \(1, 3\)"),
         ({"omega": 1.0}, r"omega must be one-dimensional, but has shape \(\)"),
-        ({"omega": ["a", "b", "c"]}, r"omega must be a one-dimensional array of numbers, not \['a'"),
+        (
+            {"omega": ["a", "b", "c"]},
+            r"omega must be a one-dimensional array of numbers, not \['a'",
+        ),
         ({"omega": [1j, 2, 3]}, r"omega must be a one-dimensional array of numbers"),
         ({"response": [1, 2]}, r"omega has 3 values but response has 2: they must match"),
-        ({"response": [1, np.nan, 1j]}, r"response is \(nan\+0j\) at index 1 \(omega = 2 rad/s\): leave out"),
+        (
+            {"response": [1, np.nan, 1j]},
+            r"response is \(nan\+0j\) at index 1 \(omega = 2 rad/s\): leave out",
+        ),
         ({"response": [np.inf, 1, 1j]}, r"response is \(inf\+0j\) at index 0"),
-        ({"omega": [1, 0, 4]}, r"omega is 0 at index 1: frequencies must be finite and above 0 rad/s"),
+        (
+            {"omega": [1, 0, 4]},
+            r"omega is 0 at index 1: frequencies must be finite and above 0 rad/s",
+        ),
         ({"omega": [1, 2, -4]}, r"omega is -4 at index 2"),
         ({"omega": [1, np.nan, 4]}, r"omega is nan at index 1"),
         ({"omega": [1, np.inf, 4]}, r"omega is inf at index 1"),
-        ({"omega": [1, 2, 1]}, r"omega = 1 rad/s is repeated: average the points .* or add two problems"),
+        (
+            {"omega": [1, 2, 1]},
+            r"omega = 1 rad/s is repeated: average the points .* or add two problems",
+        ),
         ({"coherence": [1, 1]}, r"omega has 3 values but coherence has 2"),
         ({"coherence": [1, 0, 1]}, r"coherence is 0 at index 1: it must be above 0 and at most 1"),
         ({"coherence": [1, 1, 1.1]}, r"coherence is 1\.1 at index 2"),
         ({"coherence": [1, np.nan, 1]}, r"coherence is nan at index 1"),
-        ({"coherence": "high"}, r"coherence must be a one-dimensional array of numbers, not 'high'"),
+        (
+            {"coherence": "high"},
+            r"coherence must be a one-dimensional array of numbers, not 'high'",
+        ),
         ({"variance": [1, 0, 1]}, r"variance is 0 at index 1: it must be above 0\."),
         ({"variance": [1, np.inf, 1]}, r"variance is inf at index 1"),
         ({"variance": [[1, 1, 1]]}, r"variance must be one-dimensional"),
         ({"dof": [1, -2, 1]}, r"dof is -2 at index 1: it must be above 0\."),
-        ({"common_errors": [0.1, 0.1]}, r"common_errors has shape \(2,\): give finite numbers, a row of 3 for each"),
+        (
+            {"common_errors": [0.1, 0.1]},
+            r"common_errors has shape \(2,\): give finite numbers, a row of 3 for each",
+        ),
         ({"common_errors": [1, np.nan, 0]}, r"common_errors has shape \(3,\): give finite numbers"),
         (
             {"variance": [1, 1, 1], "common_errors": [[0, 0.8, 0], [0, 0.8j, 0]]},
@@ -88,7 +109,9 @@ def test_over_s_divides_and_scales_the_variance():
 def test_a_relative_error_is_the_same_for_rate_and_angle():
     angle = measured(**EXTRAS)
     rate = angle.times_s()
-    assert_allclose(rate.variance / np.abs(rate.response) ** 2, angle.variance / np.abs(angle.response) ** 2)
+    assert_allclose(
+        rate.variance / np.abs(rate.response) ** 2, angle.variance / np.abs(angle.response) ** 2
+    )
 
 
 def test_there_and_back_again():
@@ -134,13 +157,17 @@ def test_the_same_numbers_as_another_column_have_another_checksum():
 
 def test_some_points_are_kept_with_all_that_belongs_to_them():
     omega = np.array([1.0, 2.0, 4.0])
-    full = gb.FrequencyResponse(omega, omega + 1j, coherence=[0.9, 0.5, 0.8], variance=[1.0, 2.0, 3.0], name="a")
+    full = gb.FrequencyResponse(
+        omega, omega + 1j, coherence=[0.9, 0.5, 0.8], variance=[1.0, 2.0, 3.0], name="a"
+    )
     kept = full.where(full.coherence > 0.6)
     assert kept.omega.tolist() == [1.0, 4.0]
     assert kept.variance.tolist() == [1.0, 3.0]
     assert kept.name == "a"
     assert kept.dof is None
-    assert_allclose(measured(**EXTRAS).where(omega > 1).common_errors, np.array(EXTRAS["common_errors"])[:, 1:])
+    assert_allclose(
+        measured(**EXTRAS).where(omega > 1).common_errors, np.array(EXTRAS["common_errors"])[:, 1:]
+    )
 
 
 def test_magnitudes_are_in_decibels():
@@ -150,13 +177,18 @@ def test_magnitudes_are_in_decibels():
 
 def test_columns_are_real_numbers_by_name():
     known = gb.FrequencyResponse(
-        [2.0, 5.0], [1 + 2j, 3 - 4j], variance=[9.0, 8.0], common_errors=[[0.1 + 0.2j, 0.3j], [0.5, 0.6 - 0.7j]]
+        [2.0, 5.0],
+        [1 + 2j, 3 - 4j],
+        variance=[9.0, 8.0],
+        common_errors=[[0.1 + 0.2j, 0.3j], [0.5, 0.6 - 0.7j]],
     )
     assert {name: values.tolist() for name, values in known.columns.items()} == {
         "alpha": [1, 3], "beta": [2, -4], "variance": [9, 8], "alpha_common1": [0.1, 0], "beta_common1": [0.2, 0.3],
         "alpha_common2": [0.5, 0.6], "beta_common2": [0, -0.7],
     }  # fmt: skip
-    assert known.independent_share == pytest.approx([1 - (0.05 + 0.25) / 9, 1 - (0.09 + 0.36 + 0.49) / 8])
+    assert known.independent_share == pytest.approx(
+        [1 - (0.05 + 0.25) / 9, 1 - (0.09 + 0.36 + 0.49) / 8]
+    )
     assert gb.FrequencyResponse([2.0, 5.0], [1, 2]).independent_share.tolist() == [1, 1]
     assert (
         str(known)
@@ -170,10 +202,14 @@ def test_common_errors_are_a_part_of_the_variance(share):
     errors = np.sqrt(share) * np.array([[3.0, 0.8j], [0.0, 0.6]])
     words = {"variance": [9.0, 1.0], "common_errors": errors}
     if share > 1:
-        with pytest.raises(ValueError, match="common_errors exceed the variance at omega = 2 rad/s"):
+        with pytest.raises(
+            ValueError, match="common_errors exceed the variance at omega = 2 rad/s"
+        ):
             gb.FrequencyResponse([2.0, 5.0], [1, 2], **words)
     else:
-        assert gb.FrequencyResponse([2.0, 5.0], [1, 2], **words).independent_share == pytest.approx([0, 0], abs=1e-9)
+        assert gb.FrequencyResponse([2.0, 5.0], [1, 2], **words).independent_share == pytest.approx(
+            [0, 0], abs=1e-9
+        )
 
 
 def test_phases_are_unwrapped_from_the_lowest_frequency_whatever_their_order():
@@ -194,20 +230,32 @@ def test_units_of_rates_and_angles_follow(unit, rate, angle):
     assert data.over_s("y").units == {"u": "N"} | ({"y": angle} if angle else {})
 
 
-@pytest.mark.parametrize(("column", "high"), [("coherence", 1.0), ("variance", np.inf), ("dof", np.inf)])
+@pytest.mark.parametrize(
+    ("column", "high"), [("coherence", 1.0), ("variance", np.inf), ("dof", np.inf)]
+)
 def test_columns_are_above_zero(column, high):
-    assert gb.FrequencyResponse([1.0, 2.0], [1, 2], **{column: [1e-9, min(high, 1e9)]}).columns[column][0] == 1e-9
+    assert (
+        gb.FrequencyResponse([1.0, 2.0], [1, 2], **{column: [1e-9, min(high, 1e9)]}).columns[
+            column
+        ][0]
+        == 1e-9
+    )
     said = "above 0 and at most 1" if high == 1 else "above 0"
     for bad in (0.0, -1.0, *([1.001] if high == 1 else [])):
-        with pytest.raises(ValueError, match=rf"^{column} is {bad:g} at index 1: it must be {said}\.$"):
+        with pytest.raises(
+            ValueError, match=rf"^{column} is {bad:g} at index 1: it must be {said}\.$"
+        ):
             gb.FrequencyResponse([1.0, 2.0], [1, 2], **{column: [0.5, bad]})
 
 
 @pytest.mark.parametrize(
-    ("column", "value"), [("omega", 1e76), ("omega", 1e-76), ("response", 1e76), ("response", 1e-76j)]
+    ("column", "value"),
+    [("omega", 1e76), ("omega", 1e-76), ("response", 1e76), ("response", 1e-76j)],
 )
 def test_numbers_whose_squares_are_beyond_arithmetic_are_refused(column, value):
     columns = {"omega": [1.0, 2.0, 3.0], "response": [1.0, 2.0, 0.0]}
     columns[column][1] = value
-    with pytest.raises(ValueError, match=rf"^{column} is .* at index 1: squares of such numbers are beyond"):
+    with pytest.raises(
+        ValueError, match=rf"^{column} is .* at index 1: squares of such numbers are beyond"
+    ):
         gb.FrequencyResponse(**columns)

@@ -16,19 +16,26 @@ make = gb.FrequencyResponse.from_magnitude_phase
 
 
 @pytest.mark.parametrize(
-    ("unit", "magnitude"), [("absolute", MAGNITUDE), ("dB", [20 * math.log10(m) for m in MAGNITUDE])]
+    ("unit", "magnitude"),
+    [("absolute", MAGNITUDE), ("dB", [20 * math.log10(m) for m in MAGNITUDE])],
 )
-@pytest.mark.parametrize(("turn", "phase"), [("rad", RADIANS), ("deg", [math.degrees(p) - 360 for p in RADIANS])])
+@pytest.mark.parametrize(
+    ("turn", "phase"), [("rad", RADIANS), ("deg", [math.degrees(p) - 360 for p in RADIANS])]
+)
 @pytest.mark.parametrize(("clock", "factor"), [("Hz", 1), ("rad/s", 2 * math.pi), ("kHz", 1e-3)])
 def test_all_units_give_the_same_response(unit, magnitude, turn, phase, clock, factor):
     frequency = [factor * f for f in HERTZ]
-    found = make(frequency, magnitude, phase, frequency_unit=clock, magnitude_unit=unit, phase_unit=turn)
+    found = make(
+        frequency, magnitude, phase, frequency_unit=clock, magnitude_unit=unit, phase_unit=turn
+    )
     np.testing.assert_allclose(found.omega, 2 * math.pi * np.array(HERTZ))
     np.testing.assert_allclose(found.response, RESPONSE, rtol=1e-12)
 
 
 def test_the_defaults_are_those_of_bode_and_the_rest_is_passed_on():
-    found = make([1, 2], [2, 1], [-90, -180], input="u", output="theta", coherence=[1, 0.9], name="sweep")
+    found = make(
+        [1, 2], [2, 1], [-90, -180], input="u", output="theta", coherence=[1, 0.9], name="sweep"
+    )
     np.testing.assert_allclose(found.response, [-2j, -1], atol=1e-15)
     assert (found.input, found.output, found.name) == ("u", "theta", "sweep")
     assert list(found.coherence) == [1, 0.9]
@@ -44,9 +51,17 @@ def test_the_defaults_are_those_of_bode_and_the_rest_is_passed_on():
         ),
         (([1], [1, 2], [0]), {}, "magnitude has 2 values but phase has 1"),
         (([1], ["x"], [0]), {}, "magnitude must be a one-dimensional array of numbers"),
-        (([1], [1], [0]), {"frequency_unit": "furlong"}, "unit of frequency is 'furlong': give 'rad/s' or 'Hz'"),
+        (
+            ([1], [1], [0]),
+            {"frequency_unit": "furlong"},
+            "unit of frequency is 'furlong': give 'rad/s' or 'Hz'",
+        ),
         (([1], [1], [0]), {"frequency_unit": "deg"}, "unit of frequency is 'deg'"),
-        (([1], [1], [0]), {"magnitude_unit": "neper"}, "unit of magnitude is 'neper': give 'absolute' or 'dB'"),
+        (
+            ([1], [1], [0]),
+            {"magnitude_unit": "neper"},
+            "unit of magnitude is 'neper': give 'absolute' or 'dB'",
+        ),
         (([1], [1], [0]), {"phase_unit": "Hz"}, "unit of phase is 'Hz': give 'deg' or 'rad'"),
         (([1], [1], [0]), {"phase_unit": None}, "unit of phase is None"),
         (([0], [1], [0]), {}, "omega is 0 at index 0"),

@@ -35,7 +35,9 @@ def test_frames_of_ones_own(pd):
     assert (record.units, record.name, list(record.signals)) == ({"x": "m"}, "mine", ["x"])
     dates = pd.date_range("2026-11-21 08:00", periods=3, freq="20ms")
     for index in (dates, dates.tz_localize("Europe/Prague"), dates - dates[0]):
-        assert gb.Record.from_pandas(pd.DataFrame({"x": [1, 2, 3]}, index=index)).time == pytest.approx([0, 0.02, 0.04])
+        assert gb.Record.from_pandas(
+            pd.DataFrame({"x": [1, 2, 3]}, index=index)
+        ).time == pytest.approx([0, 0.02, 0.04])
     assert not gb.Record.from_pandas(pd.DataFrame({"x": [1, 2]}), has_time=False).has_time
 
 
@@ -55,7 +57,11 @@ def test_what_is_no_table_of_numbers_is_refused(pd):
 
 def test_a_response_and_a_fit_are_tables(pd):
     data = measured(
-        Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.05, columns={"coherence": np.full(len(TWO_LAGS_OMEGA), 0.9)}
+        Lag(),
+        TWO_LAGS_OMEGA,
+        {"K": 2.0},
+        noise=0.05,
+        columns={"coherence": np.full(len(TWO_LAGS_OMEGA), 0.9)},
     )
     frame = data.to_pandas()
     assert list(frame.columns) == ["alpha", "beta", "coherence"]
@@ -72,5 +78,7 @@ def test_a_response_and_a_fit_are_tables(pd):
 
 def test_without_pandas_the_sentence_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
-    with pytest.raises(ModuleNotFoundError, match=r"to_pandas\(\) needs pandas: pip install 'greybox-id\[pandas\]'"):
+    with pytest.raises(
+        ModuleNotFoundError, match=r"to_pandas\(\) needs pandas: pip install 'greybox-id\[pandas\]'"
+    ):
         RECORD.to_pandas()

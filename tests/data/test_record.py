@@ -54,14 +54,17 @@ def test_rate_and_duration():
 def test_pieces_are_cut_at_gaps_and_put_together_give_the_record():
     step = 0.02
     shorter, time = (
-        np.concatenate([np.arange(50) * step, 0.98 + gap * step + np.arange(30) * step]) for gap in (2.48, 2.52)
+        np.concatenate([np.arange(50) * step, 0.98 + gap * step + np.arange(30) * step])
+        for gap in (2.48, 2.52)
     )
     assert len(Record(shorter, {}).pieces) == 1
     flown = Record(time, {"u": time**2})
     first, second = flown.pieces
     assert (len(first), len(second)) == (50, 30)
     np.testing.assert_array_equal(np.concatenate([p["u"] for p in flown.pieces]), flown["u"])
-    assert len(Record(np.delete(np.arange(50) * step, 20), {}).pieces) == 1  # one sample lost is no gap
+    assert (
+        len(Record(np.delete(np.arange(50) * step, 20), {}).pieces) == 1
+    )  # one sample lost is no gap
     assert "in 2 pieces" in str(flown)
 
 
@@ -106,7 +109,9 @@ def test_a_recording_finds_signals_by_message_and_by_bare_name():
     assert log.locate("IMU[1].gyro") == (log["IMU[1]"], "gyro")
     assert log.locate("gyro") == (log["IMU[1]"], "gyro")
     assert (len(log), list(log)) == (2, ["IMU[0]", "IMU[1]"])
-    with pytest.raises(KeyError, match=r"flight.bin has no message 'ATT'; it has IMU\[0\], IMU\[1\]"):
+    with pytest.raises(
+        KeyError, match=r"flight.bin has no message 'ATT'; it has IMU\[0\], IMU\[1\]"
+    ):
         log["ATT"]
     with pytest.raises(KeyError, match=r"no message has it; write MESSAGE\.yaw"):
         log.locate("yaw")
@@ -126,7 +131,9 @@ def test_how_signals_run_between_samples_stays_with_them():
 
 @pytest.mark.parametrize("hold", [-0.1, math.nan, "held", True, None])
 def test_a_hold_is_a_time(hold):
-    with pytest.raises(ValueError, match=r"hold gives 'u' the value .*: give math.inf for a signal that is held"):
+    with pytest.raises(
+        ValueError, match=r"hold gives 'u' the value .*: give math.inf for a signal that is held"
+    ):
         Record(np.arange(3.0), {"u": np.arange(3.0)}, hold={"u": hold})
 
 
@@ -155,7 +162,9 @@ def test_records_of_other_files_share_samples_where_their_values_are_equal():
     assert more.checksum != one.checksum
     assert share_samples(one, more)
     assert share_samples(more, one)
-    another = Record(time, {"u": np.sin(time), "y": random.normal(size=100)})  # the same input, flown again
+    another = Record(
+        time, {"u": np.sin(time), "y": random.normal(size=100)}
+    )  # the same input, flown again
     assert not share_samples(one, another)
     assert not share_samples(one, Record(time, {"z": np.zeros(100)}))
     assert not share_samples(one, Record(time + 50, {"u": np.sin(time)}))
@@ -190,16 +199,25 @@ def test_rows_are_shared_by_number_in_one_file_and_by_value_in_others():
     rows = Record(np.arange(6.0), {"x": np.arange(6.0)}, has_time=False, checksum="of the file")
     assert share_samples(rows.rows(np.arange(4)), rows.rows(np.arange(3, 6)))
     assert not share_samples(rows.rows(np.arange(3)), rows.rows(np.arange(3, 6)))
-    assert not share_samples(rows, Record(np.arange(6.0), {"x": np.arange(6.0) + 1}, has_time=False))
+    assert not share_samples(
+        rows, Record(np.arange(6.0), {"x": np.arange(6.0) + 1}, has_time=False)
+    )
     assert share_samples(rows, Record(np.arange(6.0), {"x": np.arange(6.0)}, has_time=False))
 
 
 def test_what_a_record_says_of_itself():
     time = np.r_[2.0:3.0:0.25, 5.0:6.5:0.25]
-    flown = Record(time, {"u": np.arange(10.0), "y": [1.0, np.nan, np.inf, *np.arange(7.0)]}, {"u": "m"}, "flight")
+    flown = Record(
+        time,
+        {"u": np.arange(10.0), "y": [1.0, np.nan, np.inf, *np.arange(7.0)]},
+        {"u": "m"},
+        "flight",
+    )
     assert str(flown) == "flight: 10 samples at 4 Hz, 4.2 s from 2.0 s in 2 pieces: u (m), y"
     assert repr(flown) == "<Record 'flight', 10 samples, 4.25 s, u, y>"
-    assert "<td>0</td><td>6</td><td>2</td>" in re.sub(r" style=\"[^\"]*\"", "", flown._repr_html_()).replace("\n", "")
+    assert "<td>0</td><td>6</td><td>2</td>" in re.sub(
+        r" style=\"[^\"]*\"", "", flown._repr_html_()
+    ).replace("\n", "")
     assert [len(rows) for rows in flown.independent_pieces] == [4, 6]
     assert np.concatenate(flown.independent_pieces).tolist() == list(range(10))
     rows = Record(None, {"x": np.arange(3.0)})
@@ -208,14 +226,18 @@ def test_what_a_record_says_of_itself():
     assert (rows.step, rows.rate, rows.has_time, len(rows.pieces)) == (1.0, 1.0, False, 1)
     assert [one.tolist() for one in rows.independent_pieces] == [[0], [1], [2]]
     assert rows.time.tolist() == [0, 1, 2]
-    with pytest.raises(ValueError, match="between needs samples in time, and the record has rows without a time"):
+    with pytest.raises(
+        ValueError, match="between needs samples in time, and the record has rows without a time"
+    ):
         rows.between(0, 1)
     with pytest.raises(ValueError, match=r"^x has 3 samples but y has 2: they must match"):
         Record(None, {"x": np.arange(3.0), "y": np.arange(2.0)})
 
 
 def test_a_cut_that_has_no_sample_says_what_there_is():
-    with pytest.raises(ValueError, match=r"^the record has no sample from 7 to 9 s; it runs from 2 to 6 s\.$"):
+    with pytest.raises(
+        ValueError, match=r"^the record has no sample from 7 to 9 s; it runs from 2 to 6 s\.$"
+    ):
         Record([2.0, 4.0, 6.0], {}).between(7, 9)
     assert len(Record([2.0, 4.0, 6.0], {}).between(2, 4)) == 2
 
@@ -228,12 +250,16 @@ def test_more_than_half_of_the_samples_must_be_equal(equal, shared):
 
 
 def test_a_recording_says_what_it_has():
-    log = Recording({"A[0]": Record([0.0, 1.0], {"x": [1.0, 2.0]}), "B": Record(None, {"y": [1.0]})}, "a.bin")
+    log = Recording(
+        {"A[0]": Record([0.0, 1.0], {"x": [1.0, 2.0]}), "B": Record(None, {"y": [1.0]})}, "a.bin"
+    )
     assert repr(log) == "<Recording 'a.bin', 2 messages, A[0], B>"
     assert (len(log), [*log], log["A"] is log["A[0]"]) == (2, ["A[0]", "B"], True)
     with pytest.raises(KeyError, match=r"a\.bin has no message 'C'; it has A\[0\], B\."):
         log["C"]
-    with pytest.raises(KeyError, match=r"'z' is ambiguous or unknown, no message has it; write MESSAGE\.z"):
+    with pytest.raises(
+        KeyError, match=r"'z' is ambiguous or unknown, no message has it; write MESSAGE\.z"
+    ):
         log.locate("z")
     html = log._repr_html_()
     assert "a.bin: 2 messages" in html
@@ -257,9 +283,27 @@ def test_arrays_that_nobody_can_write_to_are_kept_and_others_copied():
 
 def test_names_and_texts_from_files_are_written_out():
     bad, good = "x\x1b[2J", r"x\x1b[2J"
-    known = Record([0.0, 1.0], {bad: [1, 2]}, {bad: bad}, bad, bad, hold={bad: 0.5, "other": 1.0}, findings=(bad,))
+    known = Record(
+        [0.0, 1.0],
+        {bad: [1, 2]},
+        {bad: bad},
+        bad,
+        bad,
+        hold={bad: 0.5, "other": 1.0},
+        findings=(bad,),
+    )
     assert [*known.signals] == [good]
-    assert (known.units, known.name, known.source, known.findings) == ({good: good}, good, good, (good,))
+    assert (known.units, known.name, known.source, known.findings) == (
+        {good: good},
+        good,
+        good,
+        (good,),
+    )
     assert known.hold == {good: 0.5}
     log = Recording({bad: known}, bad, metadata={bad: [bad, (1.0, bad)]}, findings=(bad,))
-    assert ([*log], log.source, log.metadata, log.findings) == ([good], good, {good: [good, (1.0, good)]}, (good,))
+    assert ([*log], log.source, log.metadata, log.findings) == (
+        [good],
+        good,
+        {good: [good, (1.0, good)]},
+        (good,),
+    )

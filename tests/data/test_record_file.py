@@ -11,7 +11,14 @@ def test_a_record_comes_back_with_its_order_names_and_units(tmp_path):
     signals = {"z/b": time**2, "a%2Fb": np.where(time < 0.2, np.nan, time), "b": -time}
     hold = {"z/b": 0.0025, "a%2Fb": np.inf}
     flown = Record(
-        time, signals, {"z/b": "m/s", "b": "rad"}, "flight", "log.bin", "abc", hold=hold, findings=("a gap",)
+        time,
+        signals,
+        {"z/b": "m/s", "b": "rad"},
+        "flight",
+        "log.bin",
+        "abc",
+        hold=hold,
+        findings=("a gap",),
     )
     with h5py.File(tmp_path / "record.h5", "w") as file:
         write_record(file.create_group("record"), flown)

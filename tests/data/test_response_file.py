@@ -11,7 +11,9 @@ from measured_responses import EXTRAS, RESPONSE, assert_same, measured
 import greybox as gb
 
 
-@pytest.mark.parametrize("extras", [{}, {"variance": EXTRAS["variance"]}, EXTRAS], ids=lambda e: "+".join(e) or "none")
+@pytest.mark.parametrize(
+    "extras", [{}, {"variance": EXTRAS["variance"]}, EXTRAS], ids=lambda e: "+".join(e) or "none"
+)
 def test_what_is_written_is_read_exactly(tmp_path, extras):
     path = tmp_path / "pitch.csv"
     response = measured(response=np.array(RESPONSE) / 3, **extras)
@@ -73,18 +75,29 @@ def test_a_table_of_several_responses_is_read_by_prefix(tmp_path):
 
 def test_a_byte_order_mark_and_the_order_of_columns_do_not_matter(tmp_path):
     text = "beta,omega_rad_s,alpha\r\n2,1,3\r\n"
-    assert_same(gb.read_response(file(tmp_path, text, "utf-8-sig")), gb.FrequencyResponse([1], [3 + 2j]))
+    assert_same(
+        gb.read_response(file(tmp_path, text, "utf-8-sig")), gb.FrequencyResponse([1], [3 + 2j])
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", r"has no column 'omega_rad_s'; it has no header line: the columns must be omega_rad_s, alpha, beta"),
+        (
+            "",
+            r"has no column 'omega_rad_s'; it has no header line: the columns must be omega_rad_s, alpha, beta",
+        ),
         ("omega,alpha,beta\n1,2,3\n", r"has no column 'omega_rad_s'; it has omega, alpha, beta"),
         ("omega_rad_s,alpha\n1,2\n", r"has no column 'beta'"),
         ("omega_rad_s,alpha,beta\n", r"data\.csv: the frequency response is empty"),
-        ("omega_rad_s,alpha,beta,alpha_common1\n1,2,3,4\n", r"data\.csv: there is no column 'beta_common1': give both"),
-        ("omega_rad_s,alpha,beta\n1,2,x\n", r"data\.csv, line 2: beta is 'x', which is not a number"),
+        (
+            "omega_rad_s,alpha,beta,alpha_common1\n1,2,3,4\n",
+            r"data\.csv: there is no column 'beta_common1': give both",
+        ),
+        (
+            "omega_rad_s,alpha,beta\n1,2,x\n",
+            r"data\.csv, line 2: beta is 'x', which is not a number",
+        ),
         ("omega_rad_s,alpha,beta\n1,2,3\n2,,3\n", r"line 3: alpha is '', which is not a number"),
         ("omega_rad_s,alpha,beta\n,2,3\n", r"line 2: omega_rad_s is '', which is not a number"),
         ("omega_rad_s,alpha,beta\n1,2\n", r"line 2, has 2 cells where the header has 3"),
@@ -99,7 +112,9 @@ def test_bad_files_are_refused_in_a_sentence(tmp_path, text, sentence):
 
 
 def test_a_missing_prefix_names_its_column(tmp_path):
-    with pytest.raises(ValueError, match=r"has no column 'pitch_alpha'; it has omega_rad_s, note, roll_alpha"):
+    with pytest.raises(
+        ValueError, match=r"has no column 'pitch_alpha'; it has omega_rad_s, note, roll_alpha"
+    ):
         gb.read_response(file(tmp_path, TABLE), "pitch_")
 
 
@@ -143,7 +158,10 @@ def test_a_damaged_hdf5_file_is_refused(tmp_path):
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])
 def test_what_a_response_says_about_itself_survives_the_file(tmp_path, suffix):
     path = tmp_path / f"pitch{suffix}"
-    about = {"dropped": "3 of 10 points: of a low coherence, at 1 to 2 rad/s", "instrument": "SIDD.Targ"}
+    about = {
+        "dropped": "3 of 10 points: of a low coherence, at 1 to 2 rad/s",
+        "instrument": "SIDD.Targ",
+    }
     written = replace(measured(), units={"u": "1", "theta": "rad"}, about=about)
     gb.data.write_response(written, path)
     back = gb.read_response(path)

@@ -19,9 +19,21 @@ def test_a_segment_says_what_it_is():
 
 
 def test_a_table_lists_segments_and_under_it_their_findings():
-    table = segment_table([Segment(1.0, 11.0, omega=2.0), Segment(12.0, 13.0, "sweep", band=(1, 9)).refused("aborted")])
+    table = segment_table(
+        [
+            Segment(1.0, 11.0, omega=2.0),
+            Segment(12.0, 13.0, "sweep", band=(1, 9)).refused("aborted"),
+        ]
+    )
     first, second, note = table.splitlines()[2:]
-    assert first.split()[:6] == ["1", "1.00", "11.00", "sine", "2", "3.18"]  # periods: 10 s · 2 rad/s / 2π
+    assert first.split()[:6] == [
+        "1",
+        "1.00",
+        "11.00",
+        "sine",
+        "2",
+        "3.18",
+    ]  # periods: 10 s · 2 rad/s / 2π
     assert second.split()[4:8] == ["1", "to", "9", "-"]
     assert second.split()[-1] == "no"
     assert note == "2: aborted"
@@ -31,14 +43,28 @@ def test_a_table_lists_segments_and_under_it_their_findings():
 def test_only_segments_are_segments():
     sine = Segment(0.0, 1.0)
     assert checked_segments(iter([sine])) == (sine,)
-    with pytest.raises(TypeError, match=r"a segment is \(1, 2\): give those of gb.logs.find_segments"):
+    with pytest.raises(
+        TypeError, match=r"a segment is \(1, 2\): give those of gb.logs.find_segments"
+    ):
         checked_segments([sine, (1, 2)])
 
 
 def test_each_number_of_a_segment_stands_in_its_column():
     segments = [
-        Segment(1.234, 11.0, "sine", "pitch", 2.0, amplitude=3.14159, offset=0.5, unit="deg", source="SIDS"),
-        Segment(20.0, 30.5, "sweep", "", band=(0.62832, 37.699), amplitude=0.06).refused("one", "two"),
+        Segment(
+            1.234,
+            11.0,
+            "sine",
+            "pitch",
+            2.0,
+            amplitude=3.14159,
+            offset=0.5,
+            unit="deg",
+            source="SIDS",
+        ),
+        Segment(20.0, 30.5, "sweep", "", band=(0.62832, 37.699), amplitude=0.06).refused(
+            "one", "two"
+        ),
         Segment(40.0, 41.0, "doublet", "roll", offset=-1e-12),
     ]
     assert segment_table(segments).splitlines() == [

@@ -50,6 +50,8 @@ def test_what_is_no_spectrum_is_refused(spectrum, tmp_path, end):
     with pytest.raises(ValueError, match=r"is no(t a greybox)? transient spectrum"):
         read_spectrum(path)
     write_spectrum(spectrum, path)
-    path.write_bytes(path.read_bytes().replace(b"duration", b"duratoin", 1)[: -40 if end == "csv" else None])
+    path.write_bytes(
+        path.read_bytes().replace(b"duration", b"duratoin", 1)[: -40 if end == "csv" else None]
+    )
     with pytest.raises(ValueError, match="damaged"):
         read_spectrum(path)

@@ -46,23 +46,38 @@ def test_a_delayed_input_is_the_integral_of_the_delayed_signal(delay):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"duration": np.inf}, "duration inf s and step 0.02 s must be finite, and the step the shorter one."),
+        (
+            {"duration": np.inf},
+            "duration inf s and step 0.02 s must be finite, and the step the shorter one.",
+        ),
         ({"step": 0.0}, "and the step the shorter one."),
         ({"step": -0.1}, "and the step the shorter one."),
         ({"step": T}, "and the step the shorter one."),
-        ({"omega": []}, "omega must be increasing multiples of 1.69816 rad/s, 2π over the duration"),
+        (
+            {"omega": []},
+            "omega must be increasing multiples of 1.69816 rad/s, 2π over the duration",
+        ),
         ({"omega": OMEGA[::-1]}, "omega must be increasing multiples"),
         ({"omega": OMEGA[[0, 1, 1, 2]]}, "omega must be increasing multiples"),
         ({"omega": OMEGA - OMEGA[0]}, "omega must be increasing multiples"),  # begins with zero
         ({"omega": -OMEGA[::-1]}, "omega must be increasing multiples"),
         ({"omega": OMEGA * (1 + 1.1e-6)}, "omega must be increasing multiples"),
         ({"omega": OMEGA[:, None]}, "omega must be a one-dimensional array of finite numbers"),
-        ({"omega": [*OMEGA[:3], np.nan]}, "omega must be a one-dimensional array of finite numbers"),
+        (
+            {"omega": [*OMEGA[:3], np.nan]},
+            "omega must be a one-dimensional array of finite numbers",
+        ),
         ({"inputs": {}}, "the spectrum has no inputs: give at least one signal."),
         ({"outputs": {}}, "the spectrum has no outputs: give at least one signal."),
         ({"inputs": {"u": [1, 2]}}, "omega has 4 frequencies but u has 2: they must match."),
-        ({"outputs": {"y": [1, 2, 3, np.inf]}}, "y must be a one-dimensional array of finite numbers"),
-        ({"outputs": {"y": [1, 2, 3, 1e80]}}, "y has numbers whose squares are beyond floating-point arithmetic"),
+        (
+            {"outputs": {"y": [1, 2, 3, np.inf]}},
+            "y must be a one-dimensional array of finite numbers",
+        ),
+        (
+            {"outputs": {"y": [1, 2, 3, 1e80]}},
+            "y has numbers whose squares are beyond floating-point arithmetic",
+        ),
         ({"input_change": {"u": np.nan}}, "input_change is {'u': nan}: give finite numbers."),
     ],
 )
@@ -79,7 +94,9 @@ def test_rounding_of_frequencies_is_allowed():
 
 def test_numbers_and_names_make_the_checksum():
     known = spectrum(input_change={"u": 0.5})
-    assert known.checksum == spectrum(input_change={"u": 0.5}, name="another", source="file").checksum
+    assert (
+        known.checksum == spectrum(input_change={"u": 0.5}, name="another", source="file").checksum
+    )
     others = [
         {"input_change": {}},
         {"input_change": {"u": 0.6}},
@@ -93,4 +110,6 @@ def test_numbers_and_names_make_the_checksum():
     assert [*known.signals] == ["u", "y"]
     assert not known.omega.flags.writeable
     assert not known.inputs["u"].flags.writeable
-    assert repr(known) == "<TransientSpectrum '', 4 frequencies, 1.698 to 15.28 rad/s, 3.7 s, u to y>"
+    assert (
+        repr(known) == "<TransientSpectrum '', 4 frequencies, 1.698 to 15.28 rad/s, 3.7 s, u to y>"
+    )

@@ -122,7 +122,14 @@ def test_factors(unit, factor, si):
 
 
 @pytest.mark.parametrize(
-    ("unit", "scale"), [("°C", "Celsius"), ("degC", "Celsius"), ("deg F", "Fahrenheit"), ("°R", "Rankine"), ("K", "K")]
+    ("unit", "scale"),
+    [
+        ("°C", "Celsius"),
+        ("degC", "Celsius"),
+        ("deg F", "Fahrenheit"),
+        ("°R", "Rankine"),
+        ("K", "K"),
+    ],
 )
 def test_temperatures(unit, scale):
     values = np.array([-40.0, 0.0, 15.0, 100.0])
@@ -142,7 +149,11 @@ def test_pounds_may_be_two_things(unit):
 
 
 @pytest.mark.parametrize(
-    "unit", [*"pwm satellites g/s 10/s m/ (m m) m^x MS S KN ((m)) m/(s (m)s) km2/ kkm hft".split(), "a b c"]
+    "unit",
+    [
+        *"pwm satellites g/s 10/s m/ (m m) m^x MS S KN ((m)) m/(s (m)s) km2/ kkm hft".split(),
+        "a b c",
+    ],
 )
 def test_what_is_not_known_is_not_guessed(unit):
     with pytest.raises(ValueError, match="is not known"):

@@ -22,13 +22,21 @@ def kernel():
 @each
 def test_it_runs_and_draws(path, tmp_path, kernel):
     notebook = nbformat.read(path, as_version=4)
-    alone = nbformat.v4.new_code_cell(f"%reset -f\n%cd -q {tmp_path}")  # without the names of the others
+    alone = nbformat.v4.new_code_cell(
+        f"%reset -f\n%cd -q {tmp_path}"
+    )  # without the names of the others
     kernel.nb = nbformat.v4.new_notebook(cells=[alone, *notebook.cells])
     for index, cell in enumerate(kernel.nb.cells):
         kernel.execute_cell(cell, index)
-    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    outputs = [
+        output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
+    ]
     assert not [o for o in outputs if o.output_type == "stream" and o.name == "stderr"]
-    drawing = [cell for cell in notebook.cells if cell.cell_type == "code" and "\ngb.plot" in f"\n{cell.source}"]
+    drawing = [
+        cell
+        for cell in notebook.cells
+        if cell.cell_type == "code" and "\ngb.plot" in f"\n{cell.source}"
+    ]
     assert drawing
     for cell in drawing:
         assert any("image/png" in output.get("data", {}) for output in cell.outputs), cell.source
@@ -43,7 +51,11 @@ def test_outputs_are_stripped(path):
 
 @each
 def test_public_names_only(path):
-    source = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code")
+    source = "\n".join(
+        cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"
+    )
     imported = re.findall(r"^\s*(?:from|import) (greybox\S*)", source, re.MULTILINE)
-    assert all(re.fullmatch(r"greybox|greybox\.(models|problems)(\.\w+)?", name) for name in imported)
+    assert all(
+        re.fullmatch(r"greybox|greybox\.(models|problems)(\.\w+)?", name) for name in imported
+    )
     assert not re.findall(r"\bgb\._", source)

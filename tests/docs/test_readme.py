@@ -46,14 +46,18 @@ def test_the_picture_is_what_the_command_draws(tmp_path):
     draw_picture(tmp_path / "new.png")
     with Image.open(PICTURE) as kept, Image.open(tmp_path / "new.png") as new:
         assert kept.size == pytest.approx(new.size, abs=1)
-        texts = [NUMBER.sub("#", image.text["Description"]) for image in (kept, new)]  # as many starts agree as may
+        texts = [
+            NUMBER.sub("#", image.text["Description"]) for image in (kept, new)
+        ]  # as many starts agree as may
         assert texts[0] == texts[1], "run `python tests/support/readme_blocks.py`"
 
 
 NOTEBOOKS = sorted((README.parent / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("page", [*PAGES, README.with_name("CONTRIBUTING.md"), *NOTEBOOKS], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [*PAGES, README.with_name("CONTRIBUTING.md"), *NOTEBOOKS], ids=lambda page: page.stem
+)
 def test_the_names_are_there(page):
     for name in re.findall(r"`gb\.([a-z_.A-Z]+)", page.read_text(encoding="utf-8")):
         operator.attrgetter(name.rstrip("."))(gb)

@@ -22,7 +22,9 @@ def near(fit):
 
 @pytest.fixture(scope="module")
 def heun():
-    return gb.fit(recipes.problem(), recipes.Halton(3), method=recipes.settings["method"], progress=False)
+    return gb.fit(
+        recipes.problem(), recipes.Halton(3), method=recipes.settings["method"], progress=False
+    )
 
 
 def test_an_integrator_and_a_rule_for_starts(heun, tmp_path):
@@ -30,7 +32,9 @@ def test_an_integrator_and_a_rule_for_starts(heun, tmp_path):
     assert str(heun).endswith("3 by Halton, seed 0")
     usual = gb.fit(recipes.problem(), 3, progress=False)
     for name in recipes.TRUTH:
-        assert heun.estimate[name] == pytest.approx(usual.estimate[name], abs=0.2 * usual.standard_error[name])
+        assert heun.estimate[name] == pytest.approx(
+            usual.estimate[name], abs=0.2 * usual.standard_error[name]
+        )
     assert gb.compare(heun, usual).statements
     gb.save(heun, tmp_path / "heun.h5")
     assert gb.load(tmp_path / "heun.h5").cost == heun.cost
@@ -46,8 +50,12 @@ def test_a_transcription(heun):
         assert fit.standard_error[name] > 0
         assert fit.estimate[name] == pytest.approx(truth, rel=0.01)
     # At 20 Hz its errors exceed the standard errors, and the result says so.
-    assert any("too coarse" in warning and "MultipleShooting" in warning for warning in fit.warnings)
-    assert fit.cost == pytest.approx(gb.cost(recipes.problem(), fit.estimate, method=recipes.Trapezoidal()), rel=1e-7)
+    assert any(
+        "too coarse" in warning and "MultipleShooting" in warning for warning in fit.warnings
+    )
+    assert fit.cost == pytest.approx(
+        gb.cost(recipes.problem(), fit.estimate, method=recipes.Trapezoidal()), rel=1e-7
+    )
     assert gb.compare(fit, heun).statements
 
 
@@ -55,7 +63,9 @@ def test_a_criterion_for_records(tmp_path):
     fit = gb.fit(recipes.windy(), 3, progress=False)
     near(fit)
     assert {name for name in fit.free if name.startswith("K_")} == {"K_x_x", "K_v_v"}
-    other = gb.fit(recipes.windy().with_(criterion=gb.PredictionError(inputs="held")), 3, progress=False)
+    other = gb.fit(
+        recipes.windy().with_(criterion=gb.PredictionError(inputs="held")), 3, progress=False
+    )
     assert gb.compare(fit, other).statements
     gb.save(fit, tmp_path / "windy.h5")
     assert gb.load(tmp_path / "windy.h5").criterion == "diagonal-prediction"

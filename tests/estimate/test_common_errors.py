@@ -19,7 +19,9 @@ def model(values):
 
 
 EXACT = model(TRUTH.values())
-COMMON = np.array([np.full(12, 0.02), 0.0005j * OMEGA]) * EXACT  # of the gain, and a delay of 0.5 ms
+COMMON = (
+    np.array([np.full(12, 0.02), 0.0005j * OMEGA]) * EXACT
+)  # of the gain, and a delay of 0.5 ms
 OWN = (0.01 * np.abs(EXACT)) ** 2 * np.linspace(0.5, 2, 12)
 VARIANCE = OWN + np.sum(np.abs(COMMON) ** 2, axis=0)
 NOISE = 0.01 * np.abs(EXACT) * np.exp(2j * np.pi * np.random.default_rng(4).random(12))
@@ -47,7 +49,9 @@ def test_standard_errors_are_those_of_the_whole_covariance_matrix_of_the_points(
     weight = np.tile(1 / VARIANCE, 2)
     points = np.diag(np.tile(OWN / 2, 2)) + sum(np.outer(stacked(c), stacked(c)) for c in COMMON)
     A = np.linalg.solve(J.T @ (weight[:, None] * J), J.T * weight)
-    assert_allclose(errors(fitted(gb.MaximumLikelihood())), np.sqrt(np.diag(A @ points @ A.T)), rtol=1e-4)
+    assert_allclose(
+        errors(fitted(gb.MaximumLikelihood())), np.sqrt(np.diag(A @ points @ A.T)), rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["given variances", "size from the residuals"])
@@ -61,7 +65,9 @@ def test_they_are_larger_by_how_far_the_common_errors_move_the_estimate(known):
         moved.append([(ends[0].estimate[name] - ends[1].estimate[name]) / 0.2 for name in TRUTH])
     moved = np.sqrt(np.sum(np.square(moved), axis=0))
     assert_allclose(moved, [20.0, 0.0, 0.0005], rtol=0.02, atol=2e-5)
-    with_, without = (errors(fitted(criterion, common=c, noise=noise, known=known)) for c in (True, False))
+    with_, without = (
+        errors(fitted(criterion, common=c, noise=noise, known=known)) for c in (True, False)
+    )
     own = np.sqrt(np.mean(OWN / VARIANCE)) if known else 1.0  # a given variance contains both
     assert_allclose(with_**2, moved**2 + (own * without) ** 2, rtol=0.15 if known else 0.01)
     assert "common errors" in fitted(criterion, noise=noise, known=known).parts[0].condition

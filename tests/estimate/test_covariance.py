@@ -90,7 +90,9 @@ def measured(model, omega, truth, noise, seed=0, variance=False, coherence=None)
     random = np.random.default_rng(seed)
     exact = gb.frequency_response(model, truth, omega).response
     size = noise * (np.geomspace(0.5, 2, omega.size) if variance else np.ones(omega.size))
-    response = exact * (1 + size * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size)))
+    response = exact * (
+        1 + size * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
+    )
     return gb.FrequencyResponse(
         omega,
         response,
@@ -102,14 +104,20 @@ def measured(model, omega, truth, noise, seed=0, variance=False, coherence=None)
 
 
 def fitted(problem, truth=None):
-    start = {name: (truth or {}).get(name, p.start) for name, p in problem.parameters.items() if not p.fixed}
+    start = {
+        name: (truth or {}).get(name, p.start)
+        for name, p in problem.parameters.items()
+        if not p.fixed
+    }
     return gb.fit(problem, starts=[start], progress=False)
 
 
 def response_of(model, omega, names, others=None):
     """The response as a function of a parameter vector, by numpy."""
     return lambda x: (
-        gb.frequency_response(model, {**(others or {}), **dict(zip(names, x, strict=True))}, omega).response
+        gb.frequency_response(
+            model, {**(others or {}), **dict(zip(names, x, strict=True))}, omega
+        ).response
     )
 
 
@@ -124,19 +132,28 @@ def vector(fit, names):
 def relative_jacobian(fit, model, data, names=None):
     """Jacobian of the relative residuals by finite differences, (2n, p)."""
     names = names or fit.free
-    function = response_of(model, data.omega, names, {n: v for n, v in fit.estimate.items() if n not in names})
-    return numeric_jacobian(lambda x: stacked(function(x) / np.abs(data.response)), vector(fit, names))
+    function = response_of(
+        model, data.omega, names, {n: v for n, v in fit.estimate.items() if n not in names}
+    )
+    return numeric_jacobian(
+        lambda x: stacked(function(x) / np.abs(data.response)), vector(fit, names)
+    )
 
 
 def same_covariance(actual, desired, rtol=1e-5):
     """Equal, each element relative to the two standard errors: covariances may vanish."""
     errors = np.sqrt(np.diag(desired))
-    assert_allclose(actual / np.outer(errors, errors), desired / np.outer(errors, errors), rtol=0, atol=rtol)
+    assert_allclose(
+        actual / np.outer(errors, errors), desired / np.outer(errors, errors), rtol=0, atol=rtol
+    )
 
 
 def same_errors(fit, other, names, rtol=1e-6):
     assert_allclose(
-        [fit.standard_error[n] for n in names], [other.standard_error[n] for n in names], rtol=rtol, err_msg=str(names)
+        [fit.standard_error[n] for n in names],
+        [other.standard_error[n] for n in names],
+        rtol=rtol,
+        err_msg=str(names),
     )
 
 
@@ -146,7 +163,8 @@ SMALL = 1e-4  # noise of which relative criteria make what the linear theory say
 
 
 @pytest.mark.parametrize(
-    ("model", "truth", "omega"), [(Lags(), LAGS, OMEGA), (Tilt(), TILT, OMEGA), (Rotor(), ROTOR, ROTOR_OMEGA)]
+    ("model", "truth", "omega"),
+    [(Lags(), LAGS, OMEGA), (Tilt(), TILT, OMEGA), (Rotor(), ROTOR, ROTOR_OMEGA)],
 )
 def test_relative_error_has_four_over_pi_s_squared(model, truth, omega):
     data = measured(model, omega, truth, SMALL)
@@ -155,7 +173,9 @@ def test_relative_error_has_four_over_pi_s_squared(model, truth, omega):
     error = np.abs(fit.parts[0].response - data.response) / np.abs(data.response)
     s = error.mean() * math.sqrt(2 / math.pi) / (1 - p / (math.pi * n))
     j = relative_jacobian(fit, model, data)
-    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j), rtol=1e-3)
+    same_covariance(
+        fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j), rtol=1e-3
+    )
     assert fit.dof == 2 * n - p
 
 
@@ -164,9 +184,14 @@ def test_relative_error_over_the_model_magnitude():
     fit = fitted(gb.Problem(Lags(), data, criterion=gb.RelativeError(normalized="model")))
     magnitude = np.abs(fit.parts[0].response)
     error = np.abs(fit.parts[0].response - data.response) / magnitude
-    j = relative_jacobian(fit, Lags(), data) * np.tile(np.abs(data.response) / magnitude, 2)[:, None]
+    j = (
+        relative_jacobian(fit, Lags(), data)
+        * np.tile(np.abs(data.response) / magnitude, 2)[:, None]
+    )
     s = error.mean() * math.sqrt(2 / math.pi) / (1 - 4 / (math.pi * len(error)))
-    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j), rtol=1e-3)
+    same_covariance(
+        fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j), rtol=1e-3
+    )
 
 
 def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
@@ -176,7 +201,9 @@ def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
     center, error = np.mean(unbiased.interval()["K"]), unbiased.standard_error["K"]
     assert center == pytest.approx(unbiased.estimate["K"])
     for normalized, side in (("measured", -1), ("model", 1)):
-        fit = fitted(gb.Problem(Lags(), data, criterion=gb.SquaredRelativeError(normalized=normalized)), LAGS)
+        fit = fitted(
+            gb.Problem(Lags(), data, criterion=gb.SquaredRelativeError(normalized=normalized)), LAGS
+        )
         assert side * (fit.estimate["K"] - center) > error
         assert np.mean(fit.interval()["K"]) == pytest.approx(center, abs=0.5 * error)
         profile = gb.profile(fit, "K", fresh_starts=0)["K"]
@@ -184,7 +211,9 @@ def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
         assert f"bias by the noise (K {'+' if side < 0 else '-'}0." in str(fit)
         band = fit.response_band(np.array([1.0]))
         truth = gb.frequency_response(Lags(), unbiased.estimate, [1.0]).response
-        assert np.sqrt(band.magnitude[0] * band.magnitude[1]) == pytest.approx(np.abs(truth), rel=0.5 * error / center)
+        assert np.sqrt(band.magnitude[0] * band.magnitude[1]) == pytest.approx(
+            np.abs(truth), rel=0.5 * error / center
+        )
 
 
 @pytest.mark.parametrize("criterion", [gb.SquaredRelativeError(), gb.MaximumLikelihood()])
@@ -253,7 +282,12 @@ def test_a_dead_parameter_has_no_error_and_is_named():
     assert all(math.isnan(end) for end in fit.interval()["idle"])
     assert np.isnan(fit.covariance_of(["idle"])).all()
     assert any(w.startswith("idle is not determined") for w in fit.warnings)
-    same_errors(fit, fitted(gb.Problem(Product(), data, fixed={"K1": 1.0, "idle": 0.5})), ["K2", "T1", "T2", "T"], 0.02)
+    same_errors(
+        fit,
+        fitted(gb.Problem(Product(), data, fixed={"K1": 1.0, "idle": 0.5})),
+        ["K2", "T1", "T2", "T"],
+        0.02,
+    )
 
 
 def test_a_product_has_an_error_where_its_factors_have_none():
@@ -303,7 +337,9 @@ def test_a_wide_box_puts_no_parameter_at_its_bound(high):
     u = np.sign(np.sin(0.5 * time))
     flown = gb.simulate(Wide(), {"K": 1.48, "T": 2.0}, gb.Record(time, {"u": u}), inputs="held")
     noisy = flown["y"] + 0.02 * np.random.default_rng(1).normal(size=400)
-    problem = gb.Problem(Wide(), gb.Record(time, {"u": u, "y": noisy}), gb.OutputError(inputs="held"))
+    problem = gb.Problem(
+        Wide(), gb.Record(time, {"u": u, "y": noisy}), gb.OutputError(inputs="held")
+    )
     fit = gb.fit(problem, starts=[{}], progress=False)
     assert fit.estimate["K"] == pytest.approx(1.48, rel=0.05)
     assert not any(q.at_bound for q in fit.quantities)
@@ -316,7 +352,9 @@ def test_a_parameter_that_a_solver_leaves_just_off_its_bound_is_at_it(off):
     nlp = compile_problem(gb.Problem(Lags(), free.parts[0].data))
     x = np.array([free.estimate[name] for name in nlp.free])
     x[nlp.free.index("T")] = off * 0.05  # of the delay's upper bound
-    accuracy = assess(nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    accuracy = assess(
+        nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
+    )
     assert accuracy.at_bound == ("T",)
     k = nlp.free.index("K")
     assert np.sqrt(accuracy.covariance[k, k]) == pytest.approx(fixed.standard_error["K"], rel=0.02)
@@ -361,7 +399,9 @@ def test_the_collinearity_index_is_that_of_the_weighted_jacobian(weights, criter
     point = SimpleNamespace(free=list(LAGS), estimate=LAGS)
     rows = []
     for data, weight in zip(parts, weights, strict=True):
-        curvature, _ = criterion.spread(gb.frequency_response(Lags(), LAGS, data.omega).response, data, 1.0)
+        curvature, _ = criterion.spread(
+            gb.frequency_response(Lags(), LAGS, data.omega).response, data, 1.0
+        )
         share = weight * curvature
         rows.append(math.sqrt(share) * relative_jacobian(point, Lags(), data))
     j = np.vstack(rows)
@@ -396,17 +436,29 @@ def test_stated_variances_hold_unless_the_residuals_are_larger(stated, widened):
 def test_an_inactive_constraint_changes_nothing():
     data = measured(Lags(), OMEGA, LAGS, 0.02)
     plain = fitted(gb.Problem(Lags(), data))
-    same_errors(fitted(gb.Problem(Lags(), data, constraints=[lambda p: p.T1 - p.T2])), plain, plain.free, 1e-4)
+    same_errors(
+        fitted(gb.Problem(Lags(), data, constraints=[lambda p: p.T1 - p.T2])),
+        plain,
+        plain.free,
+        1e-4,
+    )
 
 
 # --- invariances
 
 
-@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()])
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()]
+)
 def test_the_scale_of_all_weights_changes_nothing(criterion):
     data = [measured(Lags(), OMEGA, LAGS, noise, seed) for seed, noise in ((0, 0.02), (1, 0.05))]
     one, other = (
-        fitted(sum(gb.Problem(Lags(), d, criterion=criterion, weight=w) for d, w in zip(data, weights, strict=True)))
+        fitted(
+            sum(
+                gb.Problem(Lags(), d, criterion=criterion, weight=w)
+                for d, w in zip(data, weights, strict=True)
+            )
+        )
         for weights in ((1.0, 0.4), (7.0, 2.8))
     )
     same_errors(one, other, one.free, 1e-4)
@@ -509,16 +561,23 @@ def test_intervals_are_student_t():
 
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError()])
 def test_an_earlier_fit_widens_the_errors(criterion):
-    rotor = fitted(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.02), criterion=criterion), ROTOR)
+    rotor = fitted(
+        gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.02), criterion=criterion), ROTOR
+    )
     data = measured(Tilt(), OMEGA, TILT, 0.005, seed=1)
     problem = gb.Problem(Tilt(), data, criterion=criterion, fixed=rotor)
     fit = fitted(problem, TILT)
     constants = {name: rotor.estimate[name] for name in ("T_rotor", "T_delay")}
     alone = fitted(problem.with_(fixed=constants), TILT)
-    j, own = relative_jacobian(fit, Tilt(), data), relative_jacobian(fit, Tilt(), data, tuple(constants))
+    j, own = (
+        relative_jacobian(fit, Tilt(), data),
+        relative_jacobian(fit, Tilt(), data, tuple(constants)),
+    )
     slope = -np.linalg.lstsq(j, own, rcond=None)[0]
     sigma = rotor.covariance_of(tuple(constants))
-    same_covariance(fit.covariance_of(fit.free), alone.covariance_of(fit.free) + slope @ sigma @ slope.T)
+    same_covariance(
+        fit.covariance_of(fit.free), alone.covariance_of(fit.free) + slope @ sigma @ slope.T
+    )
     together = fit.covariance_of((*fit.free, *constants))
     assert_allclose(together[-2:, -2:], sigma)
     assert_allclose(together[:-2, -2:], slope @ sigma, rtol=1e-4)
@@ -531,7 +590,9 @@ def test_rotor_first_and_pitch_second_have_the_errors_of_both_together():
     """Pitch tells little of the rotor beside the data of the rotor, so that both ways know as much."""
     likelihood = gb.RelativeLikelihood()
     first = gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.01), likelihood)
-    pitch = gb.Problem(Tilt(), measured(Tilt(), OMEGA, TILT, 0.05, seed=1), likelihood, free=("T_rotor", "T_delay"))
+    pitch = gb.Problem(
+        Tilt(), measured(Tilt(), OMEGA, TILT, 0.05, seed=1), likelihood, free=("T_rotor", "T_delay")
+    )
     rotor = fitted(first, ROTOR)
     joint = fitted(first + pitch, {**ROTOR, **TILT})
     second = fitted(pitch.with_(free=(), fixed=rotor), TILT)
@@ -540,18 +601,32 @@ def test_rotor_first_and_pitch_second_have_the_errors_of_both_together():
 
 def test_an_earlier_fit_moves_the_estimate_as_its_errors_say():
     """The covariance of estimate and constant over the variance of the constant: the slope that refits show."""
-    rotor = fitted(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.02), fixed={"T_delay": 0.0042}), ROTOR)
-    problem = gb.Problem(Tilt(), measured(Tilt(), OMEGA, TILT, 1e-4), criterion=gb.SquaredRelativeError(), fixed=rotor)
+    rotor = fitted(
+        gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.02), fixed={"T_delay": 0.0042}),
+        ROTOR,
+    )
+    problem = gb.Problem(
+        Tilt(),
+        measured(Tilt(), OMEGA, TILT, 1e-4),
+        criterion=gb.SquaredRelativeError(),
+        fixed=rotor,
+    )
     fit = fitted(problem, TILT)
     middle, h = rotor.estimate["T_rotor"], 1e-4
-    high, low = (fitted(problem.with_(fixed={"T_rotor": middle + d, "T_delay": 0.0042}), TILT) for d in (h, -h))
+    high, low = (
+        fitted(problem.with_(fixed={"T_rotor": middle + d, "T_delay": 0.0042}), TILT)
+        for d in (h, -h)
+    )
     slope = (vector(high, fit.free) - vector(low, fit.free)) / (2 * h)
     together = fit.covariance_of((*fit.free, "T_rotor"))
     assert_allclose(together[:-1, -1] / together[-1, -1], slope, rtol=5e-2)
 
 
 def test_an_earlier_fit_without_an_error_is_not_taken_as_exact():
-    rotor = fitted(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR | {"T_delay": -0.004}, 0.02)), ROTOR)
+    rotor = fitted(
+        gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR | {"T_delay": -0.004}, 0.02)),
+        ROTOR,
+    )
     assert math.isnan(rotor.standard_error["T_delay"])  # at its bound
     fit = fitted(gb.Problem(Tilt(), measured(Tilt(), OMEGA, TILT, 0.005), fixed=rotor), TILT)
     assert math.isnan(fit.standard_error["T_delay"]) or any("T_delay" in w for w in fit.warnings)
@@ -618,10 +693,17 @@ def test_a_mean_beyond_a_bound_is_at_it_and_one_within_is_not(bounds, side):
 def test_degrees_of_freedom_of_a_sum_of_variances_are_those_of_welch_and_satterthwaite():
     """Of two means of 6 and 21 values: (v1 + v2)² / (v1²/5 + v2²/20)."""
     accuracy = replace(
-        BARE, shares=((np.diag([0.04, 0.0, 0.0]), 5.0), (np.diag([0.01, 0.09, 0.0]), 20.0), (np.zeros((3, 3)), np.inf))
+        BARE,
+        shares=(
+            (np.diag([0.04, 0.0, 0.0]), 5.0),
+            (np.diag([0.01, 0.09, 0.0]), 20.0),
+            (np.zeros((3, 3)), np.inf),
+        ),
     )
     gradient = np.array([[1.0, 1.0, 0.0], [0.0, 2.0, 5.0], [0.0, 0.0, 1.0]])
-    assert_allclose(degrees(accuracy, gradient), [0.14**2 / (0.04**2 / 5 + 0.1**2 / 20), 20.0, np.inf])
+    assert_allclose(
+        degrees(accuracy, gradient), [0.14**2 / (0.04**2 / 5 + 0.1**2 / 20), 20.0, np.inf]
+    )
     assert_allclose(degrees(BARE, gradient), 7.0)
 
 
@@ -656,7 +738,10 @@ def test_errors_follow_the_gradient_but_where_it_has_a_part_that_is_not_seen():
 def test_values_are_known_by_their_derivatives_within_what_is_determined():
     slopes = np.array([[1.0, 0.0, 2.0], [0.0, 5.0, 0.0]])
     accuracy = replace(
-        BARE, blind=np.array([[0.0, 0.0], [0.6, 0.0], [0.8, 0.0]]), shares=((np.eye(3), 1.0),), at_bound=("b",)
+        BARE,
+        blind=np.array([[0.0, 0.0], [0.6, 0.0], [0.8, 0.0]]),
+        shares=((np.eye(3), 1.0),),
+        at_bound=("b",),
     )
     nlp = SimpleNamespace(names=("a", "b", "c"))
     found = known_of(nlp, accuracy, np.array([3.0, 4.0]), slopes)
@@ -667,9 +752,15 @@ def test_values_are_known_by_their_derivatives_within_what_is_determined():
     assert_allclose(found.unseen, scaled @ [[0.0], [0.6], [0.8]] / size[:, None])
     assert found.at.tolist() == [3, 4]
     only_bound = replace(accuracy, blind=np.array([[0.0], [1.0], [0.0]]))
-    assert known_of(nlp, only_bound, np.zeros(2), slopes).unseen.shape == (2, 0)  # what ended at its bound is known
+    assert known_of(nlp, only_bound, np.zeros(2), slopes).unseen.shape == (
+        2,
+        0,
+    )  # what ended at its bound is known
     assert known_of(nlp, BARE, np.zeros(2), slopes) is None
-    assert known_of(nlp, replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes) is None
+    assert (
+        known_of(nlp, replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes)
+        is None
+    )
 
 
 def test_directions_that_bounds_and_constraints_close_are_neither_seen_nor_invisible():
@@ -681,7 +772,9 @@ def test_directions_that_bounds_and_constraints_close_are_neither_seen_nor_invis
     assert_allclose(seen.T @ seen, np.eye(2), atol=1e-12)
     assert_allclose(seen.T @ invisible, np.zeros((2, 1)), atol=1e-12)
     assert_allclose(seen[3], 0, atol=1e-12)
-    seen, invisible = _directions(jacobian, np.array([[1.0, -1.0, 0.0, 0.0]]), [3])  # with a constraint, equal ones
+    seen, invisible = _directions(
+        jacobian, np.array([[1.0, -1.0, 0.0, 0.0]]), [3]
+    )  # with a constraint, equal ones
     assert (seen.shape, invisible.shape) == ((4, 2), (4, 0))
     assert_allclose(seen[0], seen[1], atol=1e-12)
     for share, unseen in ((2e-7, 0), (0.5e-7, 1)):
@@ -693,9 +786,17 @@ def test_invisible_directions_that_share_no_parameter_are_groups_of_their_own():
     mixed = np.array([[0.6, 0, 0.8, 0], [0, 1.0, 0, 0]]).T @ [[0.8, -0.6], [0.6, 0.8]]
     size = np.array([1.0, 10.0, 0.1, 1.0])
     follow = {"x": np.array([[0.0, 0.0, 1.0, 0.0]]), "v": np.array([[0.0, 1e-5, 0.0, 5.0]])}
-    parts = [SimpleNamespace(initial=follow), SimpleNamespace(initial={"z": np.array([[0.1, 0.0, 0.0, 0.0]])})]
+    parts = [
+        SimpleNamespace(initial=follow),
+        SimpleNamespace(initial={"z": np.array([[0.1, 0.0, 0.0, 0.0]])}),
+    ]
     second, first = _undetermined(mixed, size, ("a", "b", "c", "d"), parts)
-    assert (first.names, first.index, first.directions, first.states) == (("c", "a"), math.inf, 1, ("x", "z"))
+    assert (first.names, first.index, first.directions, first.states) == (
+        ("c", "a"),
+        math.inf,
+        1,
+        ("x", "z"),
+    )
     assert (second.names, second.directions, second.states) == (("b",), 1, ())
     both = np.linalg.qr(np.array([[1.0, 1, 1, 0], [1, -1, 0, 0]]).T)[0]
     (group,) = _undetermined(both, size, ("a", "b", "c", "d"), ())
@@ -721,7 +822,9 @@ def test_collinear_columns_are_named_from_an_index_of_twenty(index, found):
     assert _collinear(jacobian, held, ("a", "b", "c"), (), unseen) == ()
     same = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     difference = np.array([[1.0, -1.0, 0.0]]).T / math.sqrt(2)
-    assert _collinear(same, nothing, ("a", "b", "c"), (), difference) == ()  # said already: it is invisible
+    assert (
+        _collinear(same, nothing, ("a", "b", "c"), (), difference) == ()
+    )  # said already: it is invisible
     assert len(_collinear(same, nothing, ("a", "b", "c"), (), unseen)) == 1
 
 
@@ -729,7 +832,10 @@ def test_collinear_columns_are_named_from_an_index_of_twenty(index, found):
 def test_a_combination_is_loose_from_half_of_a_value(error, loose):
     nlp = SimpleNamespace(free=("a", "b", "c"))
     covariance = np.diag([1e9, (2 * error) ** 2, 1e-4])
-    assert _is_loose(Combination(("c", "b"), 30.0), nlp, covariance, np.array([1.0, -2.0, 1.0])) is loose
+    assert (
+        _is_loose(Combination(("c", "b"), 30.0), nlp, covariance, np.array([1.0, -2.0, 1.0]))
+        is loose
+    )
 
 
 class Plane(gb.StateSpace):
@@ -747,8 +853,12 @@ def test_steepness_is_how_many_standard_errors_each_parameter_alone_would_go():
     random = np.random.default_rng(0)
     regressors, sigma = random.normal(size=(30, 2)) * [1.0, 4.0], 0.3
     y = regressors @ [2.0, -0.5] + sigma * random.normal(size=30)
-    record = gb.Record(np.arange(30.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False)
-    nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), weight=2.0))
+    record = gb.Record(
+        np.arange(30.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False
+    )
+    nlp = compile_problem(
+        gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), weight=2.0)
+    )
     x = np.array([1.7, -0.4])
     trajectories = [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
     left = y - regressors @ x
@@ -762,20 +872,29 @@ def test_what_each_row_tells_is_its_share_of_the_information():
     random = np.random.default_rng(1)
     regressors = random.normal(size=(400, 2)) @ [[1.0, 0.5], [0.0, 3.0]]
     y = regressors @ [2.0, -0.5] + 0.3 * random.normal(size=400)
-    record = gb.Record(np.arange(400.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False)
+    record = gb.Record(
+        np.arange(400.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False
+    )
     nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError()))
     x = np.linalg.lstsq(regressors, y, rcond=None)[0]
-    accuracy = assess(nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    accuracy = assess(
+        nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
+    )
     ((along, alone),) = told_by(nlp, accuracy)
     columns = regressors @ np.linalg.inv(regressors.T @ regressors)
     count = along.shape[1]
     for found, squares in ((along, columns**2), (alone, regressors**2)):
-        wanted = np.add.reduceat(squares / squares.sum(axis=0), np.linspace(0, 400, count + 1)[:-1].astype(int), axis=0)
+        wanted = np.add.reduceat(
+            squares / squares.sum(axis=0), np.linspace(0, 400, count + 1)[:-1].astype(int), axis=0
+        )
         assert_allclose(found, wanted.T)
     held = told_by(nlp, replace(accuracy, at_bound=("a",)))[0]
     assert np.isnan(held[0][0]).all()
     assert_allclose(held[0][1], along[1])
-    assert [each.shape for each in told_by(nlp, replace(accuracy, white=None))[0]] == [(2, 0), (2, 0)]
+    assert [each.shape for each in told_by(nlp, replace(accuracy, white=None))[0]] == [
+        (2, 0),
+        (2, 0),
+    ]
 
 
 def test_an_unseen_direction_is_looked_at_again_beside_the_estimate():
@@ -783,7 +902,9 @@ def test_an_unseen_direction_is_looked_at_again_beside_the_estimate():
     problem = gb.Problem(Product(), measured(Lags(), OMEGA, LAGS, 0.02), fixed={"idle": 0.5})
     nlp = compile_problem(problem)
     for delay, moved in ((0.15, 0.15 * (1 - 0.18)), (0.0, 0.2 * 0.1 * 0.18)):
-        x = np.array([{"K1": 1.0, "K2": 2.0, "T1": 0.4, "T2": 0.05, "T": delay}[name] for name in nlp.free])
+        x = np.array(
+            [{"K1": 1.0, "K2": 2.0, "T1": 0.4, "T2": 0.05, "T": delay}[name] for name in nlp.free]
+        )
         accuracy = assess(nlp, x)
         found = known_directions(nlp, x, replace(accuracy, at_bound=()), lambda _: ())
         assert_allclose(found.at, x)
@@ -798,17 +919,25 @@ def test_an_unseen_direction_is_looked_at_again_beside_the_estimate():
         assert first == pytest.approx(-second, rel=1e-3)
     held = known_directions(nlp, x, replace(accuracy, at_bound=("T",)), lambda _: ())
     assert held.elsewhere.at[-1] == x[-1]
-    assert known_directions(nlp, x, replace(accuracy, at_bound=()), lambda _: (None,)).elsewhere is None
+    assert (
+        known_directions(nlp, x, replace(accuracy, at_bound=()), lambda _: (None,)).elsewhere
+        is None
+    )
     plain = compile_problem(gb.Problem(Lags(), measured(Lags(), OMEGA, LAGS, 0.02)))
     at = np.array(list(LAGS.values()))
     assert known_directions(plain, at, assess(plain, at), lambda _: ()).elsewhere is None
 
 
-@pytest.mark.parametrize(("error", "is_loose"), [((0.99, 0.4), False), ((1.01, 0.4), True), ((0.9, np.nan), True)])
+@pytest.mark.parametrize(
+    ("error", "is_loose"), [((0.99, 0.4), False), ((1.01, 0.4), True), ((0.9, np.nan), True)]
+)
 def test_a_suspect_combination_is_loose_from_half_of_a_value_on(error, is_loose):
     nlp = SimpleNamespace(free=("a", "b", "c"))
     covariance = np.diag(np.square([error[0], 9.0, error[1]]))
-    assert _is_loose(Combination(("c", "a"), 30.0), nlp, covariance, np.array([-2.0, 1.0, 0.9])) == is_loose
+    assert (
+        _is_loose(Combination(("c", "a"), 30.0), nlp, covariance, np.array([-2.0, 1.0, 0.9]))
+        == is_loose
+    )
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -838,5 +967,7 @@ def test_a_bound_holds_what_is_close_and_pushed_or_within_rounding(side, away, b
     given = {"fixed": {"b": 0.0}, "bounds": {"a": bounds}}
     nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), **given))
     x = np.array([bound - side * away * unit])
-    accuracy = assess(nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    accuracy = assess(
+        nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
+    )
     assert accuracy.at_bound == (("a",) if held else ())

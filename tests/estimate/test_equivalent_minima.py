@@ -37,11 +37,15 @@ class Modes(gb.TransferFunction):
 def noisy(model):
     exact = gb.frequency_response(model, {}, OMEGA).response
     random = np.random.default_rng(1)
-    return gb.FrequencyResponse(OMEGA, exact * (1 + 0.01 * random.normal(size=20) + 0.01j * random.normal(size=20)))
+    return gb.FrequencyResponse(
+        OMEGA, exact * (1 + 0.01 * random.normal(size=20) + 0.01j * random.normal(size=20))
+    )
 
 
 def test_lags_that_swap_are_shown_with_the_order_that_keeps_one(tmp_path):
-    fit = gb.fit(gb.Problem(LagLagDelay(), DATA), starts=[{}], progress=False)  # one run cannot have found both
+    fit = gb.fit(
+        gb.Problem(LagLagDelay(), DATA), starts=[{}], progress=False
+    )  # one run cannot have found both
     names = list(fit.free)
     first, second = fit.equivalents
     i, j = names.index("T1"), names.index("T2")
@@ -51,7 +55,9 @@ def test_lags_that_swap_are_shown_with_the_order_that_keeps_one(tmp_path):
     assert "T1 and T2 change places" in text
     assert f"constraints=[lambda p: p.{high} - p.{low}]" in text
     ordered = gb.fit(
-        gb.Problem(LagLagDelay(), DATA, constraints=[lambda p: p[high] - p[low]]), starts=[{}], progress=False
+        gb.Problem(LagLagDelay(), DATA, constraints=[lambda p: p[high] - p[low]]),
+        starts=[{}],
+        progress=False,
     )
     assert len(ordered.equivalents) == 1
     assert not [warning for warning in ordered.warnings if "same response" in warning]
@@ -61,7 +67,12 @@ def test_lags_that_swap_are_shown_with_the_order_that_keeps_one(tmp_path):
 
 def test_signs_are_named_each_and_a_constraint_for_each():
     fit = gb.fit(gb.Problem(Roots(), noisy(Roots())), starts=[{}], progress=False)
-    assert {tuple(np.sign(vector)) for vector in fit.equivalents} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
+    assert {tuple(np.sign(vector)) for vector in fit.equivalents} == {
+        (1, 1),
+        (1, -1),
+        (-1, 1),
+        (-1, -1),
+    }
     (text,) = [warning for warning in fit.warnings if "same response" in warning]
     assert "a changes its sign" in text
     kept = gb.Problem(Roots(), noisy(Roots()), constraints=[lambda p: p.a, lambda p: p.b])
@@ -92,13 +103,16 @@ def test_what_keeps_a_vector_holds_for_it_and_not_for_the_other(best, other, kee
     assert found == keeps
     if keeps:
         signs = [
-            eval(keeps, {"p": gb.modeling.model.Names(dict(zip("abc", v, strict=True)), "")}) for v in (best, other)
+            eval(keeps, {"p": gb.modeling.model.Names(dict(zip("abc", v, strict=True)), "")})
+            for v in (best, other)
         ]
         assert signs[0] > 0 > signs[1]
 
 
 def test_nothing_is_said_where_there_is_one():
-    fit = gb.fit(gb.Problem(Modes(), noisy(Modes()), fixed={"T2": 0.1}), starts=[{}], progress=False)
+    fit = gb.fit(
+        gb.Problem(Modes(), noisy(Modes()), fixed={"T2": 0.1}), starts=[{}], progress=False
+    )
     assert len(fit.equivalents) == 1
 
 
@@ -106,11 +120,31 @@ def test_nothing_is_said_where_there_is_one():
     ("best", "other", "words", "keeps"),
     [
         # The largest that is positive, then the largest.
-        ([3.0, 2.0, 0.0, -5.0], [-3.0, -2.0, 0.0, 5.0], "a, b and d change their signs together", "p.a"),
-        ([-3.0, -2.0, 1.0, 0.0], [3.0, 2.0, 1.0, 0.0], "a and b change their signs together", "-p.a"),
+        (
+            [3.0, 2.0, 0.0, -5.0],
+            [-3.0, -2.0, 0.0, 5.0],
+            "a, b and d change their signs together",
+            "p.a",
+        ),
+        (
+            [-3.0, -2.0, 1.0, 0.0],
+            [3.0, 2.0, 1.0, 0.0],
+            "a and b change their signs together",
+            "-p.a",
+        ),
         # The pair that lies farthest apart beside its size.
-        ([10.0, 11.0, 1.0, 2.0], [11.0, 10.0, 2.0, 1.0], "a with b and c with d change places", "p.d - p.c"),
-        ([2.0, 1.0, 11.0, 10.0], [1.0, 2.0, 10.0, 11.0], "a with b and c with d change places", "p.a - p.b"),
+        (
+            [10.0, 11.0, 1.0, 2.0],
+            [11.0, 10.0, 2.0, 1.0],
+            "a with b and c with d change places",
+            "p.d - p.c",
+        ),
+        (
+            [2.0, 1.0, 11.0, 10.0],
+            [1.0, 2.0, 10.0, 11.0],
+            "a with b and c with d change places",
+            "p.a - p.b",
+        ),
         ([1.0, 2.0, 4.0, 3.0], [4.0, 2.0, 1.0, 3.0], "a and c change places", "p.c - p.a"),
         ([1.0, 2.0, 4.0, 3.0], [1.0, 2.0, 4.0, 3.01], "", ""),
         ([1.0, 2.0, 4.0, 3.0], [2.0, 1.0, 4.0, 9.0], "", ""),
@@ -135,8 +169,14 @@ class Square(gb.TransferFunction):
 def test_what_lies_beyond_a_bound_is_no_equivalent(bounds, count):
     data = gb.FrequencyResponse(OMEGA, 2.25 / (0.3j * OMEGA + 1))
     start = 1.4 if bounds[1] > 1.5 else -1.4
-    fit = gb.fit(gb.Problem(Square(), data, bounds={"a": bounds}), starts=[{"a": start}], progress=False)
-    assert_allclose(fit.equivalents[:, 0], [np.copysign(1.5, start), -np.copysign(1.5, start)][:count], rtol=1e-4)
+    fit = gb.fit(
+        gb.Problem(Square(), data, bounds={"a": bounds}), starts=[{"a": start}], progress=False
+    )
+    assert_allclose(
+        fit.equivalents[:, 0],
+        [np.copysign(1.5, start), -np.copysign(1.5, start)][:count],
+        rtol=1e-4,
+    )
 
 
 def test_of_many_vectors_four_are_shown():

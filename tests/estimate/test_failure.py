@@ -43,9 +43,13 @@ class Root(gb.StateSpace):
 
 def unfinished():
     clean = gb.simulate(Lag(), {"a": 3.0, "k": 20.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
-    problem = gb.Problem(Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), gb.OutputError(inputs="held"))
+    problem = gb.Problem(
+        Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), gb.OutputError(inputs="held")
+    )
     method = gb.MultipleShooting(strategies=gb.solve.Strategies(continued_runs=False))
-    return gb.fit(problem, starts=[{}], method=method, solver_options={"max_iter": 4}, progress=False)
+    return gb.fit(
+        problem, starts=[{}], method=method, solver_options={"max_iter": 4}, progress=False
+    )
 
 
 def test_the_best_end_is_given_without_errors_with_what_blocks_it():
@@ -53,7 +57,9 @@ def test_the_best_end_is_given_without_errors_with_what_blocks_it():
     (run,) = fit.runs
     assert not fit.converged
     assert fit.status == "no start converged (1 × iterations exceeded)"
-    assert fit.best_effort == dict(zip(fit.free, run.estimate.tolist(), strict=True)) | {"held": 0.5}
+    assert fit.best_effort == dict(zip(fit.free, run.estimate.tolist(), strict=True)) | {
+        "held": 0.5
+    }
     assert np.isnan([fit.standard_error[name] for name in fit.free]).all()
     closest, *blocking = fit.warnings
     assert closest.startswith("run 0 came closest")
@@ -66,7 +72,9 @@ def test_the_best_end_is_given_without_errors_with_what_blocks_it():
     assert all(text in said for text in fit.warnings)
     assert "best effort, no estimate" in said
     # From there the rest is found.
-    problem = gb.Problem(Lag(), fit.records[0].data, gb.OutputError(inputs="held"), fixed={"mass": 1.0})
+    problem = gb.Problem(
+        Lag(), fit.records[0].data, gb.OutputError(inputs="held"), fixed={"mass": 1.0}
+    )
     started = {name: fit.best_effort[name] for name in ("a", "k")}
     assert gb.fit(problem, starts=[started], progress=False).converged
 
@@ -81,7 +89,9 @@ def test_the_parameters_along_which_the_cost_falls_are_named():
         fixed={"mass": 1.0, "a": 3.0},
     )
     method = gb.MultipleShooting(strategies=gb.solve.Strategies(continued_runs=False))
-    fit = gb.fit(problem, starts=[{"k": 1.0}], method=method, solver_options={"max_iter": 1}, progress=False)
+    fit = gb.fit(
+        problem, starts=[{"k": 1.0}], method=method, solver_options={"max_iter": 1}, progress=False
+    )
     best = gb.fit(problem, starts=1, progress=False)
     assert not fit.converged
     (text,) = [text for text in fit.warnings if "still falls" in text]
@@ -115,7 +125,9 @@ def test_an_estimate_leaves_no_best_effort():
 
 def test_runs_that_end_at_the_edge_of_a_root_say_so():
     fit = gb.fit(
-        gb.Problem(Root(), gb.Record(TIME, {"u": U, "y": NOISE - 1}), gb.OutputError(inputs="held")),
+        gb.Problem(
+            Root(), gb.Record(TIME, {"u": U, "y": NOISE - 1}), gb.OutputError(inputs="held")
+        ),
         starts=2,
         progress=False,
     )

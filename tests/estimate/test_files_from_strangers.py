@@ -53,7 +53,9 @@ def test_a_sound_file_is_read(fuzzer, whole):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
 @pytest.mark.parametrize("name", KINDS)
-def test_a_crafted_file_is_refused_in_a_sentence_or_harmless(fuzzer, whole, tmp_path, monkeypatch, name):
+def test_a_crafted_file_is_refused_in_a_sentence_or_harmless(
+    fuzzer, whole, tmp_path, monkeypatch, name
+):
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
     craft(name, whole, tmp_path / "crafted.h5")

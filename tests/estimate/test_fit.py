@@ -30,10 +30,15 @@ from greybox.solve.time_limits import TimeLimits, limited
 from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst
 
 ORDERED = [lambda p: p.T1 - p.T2]
-LAG = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05, seed=3)), starts=6)
+LAG = gb.fit(
+    gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05, seed=3)),
+    starts=6,
+)
 LAGS = gb.fit(
     gb.Problem(
-        LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2), constraints=ORDERED
+        LagLagDelay(),
+        measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2),
+        constraints=ORDERED,
     ),
     starts=12,
 )
@@ -64,7 +69,9 @@ def test_intervals_are_those_of_students_t(level):
 def test_intervals_of_known_noise_are_normal():
     exact = gb.frequency_response(Lag(), {"K": 2.0}, TWO_LAGS_OMEGA).response
     noisy = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.05, seed=3)
-    data = gb.FrequencyResponse(noisy.omega, noisy.response, variance=2 * 0.05**2 * np.abs(exact) ** 2)
+    data = gb.FrequencyResponse(
+        noisy.omega, noisy.response, variance=2 * 0.05**2 * np.abs(exact) ** 2
+    )
     fit = gb.fit(gb.Problem(Lag(), data, gb.MaximumLikelihood()), starts=4)
     low, high = fit.interval(0.95)["T"]
     assert (high - low) / 2 / fit.standard_error["T"] == pytest.approx(1.959964, rel=1e-5)
@@ -79,36 +86,53 @@ def test_a_level_that_is_no_probability_is_refused(level):
 def test_covariance_of_picks_names_in_their_order():
     full = LAGS.covariance_of(["K", "T1", "T2", "tau"])
     assert_array_equal(LAGS.covariance_of(["tau", "K"]), full[np.ix_([3, 0], [3, 0])])
-    assert_allclose(np.sqrt(np.diag(full)), [LAGS.standard_error[n] for n in ("K", "T1", "T2", "tau")])
+    assert_allclose(
+        np.sqrt(np.diag(full)), [LAGS.standard_error[n] for n in ("K", "T1", "T2", "tau")]
+    )
     assert np.linalg.eigvalsh(full).min() > 0
-    with pytest.raises(ValueError, match="no parameter 'gain' with a covariance; it has K, T1, T2, tau"):
+    with pytest.raises(
+        ValueError, match="no parameter 'gain' with a covariance; it has K, T1, T2, tau"
+    ):
         LAGS.covariance_of(["gain"])
 
 
 def test_standard_errors_of_least_squares_are_those_of_the_textbook():
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=1e-4, seed=4)
-    fit = gb.fit(gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError(), constraints=ORDERED), starts=8)
+    fit = gb.fit(
+        gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError(), constraints=ORDERED), starts=8
+    )
 
     def residuals(x):
-        P = gb.frequency_response(LagLagDelay(), dict(zip(TWO_LAGS, x, strict=True)), data.omega).response
+        P = gb.frequency_response(
+            LagLagDelay(), dict(zip(TWO_LAGS, x, strict=True)), data.omega
+        ).response
         e = (P - data.response) / np.abs(data.response)
         return np.concatenate([e.real, e.imag])
 
     x = [fit.estimate[n] for n in TWO_LAGS]
     J = numeric_jacobian(residuals, x, 1e-4)
     s2 = np.sum(residuals(x) ** 2) / (2 * len(data) - 4)
-    assert_allclose(fit.covariance_of(list(TWO_LAGS)), s2 * np.linalg.inv(J.T @ J), rtol=2e-3, atol=1e-14)
+    assert_allclose(
+        fit.covariance_of(list(TWO_LAGS)), s2 * np.linalg.inv(J.T @ J), rtol=2e-3, atol=1e-14
+    )
 
 
 SQUARES = gb.SquaredRelativeError()
 SHARED = {n: ROTOR[n] for n in ("T_rotor", "T_delay")}
-ROTOR_FIT = gb.fit(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, noise=0.02, seed=3), SQUARES), starts=8)
+ROTOR_FIT = gb.fit(
+    gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, noise=0.02, seed=3), SQUARES),
+    starts=8,
+)
 TILT_DATA = measured(Tilt(), TILT_OMEGA, TILT | SHARED, noise=0.02, seed=4)
 
 
 def refit(T_rotor, T_delay):
     fixed = {"T_rotor": T_rotor, "T_delay": T_delay}
-    return gb.fit(gb.Problem(Tilt(), TILT_DATA, SQUARES, fixed=fixed), starts=[TILT], solver_options={"tol": 1e-12})
+    return gb.fit(
+        gb.Problem(Tilt(), TILT_DATA, SQUARES, fixed=fixed),
+        starts=[TILT],
+        solver_options={"tol": 1e-12},
+    )
 
 
 def test_an_earlier_fit_widens_the_standard_errors_by_how_the_estimate_moves_with_its_values():
@@ -117,7 +141,9 @@ def test_an_earlier_fit_widens_the_standard_errors_by_how_the_estimate_moves_wit
     widened = gb.fit(gb.Problem(Tilt(), TILT_DATA, SQUARES, fixed=ROTOR_FIT), starts=20)
     centre = np.array([ROTOR_FIT.estimate[n] for n in given])
     narrow = refit(*centre)
-    assert_allclose([widened.estimate[n] for n in names], [narrow.estimate[n] for n in names], rtol=1e-6)
+    assert_allclose(
+        [widened.estimate[n] for n in names], [narrow.estimate[n] for n in names], rtol=1e-6
+    )
     columns = []
     for k in range(2):
         shift = np.zeros(2)
@@ -126,11 +152,16 @@ def test_an_earlier_fit_widens_the_standard_errors_by_how_the_estimate_moves_wit
         columns.append([(up.estimate[n] - down.estimate[n]) / (2 * shift[k]) for n in names])
     S, sigma = np.array(columns).T, ROTOR_FIT.covariance_of(given)
     expected = narrow.covariance_of(names) + S @ sigma @ S.T
-    # The refits see the residuals' curvature, which Gauss-Newton neglects: a few percent at 2 % noise.
-    assert_allclose([widened.standard_error[n] for n in names], np.sqrt(np.diag(expected)), rtol=0.05)
+    # The refits see the residuals' curvature, which Gauss-Newton neglects: a few percent at 2 %
+    # noise.
+    assert_allclose(
+        [widened.standard_error[n] for n in names], np.sqrt(np.diag(expected)), rtol=0.05
+    )
     assert_allclose(widened.covariance_of(given), sigma, rtol=1e-12)
     assert all(widened.standard_error[n] > 1.03 * narrow.standard_error[n] for n in names)
-    assert widened.standard_error["a3_tilde"] == pytest.approx(gb.g * widened.standard_error["a3"], rel=1e-9)
+    assert widened.standard_error["a3_tilde"] == pytest.approx(
+        gb.g * widened.standard_error["a3"], rel=1e-9
+    )
 
 
 def test_fixed_numbers_have_no_error_and_those_of_a_fit_keep_theirs():
@@ -147,27 +178,41 @@ def test_response_is_the_models_at_the_estimate(model, delay):
     problem = gb.Problem(model, TILT_DATA, fixed=SHARED, delay=delay)
     fit = gb.fit(problem, starts=8)
     omega = [0.5, 3.0, 40.0]
-    expected = gb.frequency_response(model, fit.estimate, omega, input="u", output="theta", delay=delay)
+    expected = gb.frequency_response(
+        model, fit.estimate, omega, input="u", output="theta", delay=delay
+    )
     assert_array_equal(fit.response(omega).response, expected.response)
     assert_allclose(fit.parts[0].response, fit.response(TILT_OMEGA).response, rtol=1e-10)
-    assert fit.cost == pytest.approx(np.sum(np.abs(fit.parts[0].response / TILT_DATA.response - 1)), rel=1e-9)
+    assert fit.cost == pytest.approx(
+        np.sum(np.abs(fit.parts[0].response / TILT_DATA.response - 1)), rel=1e-9
+    )
 
 
 def test_response_of_a_part_uses_its_renamed_and_tied_values_and_operating_point():
     theta = np.radians(5)
     truth = TILT | SHARED | {"a1": -10.0, "C_x": 0.08}
-    forward = measured(NonlinearTilt(), TILT_OMEGA, truth, output="theta", at={"theta": theta}, noise=0.01)
+    forward = measured(
+        NonlinearTilt(), TILT_OMEGA, truth, output="theta", at={"theta": theta}, noise=0.01
+    )
     parts = [
         gb.Problem(Tilt(), TILT_DATA, tied={"a2": lambda p: p.a4 / 50}),
-        gb.Problem(NonlinearTilt(), forward, at={"theta": theta}, rename={n: f"{n}_5" for n in TILT}),
+        gb.Problem(
+            NonlinearTilt(), forward, at={"theta": theta}, rename={n: f"{n}_5" for n in TILT}
+        ),
     ]
     fit = gb.fit(sum(parts), starts=6)
-    values = {n: fit.estimate[f"{n}_5"] for n in TILT} | {n: fit.estimate[n] for n in ("T_rotor", "T_delay", "C_x")}
-    expected = gb.frequency_response(NonlinearTilt(), values, TILT_OMEGA, output="theta", at={"theta": theta})
+    values = {n: fit.estimate[f"{n}_5"] for n in TILT} | {
+        n: fit.estimate[n] for n in ("T_rotor", "T_delay", "C_x")
+    }
+    expected = gb.frequency_response(
+        NonlinearTilt(), values, TILT_OMEGA, output="theta", at={"theta": theta}
+    )
     assert_array_equal(fit.response(TILT_OMEGA, part=1).response, expected.response)
     first = {n: fit.estimate[n] for n in Tilt().parameters}
     assert first["a2"] == pytest.approx(first["a4"] / 50, rel=1e-12)
-    assert_array_equal(fit.response(TILT_OMEGA).response, gb.frequency_response(Tilt(), first, TILT_OMEGA).response)
+    assert_array_equal(
+        fit.response(TILT_OMEGA).response, gb.frequency_response(Tilt(), first, TILT_OMEGA).response
+    )
 
 
 def test_derived_quantities_of_renamed_parts_are_all_reported():
@@ -212,9 +257,13 @@ def test_the_print_answers_in_order():
 
 
 def test_other_criteria_are_the_costs_of_their_own_problems():
-    by_name = {c.name: c for c in (gb.MagnitudePhase(), SQUARES, gb.RelativeError(normalized="model"))}
+    by_name = {
+        c.name: c for c in (gb.MagnitudePhase(), SQUARES, gb.RelativeError(normalized="model"))
+    }
     for name, criterion in by_name.items():
-        expected = gb.cost(gb.Problem(Lag(), LAG.parts[0].data, criterion), {n: LAG.estimate[n] for n in LAG.free})
+        expected = gb.cost(
+            gb.Problem(Lag(), LAG.parts[0].data, criterion), {n: LAG.estimate[n] for n in LAG.free}
+        )
         assert LAG.costs[name] == pytest.approx(expected, rel=1e-10)
     assert np.isnan(LAG.costs["maximum-likelihood"])
 
@@ -304,7 +353,9 @@ def test_what_ctrl_c_and_time_limits_left_out_is_said():
     assert said(["done"] * 3, 5, interrupted=True) == [
         "interrupted after 3 of 5 starts: another one may end at a lower cost."
     ]
-    assert said(["done", SEARCH_OVER], 2) == ["interrupted after 2 of 2 starts: another one may end at a lower cost."]
+    assert said(["done", SEARCH_OVER], 2) == [
+        "interrupted after 2 of 2 starts: another one may end at a lower cost."
+    ]
     with limited(TimeLimits(start=2.5, end=0.0)):
         assert said(["done", SEARCH_OVER], 9) == [
             "the time limit ended the search after 2 of 9 starts: another one may end at a lower cost, and a faster "
@@ -335,19 +386,25 @@ def test_a_number_of_starts_begins_with_the_declared_values_where_the_solver_ask
 
 @pytest.mark.parametrize(
     ("matters", "largest", "by"),
-    [(False, 0.5, None), (True, 0.123, "by 0.12 standard errors"), (True, np.inf, "by without limit, since")],
+    [
+        (False, 0.5, None),
+        (True, 0.123, "by 0.12 standard errors"),
+        (True, np.inf, "by without limit, since"),
+    ],
 )
 def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, largest, by):
     parts = [SimpleNamespace(substeps=2), SimpleNamespace(substeps=3)]
     nlp = SimpleNamespace(parts=parts, free=("a", "b", "c"), method=gb.MultipleShooting())
-    error = SimpleNamespace(matters=matters, shift=np.array([0.1, -0.9, 0.3]), largest=largest, growth=2)
+    error = SimpleNamespace(
+        matters=matters, shift=np.array([0.1, -0.9, 0.3]), largest=largest, growth=2
+    )
     found = [*discretization_warnings(nlp, (), error)]
     assert len(found) == matters
     if matters:
-        said = (
-            "the integration is too coarse: twice the steps per sample (6 instead of 3) would change b or its standard"
+        said = "the integration is too coarse: twice the steps per sample (6 instead of 3) would change b or its standard"
+        assert found[0].startswith(
+            f"{said} error {by.removeprefix('by ') if np.isinf(largest) else by}"
         )
-        assert found[0].startswith(f"{said} error {by.removeprefix('by ') if np.isinf(largest) else by}")
         assert str(nlp.method.finer(6)) in found[0]
     static = SimpleNamespace(parts=[SimpleNamespace(substeps=0)])
     assert [*discretization_warnings(static, (), error)] == []

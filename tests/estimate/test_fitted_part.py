@@ -17,7 +17,10 @@ STATED = {
     "model": {},
 }
 TIME = np.arange(5.0)
-MEASURED = {"y": np.array([1.0, 4.0, np.nan, 2.0, 5.0]), "z": np.array([np.nan, 0.5, np.nan, np.nan, -0.5])}
+MEASURED = {
+    "y": np.array([1.0, 4.0, np.nan, 2.0, 5.0]),
+    "z": np.array([np.nan, 0.5, np.nan, np.nan, -0.5]),
+}
 FITTED = {"y": np.array([2.0, 4.0, 3.0, np.nan, 4.0]), "z": np.array([0.0, 0.5, 0.0, 0.0, np.nan])}
 
 
@@ -38,7 +41,9 @@ def test_residuals_are_compared_where_both_are_there():
     assert_allclose(part.residual("y"), [-1, 0, np.nan, np.nan, 1])
     assert part.compared == 3  # rows 0, 1 and 4
     y, p = np.array([1.0, 4.0, 5.0]), np.array([2.0, 4.0, 4.0])
-    assert part.fit_percent("y") == pytest.approx(100 * (1 - np.linalg.norm(y - p) / np.linalg.norm(y - y.mean())))
+    assert part.fit_percent("y") == pytest.approx(
+        100 * (1 - np.linalg.norm(y - p) / np.linalg.norm(y - y.mean()))
+    )
 
 
 def test_parameters_that_a_criterion_adds_have_their_names():
@@ -66,13 +71,20 @@ def test_spectra_are_reproduced_to_the_share_of_their_power_that_is_not_left():
 
     fitted = {"q": np.array([3 + 4j, 5.0, 12.0]), "r": np.ones(3)}
     part = FittedSpectrum(
-        **(STATED | {"data": Data()}), fitted=fitted, outputs=("q", "r"), noise=np.eye(2), ends={}, at={}
+        **(STATED | {"data": Data()}),
+        fitted=fitted,
+        outputs=("q", "r"),
+        noise=np.eye(2),
+        ends={},
+        at={},
     )
     assert_allclose(part.residual("q"), [0, -5, 0])
     assert part.fit_percent("q") == pytest.approx(100 * (1 - 5 / 13))
     assert np.isnan(part.fit_percent("r"))
 
 
-@pytest.mark.parametrize(("known", "full", "count"), [(True, True, 0), (False, True, 6), (False, False, 3)])
+@pytest.mark.parametrize(
+    ("known", "full", "count"), [(True, True, 0), (False, True, 6), (False, False, 3)]
+)
 def test_a_covariance_of_three_outputs_has_six_numbers_or_three(known, full, count):
     assert covariance_unknowns(3, known=known, full=full) == count

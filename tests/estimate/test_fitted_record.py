@@ -33,7 +33,11 @@ def flown():
     y, z = x + 0.05 * random.normal(size=n), 2 * x + 0.2 * random.normal(size=n)
     y[10:15] = np.nan
     return gb.Record(
-        time, {"u": u, "y": y, "z": z, "other": u}, {"y": "m", "other": "m"}, name="flight", hold={"u": np.inf}
+        time,
+        {"u": u, "y": y, "z": z, "other": u},
+        {"y": "m", "other": "m"},
+        name="flight",
+        hold={"u": np.inf},
     )
 
 
@@ -48,11 +52,19 @@ def test_every_field_of_a_fitted_record(noise):
     assert part.data.hold == {"u": np.inf}
     assert part.inputs == "record"
     assert part.between == {"u": "held until its next sample, as the record says"}
-    assert (part.simulated.name, part.biases, part.gains, part.driven, part.added) == ("Two", (), (), (), ())
+    assert (part.simulated.name, part.biases, part.gains, part.driven, part.added) == (
+        "Two",
+        (),
+        (),
+        (),
+        (),
+    )
     assert (part.gain, part.gain_slope, part.is_static) == (None, None, False)
     assert part.label == "Two"
     assert part.equation == "A lag, seen as it is and doubled."
-    assert part.compared == (115 if noise == "full" else 120)  # of a full covariance, samples with both
+    assert part.compared == (
+        115 if noise == "full" else 120
+    )  # of a full covariance, samples with both
 
     a, u = fit.estimate["a"], record["u"]
     x = np.zeros(120)
@@ -66,7 +78,9 @@ def test_every_field_of_a_fitted_record(noise):
     left = np.array([part.residual("y"), part.residual("z")])
     there = np.nan_to_num(left)
     if noise == "diagonal":
-        assert_allclose(part.noise, np.diag([np.nanmean(left[0] ** 2), np.mean(left[1] ** 2)]), rtol=1e-6)
+        assert_allclose(
+            part.noise, np.diag([np.nanmean(left[0] ** 2), np.mean(left[1] ** 2)]), rtol=1e-6
+        )
         assert part.nuisances == 1 + 2  # the initial state of the second stretch, and the variances
     elif noise == "full":  # of samples with both
         both = there[:, np.isfinite(left[0])]
@@ -83,9 +97,15 @@ def test_every_field_of_a_fitted_record(noise):
 
 
 def test_parameters_that_a_criterion_adds_and_whether_two_are_the_same():
-    criteria = (gb.OutputError(), gb.OutputError(), gb.OutputError(noise="full"), gb.PredictionError())
+    criteria = (
+        gb.OutputError(),
+        gb.OutputError(),
+        gb.OutputError(noise="full"),
+        gb.PredictionError(),
+    )
     one, same, full, predicted = (
-        gb.fit(gb.Problem(Two(), flown(), criterion), starts=[{}], progress=False).records[0] for criterion in criteria
+        gb.fit(gb.Problem(Two(), flown(), criterion), starts=[{}], progress=False).records[0]
+        for criterion in criteria
     )
     assert one.has_criterion_of(same)
     assert not one.has_criterion_of(full)

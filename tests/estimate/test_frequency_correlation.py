@@ -32,16 +32,24 @@ def fitted(correlation, criterion, seed, n=25):
         e[k] = correlation * e[k - 1] + np.sqrt(1 - correlation**2) * e[k]
     variance = 2 * (0.05 * np.abs(exact)) ** 2
     data = gb.FrequencyResponse(omega, exact * (1 + 0.05 * e), "u", "y", variance=variance)
-    return gb.fit(gb.Problem(Lag(), data, criterion), starts=[{"K": 2.0, "tau": 0.3, "T": 0.03}], progress=False)
+    return gb.fit(
+        gb.Problem(Lag(), data, criterion),
+        starts=[{"K": 2.0, "tau": 0.3, "T": 0.03}],
+        progress=False,
+    )
 
 
 def said(fit):
     return any("correlated along frequency" in text for text in fit.warnings)
 
 
-@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood(), gb.MagnitudePhase()], ids=str)
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.MaximumLikelihood(), gb.MagnitudePhase()], ids=str
+)
 def test_correlated_errors_are_said_and_independent_ones_not(criterion):
-    assert sum(said(fitted(0.0, criterion, seed)) for seed in range(12)) <= 1  # of 1 %, twice has 0.6 %
+    assert (
+        sum(said(fitted(0.0, criterion, seed)) for seed in range(12)) <= 1
+    )  # of 1 %, twice has 0.6 %
     assert sum(said(fitted(0.8, criterion, seed)) for seed in range(6)) >= 5
 
 
@@ -50,9 +58,13 @@ def test_points_closer_than_the_resolution_are_said():
     rng = np.random.default_rng(2)
     time = np.arange(0, 200, 0.02)
     u = rng.standard_normal(time.size)
-    y = np.convolve(u, 0.02 * 2 / 0.3 * np.exp(-time[:200] / 0.3))[: u.size] + 0.3 * rng.standard_normal(u.size)
+    y = np.convolve(u, 0.02 * 2 / 0.3 * np.exp(-time[:200] / 0.3))[
+        : u.size
+    ] + 0.3 * rng.standard_normal(u.size)
     omega = np.linspace(2, 5, 40)
-    data = gb.spectral.spectral_response(gb.Record(time, {"u": u, "y": y}), "u", "y", omega=omega, windows=[20.0])
+    data = gb.spectral.spectral_response(
+        gb.Record(time, {"u": u, "y": y}), "u", "y", omega=omega, windows=[20.0]
+    )
     problem = gb.Problem(Lag(), data, gb.MaximumLikelihood(), fixed={"T": 0.01})
     assert said(gb.fit(problem, starts=[{"K": 2.0, "tau": 0.3}], progress=False))
 
@@ -71,7 +83,9 @@ def test_mean_and_variance_are_those_of_projected_noise():
     assert variance[0] == pytest.approx(r.var(), rel=0.1)
     chances = [chance_of_more(*one) for one in found]
     for share in (0.01, 0.05, 0.5):
-        assert np.mean(np.array(chances) < share) == pytest.approx(share, abs=3 * np.sqrt(share * (1 - share) / 4000))
+        assert np.mean(np.array(chances) < share) == pytest.approx(
+            share, abs=3 * np.sqrt(share * (1 - share) / 4000)
+        )
 
 
 def test_too_few_residuals_say_nothing():
@@ -87,37 +101,59 @@ def test_the_correlation_that_is_said_is_that_of_residuals_over_their_sizes(crit
     e = np.cumsum(random.standard_normal(25) + 1j * random.standard_normal(25))
     deviation = 0.02 * np.abs(exact) * np.geomspace(1, 9, 25)
     data = gb.FrequencyResponse(
-        OMEGA[order], (exact + deviation * e)[order], "u", "y", name="run", variance=2 * deviation[order] ** 2
+        OMEGA[order],
+        (exact + deviation * e)[order],
+        "u",
+        "y",
+        name="run",
+        variance=2 * deviation[order] ** 2,
     )
-    fit = gb.fit(gb.Problem(Lag(), data, criterion), starts=[{"K": 2.0, "tau": 0.3, "T": 0.03}], progress=False)
+    fit = gb.fit(
+        gb.Problem(Lag(), data, criterion),
+        starts=[{"K": 2.0, "tau": 0.3, "T": 0.03}],
+        progress=False,
+    )
     p = fit.estimate
     lag = 1 / (p["tau"] * 1j * OMEGA + 1)
     model = p["K"] * lag * np.exp(-1j * OMEGA * p["T"])
     measured = exact + deviation * e
-    size = deviation * np.sqrt(2) if isinstance(criterion, gb.MaximumLikelihood) else np.abs(measured)
+    size = (
+        deviation * np.sqrt(2) if isinstance(criterion, gb.MaximumLikelihood) else np.abs(measured)
+    )
     left = (model - measured) / size
-    slopes = np.transpose([model / p["K"], -1j * OMEGA * lag * model, -1j * OMEGA * model]) / size[:, None]
+    slopes = (
+        np.transpose([model / p["K"], -1j * OMEGA * lag * model, -1j * OMEGA * model])
+        / size[:, None]
+    )
     rows = np.vstack([slopes.real, slopes.imag])
     rest = np.eye(50) - rows @ np.linalg.pinv(rows)
     neighbors = np.kron(np.eye(2), (np.eye(25, k=1) + np.eye(25, k=-1)) / 2)
     r = np.sum((left[1:] * left[:-1].conj()).real) / np.sum(np.abs(left) ** 2)
     mean = np.trace(rest @ neighbors) / 47
     (text,) = [text for text in fit.warnings if "correlated along frequency" in text]
-    assert text.startswith(f"the residuals of 'run' are correlated along frequency ({r - mean:.2f} from one point to")
+    assert text.startswith(
+        f"the residuals of 'run' are correlated along frequency ({r - mean:.2f} from one point to"
+    )
 
 
 @pytest.mark.parametrize(("parameters", "is_told"), [(4, True), (5, False)])
 def test_four_residuals_must_be_left(parameters, is_told):
     random = np.random.default_rng(0)
     residuals = random.normal(size=4) + 1j * random.normal(size=4)
-    found = lag_one_correlation(residuals, np.hstack([random.normal(size=(8, parameters)), np.zeros((8, 1))]))
+    found = lag_one_correlation(
+        residuals, np.hstack([random.normal(size=(8, parameters)), np.zeros((8, 1))])
+    )
     assert (found is not None) == is_told
 
 
 def test_the_answer_says_that_the_standard_errors_account_for_it_or_are_rough():
-    (told,) = [t for t in fitted(0.6, gb.RelativeError(), 1, n=60).warnings if "along frequency" in t]
+    (told,) = [
+        t for t in fitted(0.6, gb.RelativeError(), 1, n=60).warnings if "along frequency" in t
+    ]
     assert told.endswith("or the model leaves something out; the standard errors account for that.")
-    (rough,) = [t for t in fitted(0.9, gb.RelativeError(), 3, n=12).warnings if "along frequency" in t]
+    (rough,) = [
+        t for t in fitted(0.9, gb.RelativeError(), 3, n=12).warnings if "along frequency" in t
+    ]
     assert "so few points show the size of slow errors only roughly (12 points, over " in rough
     assert rough.endswith("of which errors stay correlated), and the standard errors are rough.")
 
@@ -137,11 +173,18 @@ def test_what_follows_from_the_covariance_is_as_wide():
     assert "with their correlation along frequency" in drawn.about
     assert drawn.standard_error["K"] == pytest.approx(fit.standard_error["K"], rel=0.15)
     small = gb.fit(
-        gb.Problem(Lag(), fit.responses[0].data, gb.SquaredRelativeError(), fixed={"tau": fit.estimate["tau"] * 1.02}),
+        gb.Problem(
+            Lag(),
+            fit.responses[0].data,
+            gb.SquaredRelativeError(),
+            fixed={"tau": fit.estimate["tau"] * 1.02},
+        ),
         starts=[{"K": 2.0, "T": 0.03}],
         progress=False,
     )
-    ratio = gb.validation.nested_test(small, fit).scale / gb.validation.nested_test(small, alone).scale
+    ratio = (
+        gb.validation.nested_test(small, fit).scale / gb.validation.nested_test(small, alone).scale
+    )
     assert ratio == pytest.approx(widened[1] ** 2, rel=1e-6)
     assert cost_scale(fit) > widened.min() ** 2 * cost_scale(alone)
     assert fit.dof < alone.dof == 2 * 60 - 3
@@ -158,7 +201,9 @@ def test_common_errors_are_not_counted_as_correlation():
     variance = 2 * (0.02 * np.abs(exact)) ** 2 + np.abs(common) ** 2
     found = {}
     for name, told in (("told", {"common_errors": common[None]}), ("not told", {})):
-        data = gb.FrequencyResponse(omega, exact + common + errors, "u", "y", variance=variance, **told)
+        data = gb.FrequencyResponse(
+            omega, exact + common + errors, "u", "y", variance=variance, **told
+        )
         nlp = compile_problem(gb.Problem(Lag(), data, gb.MaximumLikelihood()))
         found[name] = nlp.parts[0].neighbors(np.array([2.0, 0.3, 0.03]), np.eye(3), 1.0)
     assert found["told"] is None
@@ -180,8 +225,12 @@ def test_mean_and_variance_are_those_of_durbin_and_watson_by_dense_matrices():
     rest = np.eye(2 * n) - jacobian @ np.linalg.pinv(jacobian)
     neighbors = np.kron(np.eye(2), (np.eye(n, k=1) + np.eye(n, k=-1)) / 2)
     z = random.normal(size=2 * n)
-    r, mean, variance = lag_one_correlation(z[:n] + 1j * z[n:], np.column_stack([jacobian, jacobian[:, 0] * 2]))
+    r, mean, variance = lag_one_correlation(
+        z[:n] + 1j * z[n:], np.column_stack([jacobian, jacobian[:, 0] * 2])
+    )
     turned, k = rest @ neighbors, 2 * n - p
     assert r == pytest.approx(z @ neighbors @ z / (z @ z))
     assert mean == pytest.approx(np.trace(turned) / k)
-    assert variance == pytest.approx(2 * (np.trace(turned @ turned) - np.trace(turned) ** 2 / k) / (k * (k + 2)))
+    assert variance == pytest.approx(
+        2 * (np.trace(turned @ turned) - np.trace(turned) ** 2 / k) / (k * (k + 2))
+    )

@@ -4,7 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, Oscillator, Parabola, measured
+from declared_models import (
+    TWO_LAGS,
+    TWO_LAGS_OMEGA,
+    Lag,
+    LagLagDelay,
+    Oscillator,
+    Parabola,
+    measured,
+)
 
 import greybox as gb
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade, pade_error
@@ -24,7 +32,9 @@ def lags(noise=0.02, seed=1, **changes):
 
 
 @pytest.mark.parametrize(
-    "criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=lambda c: type(c).__name__
+    "criterion",
+    [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()],
+    ids=lambda c: type(c).__name__,
 )
 def test_a_good_fit_has_no_warnings(criterion):
     assert warned(LagLagDelay(), lags(), criterion, constraints=ORDERED) == ()
@@ -39,7 +49,8 @@ def test_lags_that_may_swap_are_told():
 def test_a_parameter_at_its_bound_is_named_with_side_and_bound(side, truth, bound):
     fit = gb.fit(gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=12)
     assert any(
-        text.startswith(f"tau ended at its {side} bound {bound}; the other standard errors") for text in fit.warnings
+        text.startswith(f"tau ended at its {side} bound {bound}; the other standard errors")
+        for text in fit.warnings
     )
     assert np.isnan(fit.standard_error["tau"])
     assert {q.name for q in fit.quantities if q.at_bound} == {"tau"}
@@ -60,7 +71,9 @@ def test_runs_that_failed_are_counted_when_they_are_the_majority():
     data = measured(Oscillator(), [1.0, 2.0, 4.0, 8.0], {"w0": 3.0, "K": 2.0}, noise=0.01)
     starts = [{"w0": 2.0}, {"w0": 4.0}, {"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}]
     text = warned(Oscillator(), data, starts=starts)[0]
-    assert text.startswith("only 2 of 5 runs converged (2 × Invalid_Number_Detected (no finite response at omega = 2 ")
+    assert text.startswith(
+        "only 2 of 5 runs converged (2 × Invalid_Number_Detected (no finite response at omega = 2 "
+    )
     few = warned(Oscillator(), data, starts=[{"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}])
     assert not any("runs converged" in text for text in few)
 
@@ -81,7 +94,10 @@ def test_a_rival_minimum_is_told_with_its_excess(beta, excess):
     assert len(fit.minima) == 2
     texts = [text for text in fit.warnings if "another minimum" in text]
     assert len(texts) == (excess is not None)
-    assert all(text == f"another minimum costs only {excess} % more and has a different response." for text in texts)
+    assert all(
+        text == f"another minimum costs only {excess} % more and has a different response."
+        for text in texts
+    )
 
 
 def pade_phase(order, z):
@@ -95,11 +111,14 @@ def pade_phase(order, z):
 
 
 @pytest.mark.parametrize(
-    ("order", "tau", "expected"), [(1, 0.05, True), (2, 0.05, False), (2, 0.1, True), (3, 0.1, False)]
+    ("order", "tau", "expected"),
+    [(1, 0.05, True), (2, 0.05, False), (2, 0.1, True), (3, 0.1, False)],
 )
 def test_a_pade_delay_is_told_when_it_errs_by_more_than_a_degree(order, tau, expected):
     delay = f"pade:{order}"
-    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": tau}, delay=delay, noise=0.001)
+    data = measured(
+        LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": tau}, delay=delay, noise=0.001
+    )
     fit = gb.fit(gb.Problem(LagLagDelay(), data, delay=delay, constraints=ORDERED), starts=10)
     error = pade_phase(order, TWO_LAGS_OMEGA * fit.estimate["tau"])
     assert fit.parts[0].pade_error == pytest.approx(error, rel=1e-6)
@@ -126,7 +145,9 @@ def test_a_dead_parameter_is_named_and_has_no_standard_error():
         def response(self, s, p):
             return super().response(s, p) + 0 * p.mass
 
-    fit = gb.fit(gb.Problem(Dead(), measured(Dead(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02)), starts=10)
+    fit = gb.fit(
+        gb.Problem(Dead(), measured(Dead(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02)), starts=10
+    )
     (text,) = fit.warnings
     assert text.startswith("mass is not determined: it does not change the response")
     assert np.isnan(fit.standard_error["mass"])
@@ -135,7 +156,9 @@ def test_a_dead_parameter_is_named_and_has_no_standard_error():
 
 def test_parameters_seen_only_as_a_product_are_named_together():
     truth = {"a1": 500.0, "a2": 50.0, "a3": 900.0, "a4": 5.0}
-    data = measured(YawStates(), np.geomspace(1, 60, 30), truth, noise=0.02, seed=2, input="u", output="r")
+    data = measured(
+        YawStates(), np.geomspace(1, 60, 30), truth, noise=0.02, seed=2, input="u", output="r"
+    )
     fit = gb.fit(gb.Problem(YawStates(), data, free=("K_nu",)), starts=20)
     texts = [text for text in fit.warnings if "depend only on a combination" in text]
     assert len(texts) == 1
@@ -152,7 +175,9 @@ def test_parameters_seen_only_as_a_product_are_named_together():
 def test_poorly_identifiable_combinations_are_told_with_their_collinearity():
     omega = np.geomspace(0.01, 0.1, 12)  # far below both corners the lags act as one delay
     data = measured(LagLagDelay(), omega, SMALL, noise=0.02, seed=3)
-    texts = [t for t in warned(LagLagDelay(), data, constraints=ORDERED) if "poorly identifiable" in t]
+    texts = [
+        t for t in warned(LagLagDelay(), data, constraints=ORDERED) if "poorly identifiable" in t
+    ]
     assert texts
     assert all("collinearity index" in text for text in texts)
     assert any("tau" in text for text in texts)
@@ -179,14 +204,16 @@ def test_three_points_are_enough_for_four_unknowns():
 def test_noise_beyond_a_tenth_is_told_with_the_side_to_which_it_errs():
     loud = lags(noise=0.2)
     measured_, model = (
-        warned(LagLagDelay(), loud, gb.RelativeError(normalized=n), constraints=ORDERED) for n in ("measured", "model")
+        warned(LagLagDelay(), loud, gb.RelativeError(normalized=n), constraints=ORDERED)
+        for n in ("measured", "model")
     )
     assert any("% too low" in text and "normalized='model'" in text for text in measured_)
     assert any("% too high" in text and "normalized='measured'" in text for text in model)
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"), [(1.0, None), (0.04, "variances are too small"), (25.0, "the variances are too large")]
+    ("factor", "words"),
+    [(1.0, None), (0.04, "variances are too small"), (25.0, "the variances are too large")],
 )
 def test_variances_that_do_not_match_the_residuals_are_told(factor, words):
     exact = gb.frequency_response(LagLagDelay(), TWO_LAGS, TWO_LAGS_OMEGA).response
@@ -194,7 +221,11 @@ def test_variances_that_do_not_match_the_residuals_are_told(factor, words):
     data = gb.FrequencyResponse(
         noisy.omega, noisy.response, variance=factor * 2 * 0.02**2 * np.abs(exact) ** 2, name="made"
     )
-    texts = [t for t in warned(LagLagDelay(), data, gb.MaximumLikelihood(), constraints=ORDERED) if "variances" in t]
+    texts = [
+        t
+        for t in warned(LagLagDelay(), data, gb.MaximumLikelihood(), constraints=ORDERED)
+        if "variances" in t
+    ]
     assert len(texts) == (words is not None)
     assert all(words in text for text in texts)
 
@@ -203,18 +234,31 @@ def test_words_about_a_part_name_that_part():
     small = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.01, name="quiet", seed=1)
     loud = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.3, name="loud", seed=2)
     texts = gb.fit(gb.Problem(Lag(), small) + gb.Problem(Lag(), loud), starts=8).warnings
-    assert next(text for text in texts if "% too low" in text).startswith("the residual of 'loud' is")
+    assert next(text for text in texts if "% too low" in text).startswith(
+        "the residual of 'loud' is"
+    )
     assert not any("'quiet'" in text for text in texts)
 
 
 def test_one_of_a_thing_is_singular():
-    record = gb.Record(np.arange(6) * 0.1, {"u": [1.0, 0.0, 1.0, 1.0, 0.0, 1.0], "y": [0.0, 1.0, 0.5, 1.0, 1.2, 0.8]})
+    record = gb.Record(
+        np.arange(6) * 0.1,
+        {"u": [1.0, 0.0, 1.0, 1.0, 0.0, 1.0], "y": [0.0, 1.0, 0.5, 1.0, 1.2, 0.8]},
+    )
     fit = gb.fit(gb.Problem(Lag(), record, fixed={"T": 0.3}), starts=1, progress=False)
     assert "1 of 1 converged; 1 agrees on the best of 1 distinct minimum" in str(fit)
     assert "6 samples in 1 record" in str(fit)
-    few = gb.Record(record.time, {"u": record["u"], "y": [np.nan, 1.0, np.nan, 1.5, np.nan, np.nan]})
-    (said,) = [w for w in gb.fit(gb.Problem(Lag(), few), starts=1, progress=False).warnings if "real numbers" in w]
-    assert said.startswith("2 real numbers of data for 2 unknowns and 1 initial state leave no degrees of freedom")
+    few = gb.Record(
+        record.time, {"u": record["u"], "y": [np.nan, 1.0, np.nan, 1.5, np.nan, np.nan]}
+    )
+    (said,) = [
+        w
+        for w in gb.fit(gb.Problem(Lag(), few), starts=1, progress=False).warnings
+        if "real numbers" in w
+    ]
+    assert said.startswith(
+        "2 real numbers of data for 2 unknowns and 1 initial state leave no degrees of freedom"
+    )
     one = measured(Lag(), [1.0], noise=0.1)
     alone = str(gb.fit(gb.Problem(Lag(), one, fixed={"T": 1.0}), starts=1))
     assert "1 point in 1 response" in alone
@@ -234,7 +278,9 @@ def test_given_variances_are_doubted_from_a_factor_of_two_and_a_half_on(ratio):
 
     shape = np.abs(data.response) ** 2
     residuals = data.response - with_variance(shape).responses[0].response
-    own = np.sum(np.abs(residuals) ** 2 / shape) / (len(data) - 1)  # two parameters, of two numbers a point
+    own = np.sum(np.abs(residuals) ** 2 / shape) / (
+        len(data) - 1
+    )  # two parameters, of two numbers a point
     texts = [t for t in with_variance(shape * own / ratio).warnings if "given variances" in t]
     assert len(texts) == (not 0.4 <= ratio <= 2.5)
     assert all(t.startswith(f"the residuals of 'made' are {ratio:.2g} times what") for t in texts)
@@ -258,7 +304,9 @@ def test_there_must_be_more_numbers_than_unknowns(numbers, initial, said):
         SimpleNamespace(numbers=1, unknown_initial_states=initial),
     ]
     found = [*no_degrees_of_freedom(SimpleNamespace(parts=parts, free=("a", "b", "c")))]
-    assert found == ([f"{said} of freedom, so that no standard error is known: add data."] if said else [])
+    assert found == (
+        [f"{said} of freedom, so that no standard error is known: add data."] if said else []
+    )
 
 
 def test_an_approximate_delay_is_told_beyond_a_degree():

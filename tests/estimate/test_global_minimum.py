@@ -39,34 +39,73 @@ def test_minima_that_the_data_hardly_tell_apart_are_named(is_likelihood, costs, 
 @pytest.mark.parametrize(
     ("is_likelihood", "costs", "rival"),
     [
-        (True, (-10.0, -7.1), "another minimum with a different response is only exp(2.9) times less likely."),
+        (
+            True,
+            (-10.0, -7.1),
+            "another minimum with a different response is only exp(2.9) times less likely.",
+        ),
         (True, (-10.0, -6.9), ""),
-        (True, (-10.0, -8.0, -7.5), "another minimum with a different response is only exp(2) times less likely."),
-        (False, (2.0, 2.018), "another minimum costs only 0.9 % more and has a different response."),
+        (
+            True,
+            (-10.0, -8.0, -7.5),
+            "another minimum with a different response is only exp(2) times less likely.",
+        ),
+        (
+            False,
+            (2.0, 2.018),
+            "another minimum costs only 0.9 % more and has a different response.",
+        ),
         (False, (2.0, 2.022), ""),
     ],
 )
-def test_a_rival_is_within_three_of_a_log_likelihood_or_a_hundredth_of_the_cost(is_likelihood, costs, rival):
+def test_a_rival_is_within_three_of_a_log_likelihood_or_a_hundredth_of_the_cost(
+    is_likelihood, costs, rival
+):
     assert said(is_likelihood, *costs) == ([rival] if rival else [])
 
 
 @pytest.mark.parametrize(
     ("agreeing", "converged", "count", "texts"),
     [
-        (1, 1, 1, ["one start only: whether this is the global minimum is not known; use more starts."]),
-        (1, 9, 9, ["only 1 of 9 starts reached the best minimum: a better one may exist; use more starts."]),
+        (
+            1,
+            1,
+            1,
+            ["one start only: whether this is the global minimum is not known; use more starts."],
+        ),
+        (
+            1,
+            9,
+            9,
+            [
+                "only 1 of 9 starts reached the best minimum: a better one may exist; use more starts."
+            ],
+        ),
         (2, 20, 20, []),
-        (2, 21, 21, ["only 2 of 21 starts reached the best minimum: a better one may exist; use more starts."]),
+        (
+            2,
+            21,
+            21,
+            [
+                "only 2 of 21 starts reached the best minimum: a better one may exist; use more starts."
+            ],
+        ),
         (4, 5, 10, []),
         (4, 4, 10, ["only 4 of 10 runs converged (6 failed)."]),
     ],
 )
-def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(monkeypatch, agreeing, converged, count, texts):
+def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(
+    monkeypatch, agreeing, converged, count, texts
+):
     monkeypatch.setattr(global_minimum, "agreeing_runs", lambda *_, **__: range(agreeing))
     nlp = SimpleNamespace(parts=[SimpleNamespace(is_likelihood=True, numbers=10)])
     runs = [None] * count
     search = SimpleNamespace(
-        brought=runs, runs=runs, minima=(), converged=converged, failures=f"{count - converged} failed"
+        brought=runs,
+        runs=runs,
+        minima=(),
+        converged=converged,
+        failures=f"{count - converged} failed",
     )
     assert [*few_agreeing_starts(nlp, search)] == texts
 
@@ -75,12 +114,20 @@ def test_the_lowest_end_that_did_not_converge_is_named():
     def run(index, cost, status="iterations exceeded", converged=False):
         return SimpleNamespace(index=index, cost=cost, status=status, converged=converged)
 
-    brought = [run(0, 5.0, "converged", True), run(1, 4.5), run(2, 4.25), run(3, 5.5), run(4, 1.0, TOO_COARSE)]
+    brought = [
+        run(0, 5.0, "converged", True),
+        run(1, 4.5),
+        run(2, 4.25),
+        run(3, 5.5),
+        run(4, 1.0, TOO_COARSE),
+    ]
     (text,) = unfinished_runs(SimpleNamespace(minima=[SimpleNamespace(cost=5.0)], brought=brought))
     assert text.startswith(
         "run 2 ended at a lower cost, 4.25 instead of 5, but did not converge (iterations exceeded):"
     )
-    assert not [*unfinished_runs(SimpleNamespace(minima=[SimpleNamespace(cost=4.25)], brought=brought))]
+    assert not [
+        *unfinished_runs(SimpleNamespace(minima=[SimpleNamespace(cost=4.25)], brought=brought))
+    ]
 
 
 def test_delays_at_which_the_cost_jumps_are_named_once_each():
@@ -95,9 +142,15 @@ def test_delays_at_which_the_cost_jumps_are_named_once_each():
     )
 
 
-@pytest.mark.parametrize(("vectors", "combinations", "count"), [(1, (), 0), (2, (), 1), (2, ("a/b",), 0)])
-def test_several_estimates_are_told_where_no_combination_is(monkeypatch, vectors, combinations, count):
-    monkeypatch.setattr(global_minimum, "equivalent_estimates", lambda *_: np.arange(2.0 * vectors).reshape(-1, 2))
+@pytest.mark.parametrize(
+    ("vectors", "combinations", "count"), [(1, (), 0), (2, (), 1), (2, ("a/b",), 0)]
+)
+def test_several_estimates_are_told_where_no_combination_is(
+    monkeypatch, vectors, combinations, count
+):
+    monkeypatch.setattr(
+        global_minimum, "equivalent_estimates", lambda *_: np.arange(2.0 * vectors).reshape(-1, 2)
+    )
     nlp, accuracy = SimpleNamespace(free=("a", "b")), SimpleNamespace(combinations=combinations)
     texts = [*several_estimates_of_one_response(nlp, None, accuracy)]
     assert len(texts) == count

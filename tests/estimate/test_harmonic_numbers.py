@@ -18,7 +18,12 @@ def part(name, amplitude=None):
 
 def test_parts_that_leave_it_open_take_what_matters_at_the_start_values():
     """With more harmonics the response is the same to a part in a thousand."""
-    sines = [None, gb.modeling.Sine("u", 2.0), gb.modeling.Sine("u", 2.0, harmonics=5), gb.modeling.Sine("u", 1e-3)]
+    sines = [
+        None,
+        gb.modeling.Sine("u", 2.0),
+        gb.modeling.Sine("u", 2.0, harmonics=5),
+        gb.modeling.Sine("u", 1e-3),
+    ]
     problem = sum(part(f"part {k}", sine) for k, sine in enumerate(sines))
     assert are_open(problem) == [False, True, False, True]
     found = with_enough_harmonics(problem)
@@ -27,7 +32,9 @@ def test_parts_that_leave_it_open_take_what_matters_at_the_start_values():
     assert numbers[1] == 5
     assert numbers[0] > numbers[2]
     fewer, enough, more = (
-        harmonic_response(Spring(), {}, OMEGA, amplitude=gb.modeling.Sine("u", 2.0, harmonics=n)).response
+        harmonic_response(
+            Spring(), {}, OMEGA, amplitude=gb.modeling.Sine("u", 2.0, harmonics=n)
+        ).response
         for n in (1, numbers[0], 9)
     )
     assert enough == pytest.approx(more, rel=1e-3)

@@ -16,7 +16,9 @@ OMEGA = np.array([0.45, 1.7])
 
 def response(x, harmonics):
     values = {"b": x[0], "d": x[1]}
-    return harmonic_response(Spring(), values, OMEGA, amplitude=Sine("u", 0.7, harmonics=harmonics)).response
+    return harmonic_response(
+        Spring(), values, OMEGA, amplitude=Sine("u", 0.7, harmonics=harmonics)
+    ).response
 
 
 def test_more_harmonics_shift_the_estimate_as_least_squares_would():
@@ -25,7 +27,9 @@ def test_more_harmonics_shift_the_estimate_as_least_squares_would():
     random = np.random.default_rng(0)
     data = few * (1 + 0.01 * random.normal(size=2) + 0.01j * random.normal(size=2))
     measured = gb.FrequencyResponse(OMEGA, data, "u", "x", name="run")
-    problem = gb.Problem(Spring(), measured, gb.SquaredRelativeError(), amplitude=Sine("u", 0.7, harmonics=harmonics))
+    problem = gb.Problem(
+        Spring(), measured, gb.SquaredRelativeError(), amplitude=Sine("u", 0.7, harmonics=harmonics)
+    )
     nlp = compile_problem(problem)
     assert nlp.free == ("b", "d")
     accuracy = assess(nlp, x)

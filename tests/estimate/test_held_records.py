@@ -42,11 +42,17 @@ def held():
     time = 0.05 * np.arange(80)
     random = np.random.default_rng(0)
     u = np.repeat(random.normal(size=8), 10)
-    exact = gb.simulate(Filter(), {}, gb.Record(time, {"u": u}), inputs="held", initial={"x": 0.7})["y"]
+    exact = gb.simulate(Filter(), {}, gb.Record(time, {"u": u}), inputs="held", initial={"x": 0.7})[
+        "y"
+    ]
     record = gb.Record(time, {"u": u, "y": exact + 0.1 * random.normal(size=80)})
-    nlp = compile_problem(gb.Problem(Filter(), record, gb.OutputError(noise={"y": 0.1}, inputs="held")))
+    nlp = compile_problem(
+        gb.Problem(Filter(), record, gb.OutputError(noise={"y": 0.1}, inputs="held"))
+    )
     decay = np.exp(-2 * time)
-    through = gb.simulate(Filter(), {"k": 1.0, "c": 0.0}, gb.Record(time, {"u": u}), inputs="held", initial={"x": 0.0})
+    through = gb.simulate(
+        Filter(), {"k": 1.0, "c": 0.0}, gb.Record(time, {"u": u}), inputs="held", initial={"x": 0.0}
+    )
     columns = np.column_stack([through["y"], np.ones(80), decay])
     best = np.linalg.lstsq(columns, record["y"], rcond=None)[0]
     return nlp, columns, record["y"], best, best_of_records(nlp, best[:2])
@@ -58,7 +64,9 @@ def test_the_best_point_of_records_is_that_of_least_squares(held):
     assert len(point) > 2
     assert_allclose(trajectories[0].nodes[0, 0], best[2], rtol=1e-3)
     squares = np.sum((y - columns @ best) ** 2) / 0.01
-    assert cost == pytest.approx(0.5 * squares + 80 * np.log(0.1) + 40 * np.log(2 * np.pi), rel=1e-6)
+    assert cost == pytest.approx(
+        0.5 * squares + 80 * np.log(0.1) + 40 * np.log(2 * np.pi), rel=1e-6
+    )
 
 
 def test_costs_with_a_parameter_or_a_quantity_held_rise_as_those_of_least_squares(held):

@@ -94,7 +94,9 @@ def record(model, values, **initial):
     known = {name: initial.get(name, 0.0) for name in model.states}
     clean = gb.simulate(model, values, gb.Record(t, {"u": U}), inputs="held", initial=known)
     noise = np.random.default_rng(3)
-    return gb.Record(t, {"u": U} | {name: clean[name] + NOISE * noise.normal(size=N) for name in model.outputs})
+    return gb.Record(
+        t, {"u": U} | {name: clean[name] + NOISE * noise.normal(size=N) for name in model.outputs}
+    )
 
 
 def fitted(model, data, starts=3, biases=(), **options):
@@ -165,7 +167,11 @@ def test_groups_that_share_nothing_are_told_apart_each_once():
     texts = undetermined(fit)
     assert len(texts) == 3
     groups = [
-        {name for name in fit.free if name in text.partition(" not determined")[0].replace(",", "").split()}
+        {
+            name
+            for name in fit.free
+            if name in text.partition(" not determined")[0].replace(",", "").split()
+        }
         for text in texts
     ]
     assert sorted(groups, key=sorted) == [{"h1", "h2"}, {"k1", "k2"}, {"mass"}]
@@ -178,7 +184,9 @@ class ManyProducts(gb.StateSpace):
 
     states, inputs = ("x",), ("u",)
     outputs = tuple(f"y{k}" for k in range(5))
-    locals().update({f"{letter}{k}": gb.Parameter(1.0, bounds=(0.1, 10)) for k in range(5) for letter in "gh"})
+    locals().update(
+        {f"{letter}{k}": gb.Parameter(1.0, bounds=(0.1, 10)) for k in range(5) for letter in "gh"}
+    )
 
     def derivative(self, x, u, p):
         return (u.u - x.x,)
@@ -200,14 +208,22 @@ def test_a_flood_is_one_table_with_every_group_once():
 def test_lags_that_swap_are_an_ordering_and_no_direction():
     fit = fitted(Lags(), record(Lags(), {"a": 1.0, "b": 4.0}), starts=8)
     assert not undetermined(fit)
-    assert any("constraints=[lambda p: p.b - p.a] keeps the one given" in text for text in fit.warnings)
+    assert any(
+        "constraints=[lambda p: p.b - p.a] keeps the one given" in text for text in fit.warnings
+    )
     assert np.isfinite([fit.standard_error["a"], fit.standard_error["b"]]).all()
 
 
 @pytest.mark.parametrize("biases", [(), ("z",)])
 def test_what_is_determined_raises_no_alarm(biases):
     """A lag forgets its initial state, so that a bias is seen after it."""
-    fit = fitted(Lags(), record(Lags(), {"a": 1.0, "b": 4.0}, x=0.5, z=-0.5), starts=2, biases=biases, fixed={"b": 4.0})
+    fit = fitted(
+        Lags(),
+        record(Lags(), {"a": 1.0, "b": 4.0}, x=0.5, z=-0.5),
+        starts=2,
+        biases=biases,
+        fixed={"b": 4.0},
+    )
     assert not undetermined(fit)
     assert all(np.isfinite(list(fit.standard_error.values())))
     for name in biases:
@@ -239,16 +255,23 @@ def test_errors_insensitivities_and_correlations_are_those_of_the_jacobian():
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     errors = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.error, errors / np.abs(value))
-    np.testing.assert_allclose(found.insensitivity, 1 / np.linalg.norm(jacobian, axis=0) / np.abs(value))
+    np.testing.assert_allclose(
+        found.insensitivity, 1 / np.linalg.norm(jacobian, axis=0) / np.abs(value)
+    )
     r = covariance[0, 1] / errors[0] / errors[1]
     assert r < -0.9
     assert [(one, other) for one, other, _ in found.correlated] == [("a", "b")]
     assert found.correlated[0][2] == pytest.approx(r)
-    assert found.condition == pytest.approx(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=0)))
+    assert found.condition == pytest.approx(
+        np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=0))
+    )
     assert found.combinations == ()
     text = str(found)
     assert f"correlation of a and b: {r:.4f}" in text
-    assert "guidelines: 20 % error (Cramér-Rao bound), 10 % insensitivity (the error if all others were known)" in text
+    assert (
+        "guidelines: 20 % error (Cramér-Rao bound), 10 % insensitivity (the error if all others were known)"
+        in text
+    )
 
     held = judged(jacobian, value, ("b",))
     assert np.isnan([held.error[1], held.insensitivity[1]]).all()
@@ -287,7 +310,9 @@ def test_a_product_that_is_determined_is_named_as_people_write_it(powers, value,
     direction = gradient / np.linalg.norm(gradient)
     used = powers != 0
     rest = np.linalg.svd(np.vstack([gradient, *np.eye(3)[~used]]))[2][1 + (~used).sum() :].T
-    covariance = (0.01 / np.linalg.norm(gradient)) ** 2 * np.outer(direction, direction) + np.diag(1e-6 * ~used)
+    covariance = (0.01 / np.linalg.norm(gradient)) ** 2 * np.outer(direction, direction) + np.diag(
+        1e-6 * ~used
+    )
     known = KnownDirections(covariance, rest, np.ones(3), value)
     found = identifiability(tuple("abc"), ("s", "m", "1"), known, ())
     (one,) = found.combinations
@@ -302,7 +327,9 @@ def test_a_sum_of_one_unit_that_is_determined_is_named(sign, formula):
     value = np.array([3.7, 1.0, 1.0])
     gradient = np.array([1.0, sign, 0.0]) / np.sqrt(2)
     covariance = 0.01**2 / 2 * np.outer(gradient, gradient) + np.diag([0, 0, 1e-6])
-    known = KnownDirections(covariance, np.array([[1.0], [-sign], [0.0]]) / np.sqrt(2), np.ones(3), value)
+    known = KnownDirections(
+        covariance, np.array([[1.0], [-sign], [0.0]]) / np.sqrt(2), np.ones(3), value
+    )
     (one,) = identifiability(tuple("abc"), ("s", "s", "1"), known, ()).combinations
     assert (one.formula, one.is_product, one.value) == (formula, False, pytest.approx(3.7 + sign))
     assert one.standard_error == pytest.approx(0.01)
@@ -318,7 +345,9 @@ def test_products_that_are_tried_are_all_of_small_powers(members):
     wanted = set()
     for count in (2, 3, 4) if len(members) <= 8 else (2,):
         for group in itertools.combinations(members, count):
-            for powers in itertools.product((-3, -2, -1, 1, 2, 3) if count == 2 else (-1, 1), repeat=count):
+            for powers in itertools.product(
+                (-3, -2, -1, 1, 2, 3) if count == 2 else (-1, 1), repeat=count
+            ):
                 if powers[0] > 0 and np.gcd.reduce(powers) == 1:
                     row = np.zeros(p, dtype=int)
                     row[list(group)] = powers
@@ -339,7 +368,9 @@ def told(logs, value, open_=None, elsewhere=None):
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = np.array(logs) * np.outer(value[:2], value[:2])
     covariance[2, 2] = 1e-8
-    return KnownDirections(covariance, np.zeros((3, 0)) if open_ is None else open_, np.ones(3), value, elsewhere)
+    return KnownDirections(
+        covariance, np.zeros((3, 0)) if open_ is None else open_, np.ones(3), value, elsewhere
+    )
 
 
 def formulas(known, units=("s", "m", "1")):
@@ -362,18 +393,26 @@ def test_a_product_of_members_without_an_error_is_within_the_guideline_itself(er
     value = np.array([2.0, 5.0, 1.0])
     gradient = np.array([0.5, 0.2, 0.0])
     direction = gradient / np.linalg.norm(gradient)
-    covariance = (error / np.linalg.norm(gradient)) ** 2 * np.outer(direction, direction) + np.diag([0, 0, 1e-8])
+    covariance = (error / np.linalg.norm(gradient)) ** 2 * np.outer(direction, direction) + np.diag(
+        [0, 0, 1e-8]
+    )
     rest = np.array([[direction[1]], [-direction[0]], [0.0]])
-    assert formulas(KnownDirections(covariance, rest, np.ones(3), value)) == (["a b"] if is_told else [])
+    assert formulas(KnownDirections(covariance, rest, np.ones(3), value)) == (
+        ["a b"] if is_told else []
+    )
     # What is seen elsewhere too stays; an unseen product there is none.
-    for unseen, stays in ((np.array([[0.0], [0.0], [1.0]]), True), (np.array([[1.0], [0.0], [0.0]]), False)):
+    for unseen, stays in (
+        (np.array([[0.0], [0.0], [1.0]]), True),
+        (np.array([[1.0], [0.0], [0.0]]), False),
+    ):
         beside = KnownDirections(covariance, unseen, np.ones(3), 1.1 * value)
         both = KnownDirections(covariance, rest, np.ones(3), value, beside)
         assert formulas(both) == (["a b"] if is_told and stays else [])
 
 
 @pytest.mark.parametrize(
-    ("sign", "error", "is_told"), [(1, 0.93, True), (1, 0.95, False), (-1, 0.73, True), (-1, 0.75, False)]
+    ("sign", "error", "is_told"),
+    [(1, 0.93, True), (1, 0.95, False), (-1, 0.73, True), (-1, 0.75, False)],
 )
 def test_a_sum_has_a_fifth_of_the_larger_of_itself_and_its_members(sign, error, is_told):
     value = np.array([3.7, 1.0, 0.0])
@@ -381,7 +420,9 @@ def test_a_sum_has_a_fifth_of_the_larger_of_itself_and_its_members(sign, error, 
     covariance = error**2 / 2 * np.outer(gradient, gradient) + np.diag([0, 0, 1e-8])
     rest = np.array([[1.0], [-sign], [0.0]]) / np.sqrt(2)
     known = KnownDirections(covariance, rest, np.ones(3), value)
-    assert formulas(known, ("s", "s", "1")) == ([f"a {'+' if sign > 0 else '-'} b"] if is_told else [])
+    assert formulas(known, ("s", "s", "1")) == (
+        [f"a {'+' if sign > 0 else '-'} b"] if is_told else []
+    )
 
 
 def test_correlations_above_nine_tenths_are_named_the_largest_first():
@@ -401,14 +442,25 @@ def test_conditions_of_matrices_that_lack_a_direction():
 
 def test_a_parameter_without_effect_is_infinitely_insensitive():
     known = KnownDirections(
-        np.diag([0.04, 0.0, 0.01]), np.array([[0.0], [1.0], [0.0]]), np.ones(3), np.array([2.0, 1.0, -1.0])
+        np.diag([0.04, 0.0, 0.01]),
+        np.array([[0.0], [1.0], [0.0]]),
+        np.ones(3),
+        np.array([2.0, 1.0, -1.0]),
     )
     found = identifiability(tuple("abc"), ("s", "m", "1"), known, ())
     np.testing.assert_allclose(found.error, [0.1, np.nan, 0.1])
     np.testing.assert_allclose(found.insensitivity, [0.1, np.inf, 0.1])
     assert found.condition == np.inf
     assert found.beyond == ("b",)
-    assert str(found).splitlines()[3].split() == ["b", "-", "no", "effect", "beyond", "the", "guideline"]
+    assert str(found).splitlines()[3].split() == [
+        "b",
+        "-",
+        "no",
+        "effect",
+        "beyond",
+        "the",
+        "guideline",
+    ]
 
 
 @pytest.mark.parametrize(("variance", "is_seen"), [(0.9e10, True), (1.1e10, False)])

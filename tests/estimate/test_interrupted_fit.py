@@ -15,7 +15,9 @@ from greybox.solve.transcribed_program import TranscribedProgram
 
 RECORD_PROBLEM = lag_problem()
 MANY = 20_000  # starts that would take minutes
-RESPONSE_PROBLEM = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+RESPONSE_PROBLEM = gb.Problem(
+    LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
+)
 CASES = [
     pytest.param(RESPONSE_PROBLEM, None, IpoptSolver, id="response"),
     pytest.param(RECORD_PROBLEM, None, GaussNewton, id="record"),
@@ -41,7 +43,9 @@ def test_the_fit_of_the_starts_that_were_done_is_attached(press_ctrl_c, problem,
 
 
 @pytest.mark.parametrize(("problem", "method", "solver"), CASES)
-def test_the_run_at_hand_ends_at_its_next_iteration(press_ctrl_c, monkeypatch, problem, method, solver):
+def test_the_run_at_hand_ends_at_its_next_iteration(
+    press_ctrl_c, monkeypatch, problem, method, solver
+):
     """Within IPOPT, where CasADi would swallow an exception, as within Gauss-Newton steps."""
     run = solver.run
     begun = []

@@ -13,9 +13,19 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import LinearTilt
 
-TRUTH = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0, "a5": 0.16, "T_rotor": 0.048, "T_delay": 0.01}
+TRUTH = {
+    "a1": -14.6,
+    "a2": 3.0,
+    "a3": 8.5,
+    "a4": 295.0,
+    "a5": 0.16,
+    "T_rotor": 0.048,
+    "T_delay": 0.01,
+}
 FREE = ("a1", "a2", "a3", "a4", "T_delay")
-SWEEP = gb.experiment.sweep(0.5, 15, duration=20, rate=100, amplitude=0.12, dwell=1, signal="reference")
+SWEEP = gb.experiment.sweep(
+    0.5, 15, duration=20, rate=100, amplitude=0.12, dwell=1, signal="reference"
+)
 
 
 def flown(seed=0, **options):
@@ -65,7 +75,10 @@ def test_the_size_of_the_assumption_is_what_the_other_fit_gives(unknown, assumed
     assert by == pytest.approx(held.estimate["T_delay"] - assumed.estimate["T_delay"], abs=6e-5)
     assert by == pytest.approx(-0.005, abs=3e-4)
     assert "OutputError(..., inputs='held')" in said
-    assert "inputs     u interpolated, an assumption, else delays differ by half a step, 5 ms\n" in str(assumed)
+    assert (
+        "inputs     u interpolated, an assumption, else delays differ by half a step, 5 ms\n"
+        in str(assumed)
+    )
     assert not said_of_inputs(held)
 
 
@@ -83,7 +96,9 @@ def test_with_a_fixed_delay_the_shift_of_the_others_is_said(unknown):
 
 def test_a_criterion_against_the_record_is_said():
     (said,) = said_of_inputs(fitted(flown(), gb.OutputError(inputs="linear")))
-    assert said.startswith("the record says that u is held until its next sample, and OutputError takes it as interp")
+    assert said.startswith(
+        "the record says that u is held until its next sample, and OutputError takes it as interp"
+    )
     assert re.search(r"what the record says moves T_delay by -0.00(5|49)", said)
     assert said.endswith("leave out inputs='linear' to follow it.")
 
@@ -148,4 +163,6 @@ def test_simulation_and_prediction_follow_the_record_then_the_fit():
     noisy = known.with_signals(y=known["y"] + 0.01 * np.random.default_rng(0).normal(size=200))
     fit = gb.fit(gb.Problem(Lag(), noisy), 3, progress=False)
     assert_allclose([fit.estimate["K"], fit.estimate["T"]], [3, 0.4], rtol=0.02)
-    assert gb.predict(fit, record=unknown, **windows).rms("y") < 0.02  # the other record does not know: as in the fit
+    assert (
+        gb.predict(fit, record=unknown, **windows).rms("y") < 0.02
+    )  # the other record does not know: as in the fit

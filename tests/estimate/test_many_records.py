@@ -40,7 +40,9 @@ def fit():
         found = ("some lines were lost: 3 of 120.",) if k > 4 else ()
         records.append(gb.Record(time, {"u": u, "x": x + noise}, name=f"run {k}", findings=found))
     noise = {"x": 0.02}
-    problem = gb.several(Lag(), records, own=("c",), criterion=gb.OutputError(noise=noise, inputs="held"))
+    problem = gb.several(
+        Lag(), records, own=("c",), criterion=gb.OutputError(noise=noise, inputs="held")
+    )
     return gb.fit(problem, starts=1, progress=False)
 
 

@@ -89,7 +89,10 @@ def test_where_no_start_is_finite_the_sentence_names_what_when_and_the_cure(prob
     (said,) = found.warnings
     assert said.startswith(why)
     label, state = problem.model.label, problem.model.states[0]
-    assert f"bound the parameters to where {label} has finite values, or give known states, initial={{{state!r}" in said
+    assert (
+        f"bound the parameters to where {label} has finite values, or give known states, initial={{{state!r}"
+        in said
+    )
     assert said in str(found)
 
 
@@ -109,7 +112,10 @@ def test_a_stiff_model_is_sent_to_the_method_for_it():
     found = fit(problem)
     assert "4 × not finite at the start (x and f, stiff)" in found.status
     (said,) = found.warnings
-    assert "since a time constant of 0.0001 s is too short for 64 explicit steps in a sample of 0.1 s" in said
+    assert (
+        "since a time constant of 0.0001 s is too short for 64 explicit steps in a sample of 0.1 s"
+        in said
+    )
     assert said.endswith(
         "use method=MultipleShooting(integrator=Rosenbrock()), or bound the parameters to slower models."
     )
@@ -138,8 +144,12 @@ def test_where_some_starts_are_finite_it_is_a_warning_once_these_are_the_fewer()
     found = fit(problem, [{"h": 1.0}, {"h": -1.0}, {"h": -2.0}, {"h": -3.0}])
     assert [run.reason for run in found.runs[:4]] == ["", *3 * ["the output y"]]
     (said,) = [text for text in found.warnings if "is not finite at" in text]
-    assert said.startswith("at h = -1 the output y is not finite at 7 s, where x = 0, u = 0.5027: start elsewhere")
-    assert any("converged (3 × not finite at the start (the output y))" in text for text in found.warnings)
+    assert said.startswith(
+        "at h = -1 the output y is not finite at 7 s, where x = 0, u = 0.5027: start elsewhere"
+    )
+    assert any(
+        "converged (3 × not finite at the start (the output y))" in text for text in found.warnings
+    )
     most = fit(problem, [{"h": 1.5}, {"h": 1.0}, {"h": -2.0}])
     assert not any("not finite" in text for text in most.warnings)
 
@@ -150,7 +160,9 @@ def test_the_time_is_that_of_the_record_also_after_a_gap():
     low = np.flatnonzero(data["u"] == data["u"].min())
     assert low[0] > 47
     after = gb.Record(time, data.signals)
-    found = fit(gb.Problem(Root(), after, gb.OutputError(inputs="held"), fixed={"low": data["u"].min()}), 1)
+    found = fit(
+        gb.Problem(Root(), after, gb.OutputError(inputs="held"), fixed={"low": data["u"].min()}), 1
+    )
     said = found.warnings[0].partition("the output y is not finite at ")[2]
     assert np.abs(time[low] - float(said.split(" s, where")[0])).min() < 1e-9
 

@@ -12,7 +12,12 @@ from greybox.problems import pitch_hover
 
 TRUTH = {"K": 5.0, "T": 0.3}
 OMEGA = np.geomspace(0.5, 20, 20)
-CRITERIA = [gb.RelativeError(), gb.SquaredRelativeError(), gb.RelativeLikelihood(), gb.MagnitudePhase()]
+CRITERIA = [
+    gb.RelativeError(),
+    gb.SquaredRelativeError(),
+    gb.RelativeLikelihood(),
+    gb.MagnitudePhase(),
+]
 
 
 def spoiled(noise=0.05, seed=3, columns=None, by=1.6):
@@ -89,9 +94,13 @@ def test_given_degrees_of_freedom_make_students_t_of_a_residual():
     exact = gb.frequency_response(Lag(), TRUTH, OMEGA).response
     residual = np.where(np.arange(20) == 7, 3.0, 0.3) * np.exp(1j * np.arange(20))
     variance, dof = np.linspace(0.01, 0.02, 20), np.linspace(8, 30, 20)
-    data = gb.FrequencyResponse(OMEGA, exact + residual * np.sqrt(variance), "u", "y", variance=variance, dof=dof)
+    data = gb.FrequencyResponse(
+        OMEGA, exact + residual * np.sqrt(variance), "u", "y", variance=variance, dof=dof
+    )
     nlp = compile_problem(gb.Problem(Lag(), data, gb.MaximumLikelihood()))
-    found = largest_deviation(nlp.parts[0], nlp.all_values(np.array([TRUTH[name] for name in nlp.free])), 2)
+    found = largest_deviation(
+        nlp.parts[0], nlp.all_values(np.array([TRUTH[name] for name in nlp.free])), 2
+    )
     assert found.index == 7
     assert found.probability == pytest.approx(fisher.sf(9.0, 2, dof[7]))
 
@@ -142,7 +151,12 @@ def test_few_fits_to_clean_data_name_an_outlier_or_note_anything():
     said = [
         text
         for seed in range(40)
-        for fit in [gb.fit(gb.Problem(Lag(), measured(Lag(), OMEGA, TRUTH, noise=0.05, seed=seed)), starts=[TRUTH] * 2)]
+        for fit in [
+            gb.fit(
+                gb.Problem(Lag(), measured(Lag(), OMEGA, TRUTH, noise=0.05, seed=seed)),
+                starts=[TRUTH] * 2,
+            )
+        ]
         for text in (*fit.warnings, *fit.notes)
         if "clean data" in text
     ]
@@ -155,7 +169,9 @@ def test_a_joint_fit_names_the_outlier_of_its_response():
     exact = gb.simulate(Lag(), TRUTH, gb.Record(time, {"u": signal}), inputs="held")["y"]
     noisy = exact + 0.3 * np.random.default_rng(1).normal(size=time.size)
     flight = gb.Record(time, {"u": signal, "y": noisy})
-    problem = gb.Problem(Lag(), spoiled()) + gb.Problem(Lag(), flight, gb.OutputError(inputs="held"))
+    problem = gb.Problem(Lag(), spoiled()) + gb.Problem(
+        Lag(), flight, gb.OutputError(inputs="held")
+    )
     fit = gb.fit(problem, starts=[TRUTH])
     assert any("is an outlier" in text and "without it" in text for text in fit.warnings)
 
@@ -169,8 +185,16 @@ def test_noise_free_data_and_few_points_have_none():
 @pytest.mark.parametrize(
     ("criterion", "columns", "said"),
     [
-        (None, {"variance": np.full(20, 0.1)}, "the variances of 'sines' are not used: MaximumLikelihood()"),
-        (None, {"coherence": np.full(20, 0.9)}, "the coherence of 'sines' is not used: MagnitudePhase()"),
+        (
+            None,
+            {"variance": np.full(20, 0.1)},
+            "the variances of 'sines' are not used: MaximumLikelihood()",
+        ),
+        (
+            None,
+            {"coherence": np.full(20, 0.9)},
+            "the coherence of 'sines' is not used: MagnitudePhase()",
+        ),
         (gb.MagnitudePhase(), {"coherence": np.full(20, 0.9), "variance": np.full(20, 0.1)}, ""),
         (gb.MaximumLikelihood(), {"variance": np.full(20, 0.1)}, ""),
         (gb.RelativeLikelihood(), {"coherence": np.full(20, 0.9)}, ""),

@@ -57,7 +57,9 @@ def test_the_band_of_a_line_is_that_of_the_textbook():
     slope, offset = np.polyfit(x, y, 1)
     e = y - offset - slope * x
     s = np.sqrt(e @ e / 10)
-    half = t.ppf(0.975, 10) * s * np.sqrt(1 / 12 + (x - x.mean()) ** 2 / np.sum((x - x.mean()) ** 2))
+    half = (
+        t.ppf(0.975, 10) * s * np.sqrt(1 / 12 + (x - x.mean()) ** 2 / np.sum((x - x.mean()) ** 2))
+    )
     assert_allclose((high - low) / 2, half, rtol=1e-5)
     assert_allclose((high + low) / 2, offset + slope * x, rtol=1e-5)
 
@@ -71,19 +73,26 @@ def test_the_band_of_a_simulation_is_that_of_monte_carlo_by_scipy():
     answers = [fit(gb.Problem(Decay(), record, HELD)) for record in records]
     error = np.sqrt(np.mean([answer.records[0].error[0] ** 2 for answer in answers], axis=0))
     ratio = error[:-1] / np.std(found, axis=0)[:-1]
-    assert np.all((ratio > 0.8) & (ratio < 1.25))  # the initial state decides at first, the rate later
+    assert np.all(
+        (ratio > 0.8) & (ratio < 1.25)
+    )  # the initial state decides at first, the rate later
     bands = [answer.output_band()["y"] for answer in answers]
-    assert np.mean([(low <= decayed(truth)) & (decayed(truth) <= high) for low, high in bands]) > 0.85
+    assert (
+        np.mean([(low <= decayed(truth)) & (decayed(truth) <= high) for low, high in bands]) > 0.85
+    )
 
 
 def test_errors_are_those_of_a_simulation_with_the_errors_of_the_fit(moved):
     simulated = gb.simulate(moved)
     for name, error in zip(("x", "v"), moved.records[0].error, strict=True):
-        assert_allclose(error, simulated[f"{name}_error"], rtol=0.02)  # which takes initial states as white
+        assert_allclose(
+            error, simulated[f"{name}_error"], rtol=0.02
+        )  # which takes initial states as white
 
 
 def test_an_unstable_model_has_its_band_however_long_the_record():
-    # 20 s are more than 20 times what the tilt takes to grow by e: no simulation from the first state has digits left.
+    # 20 s are more than 20 times what the tilt takes to grow by e: no simulation from the first
+    # state has digits left.
     answer = fit(gb.Problem(FullTilt(), tilt_flight(20), HELD))
     (part,) = answer.records
     compared = np.isfinite([part.residual(name) for name in part.outputs])
@@ -102,7 +111,9 @@ def test_shares_of_the_data_add_up_and_lie_where_the_input_moves(moved, tmp_path
         assert_allclose(getattr(again, name), getattr(part, name))
 
     time = np.arange(100) * 0.1
-    y = np.where(time < 5, 0, 1 - np.exp(-1.5 * (time - 5))) + 0.01 * np.random.default_rng(0).normal(size=100)
+    y = np.where(time < 5, 0, 1 - np.exp(-1.5 * (time - 5))) + 0.01 * np.random.default_rng(
+        0
+    ).normal(size=100)
     step = gb.Record(time, {"u": np.where(time < 5, 0.0, 1.0), "y": y})
     shares = fit(gb.Problem(Decay(), step, HELD)).records[0].information
     assert shares[0, :100].sum() < 0.02  # before the step nothing tells of the rate

@@ -55,7 +55,12 @@ def brute_force(fit, model, name, edge, level=0.95):
             error = model.response(1j * data.omega, values) / data.response - 1
             return np.concatenate([error.real, error.imag])
 
-        return 2 * least_squares(residual, list(others.values()), x_scale="jac", xtol=1e-12, ftol=1e-12).cost
+        return (
+            2
+            * least_squares(
+                residual, list(others.values()), x_scale="jac", xtol=1e-12, ftol=1e-12
+            ).cost
+        )
 
     dof = 2 * len(data) - len(names) - 1
     bias = {q.name: q.bias for q in fit.quantities}[name] / fit.standard_error[name]
@@ -81,13 +86,21 @@ def test_with_little_noise_profiles_are_the_intervals_of_the_standard_errors():
         fit = fitted(Lag(), data, criterion)
         profiles = gb.profile(fit)
         for name, wald in fit.interval().items():
-            # The sum of magnitudes of few points is not quadratic: its roots follow the standard error to a tenth.
+            # The sum of magnitudes of few points is not quadratic: its roots follow the standard
+            # error to a tenth.
             width = 0.12 if isinstance(criterion, gb.RelativeError) else 0.02
-            assert_allclose(profiles[name].interval, wald, atol=width * (wald[1] - wald[0]), err_msg=str(criterion))
+            assert_allclose(
+                profiles[name].interval,
+                wald,
+                atol=width * (wald[1] - wald[0]),
+                err_msg=str(criterion),
+            )
 
 
 def test_an_open_end_is_said_and_the_ratio_is_known(monkeypatch):
-    monkeypatch.setattr(ResponsePart, "neighbors", lambda *_: None)  # the brute force is that of independent errors
+    monkeypatch.setattr(
+        ResponsePart, "neighbors", lambda *_: None
+    )  # the brute force is that of independent errors
     data = noisy(OneSided(), {"b": 10000.0, "a": 5000.0}, 0.05, 1)
     fit = fitted(OneSided(), data, gb.SquaredRelativeError())
     profiles = gb.profile(fit)
@@ -99,9 +112,13 @@ def test_an_open_end_is_said_and_the_ratio_is_known(monkeypatch):
 
 
 def test_the_yaw_damping_is_positive_and_has_no_upper_limit():
-    profiles = gb.profile(gb.fit(yaw_hover.problem(), starts=20, profiles=False, progress=False), ["a2", "a3_tilde"])
+    profiles = gb.profile(
+        gb.fit(yaw_hover.problem(), starts=20, profiles=False, progress=False), ["a2", "a3_tilde"]
+    )
     low, high = profiles["a2"].interval
-    assert 60 < low < 100  # above 100 if the errors of neighboring points were independent, which they do not look
+    assert (
+        60 < low < 100
+    )  # above 100 if the errors of neighboring points were independent, which they do not look
     assert high == np.inf
     assert profiles["a2"].ends == ("crossed", "bound")
     # a3 / a2 is determined, so that the upper end of a3 is made by the bound of a2.
@@ -110,12 +127,17 @@ def test_the_yaw_damping_is_positive_and_has_no_upper_limit():
 
 
 def test_derived_quantities_follow_their_parameter():
-    profiles = gb.profile(gb.fit(pitch_hover.problem(), starts=20, progress=False), ["a3", "a3_tilde"])
-    assert_allclose(profiles["a3_tilde"].interval, gb.g * np.array(profiles["a3"].interval), rtol=1e-3)
+    profiles = gb.profile(
+        gb.fit(pitch_hover.problem(), starts=20, progress=False), ["a3", "a3_tilde"]
+    )
+    assert_allclose(
+        profiles["a3_tilde"].interval, gb.g * np.array(profiles["a3"].interval), rtol=1e-3
+    )
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    # The one-sided model, whose standard error says nothing: of 10 intervals of 95 % at least 8 (98.8 % of the time).
+    # The one-sided model, whose standard error says nothing: of 10 intervals of 95 % at least 8
+    # (98.8 % of the time).
     held = 0
     for seed in range(10):
         data = noisy(OneSided(), {"b": 800.0, "a": 400.0}, 0.05, seed)
@@ -134,11 +156,17 @@ def test_a_saved_fit_is_profiled_too(tmp_path):
 
 def test_a_fit_profiles_what_its_standard_error_misleads_about(tmp_path):
     fit = gb.fit(yaw_hover.problem(), starts=10, progress=False)
-    assert [profile.name for profile in fit.profiles.profiles] == ["a1_tilde", "a2", "a3_tilde"]  # a4: 5.6 ± 0.3
+    assert [profile.name for profile in fit.profiles.profiles] == [
+        "a1_tilde",
+        "a2",
+        "a3_tilde",
+    ]  # a4: 5.6 ± 0.3
     asked = gb.profile(fit, "a2", fresh_starts=0)["a2"]
     assert fit.profiles["a2"].interval == asked.interval
     said = str(fit)
-    assert f"a2        above {asked.interval[0]:.4g} 1/s, no upper limit up to the bound 2000" in said
+    assert (
+        f"a2        above {asked.interval[0]:.4g} 1/s, no upper limit up to the bound 2000" in said
+    )
     gb.save(fit, tmp_path / "yaw.h5")
     again = gb.load(tmp_path / "yaw.h5")
     assert str(again) == said
@@ -157,7 +185,9 @@ def test_what_has_no_likelihood_ratio_is_refused():
     data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.02, 0)
     with pytest.raises(ValueError, match="MagnitudePhase weighs the points"):
         gb.profile(fitted(Lag(), data, gb.MagnitudePhase()))
-    tied = gb.Problem(LagLagDelay(), noisy(LagLagDelay(), TWO_LAGS, 0.02, 0), tied={"T1": lambda p: 3 * p.T2})
+    tied = gb.Problem(
+        LagLagDelay(), noisy(LagLagDelay(), TWO_LAGS, 0.02, 0), tied={"T1": lambda p: 3 * p.T2}
+    )
     fit = gb.fit(tied, starts=10, progress=False)
     with pytest.raises(ValueError, match="give its problem="):
         gb.profile(fit)
@@ -177,7 +207,9 @@ def test_what_follows_from_constants_alone_has_no_profile():
 
 
 def test_the_figure_has_a_panel_for_each():
-    found = gb.profile(gb.fit(yaw_hover.problem(), starts=10, profiles=False, progress=False), ["a2", "a4"])
+    found = gb.profile(
+        gb.fit(yaw_hover.problem(), starts=10, profiles=False, progress=False), ["a2", "a4"]
+    )
     axes = gb.plotting.profiles(found)
     assert [ax.get_xlabel() for ax in axes] == ["a2 [1/s]", "a4 [1/s]"]
 
@@ -201,8 +233,9 @@ def test_a_contour_is_where_the_costs_of_a_dense_grid_cross_the_limit():
     fit = fitted(Lag(), data, gb.SquaredRelativeError())
     found = gb.contour(fit, "K", "T", directions=12)
     assert {*found.ends} == {"crossed"}
-    # Of a model of two parameters nothing is fitted again: the cost gives the root on the contour itself, and with the
-    # bias of the estimate, in the metric of the covariance, it is √(2 F) from the truth.
+    # Of a model of two parameters nothing is fitted again: the cost gives the root on the contour
+    # itself, and with the bias of the estimate, in the metric of the covariance, it is √(2 F) from
+    # the truth.
     dof = 2 * len(data) - 2
     error = found.points[:, :1] / (1j * data.omega * found.points[:, 1:] + 1) / data.response - 1
     factor = np.mean(np.diag(fit.white) / np.diag(fit.covariance_of(["K", "T"])))
@@ -211,7 +244,9 @@ def test_a_contour_is_where_the_costs_of_a_dense_grid_cross_the_limit():
     axes = np.linalg.cholesky(fit.covariance_of(["K", "T"]))
     bias = np.linalg.solve(axes, [q.bias for q in fit.quantities if q.kind == "free"])
     assert np.linalg.norm(bias) > 0.3
-    distance = np.linalg.norm(roots[:, None] * np.array([np.cos(angle), np.sin(angle)]).T + bias, axis=1)
+    distance = np.linalg.norm(
+        roots[:, None] * np.array([np.cos(angle), np.sin(angle)]).T + bias, axis=1
+    )
     assert_allclose(distance, np.sqrt(2 * fisher.ppf(0.95, 2, dof)), rtol=1e-3)
 
 
@@ -243,7 +278,11 @@ def test_profiles_by_newtons_method_are_those_by_ipopt_which_is_built_once(monke
             built.append(self)
             super().__init__(*arguments)
 
-    fit = fitted(LagLagDelay(), noisy(LagLagDelay(), TWO_LAGS, 0.03, 2, TWO_LAGS_OMEGA), gb.SquaredRelativeError())
+    fit = fitted(
+        LagLagDelay(),
+        noisy(LagLagDelay(), TWO_LAGS, 0.03, 2, TWO_LAGS_OMEGA),
+        gb.SquaredRelativeError(),
+    )
     monkeypatch.setattr("greybox.estimate.profile.Ipopt", Counted)
     found = gb.profile(fit, list(fit.free)[:2], fresh_starts=0)
     assert not built
@@ -262,8 +301,20 @@ def walk(cost, **options):
             return [(np.array([value]), cost(value)) for value in values]
 
     point, z = profile_module._Point, np.array([1.0])
-    given = {"factor": 1.0, "numbers": np.inf, "limit": 1.96, "bounds": (-np.inf, np.inf), "size": 0.1, "first": 0.05}
-    given |= {"held": Held(), "best": point(1.0, z, cost(1.0)), "starts": np.zeros((0, 1)), **options}
+    given = {
+        "factor": 1.0,
+        "numbers": np.inf,
+        "limit": 1.96,
+        "bounds": (-np.inf, np.inf),
+        "size": 0.1,
+        "first": 0.05,
+    }
+    given |= {
+        "held": Held(),
+        "best": point(1.0, z, cost(1.0)),
+        "starts": np.zeros((0, 1)),
+        **options,
+    }
     return profile_module._Search(**given)
 
 
@@ -293,7 +344,8 @@ def test_roots_are_those_of_the_likelihood_ratio_or_of_the_f_statistic_with_thei
     assert walk(parabola).signed_root(point(0.8, None, parabola(0.8))) == pytest.approx(-2)
     assert walk(parabola, factor=4.0).root(point(1.2, None, parabola(1.2))) == pytest.approx(4)
     assert walk(parabola).root(point(1.2, None, -1.0)) == 0
-    # Of 20 numbers whose variance is estimated: N (S / S0 - 1), the cost N / 2 log S, of S larger by a tenth.
+    # Of 20 numbers whose variance is estimated: N (S / S0 - 1), the cost N / 2 log S, of S larger
+    # by a tenth.
     ratio = walk(lambda value: 0.0, numbers=20.0).root(point(1.2, None, 10 * np.log(1.1)))
     assert ratio == pytest.approx(np.sqrt(20 * 0.1))
 
@@ -318,7 +370,10 @@ def test_points_take_a_lower_cost_from_their_neighbors():
 
         def solve(self, starts, values):
             self.calls += 1
-            return [(start, parabola(v) - 2 * start[0] * (v > 1.1)) for start, v in zip(starts, values, strict=True)]
+            return [
+                (start, parabola(v) - 2 * start[0] * (v > 1.1))
+                for start, v in zip(starts, values, strict=True)
+            ]
 
     point, low, high = profile_module._Point, np.array([0.0]), np.array([1.0])
     held = Branches()
@@ -351,7 +406,8 @@ def test_a_ray_is_followed_to_where_the_limit_is_crossed_or_to_a_bound(ray, boun
     class Plane:
         def solve(self, starts, values):
             return [
-                (start, 0.5 * np.sum((np.asarray(v) - 1) ** 2) / 0.01) for start, v in zip(starts, values, strict=True)
+                (start, 0.5 * np.sum((np.asarray(v) - 1) ** 2) / 0.01)
+                for start, v in zip(starts, values, strict=True)
             ]
 
     limit = 10.0 if end == "bound" else 2.5
@@ -363,7 +419,9 @@ def test_a_ray_is_followed_to_where_the_limit_is_crossed_or_to_a_bound(ray, boun
     assert found == pytest.approx(reach, rel=2e-3)
 
 
-@pytest.mark.parametrize(("cost", "reach", "end"), [(np.inf, np.nan, "failed"), (0.0, np.inf, "flat")])
+@pytest.mark.parametrize(
+    ("cost", "reach", "end"), [(np.inf, np.nan, "failed"), (0.0, np.inf, "flat")]
+)
 def test_a_ray_on_which_nothing_is_found_or_nothing_changes(cost, reach, end):
     class Same:
         def solve(self, starts, values):
@@ -388,9 +446,13 @@ class Bound:
 )
 def test_a_profile_tells_all_of_its_points(bias, bounds, ends):
     same = SimpleNamespace(to_parameters=np.asarray)
-    nlp = SimpleNamespace(scaling=same, free=("a", "b"), lower=np.array([-9.0, 0.0]), upper=np.array([9.0, 3.0]))
+    nlp = SimpleNamespace(
+        scaling=same, free=("a", "b"), lower=np.array([-9.0, 0.0]), upper=np.array([9.0, 3.0])
+    )
     best = profile_module._Point(1.0, np.array([1.0, 2.0]), 0.0)
-    search = walk(parabola, held=Bound(), best=best, bounds=bounds, bias=bias, starts=np.zeros((0, 2)))
+    search = walk(
+        parabola, held=Bound(), best=best, bounds=bounds, bias=bias, starts=np.zeros((0, 2))
+    )
     line = SimpleNamespace(name="a", unit="s", value=1.0, standard_error=0.1, bounds=bounds)
     found = profile_module._profile_of(nlp, search, line)
     low = -np.inf if ends[0] == "bound" else 1 - 0.1 * (1.96 + bias)
@@ -411,8 +473,20 @@ def test_a_profile_tells_all_of_its_points(bias, bounds, ends):
     [
         ((1.0, 2.5), ("crossed", "crossed"), ((), ()), True, "1 to 2.5 s"),
         ((1.0, 2.5), ("crossed", "crossed"), ((), ()), False, "1 to 2.5 s, in separate pieces"),
-        ((1.0, np.inf), ("crossed", "bound"), ((), ()), True, "above 1 s, no upper limit up to the bound 9"),
-        ((-np.inf, 2.5), ("bound", "crossed"), ((), ()), True, "below 2.5 s, no lower limit down to the bound -3"),
+        (
+            (1.0, np.inf),
+            ("crossed", "bound"),
+            ((), ()),
+            True,
+            "above 1 s, no upper limit up to the bound 9",
+        ),
+        (
+            (-np.inf, 2.5),
+            ("bound", "crossed"),
+            ((), ()),
+            True,
+            "below 2.5 s, no lower limit down to the bound -3",
+        ),
         (
             (-np.inf, 2.5),
             ("failed", "crossed"),
@@ -421,7 +495,13 @@ def test_a_profile_tells_all_of_its_points(bias, bounds, ends):
             "below 2.5 s, no lower limit that could be found: solves failed beyond",
         ),
         ((1.0, np.inf), ("crossed", "flat"), ((), ()), True, "above 1 s, no upper limit"),
-        ((-np.inf, np.inf), ("flat", "bound"), ((), ()), True, "not limited by the data on either side"),
+        (
+            (-np.inf, np.inf),
+            ("flat", "bound"),
+            ((), ()),
+            True,
+            "not limited by the data on either side",
+        ),
         (
             (1.0, 2.5),
             ("crossed", "crossed"),
@@ -432,7 +512,9 @@ def test_a_profile_tells_all_of_its_points(bias, bounds, ends):
     ],
 )
 def test_an_interval_in_words(interval, ends, at_bound, connected, said):
-    one = ProfileOf("T", "s", 1.5, 0.2, *np.zeros((3, 1)), np.zeros((1, 1)), interval, ends, (-3.0, 9.0))
+    one = ProfileOf(
+        "T", "s", 1.5, 0.2, *np.zeros((3, 1)), np.zeros((1, 1)), interval, ends, (-3.0, 9.0)
+    )
     one = replace(one, at_bound=at_bound, connected=connected)
     assert str(one) == said
     found = Profiles("step", 0.9, {"T": 1.7}, ("T",), (one,), ("a profile found more",))
@@ -471,14 +553,19 @@ def test_an_interval_in_words(interval, ends, at_bound, connected, said):
         (2.0, 0.5, (0.01, 4.99), False),
     ],
 )
-def test_an_error_beyond_half_the_value_or_an_interval_beyond_a_bound_misleads(value, error, interval, misleads):
+def test_an_error_beyond_half_the_value_or_an_interval_beyond_a_bound_misleads(
+    value, error, interval, misleads
+):
     bounds = (-9.0, 5.0) if value < 0 else (0.0, 5.0)
     line = SimpleNamespace(value=value, standard_error=error, bounds=bounds)
     assert profile_module._misleads(line, interval) == misleads
 
 
 def test_the_factor_of_the_cost_is_that_of_both_variances_along_the_gradient():
-    white, covariance = np.array([[4.0, 1.0], [1.0, 9.0]]), np.array([[2.0, -0.5, 8.0], [-0.5, 3.0, 8.0], [8.0] * 3])
+    white, covariance = (
+        np.array([[4.0, 1.0], [1.0, 9.0]]),
+        np.array([[2.0, -0.5, 8.0], [-0.5, 3.0, 8.0], [8.0] * 3]),
+    )
     accuracy = SimpleNamespace(white=white, covariance=covariance, size=np.array([1.0, 10.0, 7.0]))
     gradient = np.array([2.0, -1.0])
     assert profile_module._factor(accuracy, gradient) == pytest.approx((16 - 4 + 9) / (8 + 2 + 3))
@@ -494,7 +581,9 @@ def lag():
 
 
 def test_a_region_needs_two_parameters_and_eight_directions(lag):
-    with pytest.raises(ValueError, match=r"^a contour of 'K' needs another parameter: there are K, T\.$"):
+    with pytest.raises(
+        ValueError, match=r"^a contour of 'K' needs another parameter: there are K, T\.$"
+    ):
         gb.contour(lag, "K", "K")
     with pytest.raises(ValueError, match=r"^directions is 7: give at least 8\.$"):
         gb.contour(lag, "K", "T", directions=7)
@@ -523,17 +612,24 @@ def test_an_ellipse_is_where_the_quadratic_form_is_the_square_of_the_limit():
     assert_allclose(np.einsum("ni,ij,nj->n", away, np.linalg.inv(covariance), away), 2.5**2)
     assert_allclose(away[0], away[-1])
     assert np.ptp(away[:, 0]) == pytest.approx(2 * 2.5 * 2, rel=0.01)
-    assert str(region) == "90 % region of a and b, open in 1 of 2 directions: a 1 to 5 s, b -9 to -9"
+    assert (
+        str(region) == "90 % region of a and b, open in 1 of 2 directions: a 1 to 5 s, b -9 to -9"
+    )
 
 
 def test_a_fit_without_an_estimate_and_one_with_a_prior_have_no_profile(lag):
-    with pytest.raises(ValueError, match=r"^the fit 'run' has no estimate to profile around: no start converged"):
+    with pytest.raises(
+        ValueError, match=r"^the fit 'run' has no estimate to profile around: no start converged"
+    ):
         gb.profile(replace(lag, name="run", minima=()))
     with pytest.raises(
-        ValueError, match=r"^the fit 'run' has a-priori knowledge, with which its cost is no likelihood: use"
+        ValueError,
+        match=r"^the fit 'run' has a-priori knowledge, with which its cost is no likelihood: use",
     ):
         gb.profile(replace(lag, name="run", priors={"K": (2.0, 0.1)}))
-    with pytest.raises(ValueError, match=r"^the fit 'run' has manoeuvres, of which no profiles are made: use"):
+    with pytest.raises(
+        ValueError, match=r"^the fit 'run' has manoeuvres, of which no profiles are made: use"
+    ):
         gb.profile(replace(lag, name="run", parts=(*lag.parts, SimpleNamespace())))
 
 
@@ -546,4 +642,7 @@ def test_a_lower_cost_than_the_fits_is_told(lag):
     data = lag.parts[0].data
     cost = np.sum(np.abs(p["K"] / (1j * data.omega * p["T"] + 1) / data.response - 1) ** 2)
     lowest = number(float(found["K"].costs.min()))
-    assert said == f"a profile found the cost {lowest} below the fit's {number(cost)}: fit from more starts."
+    assert (
+        said
+        == f"a profile found the cost {lowest} below the fit's {number(cost)}: fit from more starts."
+    )

@@ -9,7 +9,9 @@ import greybox as gb
 
 
 def lag(name, seed=0, **values):
-    return measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3} | values, noise=0.02, name=name, seed=seed)
+    return measured(
+        Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3} | values, noise=0.02, name=name, seed=seed
+    )
 
 
 def fit(problem):
@@ -47,7 +49,10 @@ def test_errors_of_derived_quantities_follow_from_the_gradient():
 
 
 def test_parts_that_rename_have_derived_quantities_of_their_own():
-    one, two = gb.Problem(Lag(), lag("one")), gb.Problem(Lag(), lag("two", 1), rename={"T": "T_two"})
+    one, two = (
+        gb.Problem(Lag(), lag("one")),
+        gb.Problem(Lag(), lag("two", 1), rename={"T": "T_two"}),
+    )
     assert set(fit(one + two).derived) == {"bandwidth", "area", "bandwidth (two)", "area (two)"}
     assert set(fit(one + gb.Problem(Lag(), lag("two", 1))).derived) == {"bandwidth", "area"}
     namesake = gb.Problem(Lag(), lag("two", 2), rename={"T": "T_three"})
@@ -73,7 +78,9 @@ def test_what_depends_on_the_undetermined_has_no_error():
 
 def test_a_tied_parameter_at_its_bound_is_marked_and_what_is_derived_of_it_is_not():
     for bounds, at_bound in (((0.3, 0.5), True), ((0.1, 0.5), False)):
-        found = fit(gb.Problem(Lag(), lag("one"), tied={"T": lambda p: p.K / 10}, bounds={"T": bounds}))
+        found = fit(
+            gb.Problem(Lag(), lag("one"), tied={"T": lambda p: p.K / 10}, bounds={"T": bounds})
+        )
         marked = {q.name: q.at_bound for q in found.quantities}
         assert marked["T"] is at_bound
         assert not marked["area"]

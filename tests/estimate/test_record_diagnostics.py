@@ -68,7 +68,9 @@ def stepped(noise=0.01, n=120, before=10, seed=0):
     since = np.maximum(time - STEP * before - TRUTH["d"], 0)
     y = TRUTH["K"] * (1 - np.exp(-since / TRUTH["T"]))
     u = np.where(np.arange(n) < before, 0.0, 1.0)
-    return gb.Record(time, {"u": u, "y": y + noise * np.random.default_rng(seed).normal(size=n)}, name="step")
+    return gb.Record(
+        time, {"u": u, "y": y + noise * np.random.default_rng(seed).normal(size=n)}, name="step"
+    )
 
 
 def driven(n=600, noise=0.02, seed=0, hold=4, delay=2):
@@ -77,7 +79,9 @@ def driven(n=600, noise=0.02, seed=0, hold=4, delay=2):
     u = np.repeat(random.normal(size=(n + before) // hold + 1), hold)[: n + before]
     decay = np.exp(-STEP / TRUTH["T"])
     late = np.concatenate([np.zeros(delay + 1), u])[: n + before]
-    y = lfilter([TRUTH["K"] * (1 - decay)], [1, -decay], late) + noise * random.normal(size=n + before)
+    y = lfilter([TRUTH["K"] * (1 - decay)], [1, -decay], late) + noise * random.normal(
+        size=n + before
+    )
     return gb.Record(STEP * np.arange(n), {"u": u[before:], "y": y[before:]}, name="driven")
 
 
@@ -123,13 +127,17 @@ def test_a_delay_of_another_name_is_told_by_that():
     record = driven(300)
     found = fit(Later(), record, starts=2, rename={"d": "delay"})
     assert "upper bound of delay (up to 0.3 s)" in said(found, "not compared")[0]
-    with pytest.raises(ValueError, match=r"has no usable stretch.* 0.7 s; give a longer record or a smaller upper"):
+    with pytest.raises(
+        ValueError, match=r"has no usable stretch.* 0.7 s; give a longer record or a smaller upper"
+    ):
         fit(Latest(), driven(50))
 
 
 def test_numbers_that_no_fit_saw_are_no_data():
     """Of the 33 samples the bound leaves three, which is as many as there are unknowns."""
-    (text,) = said(fit(Later(), driven(33), starts=[{}], fixed={"T": 0.1}), "leave no degrees of freedom")
+    (text,) = said(
+        fit(Later(), driven(33), starts=[{}], fixed={"T": 0.1}), "leave no degrees of freedom"
+    )
     assert text.startswith("3 real numbers of data for 2 unknowns and 1 initial state")
 
 
@@ -161,7 +169,9 @@ def test_a_coast_down_tells_the_time_constant():
     found = fit(Slide(), slid(0.0, 2.0), fixed={"K": 3.0})
     assert abs(found.estimate["tau"] - 0.4) < 4 * found.standard_error["tau"] < 0.1
     (text,) = said(found, "never change")
-    assert text == ("the inputs never change in the record (u): only the free response is informative.")
+    assert text == (
+        "the inputs never change in the record (u): only the free response is informative."
+    )
     free = fit(Slide(), slid(0.0, 2.0))
     assert said(free, "K is not determined: it does not change the response")
 
@@ -174,7 +184,10 @@ def test_a_response_from_rest_to_a_constant_input_tells_the_gain_too():
 
 def test_rest_in_one_of_several_records_is_no_matter():
     moving = gb.virtual_flight(
-        Slide(), {"tau": 0.4, "K": 3.0}, excitation={"u": np.sign(np.sin(np.arange(300) / 20))}, rate=100.0
+        Slide(),
+        {"tau": 0.4, "K": 3.0},
+        excitation={"u": np.sign(np.sin(np.arange(300) / 20))},
+        rate=100.0,
     )
     noisy = moving.with_signals(x=moving["x"] + 0.002 * np.random.default_rng(2).normal(size=300))
     found = gb.fit(gb.several(Slide(), [noisy, slid(0.0, 2.0)]), starts=3, progress=False)
@@ -187,7 +200,9 @@ def test_rest_in_one_of_several_records_is_no_matter():
 
 def test_a_record_in_which_nothing_happens_is_refused():
     still = slid(0.0, 0.0)
-    with pytest.raises(ValueError, match=r"never change \(u\) and x is indistinguishable from noise: nothing can"):
+    with pytest.raises(
+        ValueError, match=r"never change \(u\) and x is indistinguishable from noise: nothing can"
+    ):
         fit(Slide(), still)
 
 
@@ -203,7 +218,9 @@ def test_a_fit_that_explains_almost_nothing_is_told():
     percent = float(re.search(r"of y \(fit (\S+) %\)", text)[1])
     assert percent < 10
     allowed = float(re.search(r"allow about (\d+) %", text)[1])
-    assert_allclose(allowed, fit(Late(), record).records[0].fit_percent("y"), atol=15)  # fast movements count as noise
+    assert_allclose(
+        allowed, fit(Late(), record).records[0].fit_percent("y"), atol=15
+    )  # fast movements count as noise
     assert not said(fit(Late(), record), "almost none of")
 
 
@@ -221,7 +238,9 @@ def test_a_gain_that_is_far_too_small_explains_almost_nothing_of_either_record()
 def test_a_right_model_of_a_record_that_is_mostly_noise_is_not_blamed():
     """The fit is low, since it cannot be higher, and the estimate is right within its errors."""
     u = np.sin(np.arange(6000) / 100)
-    y = 0.02 * lfilter([TRUTH["K"] * 0.1], [1, -0.9], u) + 0.1 * np.random.default_rng(3).normal(size=6000)
+    y = 0.02 * lfilter([TRUTH["K"] * 0.1], [1, -0.9], u) + 0.1 * np.random.default_rng(3).normal(
+        size=6000
+    )
     record = gb.Record(STEP * np.arange(6000), {"u": u, "y": y}, name="quiet")
     found = fit(Late(), record, starts=2, fixed={"T": STEP / -np.log(0.9), "d": 0.0})
     assert found.records[0].fit_percent("y") < 10
@@ -233,7 +252,9 @@ def test_an_output_that_is_noise_is_said_to_be_so():
     random = np.random.default_rng(4)
     record = gb.Record(STEP * np.arange(400), {"u": driven(400)["u"], "y": random.normal(size=400)})
     (text,) = said(fit(Late(), record, starts=2), "almost none of")
-    assert text.startswith("y is indistinguishable from noise, and the model reproduces almost none of its variation")
+    assert text.startswith(
+        "y is indistinguishable from noise, and the model reproduces almost none of its variation"
+    )
 
 
 def test_records_of_one_sensor_that_weigh_very_differently_are_told():
@@ -244,14 +265,18 @@ def test_records_of_one_sensor_that_weigh_very_differently_are_told():
     found = gb.fit(gb.several(Late(), [clean, disturbed], criterion=HELD), starts=2, progress=False)
     (text,) = said(found, "fitted standard deviation")
     sigma = [float(np.sqrt(part.noise[0, 0])) for part in found.records]
-    assert text.startswith(f"the fitted standard deviation of y is {sigma[1]:.2g} in 'disturbed' and {sigma[0]:.2g} in")
+    assert text.startswith(
+        f"the fitted standard deviation of y is {sigma[1]:.2g} in 'disturbed' and {sigma[0]:.2g} in"
+    )
     assert f"weighs {float(f'{(sigma[1] / sigma[0]) ** 2:.2g}'):g} times as much" in text
     # The cure as it is written there: one standard deviation, of all residuals.
     common = float(re.search(r"noise=\{'y': (\S+)\}", text)[1])
     residuals = np.concatenate([part.residual("y") for part in found.records])
     assert_allclose(common, np.sqrt(np.nanmean(residuals**2)), rtol=0.05)
     equal = gb.OutputError(inputs="held", noise={"y": common})
-    cured = gb.fit(gb.several(Late(), [clean, disturbed], criterion=equal), starts=2, progress=False)
+    cured = gb.fit(
+        gb.several(Late(), [clean, disturbed], criterion=equal), starts=2, progress=False
+    )
     assert not said(cured, "fitted standard deviation")
     alike = gb.fit(gb.several(Late(), [clean, other], criterion=HELD), starts=2, progress=False)
     assert not said(alike, "fitted standard deviation")
@@ -277,13 +302,17 @@ def test_a_parameter_of_an_inactive_branch_is_dead_at_this_estimate_only():
     """The limit of 0.8 is found from starts at which it is active; each dead parameter is named by itself."""
     n = 300
     u = np.sign(np.sin(np.arange(n) / 40)) + 0.3
-    y = lfilter([1 - np.exp(-0.02 / 0.2)], [1, -np.exp(-0.02 / 0.2)], np.concatenate([[0.0], u[:-1]]))
+    y = lfilter(
+        [1 - np.exp(-0.02 / 0.2)], [1, -np.exp(-0.02 / 0.2)], np.concatenate([[0.0], u[:-1]])
+    )
     y = np.minimum(y, 0.8) + 0.01 * np.random.default_rng(0).normal(size=n)
     record = gb.Record(0.02 * np.arange(n), {"u": u, "y": y})
     beyond = fit(Limited(), record, starts=[{}])
     texts = said(beyond, "not determined")
     assert sorted(text.split(" is ")[0] for text in texts) == ["leak", "top"]
-    assert all("at this estimate" in text and "try starts at which it is active" in text for text in texts)
+    assert all(
+        "at this estimate" in text and "try starts at which it is active" in text for text in texts
+    )
     within = fit(Limited(), record, starts=[{"top": 0.7}])
     assert within.cost < beyond.cost - 100
     assert abs(within.estimate["top"] - 0.8) < 4 * within.standard_error["top"]
@@ -306,7 +335,7 @@ def test_no_branch_is_told_of_where_the_model_has_none():
     assert text.endswith("at this estimate; fix it.")
 
 
-# --- residuals that are correlated in time ----------------------------------------------------------------------------
+# --- residuals that are correlated in time
 
 
 class Drift(gb.StateSpace):
@@ -336,7 +365,11 @@ def drifting(loop, n=6000, step=0.01, gust=0.07, sensor=0.002, seed=0):
 
 def colors(record, criterion):
     fit = gb.fit(gb.Problem(Drift(), record, criterion), starts=3, progress=False)
-    return fit, [text for text in fit.warnings if "from one sample to the next" in text or "feedback responds" in text]
+    return fit, [
+        text
+        for text in fit.warnings
+        if "from one sample to the next" in text or "feedback responds" in text
+    ]
 
 
 def test_a_disturbance_in_a_closed_loop_is_told_and_the_criterion_for_it_does_better():
@@ -382,9 +415,14 @@ def test_a_predictor_at_the_limit_of_its_stability_is_told():
     """Of a record without noise of the state, from which the gain can learn nothing."""
     random, n = np.random.default_rng(3), 300
     record = gb.Record(0.05 * np.arange(n), {"u": np.repeat(random.normal(size=n // 10), 10)})
-    x = gb.simulate(Drift(), {"a": 0.3, "b": 3.0}, record, inputs="held")["x"] + 0.05 * random.normal(size=n)
+    x = gb.simulate(Drift(), {"a": 0.3, "b": 3.0}, record, inputs="held")[
+        "x"
+    ] + 0.05 * random.normal(size=n)
     rules = (gb.PredictionError(inputs="held"), gb.OutputError(inputs="held"))
-    fits = [gb.fit(gb.Problem(Drift(), record.with_signals(x=x), rule), starts=3, progress=False) for rule in rules]
+    fits = [
+        gb.fit(gb.Problem(Drift(), record.with_signals(x=x), rule), starts=3, progress=False)
+        for rule in rules
+    ]
     told = [any("reached the stability limit" in text for text in fit.warnings) for fit in fits]
     assert told == [True, False]
 
@@ -393,7 +431,9 @@ def test_white_residuals_are_not_blamed():
     random, n = np.random.default_rng(1), 500
     u = np.repeat(random.normal(size=n // 10), 10)
     record = gb.Record(0.05 * np.arange(n), {"u": u})
-    x = gb.simulate(Drift(), {"a": 2.5, "b": 3.0}, record, inputs="held")["x"] + 0.05 * random.normal(size=n)
+    x = gb.simulate(Drift(), {"a": 2.5, "b": 3.0}, record, inputs="held")[
+        "x"
+    ] + 0.05 * random.normal(size=n)
     for criterion in (gb.OutputError(inputs="held"), gb.PredictionError(inputs="held")):
         assert not colors(record.with_signals(x=x), criterion)[1]
 
@@ -406,8 +446,12 @@ def test_a_record_that_is_too_short_to_exclude_a_drift_says_so(n, hides):
     assert not said(found, "slow errors")
 
 
-@pytest.mark.parametrize(("most", "weighs"), [(0.49, None), (0.51, 26), (0.99e5, 9.8e11), (1.1e5, None)])
-def test_records_weigh_differently_from_five_standard_deviations_to_where_there_is_no_noise(most, weighs):
+@pytest.mark.parametrize(
+    ("most", "weighs"), [(0.49, None), (0.51, 26), (0.99e5, 9.8e11), (1.1e5, None)]
+)
+def test_records_weigh_differently_from_five_standard_deviations_to_where_there_is_no_noise(
+    most, weighs
+):
     least, middle, other = (
         _Residuals(name, {"y": deviation}, {"y": count})
         for name, deviation, count in (("least", 0.1, 300), ("middle", 0.2, 0), ("most", most, 100))
@@ -416,9 +460,13 @@ def test_records_weigh_differently_from_five_standard_deviations_to_where_there_
     assert len(found) == (weighs is not None)
     if found:
         start = f"the fitted standard deviation of y is {most:.2g} in 'most' and 0.1 in 'least', so that"
-        assert found[0].startswith(f"{start} a sample of the latter weighs {weighs:g} times as much")
+        assert found[0].startswith(
+            f"{start} a sample of the latter weighs {weighs:g} times as much"
+        )
         pooled = math.sqrt((300 * 0.1**2 + 100 * most**2) / 400)
-        assert float(re.search(r"noise=\{'y': ([^}]+)\}", found[0])[1]) == pytest.approx(pooled, rel=0.05)
+        assert float(re.search(r"noise=\{'y': ([^}]+)\}", found[0])[1]) == pytest.approx(
+            pooled, rel=0.05
+        )
 
 
 def test_the_correlation_of_successive_residuals_is_over_pairs_that_are_both_there():
@@ -427,14 +475,18 @@ def test_the_correlation_of_successive_residuals_is_over_pairs_that_are_both_the
     assert _successive(np.zeros(4)) == (0.0, 3)
 
 
-@pytest.mark.parametrize(("wider", "said"), [((1.49,), ""), ((1.51,), "1.5"), ((1.3, 1.3), ""), ((1.4, 1.4), "1.6")])
+@pytest.mark.parametrize(
+    ("wider", "said"), [((1.49,), ""), ((1.51,), "1.5"), ((1.3, 1.3), ""), ((1.4, 1.4), "1.6")]
+)
 def test_slow_errors_are_told_where_they_would_make_intervals_half_as_wide_again(wider, said):
     """Of two records the logarithms add as squares."""
     found = [SimpleNamespace(wider=w, hidden=w**2, is_long_enough=True) for w in wider]
     texts = [*hidden_errors(SimpleNamespace(correlation=[*found, None]))]
     assert len(texts) == bool(said)
     assert all(f"up to {said} times wider" in text for text in texts)
-    few = SimpleNamespace(wider=1.4, hidden=9.0, is_long_enough=True)  # Student's quantile is as wide as that
+    few = SimpleNamespace(
+        wider=1.4, hidden=9.0, is_long_enough=True
+    )  # Student's quantile is as wide as that
     assert not [*hidden_errors(SimpleNamespace(correlation=[few]))]
     short = SimpleNamespace(wider=3.0, hidden=9.0, is_long_enough=False)
     assert not [*hidden_errors(SimpleNamespace(correlation=[short]))]
@@ -443,7 +495,9 @@ def test_slow_errors_are_told_where_they_would_make_intervals_half_as_wide_again
 @pytest.mark.parametrize("ratio", [0.58, 0.62, 1.57, 1.64])
 def test_a_given_standard_deviation_is_doubted_below_0_6_and_above_1_6_of_it(ratio):
     record = driven(300)
-    own = float(np.sqrt(np.nanmean(fit(Late(), record, starts=[TRUTH]).records[0].residual("y") ** 2)))
+    own = float(
+        np.sqrt(np.nanmean(fit(Late(), record, starts=[TRUTH]).records[0].residual("y") ** 2))
+    )
     given = gb.OutputError(inputs="held", noise={"y": own / ratio})
     texts = said(fit(Late(), record, [TRUTH], given), "given standard deviation")
     assert len(texts) == (not 0.6 <= ratio <= 1.6)
@@ -468,14 +522,24 @@ def fitted_with(residuals, *, white=True, inputs=None, time=True, name="one"):
         system=SimpleNamespace(inputs=tuple(signals)),
     )
     data = Signals(signals, has_time=time, name=name, samples=len(next(iter(residuals.values()))))
-    return part, SimpleNamespace(outputs=tuple(residuals), residual=residuals.__getitem__, data=data, name=name)
+    return part, SimpleNamespace(
+        outputs=tuple(residuals), residual=residuals.__getitem__, data=data, name=name
+    )
 
 
 @pytest.mark.parametrize(
     ("n", "correlation", "told"),
-    [(2000, 0.195, False), (2000, 0.205, True), (2000, -0.205, True), (100, 0.49, False), (100, 0.51, True)],
+    [
+        (2000, 0.195, False),
+        (2000, 0.205, True),
+        (2000, -0.205, True),
+        (100, 0.49, False),
+        (100, 0.51, True),
+    ],
 )
-def test_prediction_errors_are_told_from_a_fifth_of_correlation_or_five_deviations_of_white_ones(n, correlation, told):
+def test_prediction_errors_are_told_from_a_fifth_of_correlation_or_five_deviations_of_white_ones(
+    n, correlation, told
+):
     """Two waves of correlations 1 and -1 from one sample to the next, of such shares; ends count for little."""
     share = (1 + correlation * n / (n - 1)) / 2
     e = np.sqrt(share) * np.ones(n) + np.sqrt(1 - share) * np.resize([1.0, -1.0], n)
@@ -563,11 +627,16 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
         data = SimpleNamespace(stretches=stretches, constant_inputs=more.pop("constant", False))
         system = SimpleNamespace(inputs=("u",))
         part = SimpleNamespace(
-            model=SimpleNamespace(criterion=criterion), is_static=more.pop("static", False), data=data, system=system
+            model=SimpleNamespace(criterion=criterion),
+            is_static=more.pop("static", False),
+            data=data,
+            system=system,
         )
         kept = SimpleNamespace(name="run", has_time=has_time)
         percents = {"z": 50.0, "y": percent}
-        fitted = SimpleNamespace(outputs=("z", "y"), fit_percent=percents.__getitem__, data=kept, name="part")
+        fitted = SimpleNamespace(
+            outputs=("z", "y"), fit_percent=percents.__getitem__, data=kept, name="part"
+        )
         return [text for *_, text in _unexplained(part, fitted, alone=alone)]
 
     name = "y" if alone else "y in 'run'"
@@ -583,7 +652,9 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
     assert told(slow, 9.9)
     assert told(slow, 10.0) == []
     (text,) = told(random.normal(size=4000), 9.9)
-    assert text.startswith(f"{name} is indistinguishable from noise, and the model reproduces almost none")
+    assert text.startswith(
+        f"{name} is indistinguishable from noise, and the model reproduces almost none"
+    )
     (text,) = told(y, 3.0, has_time=False)
     assert text.endswith("or another model structure, unless that variation is noise.")
     assert told(slow, 3.0, corrects=True) == []

@@ -18,7 +18,9 @@ def noise(n=100):
 
 
 def irregular():
-    time = DATA.time[0] + np.cumsum(np.random.default_rng(0).uniform(0.6, 1.4, len(DATA))) * DATA.step
+    time = (
+        DATA.time[0] + np.cumsum(np.random.default_rng(0).uniform(0.6, 1.4, len(DATA))) * DATA.step
+    )
     return gb.Record(time, DATA.signals)
 
 
@@ -53,45 +55,97 @@ class Wild(gb.StateSpace):
             lambda: fit(gb.Problem(Spring(), record(x=np.zeros(100), v=np.ones(100)))),
             r"outputs .* never change \(x, v\)",
         ),
-        (lambda: fit(gb.Problem(Spring(), record(x=np.nan * np.ones(100), v=np.nan * np.ones(100)))), "of x, v"),
-        (lambda: fit(gb.Problem(Spring(), record(F=np.nan * np.ones(100)))), "no measured value of F"),
-        (lambda: fit(gb.Problem(Lag(), short(), free=("d",))), "of which the longest delay in the bounds takes 0.5 s"),
+        (
+            lambda: fit(
+                gb.Problem(Spring(), record(x=np.nan * np.ones(100), v=np.nan * np.ones(100)))
+            ),
+            "of x, v",
+        ),
+        (
+            lambda: fit(gb.Problem(Spring(), record(F=np.nan * np.ones(100)))),
+            "no measured value of F",
+        ),
+        (
+            lambda: fit(gb.Problem(Lag(), short(), free=("d",))),
+            "of which the longest delay in the bounds takes 0.5 s",
+        ),
         (lambda: fit(gb.Problem(Spring(), irregular())), r"not uniform .* gb.prepare"),
         (lambda: fit(gb.Problem(Spring(), DATA.rows(np.arange(1)))), "never change"),
-        (lambda: fit(gb.Problem(Spring(), gb.Record([0.0, 0.1], {"F": [0, 1], "x": [0, 1]}))), "no usable stretch"),
+        (
+            lambda: fit(gb.Problem(Spring(), gb.Record([0.0, 0.1], {"F": [0, 1], "x": [0, 1]}))),
+            "no usable stretch",
+        ),
         (lambda: fit(gb.Problem(Wide(), DATA), 5), "random starts for 'b' need a finite box"),
         (
             lambda: gb.Problem(Spring(), gb.Record(DATA.time, {"F": DATA["F"]})),
             "none of the outputs of Spring",
         ),
-        (lambda: gb.Problem(Spring(), gb.Record(DATA.time, {"x": DATA["x"]})), "needs the input 'F'"),
+        (
+            lambda: gb.Problem(Spring(), gb.Record(DATA.time, {"x": DATA["x"]})),
+            "needs the input 'F'",
+        ),
         (lambda: gb.Record(np.zeros(3), {}), "time does not increase after 0.000000 s"),
         (lambda: gb.Record([0.0, 1.0, 0.5], {}), "time does not increase after 1.000000 s"),
-        (lambda: gb.Problem(Spring(), DATA, gb.OutputError(initial={"y": 0.0})), "no state 'y'; it has x, v"),
-        (lambda: gb.OutputError(initial={"x": np.nan}), "initial gives 'x' the value nan: give a finite number or"),
+        (
+            lambda: gb.Problem(Spring(), DATA, gb.OutputError(initial={"y": 0.0})),
+            "no state 'y'; it has x, v",
+        ),
+        (
+            lambda: gb.OutputError(initial={"x": np.nan}),
+            "initial gives 'x' the value nan: give a finite number or",
+        ),
         (lambda: gb.OutputError(initial={"x": "0"}), "initial gives 'x' the value '0'"),
         (
-            lambda: fit(gb.Problem(Spring(), DATA, gb.OutputError(initial={"x": lambda p: p.mass}))),
+            lambda: fit(
+                gb.Problem(Spring(), DATA, gb.OutputError(initial={"x": lambda p: p.mass}))
+            ),
             r"initial\['x'\]: .*no 'mass'; it has k, c, b, d",
         ),
-        (lambda: gb.OutputError(noise="white"), "noise 'white' is not known: use 'diagonal', 'full' or"),
+        (
+            lambda: gb.OutputError(noise="white"),
+            "noise 'white' is not known: use 'diagonal', 'full' or",
+        ),
         (lambda: gb.OutputError(noise={"x": 0.0}), "give a standard deviation above 0"),
-        (lambda: gb.Problem(Spring(), DATA, gb.OutputError(noise={"x": 0.1})), "no standard deviation for 'v'"),
+        (
+            lambda: gb.Problem(Spring(), DATA, gb.OutputError(noise={"x": 0.1})),
+            "no standard deviation for 'v'",
+        ),
         (
             lambda: gb.Problem(Spring(), DATA, gb.OutputError(noise={"x": 0.1, "v": 1, "w": 1})),
             "no output 'w'; it has x, v",
         ),
-        (lambda: gb.OutputError(inputs="cubic"), "inputs 'cubic' is not known: use 'linear' or 'held'"),
+        (
+            lambda: gb.OutputError(inputs="cubic"),
+            "inputs 'cubic' is not known: use 'linear' or 'held'",
+        ),
         (lambda: gb.Problem(Spring(), DATA, gb.OutputError(biases=("q",))), "'q'"),
-        (lambda: gb.Problem(Lag(), lag_data(), gb.OutputError(initial={"y": 0.0})), "has no named states"),
+        (
+            lambda: gb.Problem(Lag(), lag_data(), gb.OutputError(initial={"y": 0.0})),
+            "has no named states",
+        ),
         (lambda: gb.Problem(Spring(), DATA, gb.PredictionError(corrected=("z",))), "'z'"),
-        (lambda: gb.Problem(Spring(), DATA, HELD, at={"x": 0.0}), "operating point of a frequency response"),
+        (
+            lambda: gb.Problem(Spring(), DATA, HELD, at={"x": 0.0}),
+            "operating point of a frequency response",
+        ),
         (lambda: gb.Problem(Spring(), DATA, gb.RelativeError()), "criterion"),
         (lambda: gb.Problem(Spring(), DATA, HELD, rename={"x_bias": "b2"}), "'x_bias'"),
-        (lambda: gb.Problem(Spring(), [DATA, DATA]), r"data is a list with 2 in it: use gb.several\(model, \[...\]\)"),
-        (lambda: gb.Problem(Spring(), (DATA,)), "data is a list with 1 in it: take it out of the list"),
-        (lambda: gb.Problem(Spring(), gb.data.Recording({"A": DATA, "B": DATA})), r"messages A, B: give .* log\['A'\]"),
-        (lambda: gb.Problem(Spring(), np.zeros(3)), "give a FrequencyResponse, a Record or a TransientSpectrum"),
+        (
+            lambda: gb.Problem(Spring(), [DATA, DATA]),
+            r"data is a list with 2 in it: use gb.several\(model, \[...\]\)",
+        ),
+        (
+            lambda: gb.Problem(Spring(), (DATA,)),
+            "data is a list with 1 in it: take it out of the list",
+        ),
+        (
+            lambda: gb.Problem(Spring(), gb.data.Recording({"A": DATA, "B": DATA})),
+            r"messages A, B: give .* log\['A'\]",
+        ),
+        (
+            lambda: gb.Problem(Spring(), np.zeros(3)),
+            "give a FrequencyResponse, a Record or a TransientSpectrum",
+        ),
         (lambda: gb.several(Spring(), DATA), "takes a list of at least two records"),
         (lambda: gb.several(Spring(), None), "takes a list of at least two records"),
         (
@@ -108,7 +162,9 @@ def test_a_mistake_is_one_sentence(make, words):
 
 
 def lag_data(n=50):
-    return gb.Record(np.arange(n) / 20, {"u": np.random.default_rng(0).normal(size=n), "y": np.zeros(n)})
+    return gb.Record(
+        np.arange(n) / 20, {"u": np.random.default_rng(0).normal(size=n), "y": np.zeros(n)}
+    )
 
 
 def short():
@@ -126,13 +182,17 @@ def test_a_model_that_diverges_from_every_start_is_a_result():
 
 def test_a_bias_of_a_signal_without_values_is_a_sentence():
     empty = record(x=np.full(100, np.nan))
-    with pytest.raises(ValueError, match="biases names 'x', of which the record has no measured value"):
+    with pytest.raises(
+        ValueError, match="biases names 'x', of which the record has no measured value"
+    ):
         fit(gb.Problem(Spring(), empty, gb.OutputError(biases=("x",))))
 
 
 def test_one_output_without_any_value_is_left_out():
     some = fit(gb.Problem(Spring(), record(v=np.full(100, np.nan)), HELD))
-    without = fit(gb.Problem(Spring(), gb.Record(DATA.time, {n: DATA[n] for n in ("F", "x")}), HELD))
+    without = fit(
+        gb.Problem(Spring(), gb.Record(DATA.time, {n: DATA[n] for n in ("F", "x")}), HELD)
+    )
     assert some.converged
     np.testing.assert_allclose(some.estimate["k"], without.estimate["k"], rtol=1e-6)
     np.testing.assert_allclose(some.standard_error["k"], without.standard_error["k"], rtol=0.05)
@@ -151,7 +211,11 @@ def test_nothing_is_changed_by_a_fit():
 def test_given_noise_that_is_far_off_is_named():
     """The errors follow the residuals, whatever was given; the sentence says which output and by how much."""
     right, wrong = (
-        fit(gb.Problem(Spring(), spring(300), gb.OutputError(noise={"x": 0.05 * share, "v": 0.15 * share})))
+        fit(
+            gb.Problem(
+                Spring(), spring(300), gb.OutputError(noise={"x": 0.05 * share, "v": 0.15 * share})
+            )
+        )
         for share in (1.0, 0.01)
     )
     assert not any("given standard deviation" in w for w in right.warnings)

@@ -20,7 +20,9 @@ WIND = gb.PredictionError(process_noise=("v",), inputs="held")
 
 @pytest.fixture(scope="module")
 def windy():
-    record = disturbed(Spring(), TRUTH, doublets(1, 150, 1.0, 1), 0.05, {"v": 0.3}, {"x": 0.05, "v": 0.15}, 1)
+    record = disturbed(
+        Spring(), TRUTH, doublets(1, 150, 1.0, 1), 0.05, {"v": 0.3}, {"x": 0.05, "v": 0.15}, 1
+    )
     return record, fit(gb.Problem(Spring(), record, WIND))
 
 
@@ -41,7 +43,9 @@ def dense_grid(name, parameter, level=0.95):
         x, roots = np.array([known.values[key] for key in others]), [0.0]
         grid = known.values[parameter] + direction * np.linspace(0, 7 * known.errors[parameter], 36)
         for value in grid[1:]:
-            found = least_squares(residual, x, x_scale=np.abs(x), xtol=1e-12, ftol=1e-12, args=(value,))
+            found = least_squares(
+                residual, x, x_scale=np.abs(x), xtol=1e-12, ftol=1e-12, args=(value,)
+            )
             x = found.x
             roots.append(np.sqrt(max(2 * found.cost - known.squares, 0) / variance))
             if roots[-1] > 1.3 * limit:
@@ -54,12 +58,15 @@ def dense_grid(name, parameter, level=0.95):
 
 
 @pytest.mark.parametrize(
-    ("name", "parameter"), [("Misra1a", "b2"), ("DanWood", "b2"), ("Rat42", "b3"), ("BoxBOD", "b2"), ("Chwirut2", "b1")]
+    ("name", "parameter"),
+    [("Misra1a", "b2"), ("DanWood", "b2"), ("Rat42", "b3"), ("BoxBOD", "b2"), ("Chwirut2", "b1")],
 )
 def test_intervals_of_nists_problems_are_those_of_a_dense_grid(name, parameter):
     known = certified(name)
     found = gb.profile(fit(known.problem, [known.starts[1]]), parameter, problem=known.problem)
-    assert_allclose(found[parameter].interval, dense_grid(name, parameter), atol=5e-3 * known.errors[parameter])
+    assert_allclose(
+        found[parameter].interval, dense_grid(name, parameter), atol=5e-3 * known.errors[parameter]
+    )
     assert not found.warnings
 
 
@@ -95,7 +102,9 @@ def test_regions_of_two_parameters_are_those_of_refits():
     # By the standard errors, which follow from the correlation of the residuals.
     free = [found.free.index(name) for name in ("k", "c")]
     moved = region.points[1] - region.estimate
-    scale = moved @ np.linalg.solve(found.covariance_of(found.free)[np.ix_(free, free)], moved) / ratio
+    scale = (
+        moved @ np.linalg.solve(found.covariance_of(found.free)[np.ix_(free, free)], moved) / ratio
+    )
     assert scale * ratio == pytest.approx(2 * fisher.ppf(0.95, 2, found.dof), rel=0.15)
 
 

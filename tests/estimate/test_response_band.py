@@ -54,7 +54,9 @@ def measured(seed, dof=None):
     error = np.random.default_rng(seed).normal(size=(2, OMEGA.size)) * SIZE / np.sqrt(2)
     response = EXACT * (1 + error[0] + 1j * error[1])
     given = {} if dof is None else {"dof": np.full(OMEGA.size, dof)}
-    return gb.FrequencyResponse(OMEGA, response, "u", "y", variance=SIZE**2 * np.abs(EXACT) ** 2, **given)
+    return gb.FrequencyResponse(
+        OMEGA, response, "u", "y", variance=SIZE**2 * np.abs(EXACT) ** 2, **given
+    )
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +69,15 @@ def test_the_band_of_known_errors_is_that_of_monte_carlo_by_scipy():
         e = (response - lagged(p, OMEGA)) / (SIZE * np.abs(EXACT))
         return np.concatenate([e.real, e.imag])
 
-    found = [least_squares(misfit, TRUTH, args=(measured(k).response,), x_scale=TRUTH).x for k in range(1, 301)]
+    found = [
+        least_squares(misfit, TRUTH, args=(measured(k).response,), x_scale=TRUTH).x
+        for k in range(1, 301)
+    ]
     spread = np.log(np.array([lagged(p, GRID) for p in found]) / lagged(TRUTH, GRID))
     exact = gb.FrequencyResponse(OMEGA, EXACT, "u", "y", variance=SIZE**2 * np.abs(EXACT) ** 2)
-    band = gb.fit(gb.Problem(DelayedLag(), exact, gb.MaximumLikelihood()), **ONE).response_band(GRID)
+    band = gb.fit(gb.Problem(DelayedLag(), exact, gb.MaximumLikelihood()), **ONE).response_band(
+        GRID
+    )
     assert_allclose(band.relative_error[0], spread.real.std(axis=0), rtol=0.12)  # of 300 draws: 4 %
     assert_allclose(band.relative_error[1], spread.imag.std(axis=0), rtol=0.12)
     held = np.abs(spread.imag) <= band.half_width[1]
@@ -84,7 +91,9 @@ def test_the_band_of_relative_errors_covers():
         band = gb.fit(gb.Problem(DelayedLag(), measured(seed)), **ONE).response_band(GRID)
         low, high = band.magnitude
         held.append((low <= np.abs(truth)) & (np.abs(truth) <= high))
-    assert 0.88 <= np.mean(held) <= 1.0  # nine frequencies that depend on three parameters, in 25 fits
+    assert (
+        0.88 <= np.mean(held) <= 1.0
+    )  # nine frequencies that depend on three parameters, in 25 fits
 
 
 def test_limits_ellipses_and_quantiles_are_those_of_the_covariance(likely):
@@ -135,9 +144,13 @@ def test_ties_bounds_and_earlier_fits_are_in_the_band(likely):
     held = gb.fit(gb.Problem(Lag(), data, fixed=gains), **QUIET)
     known = gb.fit(gb.Problem(Lag(), data, fixed=dict(gains.estimate)), **QUIET)
     wide, narrow = (fit.response_band([0.01]).relative_error[0, 0] for fit in (held, known))
-    assert_allclose(wide, np.hypot(narrow, gains.standard_error["k"] / gains.estimate["k"]), rtol=1e-3)
+    assert_allclose(
+        wide, np.hypot(narrow, gains.standard_error["k"] / gains.estimate["k"]), rtol=1e-3
+    )
 
-    bounded = gb.fit(gb.Problem(DelayedLag(), data, constraints=[lambda p: 0.5 - 10 * p.d]), **QUIET)
+    bounded = gb.fit(
+        gb.Problem(DelayedLag(), data, constraints=[lambda p: 0.5 - 10 * p.d]), **QUIET
+    )
     assert np.isfinite(bounded.response_band(GRID).relative_error).all()
 
 
@@ -156,18 +169,30 @@ def test_derivatives_are_those_of_differences(model, name, options):
 
     def response(value):
         at = {k: v for k, v in options.items() if k != "amplitude"}
-        evaluate = gb.modeling.harmonic_response if "amplitude" in options else gb.frequency_response
+        evaluate = (
+            gb.modeling.harmonic_response if "amplitude" in options else gb.frequency_response
+        )
         more = {"amplitude": options["amplitude"]} if "amplitude" in options else {}
-        return evaluate(model, {**others, name: value}, omega, output=model.output_names[0], **at, **more).response
+        return evaluate(
+            model, {**others, name: value}, omega, output=model.output_names[0], **at, **more
+        ).response
 
-    data = gb.FrequencyResponse(omega, response(start) * np.array([1.01, 1 + 0.02j]), output=model.output_names[0])
-    fit = gb.fit(gb.Problem(model, data, fixed=others, free=(name,), **options), starts=[{name: start}], progress=False)
+    data = gb.FrequencyResponse(
+        omega, response(start) * np.array([1.01, 1 + 0.02j]), output=model.output_names[0]
+    )
+    fit = gb.fit(
+        gb.Problem(model, data, fixed=others, free=(name,), **options),
+        starts=[{name: start}],
+        progress=False,
+    )
     value, step = fit.estimate[name], 1e-5
     slope = np.log(response(value + step) / response(value - step)) / (2 * step)
     error = fit.standard_error[name]
     assert error > 0
     band = fit.response_band(omega)
-    assert_allclose(band.relative_error, np.abs([slope.real, slope.imag]) * error, rtol=1e-3, atol=1e-9)
+    assert_allclose(
+        band.relative_error, np.abs([slope.real, slope.imag]) * error, rtol=1e-3, atol=1e-9
+    )
 
 
 def test_the_band_survives_saving_and_needs_a_covariance(likely, tmp_path):
@@ -184,7 +209,9 @@ def test_the_band_survives_saving_and_needs_a_covariance(likely, tmp_path):
 def test_residuals_are_measured_less_fitted(likely):
     (residual,) = likely.residuals
     assert_allclose(residual, likely.responses[0].data.response - likely.responses[0].response)
-    record = gb.Record(np.arange(5.0), {"x": np.arange(5.0), "y": np.array([1, 3, np.nan, 7, 9.5])}, has_time=False)
+    record = gb.Record(
+        np.arange(5.0), {"x": np.arange(5.0), "y": np.array([1, 3, np.nan, 7, 9.5])}, has_time=False
+    )
 
     class Line(gb.StateSpace):
         inputs, outputs = ("x",), ("y",)
@@ -210,7 +237,10 @@ def test_a_band_of_a_biased_response_is_about_the_response_less_its_bias():
     assert_allclose(band.half_width, half)
     assert_allclose(band.magnitude, np.abs(center) * np.exp([-half[0], half[0]]))
     assert_allclose(band.phase, np.angle(center) + np.array([-half[1], half[1]]))
-    assert_allclose(band.offset, [np.log(np.abs(center / response.response)), np.angle(center / response.response)])
+    assert_allclose(
+        band.offset,
+        [np.log(np.abs(center / response.response)), np.angle(center / response.response)],
+    )
     away = band.ellipses(9) - center[:, None]
     assert away.shape == (2, 9)
     for one, matrix in zip(away, covariance, strict=True):
@@ -224,11 +254,15 @@ def test_errors_of_a_response_are_those_of_its_derivatives():
     response = gb.FrequencyResponse([1.0, 3.0], [2.0 + 1j, -0.5j])
     slope = np.array([[1 + 2j, 0.5, 0.0], [0.3j, -1.0, 2.0]])
     covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.0]])
-    known = KnownDirections(covariance, np.array([[0.0], [0.0], [1.0]]), np.ones(3), np.array([1.0, 2.0, 3.0]))
+    known = KnownDirections(
+        covariance, np.array([[0.0], [0.0], [1.0]]), np.ones(3), np.array([1.0, 2.0, 3.0])
+    )
     bias = np.array([0.1, -0.2, 0.0])
     band = band_of(response, slope, known, [1, 1, 2], 0.95, 9.0, bias)
     total = slope[0, 0] + slope[0, 1]
-    assert_allclose(band.covariance[0], 0.09 * np.outer([total.real, total.imag], [total.real, total.imag]))
+    assert_allclose(
+        band.covariance[0], 0.09 * np.outer([total.real, total.imag], [total.real, total.imag])
+    )
     assert np.isnan(band.covariance[1]).all()
     ratio = total / (2 + 1j)
     assert_allclose(band.relative_error[:, 0], 0.3 * np.abs([ratio.real, ratio.imag]))
@@ -243,5 +277,7 @@ def test_quantiles_without_degrees_of_freedom_and_of_the_normal_distribution():
     assert t_quantile(0.95, 0.5) == pytest.approx(t.ppf(0.975, 0.5))
     assert t_quantile(0.8, np.inf) == pytest.approx(t.ppf(0.9, 1e12))
     for level in (0.0, 1.0):
-        with pytest.raises(ValueError, match=rf"^level {level} must lie between 0 and 1, e\.g\. 0\.95\.$"):
+        with pytest.raises(
+            ValueError, match=rf"^level {level} must lie between 0 and 1, e\.g\. 0\.95\.$"
+        ):
             t_quantile(level, 3.0)

@@ -8,7 +8,14 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Parabola, mea
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished, find_minima, same_cost
+from greybox.solve.minima import (
+    Minimum,
+    Multistart,
+    agreeing_runs,
+    best_unfinished,
+    find_minima,
+    same_cost,
+)
 from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
@@ -27,7 +34,8 @@ def test_lags_that_swap_are_one_minimum_with_two_variants():
 
 
 def test_two_minima_of_different_response_are_two():
-    # The gain is (x² - 1)² + slope (1 - x) + 2 and 2 is measured: zero cost at x = 1, a local minimum near x = -1.
+    # The gain is (x² - 1)² + slope (1 - x) + 2 and 2 is measured: zero cost at x = 1, a local
+    # minimum near x = -1.
     fit = gb.fit(gb.Problem(Parabola(), GAIN), starts=[{"x": x} for x in (-1.5, -0.8, 0.8, 1.4)])
     assert [round(float(m.estimate[0]), 1) for m in fit.minima] == [1.0, -1.0]
     assert [sorted(m.runs) for m in fit.minima] == [[2, 3], [0, 1]]
@@ -39,7 +47,9 @@ def test_two_minima_of_different_response_are_two():
 def test_two_parameters_of_one_response_are_one_minimum():
     # Without the slope x and -x give the same gain.
     data = measured(Parabola(), [0.5, 1.0, 2.0], {"x": 1.3, "slope": 0.0})
-    fit = gb.fit(gb.Problem(Parabola(), data, fixed={"slope": 0.0}), starts=[{"x": x} for x in (-1.5, 1.4)])
+    fit = gb.fit(
+        gb.Problem(Parabola(), data, fixed={"slope": 0.0}), starts=[{"x": x} for x in (-1.5, 1.4)]
+    )
     assert len(fit.minima) == 1
     assert fit.minima[0].variants == 2
 
@@ -50,7 +60,12 @@ def run(index, x, cost, converged=True, status="Solve_Succeeded"):
 
 def test_runs_that_did_not_converge_are_in_no_minimum():
     nlp = compile_problem(gb.Problem(Parabola(), GAIN))
-    runs = [run(0, 1.0, 0.0, False, "Invalid_Number_Detected"), run(1, -0.9, 0.31), run(2, 0.9, 0.2), run(3, 0.9, 0.2)]
+    runs = [
+        run(0, 1.0, 0.0, False, "Invalid_Number_Detected"),
+        run(1, -0.9, 0.31),
+        run(2, 0.9, 0.2),
+        run(3, 0.9, 0.2),
+    ]
     signatures = nlp.signatures(np.array([run.estimate for run in runs]))
     minima = find_minima(nlp, runs, signatures)
     assert [m.runs for m in minima] == [(2, 3), (1,)]
@@ -59,7 +74,10 @@ def test_runs_that_did_not_converge_are_in_no_minimum():
 
 
 def test_a_multistart_counts_its_failures_by_status():
-    runs = (run(0, 1.0, 0.1), *(run(k, 1.0, np.nan, False, s) for k, s in enumerate("aba", start=1)))
+    runs = (
+        run(0, 1.0, 0.1),
+        *(run(k, 1.0, np.nan, False, s) for k, s in enumerate("aba", start=1)),
+    )
     search = Multistart(runs, (), 1.0)
     assert search.converged == 1
     assert search.failures == "2 × a, 1 × b"
@@ -68,19 +86,30 @@ def test_a_multistart_counts_its_failures_by_status():
 def test_runs_are_alike_to_a_ten_thousandth_of_the_cost_and_a_hundredth_of_the_response():
     nlp = compile_problem(gb.Problem(Parabola(), GAIN))
     signature = np.array([1.0, 2.0, -3.0, 0.1])
-    away = np.array([0.0, 0.0, 0.03, 0.0])  # a hundredth of the third, which is half of that of all four
+    away = np.array(
+        [0.0, 0.0, 0.03, 0.0]
+    )  # a hundredth of the third, which is half of that of all four
 
     def minima(costs, signatures):
-        return [m.runs for m in find_minima(nlp, [run(k, 0.9, c) for k, c in enumerate(costs)], signatures)]
+        return [
+            m.runs
+            for m in find_minima(nlp, [run(k, 0.9, c) for k, c in enumerate(costs)], signatures)
+        ]
 
     assert minima([1.0, 1.00009, 1.00011], [signature] * 3) == [(0, 1), (2,)]
-    assert minima([1.0] * 3, [signature, signature + 1.9 * away, signature + 2.1 * away]) == [(0, 1), (2,)]
-    # What is below one counts as one: in units of the measured response.
-    assert minima([1.0] * 3, [signature, *(signature + np.array([0, 0, 0, d]) for d in (0.019, 0.021))]) == [
+    assert minima([1.0] * 3, [signature, signature + 1.9 * away, signature + 2.1 * away]) == [
         (0, 1),
         (2,),
     ]
-    # Six numbers of 5e-4 are rounding: costs below are not told apart by less than a ten thousandth of that.
+    # What is below one counts as one: in units of the measured response.
+    assert minima(
+        [1.0] * 3, [signature, *(signature + np.array([0, 0, 0, d]) for d in (0.019, 0.021))]
+    ) == [
+        (0, 1),
+        (2,),
+    ]
+    # Six numbers of 5e-4 are rounding: costs below are not told apart by less than a ten thousandth
+    # of that.
     assert minima([0.0, 2.9e-7, 3.1e-7], [signature] * 3) == [(0, 1), (2,)]
     likely = compile_problem(gb.Problem(Parabola(), GAIN, gb.RelativeLikelihood()))
     assert same_cost(likely, -1e4) == pytest.approx(0.011)
@@ -89,7 +118,9 @@ def test_runs_are_alike_to_a_ten_thousandth_of_the_cost_and_a_hundredth_of_the_r
 def test_vectors_that_differ_by_a_twentieth_are_variants():
     nlp = compile_problem(gb.Problem(Parabola(), GAIN))
     size = float(nlp.scaling.to_solver(np.array([[2.0, 0.1]]))[0, 0])
-    found = find_minima(nlp, [_at(k, x) for k, x in enumerate((2.0, 2.08, 2.2, -2.0, 2.21))], [np.ones(3)] * 5)
+    found = find_minima(
+        nlp, [_at(k, x) for k, x in enumerate((2.0, 2.08, 2.2, -2.0, 2.21))], [np.ones(3)] * 5
+    )
     assert size != 0
     assert [m.variants for m in found] == [3]
 
@@ -101,7 +132,13 @@ def _at(index, x):
 @pytest.mark.parametrize(("likelihood", "agreeing"), [(True, (0, 1, 4)), (False, (0, 1, 2, 4))])
 def test_runs_agree_up_to_a_tenth_of_a_unit_of_likelihood(likelihood, agreeing):
     """Of a cost of 10 made of 5 numbers a unit is 2."""
-    runs = [run(0, 1.0, 10.0), run(1, 1.0, 10.09), run(2, 1.0, 10.19), run(3, 1.0, 10.05, False), run(4, 1.0, 99.0)]
+    runs = [
+        run(0, 1.0, 10.0),
+        run(1, 1.0, 10.09),
+        run(2, 1.0, 10.19),
+        run(3, 1.0, 10.05, False),
+        run(4, 1.0, 99.0),
+    ]
     runs.append(run(5, 1.0, 10.21))
     minima = [Minimum(10.0, np.array([1.0]), (0, 4), 1)]
     assert agreeing_runs(runs, minima, numbers=5, is_likelihood=likelihood) == agreeing

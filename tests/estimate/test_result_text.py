@@ -32,8 +32,16 @@ def response(off, name=""):
 
 
 def record(residual=(3.0, -4.0), percent=90.0, name="", unit="m", **more):
-    given = {"outputs": ("y",), "fit_percent": lambda _: percent, "residual": lambda _: np.array(residual)}
-    given |= {"data": SimpleNamespace(units={"y": unit}, name=name, has_time=True), "name": name, "rename": {}}
+    given = {
+        "outputs": ("y",),
+        "fit_percent": lambda _: percent,
+        "residual": lambda _: np.array(residual),
+    }
+    given |= {
+        "data": SimpleNamespace(units={"y": unit}, name=name, has_time=True),
+        "name": name,
+        "rename": {},
+    }
     return SimpleNamespace(**(given | more))
 
 
@@ -46,7 +54,9 @@ def test_responses_are_told_with_their_farthest_point():
         "residual 14 % rms, largest 20 % at 2 rad/s",
     ]
     many = [response([0.01 * k], f"r{k}") for k in range(1, 12)]
-    assert _response_texts(many) == [f"residual {k} % rms, largest {k} % at 1 rad/s (r{k})" for k in (11, 10, 9)]
+    assert _response_texts(many) == [
+        f"residual {k} % rms, largest {k} % at 1 rad/s (r{k})" for k in (11, 10, 9)
+    ]
     lost = response([0.1])
     lost.response[:] = np.nan
     assert _response_texts([lost]) == []
@@ -73,7 +83,13 @@ def test_manoeuvres_are_told_with_the_noise_of_a_sample_or_the_error_of_their_eq
     def spectrum(criterion, name):
         data = SimpleNamespace(units={"q": "rad/s"})
         noise = np.diag([0.04, 0.0009])
-        given = {"criterion": criterion, "name": name, "data": data, "noise": noise, "outputs": ("q", "az")}
+        given = {
+            "criterion": criterion,
+            "name": name,
+            "data": data,
+            "noise": noise,
+            "outputs": ("q", "az"),
+        }
         return SimpleNamespace(fit_percent=lambda _: 87.65, **given)
 
     assert _spectrum_texts([spectrum("output-error", "a")]) == [
@@ -94,7 +110,9 @@ def test_data_are_counted_by_their_kind():
         return SimpleNamespace(data=range(count))
 
     def text(**parts):
-        return _data_text(SimpleNamespace(**({"responses": (), "spectra": (), "records": ()} | parts)))
+        return _data_text(
+            SimpleNamespace(**({"responses": (), "spectra": (), "records": ()} | parts))
+        )
 
     assert text(responses=[counted(1)]) == "1 point in 1 response"
     assert text(responses=[counted(3), counted(4)], spectra=[counted(9)]) == (
@@ -130,7 +148,15 @@ def test_rows_of_the_table_and_one_for_what_many_records_have_each_for_itself():
     assert rows[1][0] == "c"
     assert rows[1][3:] == ["s", "[0, 9]", "AT BOUND", "of c"]
     assert rows[2][3:] == ["s", "", "fixed", "of f"]
-    assert rows[3] == ["b_1 ... b_11", "0.1 to 1.1", "0.01 to 0.11", "s", "[0, 9]", "1 AT BOUND", "of b_1"]
+    assert rows[3] == [
+        "b_1 ... b_11",
+        "0.1 to 1.1",
+        "0.01 to 0.11",
+        "s",
+        "[0, 9]",
+        "1 AT BOUND",
+        "of b_1",
+    ]
     assert len(rows) == 4
     few = _rows(SimpleNamespace(quantities=lines, records=records[:10]))
     assert len(few) == 14
@@ -158,7 +184,11 @@ def test_what_depends_on_the_unknown_is_unknown():
 
 
 def test_of_a_failed_fit_the_values_of_the_best_run_are_a_table_without_errors():
-    lines = [quantity("k"), quantity("mass", 3.0, 0.0, "fixed"), quantity("d", 4.0, np.nan, "derived")]
+    lines = [
+        quantity("k"),
+        quantity("mass", 3.0, 0.0, "fixed"),
+        quantity("d", 4.0, np.nan, "derived"),
+    ]
     table = _best_effort_table(SimpleNamespace(quantities=lines), {"k": 2.5, "mass": 3.0})
     assert [line.rstrip() for line in table] == [
         "  parameter  value  unit  bounds         meaning",
@@ -171,7 +201,9 @@ def test_of_a_failed_fit_the_values_of_the_best_run_are_a_table_without_errors()
 def test_for_what_errors_the_standard_errors_hold():
     def said(dof, independent=None, conditions=("white", "even", "white")):
         parts = [SimpleNamespace(condition=each) for each in conditions]
-        return error_condition(SimpleNamespace(parts=parts, independent=independent, dof=dof, quantities=()))
+        return error_condition(
+            SimpleNamespace(parts=parts, independent=independent, dof=dof, quantities=())
+        )
 
     assert said(np.inf) == "white; even"
     assert said(1.2) == "white; even; Student's t with 1 degree of freedom"
@@ -204,7 +236,9 @@ def test_the_part_that_is_meant_is_the_one_asked_for_or_the_record_or_the_first_
         name = type(model or Other()).__qualname__
         return SimpleNamespace(data=data, is_prior=is_prior, model={"class": f"elsewhere:{name}"})
 
-    flights = [gb.Record(np.arange(4.0), {"u": np.arange(4.0) + k, "y": np.ones(4) * k}) for k in (0, 1, 2)]
+    flights = [
+        gb.Record(np.arange(4.0), {"u": np.arange(4.0) + k, "y": np.ones(4) * k}) for k in (0, 1, 2)
+    ]
     response = gb.FrequencyResponse([1.0], [2.0])
     parts = [
         part(flights[2], is_prior=True),
@@ -216,11 +250,15 @@ def test_the_part_that_is_meant_is_the_one_asked_for_or_the_record_or_the_first_
     fit = SimpleNamespace(parts=parts)
     assert [_part_index(fit, None, k, None) for k in (0, 4, -1, -5)] == [0, 4, 4, 0]
     for wrong in (5, -6, True, 1.0):
-        with pytest.raises(ValueError, match=rf"^part is {wrong!r}: the fit has 5 parts, counted from 0\.$"):
+        with pytest.raises(
+            ValueError, match=rf"^part is {wrong!r}: the fit has 5 parts, counted from 0\.$"
+        ):
             _part_index(fit, None, wrong, None)
     assert _part_index(fit, None, None, None) == 2  # records before responses
     assert _part_index(fit, None, None, flights[1]) == 3
     assert _part_index(fit, Model(), None, flights[0]) == 3
     assert _part_index(fit, Other(), None, flights[1]) == 2
-    assert _part_index(SimpleNamespace(parts=parts[:2]), None, None, None) == 1  # what is known before is no data
+    assert (
+        _part_index(SimpleNamespace(parts=parts[:2]), None, None, None) == 1
+    )  # what is known before is no data
     assert _part_index(SimpleNamespace(parts=parts[:2]), Model(), None, flights[0]) == 1

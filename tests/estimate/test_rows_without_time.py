@@ -63,7 +63,10 @@ def test_what_is_printed_says_rows_and_nothing_of_time(tmp_path):
     fit = fitted(Line(), rows())
     text = str(fit)
     assert "14 rows without a time in 1 record" in text
-    assert "standard error for independent errors of equal variance in each output; Student's t with 12" in text
+    assert (
+        "standard error for independent errors of equal variance in each output; Student's t with 12"
+        in text
+    )
     for word in ("autocorrelation", "PredictionError", "interpolated", "held", "sample"):
         assert word not in text
     gb.save(fit, tmp_path / "rows.h5")
@@ -103,7 +106,9 @@ def test_as_many_rows_as_unknowns_fit_exactly_without_errors():
     assert list(fit.estimate.values()) == pytest.approx(least_squares(rows(2))[0], rel=1e-6)
     assert all(math.isnan(error) for error in fit.standard_error.values())
     (said,) = fit.warnings
-    assert said.startswith("2 real numbers of data for 2 unknowns leave no degrees of freedom, so that no standard err")
+    assert said.startswith(
+        "2 real numbers of data for 2 unknowns leave no degrees of freedom, so that no standard err"
+    )
     assert "±" not in str(fit).replace("± error", "")
 
 
@@ -122,7 +127,10 @@ def test_two_rows_for_one_unknown_have_errors_with_one_degree_of_freedom():
 
 def test_one_row_determines_a_combination():
     fit = fitted(Line(), rows(1))
-    assert "are not determined: at this estimate the data depend only on a combination of them" in fit.warnings[0]
+    assert (
+        "are not determined: at this estimate the data depend only on a combination of them"
+        in fit.warnings[0]
+    )
     assert fitted(Line(), rows(1), fixed={"b": 3.0}).estimate["a"] == pytest.approx(
         rows(1)["y"][0] - 3 * rows(1)["x"][0]
     )
@@ -132,7 +140,9 @@ def test_repeated_inputs_are_a_mean():
     record = gb.Record(None, {"x": np.full(5, 0.3), "y": np.array([1.0, 1.2, 0.9, 1.1, 1.05])})
     fit = fitted(Line(), record, fixed={"b": 0.0})
     assert fit.estimate["a"] == pytest.approx(np.mean(record["y"]))
-    assert fit.standard_error["a"] == pytest.approx(np.std(record["y"], ddof=1) / math.sqrt(5), rel=1e-6)
+    assert fit.standard_error["a"] == pytest.approx(
+        np.std(record["y"], ddof=1) / math.sqrt(5), rel=1e-6
+    )
     assert fit.warnings == ()
 
     class Constant(gb.StateSpace):
@@ -149,8 +159,12 @@ def test_repeated_inputs_are_a_mean():
 
 
 def test_no_row_with_input_and_output_is_a_sentence():
-    record = gb.Record(None, {"x": np.array([1.0, np.nan, 2.0]), "y": np.array([np.nan, 1.0, np.nan])})
-    with pytest.raises(ValueError, match=r"the record has no row with all inputs and an output \(x; y\)"):
+    record = gb.Record(
+        None, {"x": np.array([1.0, np.nan, 2.0]), "y": np.array([np.nan, 1.0, np.nan])}
+    )
+    with pytest.raises(
+        ValueError, match=r"the record has no row with all inputs and an output \(x; y\)"
+    ):
         fitted(Line(), record)
 
 
@@ -171,17 +185,26 @@ def test_a_model_that_explains_nothing_is_said_without_reference_to_samples():
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda: gb.Problem(Lag(), rows()), "the dynamic model Lag needs samples in time, and calibration has rows"),
+        (
+            lambda: gb.Problem(Lag(), rows()),
+            "the dynamic model Lag needs samples in time, and calibration has rows",
+        ),
         (lambda: gb.simulate(Lag(), {}, rows()), "the dynamic model Lag needs samples in time"),
         (lambda: gb.predict(Lag(), {}, rows()), "the dynamic model Lag needs samples in time"),
-        (lambda: gb.Problem(Line(), rows(), gb.PredictionError()), r"Line has no states, .*: use OutputError\(\)"),
+        (
+            lambda: gb.Problem(Line(), rows(), gb.PredictionError()),
+            r"Line has no states, .*: use OutputError\(\)",
+        ),
         (lambda: gb.prepare(rows(), {"x": "x"}), "prepare needs samples in time"),
         (
             lambda: gb.spectral.spectral_response(rows(), input="x", output="y"),
             "a frequency response needs samples in time",
         ),
         (lambda: gb.spectral.check(rows(), input="x", output="y"), "a test needs samples in time"),
-        (lambda: gb.regression.equation_error(Lag(), rows()), "equation_error needs samples in time"),
+        (
+            lambda: gb.regression.equation_error(Lag(), rows()),
+            "equation_error needs samples in time",
+        ),
         (lambda: rows().between(0, 3), "between needs samples in time"),
     ],
 )
@@ -229,7 +252,10 @@ def test_nested_models_are_tested_by_the_f_test_of_least_squares():
         assert (test.p_value < 0.05) == needed
         assert "in time" not in str(test)
 
-        given = [fitted(model, record, criterion=gb.OutputError(noise={"y": 0.3})) for model in (Line(), Parabola())]
+        given = [
+            fitted(model, record, criterion=gb.OutputError(noise={"y": 0.3}))
+            for model in (Line(), Parabola())
+        ]
         assert gb.validation.nested_test(*given).statistic == pytest.approx(F, rel=1e-4)
 
 
@@ -282,9 +308,13 @@ def test_several_tables_share_a_slope():
     tables = [rows(20, k, noise=0.05 * (k + 1)) for k in range(3)]
     fit = gb.fit(gb.several(Line(), tables, own=["a"]), starts=1, progress=False)
     weights = np.repeat([1 / np.sqrt(part.noise[0, 0]) for part in fit.records], 20)
-    A = np.hstack([np.concatenate([t["x"] for t in tables])[:, None], np.kron(np.eye(3), np.ones((20, 1)))])
+    A = np.hstack(
+        [np.concatenate([t["x"] for t in tables])[:, None], np.kron(np.eye(3), np.ones((20, 1)))]
+    )
     y = np.concatenate([t["y"] for t in tables])
     q, _, _, _ = np.linalg.lstsq(A * weights[:, None], y * weights, rcond=None)
     assert [fit.estimate[name] for name in ("b", "a_1", "a_2", "a_3")] == pytest.approx(q, rel=1e-6)
     error = np.sqrt(np.linalg.inv((A.T * weights**2) @ A)[0, 0])
-    assert fit.standard_error["b"] == pytest.approx(error, rel=0.1)  # each variance has degrees of freedom of its own
+    assert fit.standard_error["b"] == pytest.approx(
+        error, rel=0.1
+    )  # each variance has degrees of freedom of its own

@@ -30,7 +30,9 @@ def lag(omega):
 def answer():
     size = 0.05 * np.abs(lag(OMEGA))
     data = gb.FrequencyResponse(OMEGA, lag(OMEGA), "u", "y", variance=size**2)
-    return gb.fit(gb.Problem(LagAndDelay(), data, gb.MaximumLikelihood()), starts=[{}], progress=False)
+    return gb.fit(
+        gb.Problem(LagAndDelay(), data, gb.MaximumLikelihood()), starts=[{}], progress=False
+    )
 
 
 def test_shares_are_those_of_the_jacobian(answer):
@@ -49,13 +51,17 @@ def test_leaving_out_what_tells_of_a_parameter_costs_its_error(answer):
     data = answer.responses[0].data
 
     def error(name, kept):
-        few = gb.FrequencyResponse(data.omega[kept], data.response[kept], "u", "y", variance=data.variance[kept])
+        few = gb.FrequencyResponse(
+            data.omega[kept], data.response[kept], "u", "y", variance=data.variance[kept]
+        )
         problem = gb.Problem(LagAndDelay(), few, gb.MaximumLikelihood())
         return gb.fit(problem, starts=[{}], progress=False).standard_error[name]
 
     for k, name in enumerate(found.names):
         order = np.argsort(found.shares[k, 0])
-        assert error(name, order[:-8]) > 1.2 * error(name, order[8:])  # without the most, without the least telling
+        assert error(name, order[:-8]) > 1.2 * error(
+            name, order[8:]
+        )  # without the most, without the least telling
     assert str(found).splitlines()[4].startswith("d ")
 
 
@@ -75,7 +81,9 @@ def test_every_part_of_a_record_in_which_the_input_moves_tells_something(lost):
     y = gb.simulate(Polynomial(1, 0), {"b0": 2.0, "a0": 1.5}, gb.Record(time, {"u": u}))["y"]
     y = y + 0.02 * np.random.default_rng(0).normal(size=1000)
     record = gb.Record(time, {"u": np.where(np.arange(1000) == lost, np.nan, u), "y": y})
-    found = gb.fit(gb.Problem(Polynomial(1, 0), record), starts=[{"b0": 2.0, "a0": 1.5}], progress=False).sensitivity()
+    found = gb.fit(
+        gb.Problem(Polynomial(1, 0), record), starts=[{"b0": 2.0, "a0": 1.5}], progress=False
+    ).sensitivity()
     assert_allclose(found.shares.sum(axis=(1, 2)), 1.0)
     assert_allclose(found.alone.sum(axis=(1, 2)), 1.0)
     assert np.all(found.alone > 0)  # the input moves all the time

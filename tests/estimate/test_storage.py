@@ -12,7 +12,16 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from declared_models import ROTOR, ROTOR_OMEGA, TILT, TILT_OMEGA, TWO_LAGS_OMEGA, Integrator, Lag, measured
+from declared_models import (
+    ROTOR,
+    ROTOR_OMEGA,
+    TILT,
+    TILT_OMEGA,
+    TWO_LAGS_OMEGA,
+    Integrator,
+    Lag,
+    measured,
+)
 from hardening_spring import Spring, driven
 from numpy.testing import assert_array_equal, assert_equal
 
@@ -28,7 +37,13 @@ from greybox.models.tilt import LinearTilt, Tilt
 from greybox.problems import pitch_hover
 
 SHARED = TILT | {n: ROTOR[n] for n in ("T_rotor", "T_delay")}
-NOISY = measured(Tilt(), TILT_OMEGA, SHARED, noise=0.02, columns={"coherence": np.full(16, 0.9), "dof": np.full(16, 8)})
+NOISY = measured(
+    Tilt(),
+    TILT_OMEGA,
+    SHARED,
+    noise=0.02,
+    columns={"coherence": np.full(16, 0.9), "dof": np.full(16, 8)},
+)
 SPEED = measured(Rotor(), ROTOR_OMEGA, ROTOR, noise=0.02, name="speed")
 LAG_PROBLEM = gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02))
 LAG = gb.fit(LAG_PROBLEM, starts=6)
@@ -50,9 +65,20 @@ def problems():
             tied={"a2": lambda p: p.a4 / 50},
             rename={"T_rotor": "T_m"},
         )
-        + gb.Problem(Rotor(), SPEED, gb.MagnitudePhase(), rename={"T_rotor": "T_m"}, weight=2.0, delay="pade:2"),
+        + gb.Problem(
+            Rotor(),
+            SPEED,
+            gb.MagnitudePhase(),
+            rename={"T_rotor": "T_m"},
+            weight=2.0,
+            delay="pade:2",
+        ),
         "ode": gb.Problem(
-            LinearTilt(), NOISY, constraints=[lambda p: p.a4 - 10], at={"theta": 0.0}, fixed={"T_rotor": 0.05}
+            LinearTilt(),
+            NOISY,
+            constraints=[lambda p: p.a4 - 10],
+            at={"theta": 0.0},
+            fixed={"T_rotor": 0.05},
         ),
         "series": gb.Problem(series, swinging(series)),
         "polynomial": gb.Problem(polynomial, swinging(polynomial)),
@@ -69,10 +95,22 @@ def assert_same(a, b):
         )
         words = [(q.name, q.kind, q.unit, q.about, q.at_bound) for q in (mine, other)]
         assert words[0] == words[1]
-    for name in ("name", "free", "names", "warnings", "seed", "starts", "versions", "checksum", "status"):
+    for name in (
+        "name",
+        "free",
+        "names",
+        "warnings",
+        "seed",
+        "starts",
+        "versions",
+        "checksum",
+        "status",
+    ):
         assert repr(getattr(a, name)) == repr(getattr(b, name)), name
     assert_array_equal(a.covariance, b.covariance)
-    assert_array_equal([a.cost, a.dof, a.seconds, *a.costs.values()], [b.cost, b.dof, b.seconds, *b.costs.values()])
+    assert_array_equal(
+        [a.cost, a.dof, a.seconds, *a.costs.values()], [b.cost, b.dof, b.seconds, *b.costs.values()]
+    )
     assert len(a.runs) == len(b.runs)
     for mine, other in [*zip(a.runs, b.runs, strict=True), *zip(a.minima, b.minima, strict=True)]:
         assert type(mine) is type(other)
@@ -113,7 +151,9 @@ def test_everything_comes_back(name, tmp_path):
     assert_same(fit, gb.load(tmp_path / "b.h5"))
     for k in range(len(fit.parts)):
         omega = np.geomspace(1, 20, 5)
-        assert_array_equal(fit.response(omega, part=k).response, loaded.response(omega, part=k).response)
+        assert_array_equal(
+            fit.response(omega, part=k).response, loaded.response(omega, part=k).response
+        )
     assert loaded.covariance_of(fit.free[:2]).tolist() == fit.covariance_of(fit.free[:2]).tolist()
 
 
@@ -122,7 +162,10 @@ HOLES = HOLES.with_signals(position=np.where(np.arange(300) % 7 == 3, np.nan, HO
 RECORDS = {
     "record": gb.Problem(Spring(), HOLES, gb.OutputError(biases=("position",))),
     "renamed": gb.Problem(
-        Spring(), HOLES, gb.OutputError(noise={"position": 0.02}, inputs="held"), rename={"stiffness": "k"}
+        Spring(),
+        HOLES,
+        gb.OutputError(noise={"position": 0.02}, inputs="held"),
+        rename={"stiffness": "k"},
     ),
     "record and response": gb.Problem(Spring(), HOLES)
     + gb.Problem(Spring(), measured(Spring(), np.geomspace(0.5, 8, 12), noise=0.02)),
@@ -145,12 +188,22 @@ def test_a_fitted_record_comes_back(name, tmp_path):
     assert str(fit) == str(loaded)
     assert_array_equal(fit.white, loaded.white)
     for mine, other in zip(fit.records, loaded.records, strict=True):
-        for f in {field.name for field in dataclasses.fields(mine)} - {"data", "simulated", "initial", "model"}:
+        for f in {field.name for field in dataclasses.fields(mine)} - {
+            "data",
+            "simulated",
+            "initial",
+            "model",
+        }:
             assert_equal(getattr(mine, f), getattr(other, f), err_msg=f)
         assert list(mine.initial) == list(other.initial)
         assert_array_equal([*mine.initial.values()], [*other.initial.values()])
         for a, b in ((mine.data, other.data), (mine.simulated, other.simulated)):
-            assert (a.name, a.source, a.checksum, a.units) == (b.name, b.source, b.checksum, b.units)
+            assert (a.name, a.source, a.checksum, a.units) == (
+                b.name,
+                b.source,
+                b.checksum,
+                b.units,
+            )
             assert list(a.signals) == list(b.signals)
             assert_array_equal(a.time, b.time)
             assert_array_equal([*a.signals.values()], [*b.signals.values()])
@@ -169,7 +222,12 @@ def test_which_gains_a_record_was_fitted_with_comes_back(tmp_path):
 
 def test_names_of_signals_may_hold_what_hdf5_takes_for_a_path(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        write_record(file, gb.Record(np.arange(3), {"b/c%2F": np.arange(3), "a": np.ones(3)}, {"a": "m/s"}, name="r"))
+        write_record(
+            file,
+            gb.Record(
+                np.arange(3), {"b/c%2F": np.arange(3), "a": np.ones(3)}, {"a": "m/s"}, name="r"
+            ),
+        )
     with h5py.File(tmp_path / "a.h5") as file:
         found = read_record(file)
     assert list(found.signals) == ["b/c%2F", "a"]
@@ -202,7 +260,9 @@ def test_a_file_of_the_first_layout_is_read(tmp_path):
 def test_the_criterion_of_an_older_layout_is_read_from_its_text(tmp_path):
     path = edited(tmp_path, older(2, "SquaredRelativeError(normalized='model')"))
     assert gb.load(path).criterion == "squared-relative-error:model"
-    path = edited(tmp_path, older(2, "OutputError(noise='full', initial={'x': <function f at 0x7f>})"))
+    path = edited(
+        tmp_path, older(2, "OutputError(noise='full', initial={'x': <function f at 0x7f>})")
+    )
     (part,) = gb.load(path).parts
     assert (part.criterion, part.is_likelihood) == ("output-error", True)
     assert not part.has_criterion_of(LAG.parts[0])
@@ -224,7 +284,10 @@ def test_a_failed_fit_comes_back(tmp_path):
 def test_an_earlier_fit_from_a_file_is_taken_as_fixed_values(tmp_path):
     rotor = gb.fit(gb.Problem(Rotor(), SPEED), starts=5)
     gb.save(rotor, tmp_path / "rotor.h5")
-    a, b = (gb.fit(gb.Problem(Tilt(), NOISY, fixed=f), starts=5) for f in (rotor, gb.load(tmp_path / "rotor.h5")))
+    a, b = (
+        gb.fit(gb.Problem(Tilt(), NOISY, fixed=f), starts=5)
+        for f in (rotor, gb.load(tmp_path / "rotor.h5"))
+    )
     assert a.standard_error == b.standard_error
 
 
@@ -239,7 +302,10 @@ def test_any_hdf5_reader_understands_the_file(tmp_path):
     gb.save(LAG, tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
         names = file["quantities/name"].asstr()[()].tolist()
-        assert dict(zip(names, file["quantities/value"][()].tolist(), strict=True))["T"] == LAG.estimate["T"]
+        assert (
+            dict(zip(names, file["quantities/value"][()].tolist(), strict=True))["T"]
+            == LAG.estimate["T"]
+        )
         assert file.attrs["format"] == "greybox fit"
         assert_array_equal(file["parts/0/data/omega"][()], TWO_LAGS_OMEGA)
 
@@ -248,7 +314,9 @@ def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypa
     path = tmp_path / "a.h5"
     gb.save(LAG, path)
     before = path.read_bytes()
-    monkeypatch.setattr(storage, "_write_runs", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(
+        storage, "_write_runs", lambda *_: (_ for _ in ()).throw(OSError("disk full"))
+    )
     with pytest.raises(OSError, match="disk full"):
         gb.save(LAG, path)
     assert path.read_bytes() == before
@@ -301,7 +369,10 @@ def forget(place):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda file: file.attrs.__setitem__("layout", 99), "has layout 99 and this version reads up to 3: install a"),
+        (
+            lambda file: file.attrs.__setitem__("layout", 99),
+            "has layout 99 and this version reads up to 3: install a",
+        ),
         (lambda file: file.attrs.__setitem__("layout", "x"), "damaged"),
         (lambda file: file.attrs.__delitem__("layout"), "damaged"),
         (lambda file: file.attrs.__delitem__("format"), "not a greybox fit or is damaged"),
@@ -379,10 +450,15 @@ print(bad)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_overwritten_bytes_end_in_a_sentence_and_never_in_a_hang(tmp_path):
     """A damaged file can make the HDF5 library loop for ever, so every load has its own process and alarm."""
-    still = dataclasses.replace(LAG, seconds=1.0, runs=tuple(dataclasses.replace(r, seconds=0.1) for r in LAG.runs))
+    still = dataclasses.replace(
+        LAG, seconds=1.0, runs=tuple(dataclasses.replace(r, seconds=0.1) for r in LAG.runs)
+    )
     gb.save(still, tmp_path / "a.h5")
     done = subprocess.run(
-        [sys.executable, "-c", OVERWRITE, str(tmp_path / "a.h5")], capture_output=True, text=True, check=True
+        [sys.executable, "-c", OVERWRITE, str(tmp_path / "a.h5")],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout.strip() == "[]"
 
@@ -401,7 +477,9 @@ class Mine(gb.TransferFunction):
 '''
 
 
-def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(tmp_path, monkeypatch):
+def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
+    tmp_path, monkeypatch
+):
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -417,7 +495,9 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(t
     loaded = gb.load(tmp_path / "a.h5")
     assert str(loaded) == str(fit)
     assert gb.plot(loaded) is not None
-    with pytest.raises(LookupError, match=f"the model Mine of the module '{name}' is needed and was not found"):
+    with pytest.raises(
+        LookupError, match=f"the model Mine of the module '{name}' is needed and was not found"
+    ):
         loaded.response([1.0, 2.0])
 
     expected = fit.response([1.0, 2.0]).response
@@ -439,7 +519,9 @@ def test_nothing_that_a_file_names_is_imported(tmp_path, monkeypatch, name):
     monkeypatch.syspath_prepend(tmp_path)
 
     def craft(file):
-        file["parts/0"].attrs["model"] = json.dumps({"class": f"{name}:Lag", "arguments": [], "keywords": {}})
+        file["parts/0"].attrs["model"] = json.dumps(
+            {"class": f"{name}:Lag", "arguments": [], "keywords": {}}
+        )
 
     before = {*sys.modules}
     loaded = gb.load(edited(tmp_path, craft))
@@ -455,8 +537,12 @@ def test_nothing_in_greybox_pickles_or_evaluates_text():
     # What goes to the workers of the user's own executor is pickled, and goes to nobody else.
     for file in {*folder.glob("**/*.py")} - {folder / "solve" / "executors.py"}:
         text = file.read_text(encoding="utf-8")
-        assert not re.search(r"^\s*(import|from)\s+(pickle|dill|cloudpickle|joblib|shelve|marshal)\b", text, re.M), file
-        assert not re.search(r"allow_pickle\s*=\s*True|(?<![\w.])eval\(|(?<![\w.])exec\(", text), file
+        assert not re.search(
+            r"^\s*(import|from)\s+(pickle|dill|cloudpickle|joblib|shelve|marshal)\b", text, re.M
+        ), file
+        assert not re.search(r"allow_pickle\s*=\s*True|(?<![\w.])eval\(|(?<![\w.])exec\(", text), (
+            file
+        )
 
 
 FLOWN = gb.Record(np.arange(6.0), {"u": np.arange(6.0) ** 2 / 9, "y": np.ones(6)})
@@ -465,8 +551,18 @@ FLOWN = gb.Record(np.arange(6.0), {"u": np.arange(6.0) ** 2 / 9, "y": np.ones(6)
 def flown(**changes):
     """A record as an answer keeps it, beside the response of the fit."""
     simulated = FLOWN.with_signals(y=np.zeros(6))
-    given = {name: getattr(LAG.parts[0], name) for name in (f.name for f in dataclasses.fields(FittedPart))}
-    given |= {"data": FLOWN, "simulated": simulated, "outputs": ("y",), "noise": np.eye(1), "initial": {}, "method": ""}
+    given = {
+        name: getattr(LAG.parts[0], name)
+        for name in (f.name for f in dataclasses.fields(FittedPart))
+    }
+    given |= {
+        "data": FLOWN,
+        "simulated": simulated,
+        "outputs": ("y",),
+        "noise": np.eye(1),
+        "initial": {},
+        "method": "",
+    }
     given |= {"inputs": "held", "biases": (), "gains": (), "driven": (), "nuisances": 1}
     given |= {"information": None, "information_alone": None}
     return FittedRecord(**(given | changes))
@@ -475,25 +571,44 @@ def flown(**changes):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda fit: {"quantities": (*fit.quantities, fit.quantities[0])}, "two quantities have the same name"),
+        (
+            lambda fit: {"quantities": (*fit.quantities, fit.quantities[0])},
+            "two quantities have the same name",
+        ),
         (lambda fit: {"free": (*fit.free, "lost")}, "a parameter has no value"),
         (lambda fit: {"names": (*fit.names, "lost")}, "a parameter has no value"),
-        (lambda fit: {"names": (*fit.names, fit.names[0])}, "a parameter appears twice in the covariance"),
+        (
+            lambda fit: {"names": (*fit.names, fit.names[0])},
+            "a parameter appears twice in the covariance",
+        ),
         (lambda fit: {"parts": ()}, "it has no data or no runs"),
         (lambda fit: {"runs": fit.runs[fit.runs.cost < 0]}, "it has no data or no runs"),
         (lambda fit: part(fit, information=np.zeros(2)), "what its data tell is incomplete"),
         (lambda fit: part(fit, information=np.zeros((3, 4))), "what its data tell is incomplete"),
-        (lambda fit: part(fit, information_alone=np.zeros((1, 4))), "what its data tell is incomplete"),
-        (lambda fit: part(fit, response=np.zeros(2, complex)), "the fitted response and the data differ in length"),
+        (
+            lambda fit: part(fit, information_alone=np.zeros((1, 4))),
+            "what its data tell is incomplete",
+        ),
+        (
+            lambda fit: part(fit, response=np.zeros(2, complex)),
+            "the fitted response and the data differ in length",
+        ),
         (lambda fit: part(fit, sine=gb.modeling.Sine("u", [1.0, 2.0])), "an amplitude is missing"),
         (lambda fit: {"parts": (flown(outputs=("z",)),)}, "an output is not in the record"),
-        (lambda fit: {"parts": (flown(inputs="guessed"),)}, "how its inputs run between samples is not known"),
         (
-            lambda fit: {"parts": (flown(simulated=gb.Record(np.arange(6.0) + 1, {"y": np.ones(6)})),)},
+            lambda fit: {"parts": (flown(inputs="guessed"),)},
+            "how its inputs run between samples is not known",
+        ),
+        (
+            lambda fit: {
+                "parts": (flown(simulated=gb.Record(np.arange(6.0) + 1, {"y": np.ones(6)})),)
+            },
             "the simulated record has other times than its data",
         ),
         (
-            lambda fit: {"parts": (flown(simulated=gb.Record(np.arange(6.0), {"u": np.arange(6.0)})),)},
+            lambda fit: {
+                "parts": (flown(simulated=gb.Record(np.arange(6.0), {"u": np.arange(6.0)})),)
+            },
             "an output is not in the record",
         ),
         (lambda fit: {"parts": (flown(),)}, ""),
@@ -520,7 +635,11 @@ def test_minima_are_those_of_their_runs_the_best_run_first():
     runs = dataclasses.replace(runs, cost=np.array([3.0, 1.0, 2.0, 9.0, 1.5]))
     estimate = np.array([[1.0, 2.0], [3.0, 4.0]])
     file = {
-        "minima": {"cost": np.array([1.0, 1.5]), "variants": np.array([2, 1]), "estimate": estimate},
+        "minima": {
+            "cost": np.array([1.0, 1.5]),
+            "variants": np.array([2, 1]),
+            "estimate": estimate,
+        },
         "runs/minimum": np.array([0, 0, 1, -1, 1]),
     }
     first, second = storage._read_minima(file, runs, 2)
@@ -544,9 +663,21 @@ def test_minima_are_those_of_their_runs_the_best_run_first():
         (storage._json_names, "[1]", "1 is not text"),
         (storage._json_texts, '{"a": 1}', "1 is not text"),
         (lambda v: storage._array(v, (2,)), np.zeros(3), r"its shape is not \(2,\)"),
-        (lambda v: storage._read_equivalents(v, 2), np.zeros((1, 3)), "the parameter vectors of one response are not"),
-        (lambda v: storage._read_equivalents(v, 2), np.zeros((0, 2)), "the parameter vectors of one response are not"),
-        (lambda v: storage._read_equivalents(v, 2), np.zeros(2), "the parameter vectors of one response are not"),
+        (
+            lambda v: storage._read_equivalents(v, 2),
+            np.zeros((1, 3)),
+            "the parameter vectors of one response are not",
+        ),
+        (
+            lambda v: storage._read_equivalents(v, 2),
+            np.zeros((0, 2)),
+            "the parameter vectors of one response are not",
+        ),
+        (
+            lambda v: storage._read_equivalents(v, 2),
+            np.zeros(2),
+            "the parameter vectors of one response are not",
+        ),
         (
             lambda v: storage._read_priors(v, ("a",)),
             {"priors": '{"b": [1, 2]}'},

@@ -105,7 +105,9 @@ def test_a_nonlinear_scale_is_found_with_its_initial_state():
 
 
 def test_tied_parameters_and_single_outputs_are_asked_for():
-    assert not gb.structural_identifiability(Redundant(), tied={"m": lambda p: p.k}, fixed={"idle": 0.0}).groups
+    assert not gb.structural_identifiability(
+        Redundant(), tied={"m": lambda p: p.k}, fixed={"idle": 0.0}
+    ).groups
     with pytest.raises(ValueError, match="'z'"):
         gb.structural_identifiability(Scaled(), ["z"])
     with pytest.raises(ValueError, match="leave it out"):
@@ -188,7 +190,9 @@ def test_what_cannot_be_told_apart_in_words():
 
 @pytest.mark.parametrize("points", [0, True, 1.0])
 def test_points_are_a_whole_number(points):
-    with pytest.raises(ValueError, match=rf"^points is {points!r}: give a whole number of at least 1\.$"):
+    with pytest.raises(
+        ValueError, match=rf"^points is {points!r}: give a whole number of at least 1\.$"
+    ):
         gb.structural_identifiability(Redundant(), points=points)
     with pytest.raises(TypeError, match="give an instance such as Tilt"):
         gb.structural_identifiability(Redundant)

@@ -10,7 +10,11 @@ import greybox as gb
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 PROBLEM = gb.Problem(
-    LagLagDelay(), DATA, fixed={"tau": 0.05}, tied={"T2": lambda p: p.T1 / 10}, bounds={"K": (1, np.inf)}
+    LagLagDelay(),
+    DATA,
+    fixed={"tau": 0.05},
+    tied={"T2": lambda p: p.T1 / 10},
+    bounds={"K": (1, np.inf)},
 )
 FIT = gb.fit(PROBLEM, [{}], progress=False)
 
@@ -44,19 +48,36 @@ def test_a_fit_that_failed_has_nulls():
 def test_json_says_which_starts_were_screened_and_how_outputs_are_fitted():
     fit = gb.fit(gb.Problem(LagLagDelay(), DATA, fixed={"tau": 0.05}), progress=False)
     said = fit.to_dict()
-    assert (said["starts"], said["screened"], said["converged"], said["agreeing"]) == (200, 192, 8, 8)
-    assert (said["minima"], said["best_effort"], said["outputs"], said["prior"]) == (1, None, [], {})
+    assert (said["starts"], said["screened"], said["converged"], said["agreeing"]) == (
+        200,
+        192,
+        8,
+        8,
+    )
+    assert (said["minima"], said["best_effort"], said["outputs"], said["prior"]) == (
+        1,
+        None,
+        [],
+        {},
+    )
     assert said["costs"][said["criterion"]] == fit.cost
 
     random = np.random.default_rng(0)
     u = np.repeat(random.normal(size=10), 8)
-    record = gb.Record(0.1 * np.arange(80), {"u": u, "y": 3 * u + 0.2 * random.normal(size=80)}, {"y": "m"}, name="run")
+    record = gb.Record(
+        0.1 * np.arange(80),
+        {"u": u, "y": 3 * u + 0.2 * random.normal(size=80)},
+        {"y": "m"},
+        name="run",
+    )
     measured = gb.fit(gb.Problem(Gain(), record), [{}], progress=False)
     (output,) = measured.to_dict()["outputs"]
     left = record["y"] - measured.estimate["K"] * u
     assert output["noise"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
     spread = record["y"] - record["y"].mean()
-    assert output["fit_percent"] == pytest.approx(100 * (1 - np.linalg.norm(left) / np.linalg.norm(spread)))
+    assert output["fit_percent"] == pytest.approx(
+        100 * (1 - np.linalg.norm(left) / np.linalg.norm(spread))
+    )
     assert (output["part"], output["output"], output["unit"]) == ("run", "y", "m")
 
 

@@ -10,7 +10,9 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 
-RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+RESPONSE = gb.Problem(
+    LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
+)
 
 
 class Slider(gb.StateSpace):
@@ -61,6 +63,8 @@ def test_many_solvers_are_built_at_once():
         print(len({fit.cost for fit in fits}))
         """
     )  # a process of its own: what goes wrong there ends it
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "1\n"

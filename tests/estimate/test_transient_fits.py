@@ -24,7 +24,9 @@ def clean():
 
 @pytest.fixture(scope="module")
 def spectrum(clean):
-    return transient_spectrum(study.measured(clean, {"q": 0.02}, np.random.default_rng(1)), "u", "q", BAND)
+    return transient_spectrum(
+        study.measured(clean, {"q": 0.02}, np.random.default_rng(1)), "u", "q", BAND
+    )
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,9 @@ def fit(spectrum):
 @pytest.mark.parametrize("criterion", [gb.OutputError(), gb.EquationError()])
 def test_the_truth_of_a_manoeuvre_that_ends_moving(clean, criterion):
     """Without noise: states and input move at both ends, and trim values are unknown."""
-    spectrum = transient_spectrum(study.measured(clean, {}, np.random.default_rng(0)), "u", "q", BAND)
+    spectrum = transient_spectrum(
+        study.measured(clean, {}, np.random.default_rng(0)), "u", "q", BAND
+    )
     fit = fitted(gb.Problem(ShortPeriod(), spectrum, criterion), starts=2)
     assert fit.converged
     assert fit.agreeing == 2
@@ -50,11 +54,15 @@ def test_the_truth_of_a_manoeuvre_that_ends_moving(clean, criterion):
 def test_coupled_inputs_and_outputs():
     """Two inputs and two outputs in one spectrum; an output that is not there is left out."""
     record = study.lateral_record()
-    both = fitted(gb.Problem(Lateral(), transient_spectrum(record, ["da", "dr"], ["roll", "yaw"], BAND)))
+    both = fitted(
+        gb.Problem(Lateral(), transient_spectrum(record, ["da", "dr"], ["roll", "yaw"], BAND))
+    )
     for name, value in LATERAL.items():
         assert both.estimate[name] == pytest.approx(value, rel=5e-3, abs=2e-3), name
     known = {"Nr": LATERAL["Nr"], "Nd": LATERAL["Nd"]}
-    alone = fitted(gb.Problem(Lateral(), transient_spectrum(record, ["da", "dr"], "roll", BAND), fixed=known))
+    alone = fitted(
+        gb.Problem(Lateral(), transient_spectrum(record, ["da", "dr"], "roll", BAND), fixed=known)
+    )
     assert alone.spectra[0].outputs == ("roll",)
     assert alone.estimate["Lr"] == pytest.approx(LATERAL["Lr"], rel=0.02)
 
@@ -72,12 +80,17 @@ def test_agreement_with_output_error_in_the_time_domain(clean):
     # Without trim values, which output error in time would have to estimate.
     noisy = clean["q"] + 0.02 * np.random.default_rng(5).standard_normal(len(clean))
     record = clean.with_signals(q=noisy)
-    # The delay is known: the cost in time has a kink where the delay of a held input is a multiple of the step.
+    # The delay is known: the cost in time has a kink where the delay of a held input is a multiple
+    # of the step.
     known = {"T": SHORT_PERIOD["T"]}
-    ours = fitted(gb.Problem(ShortPeriod(), transient_spectrum(record, "u", "q", (0.5, 60)), fixed=known))
+    ours = fitted(
+        gb.Problem(ShortPeriod(), transient_spectrum(record, "u", "q", (0.5, 60)), fixed=known)
+    )
     theirs = fitted(gb.Problem(ShortPeriod(), record, fixed=known))
     for name in ours.free:
-        assert abs(ours.estimate[name] - theirs.estimate[name]) < 1.5 * ours.standard_error[name], name
+        assert abs(ours.estimate[name] - theirs.estimate[name]) < 1.5 * ours.standard_error[name], (
+            name
+        )
         assert 0.7 < ours.standard_error[name] / theirs.standard_error[name] < 2, name
     assert np.sqrt(ours.spectra[0].noise[0, 0]) == pytest.approx(0.02, rel=0.25)
 
@@ -91,10 +104,15 @@ def test_the_cost_is_the_likelihood_of_the_outputs(spectrum):
     modelled = p["K"] * (p["T_z"] * s + 1) / pole * spectrum.delayed_input("u", p["T"])
     errors, basis = pole * (spectrum.outputs["q"] - modelled), np.array([np.ones_like(s), s]).T
     parts = [np.concatenate([x.real, x.imag]) for x in (errors, *basis.T)]
-    left = parts[0] - np.array(parts[1:]).T @ np.linalg.lstsq(np.array(parts[1:]).T, parts[0], rcond=None)[0]
+    left = (
+        parts[0]
+        - np.array(parts[1:]).T @ np.linalg.lstsq(np.array(parts[1:]).T, parts[0], rcond=None)[0]
+    )
     variance = np.mean(left**2) / (spectrum.step * spectrum.duration / 2)
     n = len(left)
-    assert fit.cost == pytest.approx(n / 2 * (np.log(2 * np.pi * variance) + 1) - 2 * np.log(np.abs(pole)).sum())
+    assert fit.cost == pytest.approx(
+        n / 2 * (np.log(2 * np.pi * variance) + 1) - 2 * np.log(np.abs(pole)).sum()
+    )
 
 
 def test_every_field_of_a_fitted_spectrum(spectrum, fit):
@@ -106,7 +124,9 @@ def test_every_field_of_a_fitted_spectrum(spectrum, fit):
     variance = np.mean(np.abs(left) ** 2) / (spectrum.step * spectrum.duration)
     assert part.noise[0, 0] == pytest.approx(variance)
     assert (part.outputs, part.at, part.nuisances) == (("q",), {}, 2 + 1)
-    known = fitted(gb.Problem(ShortPeriod(), spectrum, gb.OutputError(noise={"q": 0.02}))).spectra[0]
+    known = fitted(gb.Problem(ShortPeriod(), spectrum, gb.OutputError(noise={"q": 0.02}))).spectra[
+        0
+    ]
     assert known.nuisances == 2
     assert known.noise[0, 0] == pytest.approx(4e-4)
 
@@ -133,8 +153,12 @@ def test_sums_with_records_and_responses(clean, spectrum, fit):
     """A likelihood each: what is known twice is known to less than 1/sqrt(2) of its error."""
     omega = np.geomspace(1, 10, 12)
     true = gb.frequency_response(ShortPeriod(), SHORT_PERIOD, omega)
-    response = gb.FrequencyResponse(omega, true.response * 1.001, variance=1e-4 * np.abs(true.response) ** 2)
-    noisy = clean.with_signals(q=clean["q"] + 0.02 * np.random.default_rng(8).standard_normal(len(clean)))
+    response = gb.FrequencyResponse(
+        omega, true.response * 1.001, variance=1e-4 * np.abs(true.response) ** 2
+    )
+    noisy = clean.with_signals(
+        q=clean["q"] + 0.02 * np.random.default_rng(8).standard_normal(len(clean))
+    )
     parts = [
         gb.Problem(ShortPeriod(), spectrum),
         gb.Problem(ShortPeriod(), response, gb.MaximumLikelihood()),
@@ -146,7 +170,9 @@ def test_sums_with_records_and_responses(clean, spectrum, fit):
         assert abs(both.estimate[name] - value) < 4 * both.standard_error[name] + 1e-3 * value, name
         assert both.standard_error[name] < fit.standard_error[name] / np.sqrt(2), name
     with pytest.raises(ValueError, match="would count the same data twice"):
-        gb.Problem(ShortPeriod(), clean) + gb.Problem(ShortPeriod(), transient_spectrum(clean, "u", "q", BAND))
+        gb.Problem(ShortPeriod(), clean) + gb.Problem(
+            ShortPeriod(), transient_spectrum(clean, "u", "q", BAND)
+        )
 
 
 def test_an_answer_survives_its_file(fit, tmp_path):
@@ -195,7 +221,9 @@ def test_refusals(clean, spectrum):
     """In one sentence with the value and the cure."""
     with pytest.raises(ValueError, match="needs the input 'da'"):
         gb.Problem(Lateral(), spectrum)
-    with pytest.raises(TypeError, match=r"give a criterion such as OutputError\(\), for a TransientSpectrum"):
+    with pytest.raises(
+        TypeError, match=r"give a criterion such as OutputError\(\), for a TransientSpectrum"
+    ):
         gb.Problem(ShortPeriod(), spectrum, gb.RelativeError())
     with pytest.raises(ValueError, match="PredictionError is for records"):
         gb.Problem(Lateral(), spectrum, gb.PredictionError())

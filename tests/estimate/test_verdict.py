@@ -21,7 +21,9 @@ def test_a_good_fit_in_three_sentences(fit):
     assert judged.grade == "good"
     assert judged.sentences[0] == "3 of 3 starts agree on the best minimum."
     assert "of the standard deviation of y" in judged.sentences[1]
-    assert judged.sentences[2].startswith("All 2 free parameters are well determined, with standard errors of at most ")
+    assert judged.sentences[2].startswith(
+        "All 2 free parameters are well determined, with standard errors of at most "
+    )
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -35,17 +37,28 @@ def test_a_minimum_that_was_found_once_is_in_doubt(fit, count):
 
 
 def test_what_is_not_determined_is_named(fit):
-    shaky = replace(fit, directions=replace(fit.directions, covariance=fit.directions.covariance * 1e4), warnings=())
+    shaky = replace(
+        fit,
+        directions=replace(fit.directions, covariance=fit.directions.covariance * 1e4),
+        warnings=(),
+    )
     judged = verdict(shaky)
     assert judged.grade == "doubt"
-    assert "0 are well determined: b0 and a0 are beyond the guidelines (20 % error" in judged.sentences[2]
+    assert (
+        "0 are well determined: b0 and a0 are beyond the guidelines (20 % error"
+        in judged.sentences[2]
+    )
 
     bound = tuple(replace(q, at_bound=q.name == "a0") for q in fit.quantities)
-    assert "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[2]
+    assert (
+        "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[2]
+    )
 
 
 def test_a_failed_fit_has_no_estimate(fit):
-    runs = tuple(replace(run, converged=False, status="Maximum_Iterations_Exceeded") for run in fit.runs)
+    runs = tuple(
+        replace(run, converged=False, status="Maximum_Iterations_Exceeded") for run in fit.runs
+    )
     judged = verdict(replace(fit, runs=runs, minima=()))
     assert judged.grade == "failed"
     assert judged.sentences[0].startswith("There is no estimate: no start converged")
@@ -53,9 +66,23 @@ def test_a_failed_fit_has_no_estimate(fit):
 
 def told(**parts):
     """What is said of a fit that holds no more than this."""
-    directions = SimpleNamespace(beyond=(), error=np.array([0.05, np.nan, 0.012]), names=("a", "b", "c"))
-    given = {"responses": (), "records": (), "spectra": (), "quantities": (), "free": ("a", "b", "c"), "warnings": ()}
-    given |= {"converged": True, "runs": [SimpleNamespace(stage="polished")] * 3, "agreeing": 3, "minima": [None]}
+    directions = SimpleNamespace(
+        beyond=(), error=np.array([0.05, np.nan, 0.012]), names=("a", "b", "c")
+    )
+    given = {
+        "responses": (),
+        "records": (),
+        "spectra": (),
+        "quantities": (),
+        "free": ("a", "b", "c"),
+        "warnings": (),
+    }
+    given |= {
+        "converged": True,
+        "runs": [SimpleNamespace(stage="polished")] * 3,
+        "agreeing": 3,
+        "minima": [None],
+    }
     return verdict(SimpleNamespace(**(given | {"identifiability": directions} | parts)))
 
 
@@ -63,12 +90,24 @@ def told(**parts):
     ("parts", "sentence"),
     [
         ({}, "3 of 3 starts agree on the best minimum."),
-        ({"minima": [None] * 2}, "3 of 3 starts agree on the best minimum; 1 other minimum has a higher cost."),
-        ({"minima": [None] * 4}, "3 of 3 starts agree on the best minimum; 3 other minima have a higher cost."),
-        ({"agreeing": 2}, "2 of 3 starts agree on the best minimum."),
-        ({"agreeing": 1}, "Only 1 of 3 starts reached the best minimum, so another one may have a lower cost."),
         (
-            {"runs": [SimpleNamespace(stage="screened"), SimpleNamespace(stage="polished")], "agreeing": 1},
+            {"minima": [None] * 2},
+            "3 of 3 starts agree on the best minimum; 1 other minimum has a higher cost.",
+        ),
+        (
+            {"minima": [None] * 4},
+            "3 of 3 starts agree on the best minimum; 3 other minima have a higher cost.",
+        ),
+        ({"agreeing": 2}, "2 of 3 starts agree on the best minimum."),
+        (
+            {"agreeing": 1},
+            "Only 1 of 3 starts reached the best minimum, so another one may have a lower cost.",
+        ),
+        (
+            {
+                "runs": [SimpleNamespace(stage="screened"), SimpleNamespace(stage="polished")],
+                "agreeing": 1,
+            },
             "The fit was made from one start, so another minimum may have a lower cost.",
         ),
     ],
@@ -93,7 +132,9 @@ def test_how_close_the_model_is():
         "30 % at most; its residual of y is 10 % of the standard deviation of y."
     )
     assert (
-        told(records=records).sentences[1].endswith("its residual of y is 10 to 25 % of the standard deviation of y.")
+        told(records=records)
+        .sentences[1]
+        .endswith("its residual of y is 10 to 25 % of the standard deviation of y.")
     )
 
 
@@ -104,8 +145,16 @@ def quantity(name, at_bound):
 @pytest.mark.parametrize(
     ("parts", "sentence", "well"),
     [
-        ({}, "All 3 free parameters are well determined, with standard errors of at most 5 % (a).", True),
-        ({"free": ("a",)}, "The free parameter is well determined, with standard errors of at most 5 % (a).", True),
+        (
+            {},
+            "All 3 free parameters are well determined, with standard errors of at most 5 % (a).",
+            True,
+        ),
+        (
+            {"free": ("a",)},
+            "The free parameter is well determined, with standard errors of at most 5 % (a).",
+            True,
+        ),
         ({"free": ()}, "No parameter was free.", True),
         (
             {"quantities": (quantity("a", True), quantity("b", False))},
@@ -113,7 +162,10 @@ def quantity(name, at_bound):
             False,
         ),
         (
-            {"identifiability": SimpleNamespace(beyond=("c",)), "quantities": (quantity("a", True),)},
+            {
+                "identifiability": SimpleNamespace(beyond=("c",)),
+                "quantities": (quantity("a", True),),
+            },
             "Of 3 free parameters, 1 are well determined: a ended at a bound; c is beyond the guidelines (20 % error, "
             "10 % insensitivity).",
             False,
@@ -134,10 +186,17 @@ def test_how_well_the_parameters_are_determined(parts, sentence, well):
 
 def test_a_warning_leaves_a_fit_in_doubt():
     assert told(warnings=("one",)).grade == "doubt"
-    failed = told(converged=False, best_effort={"a": 1.0}, status="no start converged", warnings=("one", "two"))
+    failed = told(
+        converged=False,
+        best_effort={"a": 1.0},
+        status="no start converged",
+        warnings=("one", "two"),
+    )
     assert failed.sentences == (
         "There is no estimate: no start converged.",
         "one",
         "The values below are those at which the best run ended.",
     )
-    assert told(converged=False, best_effort=None, status="x").sentences == ("There is no estimate: x.",)
+    assert told(converged=False, best_effort=None, status="x").sentences == (
+        "There is no estimate: x.",
+    )

@@ -15,15 +15,25 @@ from greybox.experiment.optimal_design import optimal_shares, size_of_errors
 def response(low, high, noise=0.02, rename=None, points=8):
     omega = np.geomspace(low, high, points)
     exact = gb.frequency_response(LagLagDelay(), TWO_LAGS, omega).response
-    data = gb.FrequencyResponse(omega, exact, input="u", output="y", variance=(noise * np.abs(exact)) ** 2)
+    data = gb.FrequencyResponse(
+        omega, exact, input="u", output="y", variance=(noise * np.abs(exact)) ** 2
+    )
     return gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood(), rename=rename or {})
 
 
-TESTS = {"slow": (response(0.1, 2), 60.0), "middle": (response(0.5, 8), 30.0), "fast": (response(3, 30), 20.0)}
+TESTS = {
+    "slow": (response(0.1, 2), 60.0),
+    "middle": (response(0.5, 8), 30.0),
+    "fast": (response(3, 30), 20.0),
+}
 
 
 def errors_of(repeats):
-    parts = (problem for count, (problem, _) in zip(repeats, TESTS.values(), strict=True) for _ in range(count))
+    parts = (
+        problem
+        for count, (problem, _) in zip(repeats, TESTS.values(), strict=True)
+        for _ in range(count)
+    )
     return expected_errors(sum(parts), TWO_LAGS)
 
 
@@ -43,7 +53,9 @@ def test_the_wanted_errors_are_reached_and_nothing_shorter_does():
             errors = np.sqrt(np.diag(np.linalg.inv(information)))[at]
             if (errors <= list(wanted.values())).all():
                 shortest = min(shortest, tried @ np.array([60, 30, 20]))
-    assert shortest <= found.flight_time <= shortest + 60  # whole tests: at most one more than needed
+    assert (
+        shortest <= found.flight_time <= shortest + 60
+    )  # whole tests: at most one more than needed
     assert "equally often would take" in str(found)
 
 
@@ -52,14 +64,20 @@ def test_no_other_shares_and_no_other_repeats_in_that_time_are_much_better(optim
     random = np.random.default_rng(0)
     slopes = random.normal(size=(6, 2, 3))
     informations = np.einsum("kai,kaj->kij", slopes, slopes)
-    best = size_of_errors(np.tensordot(optimal_shares(informations, optimal), informations, 1), optimal)
+    best = size_of_errors(
+        np.tensordot(optimal_shares(informations, optimal), informations, 1), optimal
+    )
     for tried in random.dirichlet(np.full(6, 0.3), size=2000):
-        assert size_of_errors(np.tensordot(tried, informations, 1), optimal) > best - 1e-4 * abs(best)
+        assert size_of_errors(np.tensordot(tried, informations, 1), optimal) > best - 1e-4 * abs(
+            best
+        )
 
     found = choose_tests(TESTS, TWO_LAGS, seconds=300, optimal=optimal)
     assert found.flight_time <= 300
     scale = np.array(list(TWO_LAGS.values()))
-    once = np.array([expected_errors(problem, TWO_LAGS).information for problem, _ in TESTS.values()])
+    once = np.array(
+        [expected_errors(problem, TWO_LAGS).information for problem, _ in TESTS.values()]
+    )
     once = once * np.outer(scale, scale)
     size = {
         tried: size_of_errors(np.tensordot(tried, once, 1), optimal)
@@ -67,7 +85,9 @@ def test_no_other_shares_and_no_other_repeats_in_that_time_are_much_better(optim
         if any(tried) and tried @ np.array([60, 30, 20]) <= 300
     }
     mine, best = size[tuple(found.repeats.values())], min(size.values())
-    assert (mine / best if optimal == "A" else np.exp((mine - best) / 4)) < 1.03  # in the variance of a parameter
+    assert (
+        mine / best if optimal == "A" else np.exp((mine - best) / 4)
+    ) < 1.03  # in the variance of a parameter
 
 
 def test_axes_share_what_they_have_in_common():
@@ -97,7 +117,10 @@ def test_single_sines_are_tests_too():
     [
         ({}, "either wanted standard errors or the seconds"),
         ({"wanted": {"Q": 1.0}}, "Q is not estimated"),
-        ({"values": {"T_1": 1.0}, "seconds": 100}, "T_1 is no parameter of the tests: they have K, T1, T2, tau"),
+        (
+            {"values": {"T_1": 1.0}, "seconds": 100},
+            "T_1 is no parameter of the tests: they have K, T1, T2, tau",
+        ),
         ({"seconds": 10}, "too short"),
         ({"seconds": 100, "optimal": "E"}, "give 'A' or 'D'"),
     ],
@@ -109,7 +132,9 @@ def test_bad_requests_are_named(change, sentence):
 
 def test_of_tests_that_tell_the_same_the_longest_are_left_out():
     once, durations = np.ones((3, 1, 1)), np.array([30.0, 60.0, 20.0])
-    fewer = _without_surplus(np.array([1, 2, 3]), once, durations, np.full(1, 0.5))  # an error of a half: four tests
+    fewer = _without_surplus(
+        np.array([1, 2, 3]), once, durations, np.full(1, 0.5)
+    )  # an error of a half: four tests
     assert [*fewer] == [1, 0, 3]
 
 
@@ -131,8 +156,11 @@ def test_tests_for_a_short_time_say_what_is_missing():
     assert "times as long" not in str(found)
     with pytest.raises(ValueError, match="39 s are too short"):
         choose_tests({"slow": TESTS["slow"]}, TWO_LAGS, seconds=39.0)
-    # Of all parameters the errors count, each relative to its value: the mean of two tests of equal information.
-    once, twice = (choose_tests(fast, TWO_LAGS, seconds=seconds).standard_error for seconds in (20.0, 40.0))
+    # Of all parameters the errors count, each relative to its value: the mean of two tests of equal
+    # information.
+    once, twice = (
+        choose_tests(fast, TWO_LAGS, seconds=seconds).standard_error for seconds in (20.0, 40.0)
+    )
     assert twice == pytest.approx({name: error / np.sqrt(2) for name, error in once.items()})
 
 
@@ -140,12 +168,20 @@ def test_tests_for_a_short_time_say_what_is_missing():
 def test_errors_shrink_by_the_root_of_the_repeats(share, repeats):
     """Of one test: as often as it takes, and all tests equally often are the same flight."""
     once = expected_errors(TESTS["fast"][0], TWO_LAGS).standard_error
-    found = choose_tests({"fast": TESTS["fast"]}, TWO_LAGS, wanted={"T2": once["T2"] / np.sqrt(share)})
-    assert (found.repeats, found.flight_time, found.equally_often) == ({"fast": repeats}, 20 * repeats, 20 * repeats)
+    found = choose_tests(
+        {"fast": TESTS["fast"]}, TWO_LAGS, wanted={"T2": once["T2"] / np.sqrt(share)}
+    )
+    assert (found.repeats, found.flight_time, found.equally_often) == (
+        {"fast": repeats},
+        20 * repeats,
+        20 * repeats,
+    )
     assert found.standard_error["K"] == pytest.approx(once["K"] / np.sqrt(repeats))
 
 
 def test_tests_that_fit_and_leave_parameters_open_are_too_short():
     sines = {f"{omega:g}": (response(omega, omega, points=1), 10.0) for omega in (0.5, 3.0, 12.0)}
-    with pytest.raises(ValueError, match="15 s are too short for tests that determine every parameter: give more"):
+    with pytest.raises(
+        ValueError, match="15 s are too short for tests that determine every parameter: give more"
+    ):
         choose_tests(sines, TWO_LAGS, seconds=15.0)

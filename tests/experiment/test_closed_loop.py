@@ -36,15 +36,25 @@ class Proportional(gb.Controller):
 @pytest.mark.parametrize("closed", [False, True])
 def test_gains_are_those_of_the_sampled_loop(closed):
     wanted = [9.0, 2.0, 4.25]
-    options = {"excitation": "r", "controller": Proportional()} if closed else {"excitation": "u", "controller": None}
+    options = (
+        {"excitation": "r", "controller": Proportional()}
+        if closed
+        else {"excitation": "u", "controller": None}
+    )
     signals = ["y", "u"] if closed else ["y"]
-    omega, gains = loop_gains(Lag(), {"K": 3.0}, wanted, signals, amplitude=0.5, rate=1 / STEP, **options)
+    omega, gains = loop_gains(
+        Lag(), {"K": 3.0}, wanted, signals, amplitude=0.5, rate=1 / STEP, **options
+    )
     # Lines of four periods of the lowest frequency.
     assert omega == pytest.approx(np.sort(wanted), abs=0.26)
     assert np.rint(4 * omega / omega[0]) == pytest.approx(4 * omega / omega[0], abs=1e-6)
     z, a = np.exp(1j * omega * STEP), np.exp(-STEP / 0.5)
     plant = 3 * (1 - a) / (z - a)
-    expected = {"y": 1.5 * plant / (1 + 1.5 * plant), "u": 1.5 / (1 + 1.5 * plant)} if closed else {"y": plant}
+    expected = (
+        {"y": 1.5 * plant / (1 + 1.5 * plant), "u": 1.5 / (1 + 1.5 * plant)}
+        if closed
+        else {"y": plant}
+    )
     assert set(gains) == set(signals)
     for name, truth in expected.items():
         assert gains[name] == pytest.approx(truth, rel=1e-3)

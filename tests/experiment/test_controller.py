@@ -23,9 +23,15 @@ class RateDamper(gb.Controller):
 
 def run(controller, theta, q, reference, mixer=0.0):
     """Run a controller on sequences, in numbers, from zero; its outputs and states after each sample."""
-    x, outputs, states = Names(dict(zip(controller.states, controller.initial, strict=True))), [], []
+    x, outputs, states = (
+        Names(dict(zip(controller.states, controller.initial, strict=True))),
+        [],
+        [],
+    )
     for sample in np.broadcast(theta, q, reference, mixer):
-        u = Names(dict(zip(("theta", "q", "reference", "mixer", "rate"), (*sample, 0.0), strict=True)))
+        u = Names(
+            dict(zip(("theta", "q", "reference", "mixer", "rate"), (*sample, 0.0), strict=True))
+        )
         following, given = controller.update(x, u, controller.values)
         x = Names(dict(zip(controller.states, map(float, following), strict=True)))
         outputs.append([float(v) for v in given])
@@ -53,7 +59,9 @@ def ardupilot(p, h, theta, q, reference):
 @pytest.mark.parametrize("size", [0.02, 0.5, 5.0])  # never, sometimes and mostly at a limit
 def test_attitude_controller_is_ardupilots(size):
     random = np.random.default_rng(0)
-    theta, q, reference = size * np.cumsum(random.normal(0, [[0.05], [0.2], [0.05]], (3, 2000)), axis=1)
+    theta, q, reference = size * np.cumsum(
+        random.normal(0, [[0.05], [0.2], [0.05]], (3, 2000)), axis=1
+    )
     controller = AttitudeController({"K_I": 3.0, "I_max": 0.3, "u_max": 0.8})
     expected = ardupilot(controller.values, 1 / 400, theta, q, reference)
     assert_allclose(run(controller, theta, q, reference)[0][:, 0], expected, atol=1e-12)
@@ -67,7 +75,9 @@ def test_the_integral_stays_while_the_control_is_at_its_limit_and_shrinks_at_onc
     integral = np.array([x["integral"] for x in states])
     assert_allclose(integral[399], 0.135 * 0.5, rtol=1e-9)
     assert np.all(outputs[400:1600, 0] == 1.0)
-    assert np.ptp(integral[401:1600]) == 0  # the flag is that of the last sample: one more step, then none
+    assert (
+        np.ptp(integral[401:1600]) == 0
+    )  # the flag is that of the last sample: one more step, then none
     assert np.all(np.diff(integral[1600:]) < 0)
     unlimited = run(AttitudeController({"K_P": 0.1, "K_D": 0.0}), 0.0, -error, 0.0)[1]
     assert unlimited[1599]["integral"] == 0.5  # its own limit
@@ -81,7 +91,9 @@ def test_gains_have_their_meaning_in_continuous_time():
     p, s = controller.values, 1j * w
     expected = 0.01 * p.K_theta * (p.K_P + p.K_I / s + p.K_D * s / (1 + s / p.omega_D))
     assert_allclose(gb.spectral.demodulate(time, outputs[:, 0], w, settle=1.0), expected, rtol=1e-3)
-    assert_allclose(gb.spectral.demodulate(time, outputs[:, 1], w, settle=1.0), 0.01 * p.K_theta, rtol=1e-9)
+    assert_allclose(
+        gb.spectral.demodulate(time, outputs[:, 1], w, settle=1.0), 0.01 * p.K_theta, rtol=1e-9
+    )
 
 
 def test_the_shipped_controller_is_declared_like_a_model():
@@ -92,7 +104,11 @@ def test_the_shipped_controller_is_declared_like_a_model():
         assert np.all(np.isfinite(parameter.bounds))
         assert parameter.unit
         assert len(parameter.about) > 3
-    assert {*AttitudeController.units} <= {*AttitudeController.inputs, *AttitudeController.setpoints, "q_reference"}
+    assert {*AttitudeController.units} <= {
+        *AttitudeController.inputs,
+        *AttitudeController.setpoints,
+        "q_reference",
+    }
 
 
 def test_numbers_and_casadi_agree():
@@ -101,7 +117,9 @@ def test_numbers_and_casadi_agree():
     x = ca.SX.sym("x", 4)
     u = ca.SX.sym("u", 5)
     names = (*controller.inputs, *controller.setpoints)
-    compiled = ca.Function("update", [x, u], updated(controller, x, {n: u[k] for k, n in enumerate(names)}))
+    compiled = ca.Function(
+        "update", [x, u], updated(controller, x, {n: u[k] for k, n in enumerate(names)})
+    )
     for _ in range(50):
         state, told = random.normal(0, 0.5, 4), random.normal(0, 1, 5)
         state[3] = random.integers(2)
@@ -115,8 +133,12 @@ def test_numbers_and_casadi_agree():
 
 
 def test_what_it_is_told_and_what_it_says():
-    controller = AttitudeController({"K_P": 0.2}, rate=200, signals={"theta": "phi"}, initial={"integral": 0.1})
-    assert repr(controller) == "AttitudeController({'K_P': 0.2}, rate=200, signals={'theta': 'phi'})"
+    controller = AttitudeController(
+        {"K_P": 0.2}, rate=200, signals={"theta": "phi"}, initial={"integral": 0.1}
+    )
+    assert (
+        repr(controller) == "AttitudeController({'K_P': 0.2}, rate=200, signals={'theta': 'phi'})"
+    )
     assert controller.outside("theta") == "phi"
     assert controller.outside("q") == "q"
     assert controller.initial == (0, 0, 0.1, 0)
@@ -128,7 +150,10 @@ def test_what_it_is_told_and_what_it_says():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"values": {"K_p": 1.0}}, "AttitudeController has no parameter 'K_p'; it has K_theta, K_P"),
+        (
+            {"values": {"K_p": 1.0}},
+            "AttitudeController has no parameter 'K_p'; it has K_theta, K_P",
+        ),
         ({"values": {"K_P": np.nan}}, "K_P = nan is not a finite number"),
         ({"values": {"K_P": "much"}}, "K_P = 'much' is not a finite number"),
         ({"rate": 0}, "cannot run 0 times per second"),
@@ -149,9 +174,17 @@ def declare(**body):
     ("body", "error", "sentence"),
     [
         ({"outputs": "u"}, ValueError, "Own.outputs = 'u' must be a tuple"),
-        ({"inputs": ("q", "reference")}, ValueError, "Own names a signal twice in q, reference, reference"),
+        (
+            {"inputs": ("q", "reference")},
+            ValueError,
+            "Own names a signal twice in q, reference, reference",
+        ),
         ({"states": ("keys",)}, ValueError, "cannot have a parameter or signal called 'keys'"),
-        ({"values": gb.Parameter(1.0)}, ValueError, "cannot have a parameter or signal called 'values'"),
+        (
+            {"values": gb.Parameter(1.0)},
+            ValueError,
+            "cannot have a parameter or signal called 'values'",
+        ),
         ({"K": 0.2}, TypeError, "Own.K is a number where a Parameter was"),
     ],
 )
@@ -163,7 +196,10 @@ def test_bad_declarations(body, error, sentence):
 @pytest.mark.parametrize(
     ("update", "sentence"),
     [
-        (lambda self, x, u, p: u.q, "return two tuples, the next states .none. and the outputs .u."),
+        (
+            lambda self, x, u, p: u.q,
+            "return two tuples, the next states .none. and the outputs .u.",
+        ),
         (lambda self, x, u, p: ((), (u.q, u.q)), "and the outputs .u."),
         (lambda self, x, u, p: ((u.q,), (u.q,)), "the next states .none."),
         (lambda self, x, u, p: ((), (max(u.q, 0),)), "Own.update cannot be compiled"),
@@ -184,11 +220,23 @@ def other(**signals):
     ("controllers", "error", "sentence"),
     [
         ([RateDamper], TypeError, "is not a Controller: give e.g. AttitudeController"),
-        ([RateDamper(), RateDamper(rate=100)], ValueError, "runs at 100 Hz, RateDamper at 400 Hz: use one rate"),
-        (other(u="w"), ValueError, "gives w, but Plant takes u, z: connect them, signals={'u': 'u'}"),
+        (
+            [RateDamper(), RateDamper(rate=100)],
+            ValueError,
+            "runs at 100 Hz, RateDamper at 400 Hz: use one rate",
+        ),
+        (
+            other(u="w"),
+            ValueError,
+            "gives w, but Plant takes u, z: connect them, signals={'u': 'u'}",
+        ),
         ([RateDamper(), RateDamper()], ValueError, "two signals are called 'u'"),
         (other(reference="theta"), ValueError, "two signals are called 'theta'"),
-        ([RateDamper(), other(u="reference")], ValueError, "takes 'reference' from itself or a later controller"),
+        (
+            [RateDamper(), other(u="reference")],
+            ValueError,
+            "takes 'reference' from itself or a later controller",
+        ),
         ([RateDamper(), other(u="w", reference="r")], ValueError, "gives w, but Plant takes"),
         (other(u="reference"), ValueError, "gives reference, but Plant takes u, z"),
     ],
@@ -207,7 +255,10 @@ def test_controllers_in_the_wrong_order():
 
     with pytest.raises(ValueError, match="takes 'w' from itself or a later controller"):
         connected([other(reference="w"), Two(signals={"u": "z"})], ("u", "z"), set(), "Plant")
-    assert len(connected([Two(signals={"u": "z"}), other(reference="w")], ("u", "z"), set(), "Plant")) == 2
+    assert (
+        len(connected([Two(signals={"u": "z"}), other(reference="w")], ("u", "z"), set(), "Plant"))
+        == 2
+    )
 
 
 def test_a_controller_may_drive_the_next_one_alone():

@@ -44,6 +44,8 @@ def test_a_band_ends_at_a_fifth_of_the_sampling_rate():
             checked_band([1.0, wrong], 100)
 
 
-@pytest.mark.parametrize(("value", "whole"), [(2.0, 2), (2.0 + 1e-12, 2), (2.001, 3), (2 + 1e-7, 3), (0.1 * 30, 3)])
+@pytest.mark.parametrize(
+    ("value", "whole"), [(2.0, 2), (2.0 + 1e-12, 2), (2.001, 3), (2 + 1e-7, 3), (0.1 * 30, 3)]
+)
 def test_rounding_up_forgives_rounding_errors(value, whole):
     assert round_up(value) == whole

@@ -61,7 +61,12 @@ def test_a_parameter_that_the_test_does_not_show_has_no_error():
 def test_what_is_hardly_told_apart_is_said():
     errors = {"a": 0.1234, "b": np.nan, "c": 0.5}
     made = ExpectedErrors(
-        {"a": -2.0, "b": 1.0, "c": 0.0}, errors, np.eye(3), np.eye(3), ("b", "c"), dict.fromkeys("abc", "s")
+        {"a": -2.0, "b": 1.0, "c": 0.0},
+        errors,
+        np.eye(3),
+        np.eye(3),
+        ("b", "c"),
+        dict.fromkeys("abc", "s"),
     )
     lines = [line.split() for line in str(made).splitlines()]
     assert ["a", "-2", "±", "0.12", "s", "6.2", "%"] in lines
@@ -73,7 +78,10 @@ def test_chosen_tests_print_how_often_each_is_flown():
     flown, seconds, units = {"roll": 2, "yaw": 0}, {"roll": 20.0, "yaw": 7.0}, {"K": "", "T": "s"}
     made = ChosenTests(flown, seconds, {"K": 0.1234, "T": 0.5}, {"K": 0.2}, units, 40.0, 81.0)
     said = [" ".join(line.split()) for line in str(made).splitlines()]
-    assert said[:2] == ["2 tests, 40 s of flight", "all tests equally often would take 2 times as long"]
+    assert said[:2] == [
+        "2 tests, 40 s of flight",
+        "all tests equally often would take 2 times as long",
+    ]
     assert [line for line in said if line.startswith(("roll", "yaw", "K", "T"))] == [
         "roll 2 40",
         "yaw 0 0",

@@ -6,7 +6,9 @@ import pytest
 from greybox.experiment.multisine import multisine
 
 
-@pytest.mark.parametrize(("points", "signals"), [(None, ["u"]), (None, ["p", "q", "r"]), (12, ["p", "q"])])
+@pytest.mark.parametrize(
+    ("points", "signals"), [(None, ["u"]), (None, ["p", "q", "r"]), (12, ["p", "q"])]
+)
 def test_multisines_are_orthogonal_and_start_at_zero(points, signals):
     made = multisine(1.0, 20.0, 20.0, 100, amplitude=0.1, signals=signals, points=points)
     period = np.array([made[name][:2000] for name in signals])
@@ -33,9 +35,14 @@ def test_power_is_equal_and_in_the_band():
 
 @pytest.mark.parametrize(("periods", "settled"), [(1, 0.0), (3, 20.0)])
 def test_the_schedule_and_the_settings_say_what_is_flown(periods, settled):
-    made = multisine(1.0, 5.0, 20.0, 50, amplitude=0.2, signals=["p", "q"], periods=periods, unit="rad")
+    made = multisine(
+        1.0, 5.0, 20.0, 50, amplitude=0.2, signals=["p", "q"], periods=periods, unit="rad"
+    )
     step = 2 * math.pi / 20
-    assert made.settings == {"period": 20.0, "harmonics": {"p": (4, 6, 8, 10, 12, 14), "q": (5, 7, 9, 11, 13, 15)}}
+    assert made.settings == {
+        "period": 20.0,
+        "harmonics": {"p": (4, 6, 8, 10, 12, 14), "q": (5, 7, 9, 11, 13, 15)},
+    }
     assert [(m.signal, m.kind, m.amplitude, m.offset) for m in made.schedule] == [
         ("p", "multisine", 0.2, 0.0),
         ("q", "multisine", 0.2, 0.0),
@@ -54,7 +61,9 @@ def test_peaks_are_low():
     """Schroeder's phases alone give about 1.2 for flat spectra; a sine has 1, random phases 2 to 3."""
     dense = multisine(1.0, 20.0, 20.0, 100)
     assert dense.peak_factors["u"] < 1.06
-    assert max(multisine(1.0, 20.0, 20.0, 100, signals=["p", "q", "r"]).peak_factors.values()) < 1.25
+    assert (
+        max(multisine(1.0, 20.0, 20.0, 100, signals=["p", "q", "r"]).peak_factors.values()) < 1.25
+    )
     assert multisine(1.0, 20.0, 60.0, 100, points=12).peak_factors["u"] < 1.6
     assert "peak factor 1.0" in str(dense)
 

@@ -17,7 +17,9 @@ def test_two_frequencies_that_tell_of_one_parameter_each():
     informations = np.array([np.diag([1.0, 0.0]), np.diag([0.0, 4.0])])
     found = shares(informations, np.ones(2))
     assert found == pytest.approx([0.8, 0.2], abs=1e-4)  # 1 / w = 1 / (4 (1 - w))
-    assert time_needed(np.tensordot(found, informations, 1), np.ones(2)) == pytest.approx(1.25, rel=1e-4)
+    assert time_needed(np.tensordot(found, informations, 1), np.ones(2)) == pytest.approx(
+        1.25, rel=1e-4
+    )
 
 
 @pytest.mark.parametrize("matters", [3, 2])
@@ -40,7 +42,9 @@ def test_a_parameter_of_which_nothing_is_told_has_no_variance_and_the_others_the
     assert found[:2] == pytest.approx(np.diag(np.linalg.inv(information[:2, :2])))
     assert np.isnan(found[2])
     assert np.isnan(variances(np.ones((2, 2)))).all()
-    assert time_needed(information, np.array([0.5, np.inf, np.inf])) == pytest.approx(found[0] / 0.25)
+    assert time_needed(information, np.array([0.5, np.inf, np.inf])) == pytest.approx(
+        found[0] / 0.25
+    )
     assert time_needed(information, np.array([np.inf, np.inf, 1.0])) == np.inf
 
 
@@ -52,7 +56,9 @@ def test_parameters_that_differ_by_rounding_are_not_told_apart(apart, told):
     if told:
         require_determined(information, ["a", "b", "c"], "no test", "add one")
     else:
-        with pytest.raises(ValueError, match=r"^no test tells a, b apart: fix one of them, or add one\.$"):
+        with pytest.raises(
+            ValueError, match=r"^no test tells a, b apart: fix one of them, or add one\.$"
+        ):
             require_determined(information, ["a", "b", "c"], "no test", "add one")
 
 
@@ -88,4 +94,6 @@ def test_optimal_shares_satisfy_the_equivalence_theorem(optimal):
 def test_three_parameters_are_determined_by_the_smallest_of_all_eigenvalues():
     for unit in (1.0, 1e6, 1e-6):
         assert size_of_errors(np.diag([0.5e-12, 1e-9, 1.0]) / unit, "D") == np.inf
-        assert size_of_errors(np.diag([2e-12, 1e-9, 1.0]) / unit, "A") == pytest.approx((5e11 + 1e9 + 1) * unit)
+        assert size_of_errors(np.diag([2e-12, 1e-9, 1.0]) / unit, "A") == pytest.approx(
+            (5e11 + 1e9 + 1) * unit
+        )

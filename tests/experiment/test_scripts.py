@@ -150,15 +150,20 @@ def test_what_the_script_cannot_fly(made, axis, words):
 
 @pytest.mark.parametrize(("axis", "number"), [("roll", 1), ("pitch", 2), ("yaw", 3)])
 def test_the_script_turns_its_own_axis(axis, number):
-    assert f"AXIS = {number}" in ardupilot_script(sine_schedule([1.0], 0.1, unit="rad"), axis).replace("local ", "")
+    assert f"AXIS = {number}" in ardupilot_script(
+        sine_schedule([1.0], 0.1, unit="rad"), axis
+    ).replace("local ", "")
 
 
 @pytest.mark.parametrize(("name", "most"), [("duration", 255), ("fade_in", 20), ("fade_out", 5)])
 def test_times_of_a_sweep_may_be_as_long_as_the_mode_takes(name, most):
     made = sweep(1, 10, 60, 100)
-    assert "SID_AXIS" in systemid_parameters(replace(made, settings={**made.settings, name: most}), "mixer pitch")
+    assert "SID_AXIS" in systemid_parameters(
+        replace(made, settings={**made.settings, name: most}), "mixer pitch"
+    )
     longer = replace(made, settings={**made.settings, name: most + 0.5})
     with pytest.raises(
-        ValueError, match=rf"^{name} is {most}\.5 s, but SystemID mode takes at most {most} s: shorten it"
+        ValueError,
+        match=rf"^{name} is {most}\.5 s, but SystemID mode takes at most {most} s: shorten it",
     ):
         systemid_parameters(longer, "mixer pitch")

@@ -27,12 +27,21 @@ class Lag(gb.TransferFunction):
 
 
 LAG = {"K": 2.0, "tau": 0.3}
-OPEN_LOOP = {"input": "u", "output": "y", "excitation": "u", "unit": "1", "rate": 50.0, "band": (0.5, 15)}
+OPEN_LOOP = {
+    "input": "u",
+    "output": "y",
+    "excitation": "u",
+    "unit": "1",
+    "rate": 50.0,
+    "band": (0.5, 15),
+}
 
 
 @pytest.fixture(scope="module")
 def lag():
-    return plan_sines(Lag(), LAG, {"K": 0.003, "tau": 0.001}, amplitude=0.5, noise=0.05, **OPEN_LOOP)
+    return plan_sines(
+        Lag(), LAG, {"K": 0.003, "tau": 0.001}, amplitude=0.5, noise=0.05, **OPEN_LOOP
+    )
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +94,11 @@ def test_half_of_the_errors_take_four_times_as_long(lag):
 def test_the_limits_are_kept_in_flight(tilt):
     excitation = tilt.excitation()
     flown = gb.virtual_flight(
-        NonlinearTilt(), TILT, excitation, controller=AttitudeController(rate=RATE), noise={"theta_dot": 0.0, "v": 0.0}
+        NonlinearTilt(),
+        TILT,
+        excitation,
+        controller=AttitudeController(rate=RATE),
+        noise={"theta_dot": 0.0, "v": 0.0},
     )
     reached = {"reference": 0.0, "theta": 0.0, "theta_dot": 0.0, "v": 0.0}
     for sine in excitation.schedule:
@@ -127,7 +140,9 @@ def test_a_quiet_flight_says_how_large_the_noise_is(tilt):
 def test_expected_errors_are_those_of_a_fit_that_ends_there():
     omega, model, values = TWO_LAGS_OMEGA, LagLagDelay(), TWO_LAGS
     exact = gb.frequency_response(model, values, omega).response
-    data = gb.FrequencyResponse(omega, exact, input="u", output="y", variance=(0.02 * np.abs(exact)) ** 2)
+    data = gb.FrequencyResponse(
+        omega, exact, input="u", output="y", variance=(0.02 * np.abs(exact)) ** 2
+    )
     problem = gb.Problem(model, data, gb.MaximumLikelihood())
     expected = expected_errors(problem, values)
     found = gb.fit(problem, [values], progress=False)
@@ -186,21 +201,39 @@ def test_the_plan_is_that_of_the_closed_formulas(lag):
     periods = lag.duration * lag.omega / (2 * np.pi)
     assert periods == pytest.approx(np.round(periods), abs=1e-9)
     assert min(periods) >= 9.99
-    settling = np.ceil(2 * lag.omega / (2 * np.pi)) * 2 * np.pi / lag.omega  # whole periods of 2 s at least
-    assert lag.flight_time == pytest.approx(np.sum(lag.duration + settling) + 4 * 2.0)  # and pauses of 2 s around all
+    settling = (
+        np.ceil(2 * lag.omega / (2 * np.pi)) * 2 * np.pi / lag.omega
+    )  # whole periods of 2 s at least
+    assert lag.flight_time == pytest.approx(
+        np.sum(lag.duration + settling) + 4 * 2.0
+    )  # and pauses of 2 s around all
 
     said = str(lag).splitlines()
     assert said[0] == f"3 sines in u, {lag.flight_time:.0f} s of flight;"
-    assert said[1] == f"equally spaced sines would take {lag.equally_spaced / lag.flight_time:.2g} times as long."
-    first = [f"{lag.omega[0]:.4g}", f"{lag.omega[0] / 2 / np.pi:.3g}", "0.5", "u", f"{lag.duration[0]:.0f}"]
-    assert next(line for line in said if line.split()[:1] == first[:1]).split() == [*first, f"{periods[0]:.0f}"]
+    assert (
+        said[1]
+        == f"equally spaced sines would take {lag.equally_spaced / lag.flight_time:.2g} times as long."
+    )
+    first = [
+        f"{lag.omega[0]:.4g}",
+        f"{lag.omega[0] / 2 / np.pi:.3g}",
+        "0.5",
+        "u",
+        f"{lag.duration[0]:.0f}",
+    ]
+    assert next(line for line in said if line.split()[:1] == first[:1]).split() == [
+        *first,
+        f"{periods[0]:.0f}",
+    ]
 
 
 def test_a_signal_that_is_limited_itself_and_in_its_travel_keeps_both():
     """|P| = 2 / |0.3 s + 1| in open loop: the output below 0.4, its integral below 0.22, and the input below 0.3."""
     limits, travel = {"y": 0.4, "u": 0.3}, {"y": 0.22}
     wanted = {"K": 0.005, "tau": 0.002}
-    found = plan_sines(Lag(), LAG, wanted, amplitude=0.5, noise=0.05, limits=limits, travel=travel, **OPEN_LOOP)
+    found = plan_sines(
+        Lag(), LAG, wanted, amplitude=0.5, noise=0.05, limits=limits, travel=travel, **OPEN_LOOP
+    )
     gain = 2 / np.abs(0.3j * found.omega + 1)
     each = np.array([0.4 / gain, 0.22 * found.omega / gain, np.full(len(gain), 0.3)])
     assert found.amplitude == pytest.approx(each.min(axis=0), rel=1e-3)
@@ -211,11 +244,15 @@ def test_a_signal_that_is_limited_itself_and_in_its_travel_keeps_both():
 def test_a_quiet_flight_of_fewer_than_four_of_the_slowest_periods_is_refused():
     for periods in (3.9, 4.1):
         time = np.arange(round(periods * 2 * np.pi / 0.5 * 50)) / 50
-        quiet = gb.Record(time, {"u": np.sin(time), "y": np.random.default_rng(0).normal(size=time.size)})
+        quiet = gb.Record(
+            time, {"u": np.sin(time), "y": np.random.default_rng(0).normal(size=time.size)}
+        )
         if periods > 4:
             _density(quiet, Lag(), LAG, np.array([0.5, 2.0]), ("u", "y"), 50.0)
             continue
-        with pytest.raises(ValueError, match=r"has 49 s, fewer than 4 periods of 0\.5 rad/s: give a longer one"):
+        with pytest.raises(
+            ValueError, match=r"has 49 s, fewer than 4 periods of 0\.5 rad/s: give a longer one"
+        ):
             _density(quiet, Lag(), LAG, np.array([0.5, 2.0]), ("u", "y"), 50.0)
 
 
@@ -228,11 +265,15 @@ def test_a_density_is_averaged_over_a_third_of_its_frequency_and_four_lines_at_l
 
 def test_equally_spaced_sines_are_those_of_the_band_for_the_same_errors(lag):
     """As many, from end to end of the band, equally long for the wanted errors, and rounded up to whole periods."""
-    omega = np.geomspace(0.5, 15, 40)[[0, 20, 39]]  # of forty frequencies the first, the middle and the last
+    omega = np.geomspace(0.5, 15, 40)[
+        [0, 20, 39]
+    ]  # of forty frequencies the first, the middle and the last
     s = 1j * omega
     slopes = np.array([1 / (0.3 * s + 1), -2.0 * s / (0.3 * s + 1) ** 2])
     weight = 0.5**2 * 50 / (2 * 0.05**2)
-    variance = np.diag(np.linalg.inv(weight * np.real(np.conj(slopes) @ slopes.T)))  # of a second of each
+    variance = np.diag(
+        np.linalg.inv(weight * np.real(np.conj(slopes) @ slopes.T))
+    )  # of a second of each
     seconds = max(variance / np.square([*lag.wanted.values()]))
     period = 2 * np.pi / omega
     flown = np.maximum(np.ceil(seconds / period), 10) * period + np.ceil(2 / period) * period
@@ -257,14 +298,18 @@ def test_a_quiet_flight_has_a_few_periods_of_the_lowest_frequency():
         if enough:
             assert np.all(np.isfinite(_density(record, Lag(), LAG, omega, ("u", "y"), 50.0)))
         else:
-            with pytest.raises(ValueError, match=r"the quiet flight has 20 s, fewer than \d+ periods of"):
+            with pytest.raises(
+                ValueError, match=r"the quiet flight has 20 s, fewer than \d+ periods of"
+            ):
                 _density(record, Lag(), LAG, omega, ("u", "y"), 50.0)
 
 
 def test_lines_lie_within_a_sixth_of_a_frequency_or_two_lines_of_the_flight():
     found = _lines_around(np.array([0.5, 6.0, 60.0]), 10 * 2 * np.pi)
     assert found[:, [0, -1]] == pytest.approx(np.array([[0.3, 0.7], [5.0, 7.0], [50.0, 70.0]]))
-    assert np.diff(found, axis=1) == pytest.approx(np.diff(found, axis=1)[:, :1] * np.ones(found.shape[1] - 1))
+    assert np.diff(found, axis=1) == pytest.approx(
+        np.diff(found, axis=1)[:, :1] * np.ones(found.shape[1] - 1)
+    )
     assert _lines_around(np.array([0.15]), 10 * 2 * np.pi).min() == pytest.approx(0.1)
 
 

@@ -25,7 +25,10 @@ def test_sine_schedule_is_the_formula():
     assert np.abs(np.diff(made["reference"])).max() < 0.2 * 3.0 / 200  # no jumps
     first, second = made.schedule
     assert [s[:2] for s in made.schedule] == [("reference", "sine")] * 2
-    assert [(s.low, s.high, s.amplitude, s.offset) for s in made.schedule] == [(3, 3, 0.1, 0.5), (1, 1, 0.2, 0.5)]
+    assert [(s.low, s.high, s.amplitude, s.offset) for s in made.schedule] == [
+        (3, 3, 0.1, 0.5),
+        (1, 1, 0.2, 0.5),
+    ]
     pause = made.settings["pause"]
     assert first.start == pause > 0
     assert second.start - first.end == pytest.approx(pause)
@@ -59,8 +62,12 @@ def test_sines_have_a_hundred_samples_a_second_unless_stated():
 def test_amplitudes_and_periods_are_one_or_one_for_each_frequency():
     with pytest.raises(ValueError, match="there are 3 frequencies but 2 numbers of periods"):
         sine_schedule([1.0, 2.0, 3.0], 0.1, periods=[4, 5])
-    with pytest.raises(ValueError, match="there are 3 frequencies but 2 amplitudes: give one for each"):
+    with pytest.raises(
+        ValueError, match="there are 3 frequencies but 2 amplitudes: give one for each"
+    ):
         sine_schedule([1.0, 2.0, 3.0], [0.1, 0.2])
     made = sine_schedule([1.0, 2.0, 3.0], [0.3, 0.2, 0.1], periods=[4, 5, 6], least=0.0)
     assert [s.amplitude for s in made.schedule] == [0.3, 0.2, 0.1]
-    assert [(s.end - s.settled) * s.low / (2 * math.pi) for s in made.schedule] == pytest.approx([4, 5, 6])
+    assert [(s.end - s.settled) * s.low / (2 * math.pi) for s in made.schedule] == pytest.approx(
+        [4, 5, 6]
+    )

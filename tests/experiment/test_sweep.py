@@ -22,8 +22,15 @@ def chirp_cpp(time, magnitude, record, start_hz, stop_hz, fade_in, fade_out):
             0.5 - 0.5 * np.cos(math.pi * (time - (record - fade_out)) / fade_out + math.pi),
         ],
     )
-    late = low * (record - constant) / rise * (np.exp(rise * (time - constant) / (record - constant)) - 1)
-    return window * magnitude * np.sin(np.where(time <= constant, low * time - low * constant, late))
+    late = (
+        low
+        * (record - constant)
+        / rise
+        * (np.exp(rise * (time - constant) / (record - constant)) - 1)
+    )
+    return (
+        window * magnitude * np.sin(np.where(time <= constant, low * time - low * constant, late))
+    )
 
 
 def test_logarithmic_sweep_is_the_vehicles():
@@ -36,14 +43,27 @@ def test_sweep_reaches_its_frequencies(kind):
     made = sweep(1.0, 20.0, 60, 200, kind=kind, dwell=0, fade_in=0, fade_out=0)
     crossings = made.time[1:][np.diff(np.sign(made["u"])) != 0]
     frequency = math.pi / np.diff(crossings)
-    assert frequency[0] == pytest.approx(1.0, rel=0.15 if kind == "logarithmic" else 0.6)  # rises within the half wave
+    assert frequency[0] == pytest.approx(
+        1.0, rel=0.15 if kind == "logarithmic" else 0.6
+    )  # rises within the half wave
     assert frequency[-1] == pytest.approx(20.0, rel=0.05)
     middle = np.interp(30, crossings[:-1], frequency)
     assert middle == pytest.approx(math.sqrt(20) if kind == "logarithmic" else 10.5, rel=0.1)
 
 
 def test_the_schedule_and_the_settings_say_what_is_flown():
-    made = sweep(1.0, 20.0, 30.0, 100, amplitude=0.2, kind="linear", fade_in=2.0, fade_out=1.0, dwell=1, signal="q")
+    made = sweep(
+        1.0,
+        20.0,
+        30.0,
+        100,
+        amplitude=0.2,
+        kind="linear",
+        fade_in=2.0,
+        fade_out=1.0,
+        dwell=1,
+        signal="q",
+    )
     assert made.schedule == (("q", "linear sweep", 0.0, 0.0, 30.0, 1.0, 20.0, 0.2, 0.0),)
     assert made.settings == {
         "low": 1.0, "high": 20.0, "duration": 30.0, "kind": "linear", "amplitude": 0.2, "fade_in": 2.0, "fade_out": 1.0,
@@ -54,7 +74,8 @@ def test_the_schedule_and_the_settings_say_what_is_flown():
     late = np.maximum(made.time - HZ, 0)
     phase = np.minimum(made.time, HZ) + late + 19 * late**2 / (2 * (30 - HZ)) - HZ
     fades = (
-        np.sin(math.pi / 4 * np.minimum(made.time, 2.0)) ** 2 * np.sin(math.pi / 2 * np.minimum(30 - made.time, 1)) ** 2
+        np.sin(math.pi / 4 * np.minimum(made.time, 2.0)) ** 2
+        * np.sin(math.pi / 2 * np.minimum(30 - made.time, 1)) ** 2
     )
     np.testing.assert_allclose(made["q"], 0.2 * fades * np.sin(phase), atol=1e-12)
 
@@ -65,7 +86,10 @@ def test_the_schedule_and_the_settings_say_what_is_flown():
         (lambda: sweep(10, 1, 60, 100), "must rise"),
         (lambda: sweep(1, 10, 60, 100, kind="cubic"), "'cubic' sweep"),
         (lambda: sweep(0.1, 10, 60, 100), "too short for 2 periods"),
-        (lambda: sweep(1, 1000, 60, 50), "omega is 1000 rad/s: give frequencies above 0 and up to 62.83 rad/s"),
+        (
+            lambda: sweep(1, 1000, 60, 50),
+            "omega is 1000 rad/s: give frequencies above 0 and up to 62.83 rad/s",
+        ),
         (lambda: sweep(0, 10, 60, 50), "omega is 0 rad/s"),
         (lambda: sweep(1, 10, 60, 100, fade_in=-1), "fades of -1 and"),
         (lambda: sweep(1, 10, 60, 100, fade_out=-1), "and -1 s: raise"),

@@ -66,7 +66,8 @@ def exact_loop(values, setpoint, controller):
     """The loop of `LinearTilt` and the linear controller: exact discretization by matrix exponentials."""
     p, gains, h = LinearTilt().values(values), controller.values, 1 / controller.rate
     A = np.array(
-        [[-p.a5, 0, gb.g, 0], [-p.a3, -p.a2, -p.a1, p.a4], [0, 1, 0, 0], [0, 0, 0, -1 / p.T_rotor]], dtype=float
+        [[-p.a5, 0, gb.g, 0], [-p.a3, -p.a2, -p.a1, p.a4], [0, 1, 0, 0], [0, 0, 0, -1 / p.T_rotor]],
+        dtype=float,
     )
     B = np.array([[0], [0], [0], [1 / p.T_rotor]])
 
@@ -74,7 +75,11 @@ def exact_loop(values, setpoint, controller):
         M = expm(np.block([[A, B], [np.zeros((1, 5))]]) * span)
         return M[:4, :4], M[:4, 4]
 
-    whole = round(p.T_delay / h) if abs(p.T_delay / h - round(p.T_delay / h)) < 1e-9 else math.floor(p.T_delay / h)
+    whole = (
+        round(p.T_delay / h)
+        if abs(p.T_delay / h - round(p.T_delay / h)) < 1e-9
+        else math.floor(p.T_delay / h)
+    )
     part = max(p.T_delay - whole * h, 0.0)
     (first, from_old), (second, from_new) = discretized(part), discretized(h - part)
     alpha = gains.omega_D * h / (1 + gains.omega_D * h)
@@ -102,7 +107,9 @@ def test_the_closed_loop_is_the_exactly_discretized_one(delay):
         assert_allclose(flown[name], exact, atol=1e-6 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize(("delay", "rate"), [(0.0137, 100.0), (0.02, 100.0), (0.0, 50.0), (0.31, 20.0)])
+@pytest.mark.parametrize(
+    ("delay", "rate"), [(0.0137, 100.0), (0.02, 100.0), (0.0, 50.0), (0.31, 20.0)]
+)
 def test_a_step_through_lag_and_delay(delay, rate):
     class Late(Lag):
         tau = gb.Parameter(0.0, bounds=(0, 1), unit="s")
@@ -121,7 +128,11 @@ def test_every_input_has_its_own_delay_and_the_sample_sees_what_is_in_effect():
     """Steps of u and w; ramps and parabolas follow to rounding errors."""
     values = {"T_u": 0.013, "T_w": 0.0375}
     flown = gb.virtual_flight(
-        Drift(), values, excitation={"u": np.ones(50), "w": np.full(50, 2.0)}, rate=100, noise={"b": 0}
+        Drift(),
+        values,
+        excitation={"u": np.ones(50), "w": np.full(50, 2.0)},
+        rate=100,
+        noise={"b": 0},
     )
     u, w = (np.maximum(flown.time - d, 0) for d in values.values())
     assert_allclose(flown["y"], u + 4 * w + 6 * (w > 0), atol=1e-12)
@@ -156,7 +167,13 @@ def test_a_mode_that_becomes_fast_on_the_way_is_noticed():
 
     flown = gb.virtual_flight(Cubic(), {}, excitation={"u": np.full(40, 1e4)}, rate=100)
     exact = solve_ivp(
-        lambda t, x: 1e4 - 10 * x**3, (0, 0.39), [0.0], "LSODA", t_eval=flown.time, rtol=1e-11, atol=1e-11
+        lambda t, x: 1e4 - 10 * x**3,
+        (0, 0.39),
+        [0.0],
+        "LSODA",
+        t_eval=flown.time,
+        rtol=1e-11,
+        atol=1e-11,
     )
     assert_allclose(flown["x"], exact.y[0], atol=1e-5)
 
@@ -165,12 +182,16 @@ def test_a_nonlinear_flight_is_that_of_a_reference_integrator():
     """`NonlinearTilt` under the logged controls, which arrive two samples late, by LSODA from jump to jump."""
     values, model = TRUTH | {"T_delay": 0.005}, NonlinearTilt()
     setpoint = {"reference": np.full(800, 0.6)}
-    flown = gb.virtual_flight(model, values, controller=PITCH, excitation=setpoint, noise={"q": 0, "rotor": 0})
+    flown = gb.virtual_flight(
+        model, values, controller=PITCH, excitation=setpoint, noise={"q": 0, "rotor": 0}
+    )
     p, x = model.values(values), np.zeros(4)
     for u in [0.0, 0.0, *flown["u"][:-3]]:
         held = Names({"u": u})
         moved = solve_ivp(
-            lambda _, z, u=held: model.derivative(Names(dict(zip(model.states, z, strict=True))), u, p),
+            lambda _, z, u=held: model.derivative(
+                Names(dict(zip(model.states, z, strict=True))), u, p
+            ),
             (0, 1 / 400),
             x,
             "LSODA",
@@ -199,7 +220,9 @@ def test_a_sine_test_through_the_loop_measures_the_plant(plant):
     )
     (segments,) = [gb.logs.find_segments(flown, setpoint="reference")]
     found = gb.spectral.finite_frequency(flown, segments, setpoint="reference")
-    at = {n: v for n, v in values.items() if n != "C_x"} | {"a5": 0.16 if plant.label == "LinearTilt" else 1e-6}
+    at = {n: v for n, v in values.items() if n != "C_x"} | {
+        "a5": 0.16 if plant.label == "LinearTilt" else 1e-6
+    }
     truth = gb.frequency_response(LinearTilt(), at, found.response.omega, output="theta").response
     assert_allclose(found.response.omega, [5.34, 16.01], rtol=1e-4)
     assert np.all(np.abs(found.response.response / truth - 1) < [0.012, 0.025])
@@ -211,7 +234,10 @@ def test_a_sine_test_through_the_loop_measures_the_plant(plant):
 
 def test_demodulation_by_hand_gives_the_same():
     flown = gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=sines(pause=0.0))
-    u, theta = (gb.spectral.demodulate(flown.time, flown[n], 5.34, settle=10.0, harmonics=1) for n in ("u", "theta"))
+    u, theta = (
+        gb.spectral.demodulate(flown.time, flown[n], 5.34, settle=10.0, harmonics=1)
+        for n in ("u", "theta")
+    )
     truth = gb.frequency_response(LinearTilt(), TRUTH, [5.34], output="theta").response[0]
     assert abs(theta / u / truth * np.exp(5.34j * HOLD) - 1) < 1e-3
 
@@ -220,7 +246,11 @@ def test_the_truth_is_found_again():
     """A noisy flight of sines, its measured response, and (4.26): the parameters within their errors."""
     omega = [1.0, 2.0, 3.5, 5.34, 8.0, 12.03, 16.01, 20.11]
     flown = gb.virtual_flight(
-        LinearTilt(), TRUTH, controller=PITCH, excitation=sines(omega), noise={"theta": 2e-4, "q": 2e-3}
+        LinearTilt(),
+        TRUTH,
+        controller=PITCH,
+        excitation=sines(omega),
+        noise={"theta": 2e-4, "q": 2e-3},
     )
     found = gb.spectral.finite_frequency(
         flown, gb.logs.find_segments(flown, setpoint="reference"), setpoint="reference"
@@ -228,21 +258,27 @@ def test_the_truth_is_found_again():
     fixed = {"T_rotor": 0.05, "T_delay": 0.0042 + HOLD, "a5": 0.16}
     fit = gb.fit(gb.Problem(Tilt(), found.response, fixed=fixed), starts=30, seed=0, progress=False)
     for name, value in TILT.items():
-        assert abs(fit.estimate[name] - value) < max(4 * fit.standard_error[name], 0.002 * abs(value))
+        assert abs(fit.estimate[name] - value) < max(
+            4 * fit.standard_error[name], 0.002 * abs(value)
+        )
 
 
 def test_a_sweep_at_the_mixer_and_behind_the_controller():
     """Added before the limit and behind it, the loop sees the same while no limit is met."""
     sweep = gb.experiment.sweep(3.0, 20.0, 20, 400, amplitude=0.02, signal="mixer")
     mixed = gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=sweep)
-    behind = gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation={"u": sweep["mixer"]})
+    behind = gb.virtual_flight(
+        LinearTilt(), TRUTH, controller=PITCH, excitation={"u": sweep["mixer"]}
+    )
     assert_allclose(mixed["u"], behind["u"], atol=1e-12)
     assert_allclose(mixed["theta"], behind["theta"], atol=1e-12)
     assert_allclose(behind["u_excitation"], sweep["mixer"])
     assert np.abs(mixed["u"] - sweep["mixer"]).max() > 1e-3
     limited = AttitudeController({"u_max": 0.008})
     mixed = gb.virtual_flight(LinearTilt(), TRUTH, controller=limited, excitation=sweep)
-    behind = gb.virtual_flight(LinearTilt(), TRUTH, controller=limited, excitation={"u": sweep["mixer"]})
+    behind = gb.virtual_flight(
+        LinearTilt(), TRUTH, controller=limited, excitation={"u": sweep["mixer"]}
+    )
     assert np.abs(mixed["u"]).max() == 0.008 < np.abs(behind["u"]).max()
 
 
@@ -260,7 +296,13 @@ def test_a_multisine_on_two_axes_is_two_flights():
             return (x.theta, x.phi)
 
     pitch = AttitudeController(signals={"u": "u_theta"})
-    wires = {"theta": "phi", "q": "p", "u": "u_phi", "reference": "roll", "q_reference": "p_reference"}
+    wires = {
+        "theta": "phi",
+        "q": "p",
+        "u": "u_phi",
+        "reference": "roll",
+        "q_reference": "p_reference",
+    }
     roll = AttitudeController({"K_P": 0.1}, signals=wires)
     made = gb.experiment.multisine(
         1.0, 20.0, 10.0, 400, amplitude=0.05, signals=("reference", "roll"), unit="rad", periods=2
@@ -304,9 +346,14 @@ def test_a_controller_of_the_velocity_flies_the_attitude():
 def test_a_transfer_function_is_flown_with_the_derivative_of_its_output():
     wires = {"q": "theta_dot"}
     flown = gb.virtual_flight(
-        Tilt(), TRUTH | {"a5": 0.16}, controller=AttitudeController(signals=wires), excitation=steps()
+        Tilt(),
+        TRUTH | {"a5": 0.16},
+        controller=AttitudeController(signals=wires),
+        excitation=steps(),
     )
-    states = gb.virtual_flight(LinearTilt(), TRUTH | {"a5": 0.16}, controller=PITCH, excitation=steps())
+    states = gb.virtual_flight(
+        LinearTilt(), TRUTH | {"a5": 0.16}, controller=PITCH, excitation=steps()
+    )
     assert_allclose(flown["theta"], states["theta"], atol=1e-7)
     assert_allclose(flown["theta_dot"], states["q"], atol=1e-6)
     yaw = gb.virtual_flight(
@@ -322,7 +369,9 @@ def test_forward_flight_begins_at_its_trim():
     point = gb.modeling.linearize(NonlinearTilt(), TRUTH, {"theta": math.radians(5)}).point
     held = AttitudeController(initial={"integral": point["u"]})
     level = {"reference": np.full(4000, math.radians(5))}
-    flown = gb.virtual_flight(NonlinearTilt(), TRUTH, controller=held, excitation=level, initial=point)
+    flown = gb.virtual_flight(
+        NonlinearTilt(), TRUTH, controller=held, excitation=level, initial=point
+    )
     for name in ("theta", "v", "u"):
         assert_allclose(flown[name], point[name], rtol=1e-7)
     alone = gb.virtual_flight(
@@ -332,14 +381,21 @@ def test_forward_flight_begins_at_its_trim():
 
 
 @pytest.mark.parametrize(
-    "estimate", [(-1.28, 1.86, 73.07, 286.6), (-14.61, 2.97, 83.06, 295.5), (-34.01, 3.41, 26.38, 241.9)]
+    "estimate",
+    [(-1.28, 1.86, 73.07, 286.6), (-14.61, 2.97, 83.06, 295.5), (-34.01, 3.41, 26.38, 241.9)],
 )
 def test_the_default_gains_hold_what_the_paper_identified(estimate):
     """(4.27), (4.28), (4.31), with the margins that the controller's docstring states: a pulse dies out."""
     a1, a2, a3_tilde, a4 = estimate
     pulse = {"reference": np.repeat([0.02, 0.0], [400, 11600])}
     for more, later in ((6.0, 0.0), (0.25, 0.0), (1.0, 0.028)):
-        values = {"a1": a1, "a2": a2, "a3": a3_tilde / gb.g, "a4": more * a4, "T_delay": 0.0042 + later}
+        values = {
+            "a1": a1,
+            "a2": a2,
+            "a3": a3_tilde / gb.g,
+            "a4": more * a4,
+            "T_delay": 0.0042 + later,
+        }
         flown = gb.virtual_flight(LinearTilt(), values, controller=PITCH, excitation=pulse)
         assert np.abs(flown["theta"][-400:]).max() < 0.2 * np.abs(flown["theta"]).max()
 
@@ -378,7 +434,9 @@ def test_noise_has_its_size_and_is_what_the_controller_reads():
     noisy = gb.virtual_flight(plant, values, noise=noise, bias=bias, seed=4, **options)
     assert_allclose(noisy["u"], -0.05 * noisy["q"], rtol=1e-12)  # the very samples that are logged
     # The same controls through the plant without sensors give the truth.
-    true = gb.virtual_flight(plant, values, excitation={"u": noisy["u"]}, rate=400, noise={"q": 0.0})
+    true = gb.virtual_flight(
+        plant, values, excitation={"u": noisy["u"]}, rate=400, noise={"q": 0.0}
+    )
     for name, size in noise.items():
         error = noisy[name] - true[name]
         assert_allclose(error.std(), size, rtol=0.02)  # 5 standard errors at 40000 samples
@@ -405,12 +463,16 @@ def test_process_noise_is_white_and_independent_of_the_sensors():
 
 def test_a_slower_log_has_the_mean_of_the_controls_and_samples_of_the_rest():
     options = {"controller": PITCH, "excitation": sines(), "noise": {"q": 1e-3}}
-    full, thin = (gb.virtual_flight(LinearTilt(), TRUTH, rate=rate, **options) for rate in (None, 100))
+    full, thin = (
+        gb.virtual_flight(LinearTilt(), TRUTH, rate=rate, **options) for rate in (None, 100)
+    )
     assert (full.rate, thin.rate) == pytest.approx((400, 100))
     for name in ("theta", "q", "reference"):
         assert_allclose(thin[name], full[name][::4])
     whole = len(full) // 4
-    assert_allclose(thin["u"][:whole], full["u"][: 4 * whole].reshape(-1, 4).mean(axis=1), atol=1e-12)
+    assert_allclose(
+        thin["u"][:whole], full["u"][: 4 * whole].reshape(-1, 4).mean(axis=1), atol=1e-12
+    )
     assert_allclose(thin["u"][whole:], np.mean(full["u"][4 * whole :]), atol=1e-12)
     assert_allclose(thin["reference"], sines(rate=100.0)["reference"][: len(thin)], atol=1e-12)
 
@@ -418,19 +480,29 @@ def test_a_slower_log_has_the_mean_of_the_controls_and_samples_of_the_rest():
 def test_an_excitation_slower_than_the_controller_is_interpolated_or_held():
     made = sines(rate=100.0)
     smooth, stairs = (
-        gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=made, hold=hold) for hold in (False, True)
+        gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=made, hold=hold)
+        for hold in (False, True)
     )
-    assert_allclose(gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=made)["u"], smooth["u"])
+    assert_allclose(
+        gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=made)["u"], smooth["u"]
+    )
     whole = len(smooth) // 4 * 4
     assert_allclose(smooth["reference"][::4], made["reference"][: whole // 4 + 1], atol=1e-12)
-    assert_allclose(smooth["reference"][2:whole:4], (made["reference"][1:] + made["reference"][:-1])[: whole // 4] / 2)
+    assert_allclose(
+        smooth["reference"][2:whole:4],
+        (made["reference"][1:] + made["reference"][:-1])[: whole // 4] / 2,
+    )
     assert np.ptp(stairs["reference"][:whole].reshape(-1, 4), axis=1).max() == 0
-    assert np.abs(np.diff(stairs["u"])).max() > 3 * np.abs(np.diff(smooth["u"])).max()  # the derivative's spikes
+    assert (
+        np.abs(np.diff(stairs["u"])).max() > 3 * np.abs(np.diff(smooth["u"])).max()
+    )  # the derivative's spikes
 
 
 def test_a_record_is_flown_again():
     """The logged controls of a closed-loop flight, open loop from there, on the record's own clock."""
-    flown = gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=sines()).between(2.0, 3.0)
+    flown = gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=sines()).between(
+        2.0, 3.0
+    )
     start = {"v": flown["v"][0], "theta": flown["theta"][0]}
     again = gb.virtual_flight(LinearTilt(), TRUTH, excitation=flown, initial=start)
     assert_allclose(again.time, flown.time)
@@ -442,7 +514,13 @@ def test_a_record_is_flown_again():
 def test_the_record_knows_the_truth():
     made = sines()
     flown = gb.virtual_flight(
-        NonlinearTilt(), {"a1": -2.0}, controller=PITCH, excitation=made, noise={"q": 0.01}, seed=7, rate=100
+        NonlinearTilt(),
+        {"a1": -2.0},
+        controller=PITCH,
+        excitation=made,
+        noise={"q": 0.01},
+        seed=7,
+        rate=100,
     )
     assert flown.metadata["values"] == {**NonlinearTilt().values(), "a1": -2.0}
     assert flown.metadata["controllers"][0]["values"]["K_P"] == 0.135
@@ -458,8 +536,13 @@ def test_the_record_knows_the_truth():
 
 def test_a_flight_that_diverges_says_when_and_what():
     wild = AttitudeController({"K_P": -0.5})
-    with pytest.raises(ValueError, match=r"LinearTilt diverges: the state 'v' is \S+e\+\d+ at \d+\.\d\d s; give gains"):
-        gb.virtual_flight(LinearTilt(), TRUTH, controller=wild, excitation={"reference": np.full(80000, 0.1)})
+    with pytest.raises(
+        ValueError,
+        match=r"LinearTilt diverges: the state 'v' is \S+e\+\d+ at \d+\.\d\d s; give gains",
+    ):
+        gb.virtual_flight(
+            LinearTilt(), TRUTH, controller=wild, excitation={"reference": np.full(80000, 0.1)}
+        )
     with pytest.raises(ValueError, match=r"diverges: the state '\w+' is .* s; give a controller"):
         gb.virtual_flight(LinearTilt(), TRUTH, excitation={"u": np.full(4000, 0.1)}, rate=50)
     with pytest.raises(ValueError, match=r"diverges: 'u' is nan at 0\.00 s"):
@@ -487,7 +570,9 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
         def output(self, x, u, p):
             return (x.v,)
 
-    flown = gb.virtual_flight(Friction(), {}, excitation={"u": 10 * np.sin(np.arange(50) / 5)}, rate=100)
+    flown = gb.virtual_flight(
+        Friction(), {}, excitation={"u": 10 * np.sin(np.arange(50) / 5)}, rate=100
+    )
     assert len(flown.findings) == 1
     assert "stiff or not smooth" in flown.findings[0]
 
@@ -497,26 +582,58 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
     [
         ({"plant": LinearTilt}, TypeError, "is not a model: give an instance"),
         ({"values": {"a9": 1.0}}, ValueError, "LinearTilt has no parameter 'a9'"),
-        ({"values": {"T_delay": -0.01}}, ValueError, "the delay of 'u' is -0.01 s: give a value of 0 or more"),
+        (
+            {"values": {"T_delay": -0.01}},
+            ValueError,
+            "the delay of 'u' is -0.01 s: give a value of 0 or more",
+        ),
         ({"controller": AttitudeController}, TypeError, "is not a Controller: give e.g."),
         (
             {"controller": AttitudeController(signals={"q": "p"})},
             ValueError,
             "LinearTilt has no 'p' to measure; it has",
         ),
-        ({"excitation": {"setpoint": np.zeros(9)}}, ValueError, "LinearTilt has no place for 'setpoint'; it has ref"),
+        (
+            {"excitation": {"setpoint": np.zeros(9)}},
+            ValueError,
+            "LinearTilt has no place for 'setpoint'; it has ref",
+        ),
         ({"excitation": {}}, ValueError, "the excitation is empty: give arrays"),
         ({"excitation": np.zeros(9)}, TypeError, "the excitation is a ndarray: give an Excitation"),
-        ({"excitation": {"reference": [0, np.nan]}}, ValueError, "with 1 missing: give arrays of one length"),
-        ({"excitation": {"reference": [0, 1], "rate": [0]}}, ValueError, "give arrays of one length"),
+        (
+            {"excitation": {"reference": [0, np.nan]}},
+            ValueError,
+            "with 1 missing: give arrays of one length",
+        ),
+        (
+            {"excitation": {"reference": [0, 1], "rate": [0]}},
+            ValueError,
+            "give arrays of one length",
+        ),
         ({"excitation": {"reference": 1.0}}, ValueError, "give arrays of one length"),
         ({"excitation": gb.Record([0, 1], {"theta": [0, 1]})}, ValueError, "no place for 'theta'"),
-        ({"noise": {"w": 1.0}}, ValueError, "LinearTilt has no 'w' to measure; it has theta, v, q, rotor and their"),
+        (
+            {"noise": {"w": 1.0}},
+            ValueError,
+            "LinearTilt has no 'w' to measure; it has theta, v, q, rotor and their",
+        ),
         ({"noise": {"q": -1.0}}, ValueError, "noise.'q'. is -1.0: give a number of 0 or more"),
         ({"bias": {"q": "big"}}, ValueError, "bias.'q'. is 'big': give a number."),
-        ({"process_noise": {"u": 1.0}}, ValueError, "process_noise has no place for 'u'; it has v, q, theta, rotor"),
-        ({"initial": {"w": 1.0}}, ValueError, "initial has no place for 'w'; it has v, q, theta, rotor, u"),
-        ({"rate": 150}, ValueError, "150 Hz does not divide the 400 Hz of the loop: use e.g. 133.333 Hz"),
+        (
+            {"process_noise": {"u": 1.0}},
+            ValueError,
+            "process_noise has no place for 'u'; it has v, q, theta, rotor",
+        ),
+        (
+            {"initial": {"w": 1.0}},
+            ValueError,
+            "initial has no place for 'w'; it has v, q, theta, rotor, u",
+        ),
+        (
+            {"rate": 150},
+            ValueError,
+            "150 Hz does not divide the 400 Hz of the loop: use e.g. 133.333 Hz",
+        ),
         ({"rate": 1000}, ValueError, "does not divide the 400 Hz of the loop: use e.g. 400 Hz"),
         ({"rate": -1}, ValueError, "rate is -1: give samples per second above 0"),
         ({"rate": 0}, ValueError, "rate is 0: give samples per second above 0"),
@@ -527,7 +644,11 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
             ValueError,
             "arrays alone have no sampling rate: give rate",
         ),
-        ({"controller": None, "excitation": sines()}, ValueError, "LinearTilt has no place for 'reference'; it has u"),
+        (
+            {"controller": None, "excitation": sines()},
+            ValueError,
+            "LinearTilt has no place for 'reference'; it has u",
+        ),
         (
             {"controller": None, "excitation": gb.Record([0, 1, 3], {"u": [0, 1, 2]})},
             ValueError,
@@ -536,7 +657,11 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
     ],
 )
 def test_bad_input(changed, error, sentence):
-    given = {"plant": LinearTilt(), "controller": PITCH, "excitation": {"reference": np.zeros(9)}} | changed
+    given = {
+        "plant": LinearTilt(),
+        "controller": PITCH,
+        "excitation": {"reference": np.zeros(9)},
+    } | changed
     plant = given.pop("plant")
     with pytest.raises(error, match=sentence):
         gb.virtual_flight(plant, given.pop("values", None), **given)
@@ -547,7 +672,9 @@ def test_a_log_is_a_whole_number_of_passes_apart():
     assert [_thinning(400.0, rate) for rate in (None, 400.0, 200.0, 100.0 / 3)] == [1, 1, 2, 12]
     assert _thinning(300.0, 100.0 * (1 + 0.5e-6)) == 3
     for rate, near in ((100.0 * (1 + 2e-6), "100"), (130.0, "150"), (900.0, "300")):
-        with pytest.raises(ValueError, match=rf"does not divide the 300 Hz of the loop: use e\.g\. {near} Hz"):
+        with pytest.raises(
+            ValueError, match=rf"does not divide the 300 Hz of the loop: use e\.g\. {near} Hz"
+        ):
             _thinning(300.0, rate)
 
 
@@ -560,7 +687,10 @@ def test_an_open_loop_runs_at_the_rate_of_its_excitation():
     time = np.arange(11) / 20 + 3.0
     assert _open_loop_rate(gb.Record(time, {"u": time}), None) == pytest.approx(20)
     assert _open_loop_rate({"u": time}, 8.0) == 8.0
-    for record in (gb.Record(time + 0.02 * (time > 3.2) / 20, {"u": time}), gb.Record(time[:1], {"u": time[:1]})):
+    for record in (
+        gb.Record(time + 0.02 * (time > 3.2) / 20, {"u": time}),
+        gb.Record(time[:1], {"u": time[:1]}),
+    ):
         with pytest.raises(ValueError, match="not uniformly sampled"):
             _open_loop_rate(record, None)
     shaken = time + 0.004 / 20 * np.random.default_rng(0).uniform(-1, 1, 11)
@@ -568,7 +698,9 @@ def test_an_open_loop_runs_at_the_rate_of_its_excitation():
 
 
 def test_commands_are_held_or_interpolated_on_the_clock_of_the_loop():
-    record = gb.Record(np.array([1.0, 1.1, 1.2]), {"u": np.array([0.0, 1.0, 5.0])}, units={"u": "rad"})
+    record = gb.Record(
+        np.array([1.0, 1.1, 1.2]), {"u": np.array([0.0, 1.0, 5.0])}, units={"u": "rad"}
+    )
     time, held, units = _commands(record, 20.0, ["u"], "it", True)
     assert_allclose(time, 1 + np.arange(5) / 20)
     assert held["u"].tolist() == [0.0, 0.0, 1.0, 1.0, 5.0]

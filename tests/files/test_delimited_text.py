@@ -17,7 +17,10 @@ RESPONSE = ("omega_rad_s", "alpha", "beta")
 
 def spelled(names, table, separator=",", comma=False, end="\n", before="", between=""):
     """Write a table of numbers in one of the usual ways."""
-    rows = [separator.join(names), *(separator.join(f"{value!r}" for value in row.tolist()) for row in table)]
+    rows = [
+        separator.join(names),
+        *(separator.join(f"{value!r}" for value in row.tolist()) for row in table),
+    ]
     text = end.join([*rows[:3], *([between] if between else []), *rows[3:], ""])
     head, _, body = text.partition(end)
     return before + head + end + (body.replace(".", ",") if comma else body)
@@ -41,13 +44,17 @@ SPELLINGS = [
 ]
 
 
-@pytest.mark.parametrize("how", SPELLINGS, ids=lambda how: repr(how["separator"] + "," * how["comma"] + how["end"]))
+@pytest.mark.parametrize(
+    "how", SPELLINGS, ids=lambda how: repr(how["separator"] + "," * how["comma"] + how["end"])
+)
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
 def test_one_truth_in_every_spelling(tmp_path, how, encoding):
     record = gb.read(saved(tmp_path, spelled(NAMES, TRUTH, **how), encoding))["flight"]
     assert list(record.signals) == ["pitch", "Böe"]
     assert_array_equal(np.column_stack([record.time, record["pitch"], record["Böe"]]), TRUTH)
-    response = gb.read_response(saved(tmp_path, spelled((*RESPONSE[:2], "beta"), TRUTH, **how), encoding))
+    response = gb.read_response(
+        saved(tmp_path, spelled((*RESPONSE[:2], "beta"), TRUTH, **how), encoding)
+    )
     assert_array_equal(np.column_stack([response.omega, response.alpha, response.beta]), TRUTH)
 
 
@@ -73,9 +80,15 @@ def test_a_typographic_minus_is_a_minus(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        (["1,5;2;3", "2.5;3;4"], r"line 2, has '1,5' where line 3 has '2\.5': write all numbers with one decimal mark"),
+        (
+            ["1,5;2;3", "2.5;3;4"],
+            r"line 2, has '1,5' where line 3 has '2\.5': write all numbers with one decimal mark",
+        ),
         (["1;2.5;3", "2;1,000;4"], r"line 3, has '1,000' where line 2 has '2\.5'"),
-        (["1;2;3", "2;1,000;4"], "line 3: '1,000' may have a decimal comma or a thousands separator"),
+        (
+            ["1;2;3", "2;1,000;4"],
+            "line 3: '1,000' may have a decimal comma or a thousands separator",
+        ),
         (["1;2;3", "2;1.234,5;4"], r"line 3: '1\.234,5' has a thousands separator"),
         (["1;2;3", "2;1,234.5;4"], r"line 3: '1,234\.5' has a thousands separator"),
         (["1;2;3", "2;3;4;5"], "line 3, has 4 cells where the header has 3: name all columns"),
@@ -92,7 +105,9 @@ def test_what_can_be_read_in_two_ways_is_refused_with_its_line(tmp_path, rows, w
 
 
 def test_a_comma_in_a_text_column_decides_nothing(tmp_path):
-    record = gb.read(saved(tmp_path, "t;x;note\n0;0.5;calm, then gusts\n1;1.5;gain 3, 4\n"))["flight"]
+    record = gb.read(saved(tmp_path, "t;x;note\n0;0.5;calm, then gusts\n1;1.5;gain 3, 4\n"))[
+        "flight"
+    ]
     assert_array_equal(record["x"], [0.5, 1.5])
 
 
@@ -108,7 +123,9 @@ def test_digits_with_underscores_are_no_numbers(tmp_path):
 
 def test_utf_16_is_refused_with_the_cure(tmp_path):
     for read in (gb.read, gb.read_response):
-        with pytest.raises(ValueError, match=r"is not a CSV text file .* UTF-16 .*: save it as UTF-8"):
+        with pytest.raises(
+            ValueError, match=r"is not a CSV text file .* UTF-16 .*: save it as UTF-8"
+        ):
             read(saved(tmp_path, "t,x\n0,1\n1,2\n", "utf-16"))
 
 
@@ -140,7 +157,10 @@ def test_the_second_column_is_read_in_each_spelling(tmp_path, text, values):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("t;x\n0;1,234\n1;12,345\n", "line 2: '1,234' may have a decimal comma or a thousands separator"),
+        (
+            "t;x\n0;1,234\n1;12,345\n",
+            "line 2: '1,234' may have a decimal comma or a thousands separator",
+        ),
         ("t;x\n0;1,5\n1;2.5\n", r"line 2, has '1,5' where line 3 has '2\.5'"),
         ("t;x\n0;2.5\n1;1,5\n2;7,5\n3;2.6\n", r"line 3, has '1,5' where line 2 has '2\.5'"),
         ("t;x\n0;1,234,567\n", "line 2: '1,234,567' has a thousands separator: leave it out"),
@@ -148,7 +168,10 @@ def test_the_second_column_is_read_in_each_spelling(tmp_path, text, values):
             "t,x\n0,1,2\n",
             "line 2, has 3 cells where the header has 2: name all columns, or, if its numbers have",
         ),
-        ("t;x\n\n# wind\n0;1\n1;2;3\n", "line 5, has 3 cells where the header has 2: name all columns\\."),
+        (
+            "t;x\n\n# wind\n0;1\n1;2;3\n",
+            "line 5, has 3 cells where the header has 2: name all columns\\.",
+        ),
     ],
 )
 def test_the_line_of_a_mistake_is_named(tmp_path, text, words):

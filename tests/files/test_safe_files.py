@@ -85,7 +85,9 @@ with replacing(Path(sys.argv[1])) as temporary:
 def run_of():
     def start(path, fate):
         command = [sys.executable, "-c", KILLED, str(path), fate]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ALONE)
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ALONE
+        )
         assert process.stdout.readline() == b"writing\n"
         started.append(process)
         return process
@@ -139,7 +141,9 @@ except OSError as error:
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"none.a\.csv cannot be written .*: free space or choose another"):
+    with pytest.raises(
+        FileNotFoundError, match=r"none.a\.csv cannot be written .*: free space or choose another"
+    ):
         write_text(tmp_path / "none" / "a.csv", "x")
 
 

@@ -33,14 +33,20 @@ def test_one_changed_bit_is_found(sealed, offset):
     raw = bytearray(sealed.read_bytes())
     raw[offset] ^= 1
     sealed.write_bytes(raw)
-    with pytest.raises(ValueError, match="is damaged or was changed since it was saved"), open_sealed(sealed, "fit"):
+    with (
+        pytest.raises(ValueError, match="is damaged or was changed since it was saved"),
+        open_sealed(sealed, "fit"),
+    ):
         pass
 
 
 def test_truncated_files_other_kinds_and_missing_ones(sealed, tmp_path):
     with pytest.raises(ValueError, match="is not a greybox record"), open_sealed(sealed, "record"):
         pass
-    with pytest.raises(FileNotFoundError, match="there is no file"), open_sealed(tmp_path / "b.h5", "fit"):
+    with (
+        pytest.raises(FileNotFoundError, match="there is no file"),
+        open_sealed(tmp_path / "b.h5", "fit"),
+    ):
         pass
     sealed.write_bytes(sealed.read_bytes()[:-10])
     with pytest.raises(ValueError, match="is damaged"), open_sealed(sealed, "fit"):
@@ -48,5 +54,8 @@ def test_truncated_files_other_kinds_and_missing_ones(sealed, tmp_path):
 
 
 def test_what_is_missing_inside_is_said_as_damage(sealed):
-    with pytest.raises(ValueError, match="is not a greybox fit or is damaged"), open_sealed(sealed, "fit") as file:
+    with (
+        pytest.raises(ValueError, match="is not a greybox fit or is damaged"),
+        open_sealed(sealed, "fit") as file,
+    ):
         file["y"][()]

@@ -35,7 +35,10 @@ def test_what_is_written_is_a_line_of_json_and_the_numbers(monkeypatch):
     collector.findings.append("odd")
     collector.write()
     head, _, raw = Out.buffer.getvalue().partition(b"\n")
-    assert json.loads(head)["items"] == [{"path": "ATT/x", "unit": "deg"}, {"path": "ATT/m", "unit": ""}]
+    assert json.loads(head)["items"] == [
+        {"path": "ATT/x", "unit": "deg"},
+        {"path": "ATT/m", "unit": ""},
+    ]
     assert json.loads(head)["shapes"] == [[2], [2, 2]]
     np.testing.assert_array_equal(np.frombuffer(raw, "<f8"), [1, 2, 1, 0, 0, 1])
 
@@ -113,7 +116,10 @@ def test_no_more_is_read_than_a_file_can_hold(tmp_path, options):
     ("contents", "names"),
     [
         ({"time": np.arange(3.0), "signals": {"values": np.ones(3), "label": "u"}}, ["time", "u"]),
-        ({"time": np.arange(3.0), "signals": [{"values": np.ones(3), "label": ""}]}, ["time", "signal1"]),
+        (
+            {"time": np.arange(3.0), "signals": [{"values": np.ones(3), "label": ""}]},
+            ["time", "signal1"],
+        ),
         ({"a": {"b": {"c": np.ones(2)}}}, ["a/b/c"]),
         ({"__header__": np.ones(2), "word": "x", "scalar": 1.0}, []),
     ],
@@ -125,12 +131,17 @@ def test_structs_and_simulinks_structure_with_time(contents, names):
 
 
 def test_of_a_table_of_rows_the_columns_of_numbers_are_kept(tmp_path):
-    rows = np.array([(1, 2.5, b"a"), (3, 4.5, b"b")], dtype=[("k", "<i4"), ("x", "<f8"), ("name", "S3")])
+    rows = np.array(
+        [(1, 2.5, b"a"), (3, 4.5, b"b")], dtype=[("k", "<i4"), ("x", "<f8"), ("name", "S3")]
+    )
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file["table"] = rows
     collector = Collector(SMALL)
     subprocess_main.hdf5(str(tmp_path / "log.h5"), collector, [])
-    assert {item["path"]: values.tolist() for item, values in zip(collector.items, collector.arrays, strict=True)} == {
+    assert {
+        item["path"]: values.tolist()
+        for item, values in zip(collector.items, collector.arrays, strict=True)
+    } == {
         "table/k": [1, 3],
         "table/x": [2.5, 4.5],
     }
@@ -220,12 +231,27 @@ def test_vectors_and_matrices_of_numbers_are_kept_with_their_units(h5):
         file["flags"] = [True, False]
         file["m"] = np.arange(6.0).reshape(2, 3)
         file["m"].attrs["unit"] = 7
-        file["scalar"], file["cube"], file["word"], file["none"] = 1.0, np.zeros((1, 1, 2)), "word", h5py.Empty("f8")
+        file["scalar"], file["cube"], file["word"], file["none"] = (
+            1.0,
+            np.zeros((1, 1, 2)),
+            "word",
+            h5py.Empty("f8"),
+        )
         file["empty"], file["complex"] = np.zeros(0), np.zeros(2, complex)
 
     found = h5(write)
-    assert {item["path"]: item["unit"] for item in found.items} == {"x": "m", "y": "deg", "flags": "", "m": ""}
-    assert [values.tolist() for values in found.arrays] == [[1, 0], [[0, 1, 2], [3, 4, 5]], [0, 1, 2], [0, 1, 2]]
+    assert {item["path"]: item["unit"] for item in found.items} == {
+        "x": "m",
+        "y": "deg",
+        "flags": "",
+        "m": "",
+    }
+    assert [values.tolist() for values in found.arrays] == [
+        [1, 0],
+        [[0, 1, 2], [3, 4, 5]],
+        [0, 1, 2],
+        [0, 1, 2],
+    ]
     assert found.findings == []
     assert found.room == SMALL - 8 * (2 + 6 + 3 + 3)  # written as 8 bytes each, whatever their type
 
@@ -256,7 +282,9 @@ def test_a_sealed_file_holds_members_numbers_and_texts(h5):
     assert found.arrays[0].tolist() == [[0, 1], [2, 3]]
     assert found.letters == SMALL - len("aonetwo")
     for odd in (np.zeros((1, 1, 1)), np.zeros(2, complex), np.array([b"ab"])):
-        with pytest.raises(RefusedError, match=r"x (holds neither numbers nor text|is larger than the file)"):
+        with pytest.raises(
+            RefusedError, match=r"x (holds neither numbers nor text|is larger than the file)"
+        ):
             h5(lambda file, odd=odd: file.create_dataset("x", data=odd), "sealed")
 
 
@@ -274,21 +302,33 @@ def test_structs_are_followed_to_eight_levels_and_matrices_are_kept():
         subprocess_main._keep_struct("", nested(levels), collector)
         assert len(collector.items) == kept
     collector = Collector(SMALL)
-    contents = {"m": np.ones((2, 3)), "c": np.ones((1, 2, 3)), "e": np.zeros(0), "z": np.ones(2, complex)}
-    subprocess_main._keep_struct("g/", contents | {"n": np.array(1.0), "b": np.array([True])}, collector)
+    contents = {
+        "m": np.ones((2, 3)),
+        "c": np.ones((1, 2, 3)),
+        "e": np.zeros(0),
+        "z": np.ones(2, complex),
+    }
+    subprocess_main._keep_struct(
+        "g/", contents | {"n": np.array(1.0), "b": np.array([True])}, collector
+    )
     assert [item["path"] for item in collector.items] == ["g/m", "g/b"]
     assert collector.room == SMALL - 8 * 7
     with pytest.raises(ValueError, match="its arrays are too large for the size of the file"):
         subprocess_main._keep_struct("", {"x": np.ones(3)}, Collector(16))
     opaque = type("MatlabOpaque", (), {})()
     subprocess_main._keep_struct("", {"flown": opaque}, collector)
-    assert collector.findings == ["flown: only MATLAB can read this object (a timetable?); save it as a struct."]
+    assert collector.findings == [
+        "flown: only MATLAB can read this object (a timetable?); save it as a struct."
+    ]
 
 
 @pytest.mark.parametrize(
     ("signals", "names"),
     [
-        ([{"values": np.ones(3), "label": ""}, {"values": np.ones(3), "label": 7}], ["time", "signal1", "signal2"]),
+        (
+            [{"values": np.ones(3), "label": ""}, {"values": np.ones(3), "label": 7}],
+            ["time", "signal1", "signal2"],
+        ),
         ([{"label": "u"}, "odd", {"values": np.ones(3), "label": "y"}], ["time", "y"]),
         ("odd", ["time", "signals"]),
     ],
@@ -297,10 +337,14 @@ def test_signals_of_simulink_have_their_labels_or_numbers(signals, names):
     collector = Collector(SMALL)
     contents = {"time": np.arange(3.0), "signals": signals}
     subprocess_main._keep_struct("", contents, collector)
-    assert [item["path"] for item in collector.items] == [name for name in names if name != "signals"]
+    assert [item["path"] for item in collector.items] == [
+        name for name in names if name != "signals"
+    ]
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed")
+@pytest.mark.skipif(
+    importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed"
+)
 def test_what_a_px4_log_lost_is_said(tmp_path):
     """Two dropouts of 250 and 1500 ms, and bytes that are no message."""
 
@@ -308,7 +352,9 @@ def test_what_a_px4_log_lost_is_said(tmp_path):
         return struct.pack("<HB", len(body), ord(kind)) + body
 
     path = tmp_path / "log.ulg"
-    path.write_bytes(ulog(0.5) + put("O", struct.pack("<H", 250)) + put("O", struct.pack("<H", 1500)))
+    path.write_bytes(
+        ulog(0.5) + put("O", struct.pack("<H", 250)) + put("O", struct.pack("<H", 1500))
+    )
     found = Collector(SMALL)
     subprocess_main.ulog(str(path), found, [])
     assert found.findings == ["the logger lost data 2 times, 1.75 s in total."]

@@ -62,7 +62,9 @@ subprocess_main._allow_memory(1000)
 """
 
 
-@pytest.mark.skipif(not subprocess_reader.TOO_LONG, reason="the system has no limit of processor time")
+@pytest.mark.skipif(
+    not subprocess_reader.TOO_LONG, reason="the system has no limit of processor time"
+)
 def test_a_reading_that_computes_without_end_is_ended_by_its_processor_time(reading):
     with pytest.raises(ValueError, match="reading it takes too long for its size"):
         reading(LIMITED + "while True: pass", patience=30.0)

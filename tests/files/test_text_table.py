@@ -67,7 +67,9 @@ def test_words_and_numbers():
     assert [number(1.23456789), number(math.nan), number(2.0, 3)] == ["1.2346", "-", "2"]
 
 
-@pytest.mark.parametrize(("cell", "yes"), [("1e3", True), ("nan", True), (" 2 ", True), ("", False), ("1,5", False)])
+@pytest.mark.parametrize(
+    ("cell", "yes"), [("1e3", True), ("nan", True), (" 2 ", True), ("", False), ("1,5", False)]
+)
 def test_a_cell_is_a_number_or_not(cell, yes):
     assert is_number(cell) == yes
 

@@ -19,18 +19,27 @@ HELD = gb.OutputError(inputs="held")
 
 def record(noise, seed):
     random = np.random.default_rng(seed)
-    return gb.Record(TIME, {"u": INPUT, "y": EXACT + noise * random.normal(size=TIME.size)}, name="flight")
+    return gb.Record(
+        TIME, {"u": INPUT, "y": EXACT + noise * random.normal(size=TIME.size)}, name="flight"
+    )
 
 
 def test_a_response_without_a_criterion_becomes_a_likelihood_beside_a_record():
     response, flight = gb.Problem(Lag(), RESPONSE), gb.Problem(Lag(), record(0.5, 1))
     assert response.criterion == gb.RelativeError()
-    for total in (response + flight, flight + response, sum([response, response.with_(name="again"), flight])):
+    for total in (
+        response + flight,
+        flight + response,
+        sum([response, response.with_(name="again"), flight]),
+    ):
         kinds = {type(part.data): part.criterion for part in total.parts}
         assert kinds == {gb.FrequencyResponse: gb.RelativeLikelihood(), gb.Record: gb.OutputError()}
     known = gb.FrequencyResponse(OMEGA, RESPONSE.response, variance=np.abs(RESPONSE.response) ** 2)
     beside = response + gb.Problem(Lag(), known, gb.MaximumLikelihood())
-    assert [part.criterion for part in beside.parts] == [gb.RelativeLikelihood(), gb.MaximumLikelihood()]
+    assert [part.criterion for part in beside.parts] == [
+        gb.RelativeLikelihood(),
+        gb.MaximumLikelihood(),
+    ]
 
 
 def test_responses_among_themselves_keep_the_relative_error():
@@ -38,7 +47,9 @@ def test_responses_among_themselves_keep_the_relative_error():
     assert [part.criterion for part in total.parts] == [gb.RelativeError(), gb.RelativeError()]
 
 
-@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=repr)
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=repr
+)
 def test_a_criterion_that_is_no_likelihood_is_refused_beside_one(criterion):
     asked, flight = gb.Problem(Lag(), RESPONSE, criterion), gb.Problem(Lag(), record(0.5, 1))
     wanted = rf"'sines' has the criterion {type(criterion).__name__} and 'flight' OutputError.*RelativeLikelihood\(\)"
@@ -48,16 +59,27 @@ def test_a_criterion_that_is_no_likelihood_is_refused_beside_one(criterion):
 
 
 @pytest.mark.parametrize(
-    "other", [gb.MagnitudePhase(), gb.SquaredRelativeError(), gb.RelativeError(normalized="model")], ids=repr
+    "other",
+    [gb.MagnitudePhase(), gb.SquaredRelativeError(), gb.RelativeError(normalized="model")],
+    ids=repr,
 )
 def test_different_criteria_that_are_no_likelihoods_are_refused(other):
     """Minima of a sum of dB² and of relative errors change with the units of either; equal ones add."""
     first = gb.Problem(Lag(), RESPONSE, name="first")
     second = gb.Problem(Lag(), RESPONSE, other, rename={"K": "K2"}, name="second")
-    for a, b in ((first, second), (second, first), (first.with_(criterion=gb.RelativeError()), second)):
-        with pytest.raises(ValueError, match=rf"{a.name!r} has .*{b.name!r} .*give both the same criterion"):
+    for a, b in (
+        (first, second),
+        (second, first),
+        (first.with_(criterion=gb.RelativeError()), second),
+    ):
+        with pytest.raises(
+            ValueError, match=rf"{a.name!r} has .*{b.name!r} .*give both the same criterion"
+        ):
             a + b
-    assert [part.criterion for part in (first.with_(criterion=other) + second).parts] == [other, other]
+    assert [part.criterion for part in (first.with_(criterion=other) + second).parts] == [
+        other,
+        other,
+    ]
 
 
 def test_what_else_is_changed_leaves_the_criterion_open():
@@ -75,7 +97,10 @@ def test_what_else_is_changed_leaves_the_criterion_open():
 def test_the_answer_says_which_likelihoods_were_added():
     problem = gb.Problem(Lag(), RESPONSE) + gb.Problem(Lag(), record(0.5, 1), HELD)
     said = str(gb.fit(problem, starts=[TRUTH]))
-    assert "maximum likelihood, one unknown relative variance; output error, estimated variances" in said
+    assert (
+        "maximum likelihood, one unknown relative variance; output error, estimated variances"
+        in said
+    )
 
 
 def test_a_joint_error_is_no_larger_than_either_alone_and_what_repeats_show():
@@ -87,7 +112,10 @@ def test_a_joint_error_is_no_larger_than_either_alone_and_what_repeats_show():
         noise = 0.05 * (random.normal(size=25) + 1j * random.normal(size=25))
         response = gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, exact * (1 + noise)))
         flight = gb.Problem(Lag(), record(0.5, [4, k]), HELD)
-        joint, *alone = (gb.fit(p, starts=[TRUTH]) for p in (response + flight, response, flight)[: 1 if k else 3])
+        joint, *alone = (
+            gb.fit(p, starts=[TRUTH])
+            for p in (response + flight, response, flight)[: 1 if k else 3]
+        )
         values.append([joint.estimate[name] for name in TRUTH])
         errors.append([joint.standard_error[name] for name in TRUTH])
         for fit in alone:
@@ -101,13 +129,16 @@ def test_likelihoods_with_given_and_estimated_variances_are_compared_by_their_de
     variance = 2 * (0.05 * np.abs(gb.frequency_response(Lag(), TRUTH, OMEGA).response)) ** 2
     data = gb.FrequencyResponse(OMEGA, RESPONSE.response, variance=variance)
     fits = [
-        gb.fit(gb.Problem(Lag(), data, c), starts=[TRUTH]) for c in (gb.MaximumLikelihood(), gb.RelativeLikelihood())
+        gb.fit(gb.Problem(Lag(), data, c), starts=[TRUTH])
+        for c in (gb.MaximumLikelihood(), gb.RelativeLikelihood())
     ]
 
     def negative(fit, variance):
         model = fit.parts[0].response
         scale = np.sqrt(variance / 2)
-        parts = norm.logpdf(data.response.real, model.real, scale) + norm.logpdf(data.response.imag, model.imag, scale)
+        parts = norm.logpdf(data.response.real, model.real, scale) + norm.logpdf(
+            data.response.imag, model.imag, scale
+        )
         return -np.sum(parts)
 
     relative = np.mean(np.abs(1 - data.response / fits[1].parts[0].response) ** 2)

@@ -36,10 +36,17 @@ def test_criteria_are_equal_by_class_and_settings():
     assert gb.RelativeError() == gb.RelativeError("measured") != gb.RelativeError("model")
     assert gb.RelativeError() != gb.SquaredRelativeError()
     assert gb.OutputError() != gb.PredictionError()
-    assert gb.OutputError(noise={"x": 1, "v": 2}) == gb.OutputError(noise={"v": np.float64(2), "x": 1.0})
-    assert gb.OutputError(biases="x") == gb.OutputError(biases=["x"]) != gb.OutputError(biases=("v",))
+    assert gb.OutputError(noise={"x": 1, "v": 2}) == gb.OutputError(
+        noise={"v": np.float64(2), "x": 1.0}
+    )
+    assert (
+        gb.OutputError(biases="x") == gb.OutputError(biases=["x"]) != gb.OutputError(biases=("v",))
+    )
     assert Huber(1) == Huber(1.0) != Huber(2.0)
-    assert len({gb.OutputError(noise={"x": 1}), gb.OutputError(noise={"x": 1.0}), gb.OutputError()}) == 2
+    assert (
+        len({gb.OutputError(noise={"x": 1}), gb.OutputError(noise={"x": 1.0}), gb.OutputError()})
+        == 2
+    )
 
 
 def known(level):
@@ -58,7 +65,13 @@ def test_settings_are_plain():
 
     values = {"a": np.array([1.0, 2.0]), "b": {3, 1}, "c": (None, True), "d": np.int64(4), "e": 1j}
     settings = Odd(weights=values).settings
-    assert settings["weights"] == {"a": [1.0, 2.0], "b": [1, 3], "c": [None, True], "d": 4, "e": "1j"}
+    assert settings["weights"] == {
+        "a": [1.0, 2.0],
+        "b": [1, 3],
+        "c": [None, True],
+        "d": 4,
+        "e": "1j",
+    }
     for criterion in (*NAMES.values(), known(2.0), Odd(weights=values)):
         assert json.loads(json.dumps(criterion.settings)) == criterion.settings
 

@@ -9,13 +9,17 @@ from greybox.data.frequency_response import Stretch
 
 TRUTH = {"K": 2.0, "T": 0.3}
 SWEEP = gb.experiment.sweep(1, 15, duration=40, rate=50, signal="u")
-FLIGHT = gb.virtual_flight(Lag(), TRUTH, excitation={"u": SWEEP["u"]}, rate=50.0, noise={"y": 0.02}, seed=1)
+FLIGHT = gb.virtual_flight(
+    Lag(), TRUTH, excitation={"u": SWEEP["u"]}, rate=50.0, noise={"y": 0.02}, seed=1
+)
 EARLY, LATE = FLIGHT.between(0, 20), FLIGHT.between(20, 60)
 
 
 def periodic():
     signal = gb.experiment.multisine(1, 10, period=5.0, rate=50, signals=("u",), periods=4)
-    flown = gb.virtual_flight(Lag(), TRUTH, excitation={"u": signal["u"]}, rate=50.0, noise={"y": 0.02}, seed=2)
+    flown = gb.virtual_flight(
+        Lag(), TRUTH, excitation={"u": signal["u"]}, rate=50.0, noise={"y": 0.02}, seed=2
+    )
     cut = flown.between(1.0, flown.time[-1])
     return cut, gb.spectral.periodic_response(cut, 5.0, "u", "y")
 
@@ -28,10 +32,14 @@ def test_every_estimate_keeps_checksum_and_interval():
         assert [(s.start, s.end) for s in response.stretches] == [(0.0, 20.0), (20.0, end)]
 
     schedule = gb.experiment.sine_schedule([2.0, 5.0], 1.0, rate=50, signal="u")
-    flown = gb.virtual_flight(Lag(), TRUTH, excitation={"u": schedule["u"]}, rate=50.0, noise={"y": 0.02}, seed=3)
+    flown = gb.virtual_flight(
+        Lag(), TRUTH, excitation={"u": schedule["u"]}, rate=50.0, noise={"y": 0.02}, seed=3
+    )
     segments = [gb.data.Segment(q.settled, q.end, "sine", "u", q.low) for q in schedule.schedule]
     found = gb.spectral.finite_frequency(flown, segments, input="u", output="y")
-    assert [(s.start, s.end) for s in found.response.stretches] == [(p.start, p.end) for p in found.points]
+    assert [(s.start, s.end) for s in found.response.stretches] == [
+        (p.start, p.end) for p in found.points
+    ]
 
     cut, response = periodic()
     (stretch,) = response.stretches
@@ -44,16 +52,25 @@ def test_the_same_data_are_refused_and_others_are_not():
     response = gb.Problem(Lag(), gb.spectral.spectral_response(EARLY, "u", "y"), name="spectrum")
     for record in (FLIGHT, EARLY, FLIGHT.between(19.9, 30)):
         for total in ((gb.Problem(Lag(), record), response), (response, gb.Problem(Lag(), record))):
-            with pytest.raises(ValueError, match=r"'spectrum' was estimated from 0 to 20 s of the record .* twice"):
+            with pytest.raises(
+                ValueError, match=r"'spectrum' was estimated from 0 to 20 s of the record .* twice"
+            ):
                 sum(total)
-    for other in (LATE, gb.virtual_flight(Lag(), TRUTH, excitation={"u": SWEEP["u"]}, rate=50.0, seed=9)):
+    for other in (
+        LATE,
+        gb.virtual_flight(Lag(), TRUTH, excitation={"u": SWEEP["u"]}, rate=50.0, seed=9),
+    ):
         assert len((response + gb.Problem(Lag(), other)).parts) == 2
     assert len((response + response.with_(name="again")).parts) == 2
 
 
 def test_derived_responses_keep_their_origin():
     response = gb.spectral.spectral_response(EARLY, "u", "y")
-    for derived in (response.where(response.omega > 2), response.times_s("rate"), response.over_s()):
+    for derived in (
+        response.where(response.omega > 2),
+        response.times_s("rate"),
+        response.over_s(),
+    ):
         assert derived.stretches == response.stretches
 
 
@@ -82,7 +99,9 @@ def test_a_result_keeps_the_origin(tmp_path):
 
 def test_comments_that_only_look_like_an_origin_are_comments(tmp_path):
     path = tmp_path / "response.csv"
-    path.write_text("# stretch of luck\n# stretch abc from to\nomega_rad_s,alpha,beta\n1,2,3\n# stretch abc 0.5 2\n")
+    path.write_text(
+        "# stretch of luck\n# stretch abc from to\nomega_rad_s,alpha,beta\n1,2,3\n# stretch abc 0.5 2\n"
+    )
     assert gb.read_response(path).stretches == (Stretch("abc", 0.5, 2.0),)
 
 

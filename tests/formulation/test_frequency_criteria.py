@@ -45,14 +45,20 @@ def relative_likelihood(P, data):
         density = np.exp(-(np.abs(data.response - P) ** 2) / variance) / (np.pi * variance)
         return -np.sum(np.log(density))
 
-    return minimize_scalar(negative, bracket=(-3, 0), tol=1e-13).fun - np.sum(np.log(np.pi * data.variance))
+    return minimize_scalar(negative, bracket=(-3, 0), tol=1e-13).fun - np.sum(
+        np.log(np.pi * data.variance)
+    )
 
 
 FORMULAS = {
     gb.RelativeError(): lambda P, d: np.sum(np.abs(P - d.response) / np.abs(d.response)),
     gb.RelativeError(normalized="model"): lambda P, d: np.sum(np.abs(P - d.response) / np.abs(P)),
-    gb.SquaredRelativeError(): lambda P, d: np.sum(np.abs(P - d.response) ** 2 / np.abs(d.response) ** 2),
-    gb.SquaredRelativeError(normalized="model"): lambda P, d: np.sum(np.abs(P - d.response) ** 2 / np.abs(P) ** 2),
+    gb.SquaredRelativeError(): lambda P, d: np.sum(
+        np.abs(P - d.response) ** 2 / np.abs(d.response) ** 2
+    ),
+    gb.SquaredRelativeError(normalized="model"): lambda P, d: np.sum(
+        np.abs(P - d.response) ** 2 / np.abs(P) ** 2
+    ),
     gb.RelativeLikelihood(): relative_likelihood,
     gb.MagnitudePhase(): cifer,
     gb.MaximumLikelihood(): lambda P, d: np.sum(np.abs(P - d.response) ** 2 / d.variance),
@@ -71,8 +77,12 @@ def test_cost_is_the_published_formula_in_numbers_and_in_casadi(criterion):
 
 @criteria
 def test_cost_of_the_data_themselves_is_zero(criterion):
-    if criterion == gb.RelativeLikelihood():  # of nothing it has the logarithm of a relative error of 1e-9
-        expected = N * (1 + 2 * np.log(1e-9)) + np.sum(np.log(np.abs(DATA.response) ** 2 / DATA.variance))
+    if (
+        criterion == gb.RelativeLikelihood()
+    ):  # of nothing it has the logarithm of a relative error of 1e-9
+        expected = N * (1 + 2 * np.log(1e-9)) + np.sum(
+            np.log(np.abs(DATA.response) ** 2 / DATA.variance)
+        )
         assert evaluate(criterion, DATA.response, DATA) == pytest.approx(expected, rel=1e-9)
     else:
         assert evaluate(criterion, DATA.response, DATA) == pytest.approx(0, abs=1e-20)
@@ -88,7 +98,9 @@ def test_phases_are_compared_on_the_circle():
 def test_without_coherence_every_point_counts_as_fully_coherent():
     bare = gb.FrequencyResponse(DATA.omega, DATA.response)
     full = gb.FrequencyResponse(DATA.omega, DATA.response, coherence=np.ones(N))
-    assert evaluate(gb.MagnitudePhase(), MODEL, bare) == pytest.approx(cifer(MODEL, full), rel=1e-12)
+    assert evaluate(gb.MagnitudePhase(), MODEL, bare) == pytest.approx(
+        cifer(MODEL, full), rel=1e-12
+    )
 
 
 def held_residuals(criterion, data, scale):
@@ -99,7 +111,10 @@ def held_residuals(criterion, data, scale):
         def residuals(P):
             ratio = P / data.response
             return np.concatenate(
-                [root * 20 * np.log10(np.abs(ratio)), root * np.sqrt(0.01745) * np.degrees(np.angle(ratio))]
+                [
+                    root * 20 * np.log10(np.abs(ratio)),
+                    root * np.sqrt(0.01745) * np.degrees(np.angle(ratio)),
+                ]
             )
 
         return residuals
@@ -111,13 +126,18 @@ def held_residuals(criterion, data, scale):
 @criteria
 def test_jacobian_is_the_derivative_of_the_residuals(criterion):
     def response(x):
-        return gb.frequency_response(LagLagDelay(), dict(zip(WRONG, x, strict=True)), DATA.omega).response
+        return gb.frequency_response(
+            LagLagDelay(), dict(zip(WRONG, x, strict=True)), DATA.omega
+        ).response
 
     x = list(WRONG.values())
     if isinstance(criterion, gb.MaximumLikelihood):
         scale = np.sqrt(DATA.variance)
     else:
-        model = getattr(criterion, "normalized", "measured") == "model" or criterion == gb.RelativeLikelihood()
+        model = (
+            getattr(criterion, "normalized", "measured") == "model"
+            or criterion == gb.RelativeLikelihood()
+        )
         scale = np.abs(MODEL) if model else np.abs(DATA.response)
     residuals = held_residuals(criterion, DATA, scale)
     sensitivity = numeric_jacobian(response, x, 1e-3)
@@ -125,7 +145,9 @@ def test_jacobian_is_the_derivative_of_the_residuals(criterion):
     assert_allclose(criterion.jacobian(MODEL, sensitivity, DATA), expected, rtol=1e-7, atol=1e-9)
 
 
-@pytest.mark.parametrize("criterion", [c for c in FORMULAS if c != gb.RelativeLikelihood()], ids=repr)
+@pytest.mark.parametrize(
+    "criterion", [c for c in FORMULAS if c != gb.RelativeLikelihood()], ids=repr
+)
 def test_smoothing_moves_the_cost_up_and_by_at_most_n_sqrt_eps(criterion):
     numbers = Complex(MODEL.real, MODEL.imag)
     bare = criterion.cost(numbers, DATA)
@@ -133,32 +155,44 @@ def test_smoothing_moves_the_cost_up_and_by_at_most_n_sqrt_eps(criterion):
         rise = criterion.cost(numbers, DATA, eps) - bare
         assert -1e-12 * bare <= rise <= N * np.sqrt(eps)
         exact = criterion.cost(Complex(DATA.response.real, DATA.response.imag), DATA, eps)
-        assert exact == pytest.approx(N * np.sqrt(eps) if criterion.smoothed else 0, rel=1e-6, abs=1e-18)
+        assert exact == pytest.approx(
+            N * np.sqrt(eps) if criterion.smoothed else 0, rel=1e-6, abs=1e-18
+        )
 
 
-@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=repr)
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=repr
+)
 def test_a_zero_response_is_refused_where_it_would_be_divided_by(criterion):
     data = gb.FrequencyResponse([1.0, 2.5], [1.0, 0.0], variance=[0.1, 0.1])
-    with pytest.raises(ValueError, match=r"response is zero at omega = 2\.5 rad/s.*leave that point out"):
+    with pytest.raises(
+        ValueError, match=r"response is zero at omega = 2\.5 rad/s.*leave that point out"
+    ):
         gb.Problem(LagLagDelay(), data, criterion)
     gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood())
 
 
 def test_maximum_likelihood_refuses_data_without_variance():
     bare = gb.FrequencyResponse(DATA.omega, DATA.response)
-    with pytest.raises(ValueError, match=r"needs the variance of every point.*variance=.*or use RelativeError"):
+    with pytest.raises(
+        ValueError, match=r"needs the variance of every point.*variance=.*or use RelativeError"
+    ):
         gb.Problem(LagLagDelay(), bare, gb.MaximumLikelihood())
     assert np.isnan(evaluate(gb.MaximumLikelihood(), MODEL, bare))
 
 
 @pytest.mark.parametrize("criterion", [gb.RelativeError, gb.SquaredRelativeError])
 def test_unknown_normalization_is_refused(criterion):
-    with pytest.raises(ValueError, match="normalized 'data' is not known: use 'measured' or 'model'"):
+    with pytest.raises(
+        ValueError, match="normalized 'data' is not known: use 'measured' or 'model'"
+    ):
         criterion(normalized="data")
 
 
 def test_a_gain_is_biased_low_by_the_measured_normalization_and_high_by_the_models():
-    sigma = 0.2  # the two gains have a closed form, with the bias -2 sigma² and 2 sigma² to first order
+    sigma = (
+        0.2  # the two gains have a closed form, with the bias -2 sigma² and 2 sigma² to first order
+    )
 
     class Gain(gb.TransferFunction):
         K = gb.Parameter(1.0, bounds=(0.1, 10))
@@ -173,7 +207,9 @@ def test_a_gain_is_biased_low_by_the_measured_normalization_and_high_by_the_mode
         for criterion in (*squares, gb.RelativeLikelihood())
     )
     size = np.abs(data.response)
-    assert low == pytest.approx(np.sum(data.response.real / size**2) / np.sum(1 / size**2), rel=1e-6)
+    assert low == pytest.approx(
+        np.sum(data.response.real / size**2) / np.sum(1 / size**2), rel=1e-6
+    )
     assert high == pytest.approx(np.sum(size**2) / np.sum(data.response.real), rel=1e-6)
     assert low / 2 - 1 < -(sigma**2)
     assert high / 2 - 1 > sigma**2
@@ -196,10 +232,15 @@ def test_variances_estimated_with_few_degrees_of_freedom_are_a_student_t():
 
     models = [measured + 0.7 * (rng.normal(size=6) + 1j * rng.normal(size=6)) for _ in range(3)]
     for model in models[1:]:
-        assert cost(model) - cost(models[0]) == pytest.approx(expected(model) - expected(models[0]), rel=1e-6)
+        assert cost(model) - cost(models[0]) == pytest.approx(
+            expected(model) - expected(models[0]), rel=1e-6
+        )
     certain = gb.FrequencyResponse(omega, measured, variance=variance, dof=np.full(6, 1e9))
     known = gb.FrequencyResponse(omega, measured, variance=variance)
-    a, b = (gb.MaximumLikelihood().cost(Complex(models[0].real, models[0].imag), d) for d in (certain, known))
+    a, b = (
+        gb.MaximumLikelihood().cost(Complex(models[0].real, models[0].imag), d)
+        for d in (certain, known)
+    )
     assert a == pytest.approx(b, rel=1e-6)
 
 
@@ -214,10 +255,15 @@ def test_standard_errors_hold_for_variances_of_few_degrees_of_freedom(nu):
         response = truth + size * (rng.normal(size=30) + 1j * rng.normal(size=30))
         variance = 2 * size**2 * rng.chisquare(nu, 30) / nu
         data = gb.FrequencyResponse(omega, response, variance=variance, dof=np.full(30, nu))
-        problem = gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood(), constraints=[lambda p: p.T1 - p.T2])
+        problem = gb.Problem(
+            LagLagDelay(), data, gb.MaximumLikelihood(), constraints=[lambda p: p.T1 - p.T2]
+        )
         fit = gb.fit(problem, starts=[TWO_LAGS], profiles=False, progress=False)
-        standardized += [(fit.estimate[n] - TWO_LAGS[n]) / fit.standard_error[n] for n in ("K", "T1")]
-    # 80 of them: 0.2 is 2.5 standard deviations; with the variances taken as exact it is 1.3 for four degrees.
+        standardized += [
+            (fit.estimate[n] - TWO_LAGS[n]) / fit.standard_error[n] for n in ("K", "T1")
+        ]
+    # 80 of them: 0.2 is 2.5 standard deviations; with the variances taken as exact it is 1.3 for
+    # four degrees.
     assert 0.8 < np.sqrt(np.mean(np.square(standardized))) < 1.25
 
 
@@ -231,7 +277,10 @@ def test_smoothing_is_added_to_the_variance_of_the_relative_likelihood():
 def test_without_variances_the_relative_likelihood_does_not_depend_on_units():
     bare = gb.FrequencyResponse(DATA.omega, DATA.response)
     milli = gb.FrequencyResponse(DATA.omega, 1000 * DATA.response)
-    costs = [evaluate(gb.RelativeLikelihood(), model, data) for model, data in ((MODEL, bare), (1000 * MODEL, milli))]
+    costs = [
+        evaluate(gb.RelativeLikelihood(), model, data)
+        for model, data in ((MODEL, bare), (1000 * MODEL, milli))
+    ]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
 
 
@@ -247,7 +296,9 @@ def test_errors_of_magnitude_and_phase_are_as_the_coherence_says():
     """A third of the points with a coherence of 0.55: the spread of the estimates of 40 draws, and what is printed."""
     omega = np.geomspace(1, 60, 30)
     coherence = np.where(np.arange(30) % 3 == 0, 0.55, 0.97)
-    sigma = np.sqrt((1 - coherence) / coherence / 40)  # of a component, with 20 averages: Bendat and Piersol, 9.2
+    sigma = np.sqrt(
+        (1 - coherence) / coherence / 40
+    )  # of a component, with 20 averages: Bendat and Piersol, 9.2
     truth = {"K": 2.0, "T": 0.1}
     random = np.random.default_rng(8)
     exact = gb.frequency_response(Lag(), truth, omega).response
@@ -258,12 +309,17 @@ def test_errors_of_magnitude_and_phase_are_as_the_coherence_says():
         found = gb.fit(gb.Problem(Lag(), data, gb.MagnitudePhase()), starts=[truth])
         values.append([found.estimate[name] for name in truth])
         errors.append([found.standard_error[name] for name in truth])
-    # The standard deviation of 40 draws is known to 1 / √80 = 11 %; with errors of one size it was 1.6 times too large.
-    assert_allclose(np.sqrt(np.mean(np.square(errors), axis=0)) / np.std(values, axis=0), 1.0, atol=0.28)
+    # The standard deviation of 40 draws is known to 1 / √80 = 11 %; with errors of one size it was
+    # 1.6 times too large.
+    assert_allclose(
+        np.sqrt(np.mean(np.square(errors), axis=0)) / np.std(values, axis=0), 1.0, atol=0.28
+    )
 
 
 def test_a_coherence_that_was_rounded_to_one_leaves_finite_errors():
-    rounded = gb.FrequencyResponse(DATA.omega, DATA.response, coherence=np.where(np.arange(N) % 2, 1.0, 0.9))
+    rounded = gb.FrequencyResponse(
+        DATA.omega, DATA.response, coherence=np.where(np.arange(N) % 2, 1.0, 0.9)
+    )
     whole = gb.FrequencyResponse(DATA.omega, DATA.response, coherence=np.ones(N))
     bare = gb.FrequencyResponse(DATA.omega, DATA.response)
     fits = [
@@ -321,7 +377,9 @@ def test_what_the_likelihoods_make_of_errors(correction):
     assert bread == 2
     assert_allclose(meat, 2 * squares.mean() * correction**2)
     assert squares.mean() > 1
-    assert_allclose(likelihood.spread(MODEL4, data4(variance=99 * variance), correction)[1], 2.0)  # never smaller
+    assert_allclose(
+        likelihood.spread(MODEL4, data4(variance=99 * variance), correction)[1], 2.0
+    )  # never smaller
     dof = np.array([4.0, 8.0, 6.0, 20.0])
     scale = likelihood.noise_ratio(MODEL4, data4(variance=variance, dof=dof))
     # Where the likelihood of a common factor of the variances, with Student's t, has its maximum.
@@ -346,7 +404,9 @@ def test_a_model_of_nothing_does_not_make_the_noise_infinite():
     assert 20 < found < 100  # one point of four at the hundredfold
 
 
-@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood(), gb.MagnitudePhase()], ids=repr)
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.MaximumLikelihood(), gb.MagnitudePhase()], ids=repr
+)
 def test_common_errors_of_the_data_are_a_condition(criterion):
     variance = np.full(4, 0.1)
     assert criterion.condition_on(data4(variance=variance)) == criterion.condition
@@ -387,4 +447,6 @@ def test_the_mean_error_at_the_minimum_is_too_small_by_what_the_parameters_take(
     expected = mean / np.sqrt(np.pi / 2) / (1 - p / (np.pi * n))
     assert gb.RelativeError().size_of(errors, correction) == pytest.approx(expected)
     squares = 0.25 + 0.36 + 0.01 + 1.69 + 0.04
-    assert gb.SquaredRelativeError().size_of(errors, correction) == pytest.approx(np.sqrt(squares / (2 * n - p)))
+    assert gb.SquaredRelativeError().size_of(errors, correction) == pytest.approx(
+        np.sqrt(squares / (2 * n - p))
+    )

@@ -28,7 +28,9 @@ def record():
 
 def test_the_record_says_it_and_what_it_does_not_know_is_interpolated():
     assert between_samples("record", NAMES, record()) == (HELD, LINEAR, LATE, LINEAR)
-    assert between_samples("record", NAMES, record(), {"unknown": math.inf, "sampled": math.inf})[1::2] == (
+    assert between_samples("record", NAMES, record(), {"unknown": math.inf, "sampled": math.inf})[
+        1::2
+    ] == (
         LINEAR,
         HELD,
     )
@@ -51,24 +53,35 @@ def test_it_is_said_with_the_half_step_that_it_means():
     said = described_inputs("record", NAMES, record())
     assert said["held"] == "held until its next sample, as the record says"
     assert said["thinned"] == "interpolated, 1.25 ms late, as the record says"
-    assert said["unknown"] == "interpolated, an assumption, else delays differ by half a step, 10 ms"
+    assert (
+        said["unknown"] == "interpolated, an assumption, else delays differ by half a step, 10 ms"
+    )
     assert described_inputs("held", ["unknown"], record())["unknown"].startswith(
         "held until its next sample, as stated"
     )
 
 
 def test_the_effect_is_that_of_what_moves_and_of_delays():
-    parameters = {"d": gb.Parameter(0.0, unit="s"), "k": gb.Parameter(0.0), "c": gb.Parameter(0.0, unit="1/s")}
+    parameters = {
+        "d": gb.Parameter(0.0, unit="s"),
+        "k": gb.Parameter(0.0),
+        "c": gb.Parameter(0.0, unit="1/s"),
+    }
     shift, errors = np.array([0.01, 0.3, -1e-4]), np.array([1.0, 0.1, 0.01])
     assert effect_of(parameters, shift, errors, {"d"}) == (
         "moves k by +0.3 (3 standard errors) and d by +0.01 s (0.01 standard errors)"
     )
     assert effect_of(parameters, shift / 100, errors, ()) == ""
-    assert effect_of(parameters, shift * math.nan, errors, ()) == "moves the estimate by an unknown amount"
+    assert (
+        effect_of(parameters, shift * math.nan, errors, ())
+        == "moves the estimate by an unknown amount"
+    )
 
 
 def test_another_word_is_refused():
-    with pytest.raises(ValueError, match="inputs 'zoh' is not known: use 'linear' or 'held', or 'record' to follow"):
+    with pytest.raises(
+        ValueError, match="inputs 'zoh' is not known: use 'linear' or 'held', or 'record' to follow"
+    ):
         require_inputs("zoh")
     with pytest.raises(ValueError, match="inputs 'zoh' is not known"):
         gb.simulate(None, {}, record(), inputs="zoh")
@@ -107,7 +120,10 @@ def test_another_word_is_refused():
 )
 def test_the_warning_says_what_is_assumed_of_which_inputs_and_how_to_state_it(inputs, names, said):
     between = {"u": LINEAR, "w": LINEAR}
-    assert assumption_warning("OutputError", inputs, between, dict.fromkeys(names, HELD), "moves k") == said
+    assert (
+        assumption_warning("OutputError", inputs, between, dict.fromkeys(names, HELD), "moves k")
+        == said
+    )
 
 
 def test_four_parameters_are_named_at_most_those_with_the_largest_shifts_first():
@@ -129,6 +145,8 @@ def test_rows_without_a_time_have_nothing_between_them():
     assert described_inputs("held", ["u"], rows) == {}
     told = described_inputs("record", ["u"], gb.Record(TIME, {"u": TIME}))
     assert told == {"u": "interpolated, an assumption, else delays differ by half a step, 10 ms"}
-    assert described_inputs("linear", ["u"], gb.Record(TIME, {"u": TIME}))["u"].startswith("interpolated, as stated, e")
+    assert described_inputs("linear", ["u"], gb.Record(TIME, {"u": TIME}))["u"].startswith(
+        "interpolated, as stated, e"
+    )
     missing = gb.Record(TIME, {"u": np.full(10, np.nan)})
     assert other_assumptions("record", {"u": LINEAR}, missing) == {}

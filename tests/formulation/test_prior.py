@@ -61,8 +61,14 @@ def line(seed):
 def responses(seed, omega):
     random = np.random.default_rng(seed)
     exact = 2 / (0.5j * omega + 1)
-    error = 0.05 * np.abs(exact) * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
-    return gb.FrequencyResponse(omega, exact + error, "u", "y", variance=2 * (0.05 * np.abs(exact)) ** 2)
+    error = (
+        0.05
+        * np.abs(exact)
+        * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
+    )
+    return gb.FrequencyResponse(
+        omega, exact + error, "u", "y", variance=2 * (0.05 * np.abs(exact)) ** 2
+    )
 
 
 def posterior(record):
@@ -96,7 +102,9 @@ def test_the_posterior_of_a_line_is_the_closed_form(problem):
 
 
 def test_a_fit_as_prior_is_the_fit_to_both():
-    first, second = (responses(seed, np.geomspace(low, 10 * low, 20)) for seed, low in ((1, 0.2), (2, 1.0)))
+    first, second = (
+        responses(seed, np.geomspace(low, 10 * low, 20)) for seed, low in ((1, 0.2), (2, 1.0))
+    )
     one, other = (gb.Problem(Lag(), data, gb.MaximumLikelihood()) for data in (first, second))
     both, before = gb.fit(one + other, **ONE), gb.fit(one, **ONE)
     after = gb.fit(other.with_(prior=before), **ONE)
@@ -111,7 +119,9 @@ def test_a_fit_as_prior_is_the_fit_to_both():
 
 
 def test_it_is_saved_and_in_the_numbers(tmp_path):
-    fit = gb.fit(gb.Problem(Lag(), responses(3, np.geomspace(0.5, 5, 8)), prior={"T": (0.5, 0.05)}), **ONE)
+    fit = gb.fit(
+        gb.Problem(Lag(), responses(3, np.geomspace(0.5, 5, 8)), prior={"T": (0.5, 0.05)}), **ONE
+    )
     assert fit.criterion == "relative-likelihood; prior"
     gb.save(fit, tmp_path / "fit.h5")
     again = gb.load(tmp_path / "fit.h5")
@@ -125,7 +135,9 @@ def test_it_is_saved_and_in_the_numbers(tmp_path):
 
 def test_knowledge_of_several_parts_counts_once():
     records = [line(seed) for seed in (4, 5)]
-    fit = gb.fit(gb.Problem(Informed(), records[0], GIVEN) + gb.Problem(Informed(), records[1], GIVEN), **ONE)
+    fit = gb.fit(
+        gb.Problem(Informed(), records[0], GIVEN) + gb.Problem(Informed(), records[1], GIVEN), **ONE
+    )
     design = np.column_stack([np.ones(24), np.tile(X, 2)])
     covariance = np.linalg.inv(design.T @ design / SIGMA**2 + np.diag([1 / 0.3**2, 0]))
     assert_allclose(fit.prior_share["a"], covariance[0, 0] / 0.3**2, rtol=1e-6)
@@ -148,7 +160,10 @@ def test_what_cannot_be_is_refused_in_a_sentence(options, match):
 
 def test_parts_must_not_contradict_and_parameters_must_be_finite():
     data = [responses(seed, np.array([1.0, 2.0, 4.0])) for seed in (7, 8)]
-    parts = [gb.Problem(Lag(), each, prior={"T": (mean, 0.1)}) for each, mean in zip(data, (0.4, 0.6), strict=True)]
+    parts = [
+        gb.Problem(Lag(), each, prior={"T": (mean, 0.1)})
+        for each, mean in zip(data, (0.4, 0.6), strict=True)
+    ]
     with pytest.raises(ValueError, match="different a-priori knowledge of 'T'"):
         gb.fit(parts[0] + parts[1], **ONE)
     with pytest.raises(ValueError, match="prior"):
@@ -186,11 +201,31 @@ class Known:
             "the Fit given as prior has no standard error of K: give prior={name: (mean, standard deviation)} for the "
             "others, or fix it in both.",
         ),
-        ({"K": (2.0, -1.0)}, ValueError, "the prior of K is (2.0, -1.0): give two finite numbers (mean, standard"),
-        ({"K": (np.inf, 1.0)}, ValueError, "the prior of K is (inf, 1.0): give two finite numbers (mean, standard"),
-        ({"K": (2.0, np.inf)}, ValueError, "the prior of K is (2.0, inf): give two finite numbers (mean, standard"),
-        ({"K": 2.0}, ValueError, "the prior of K is 2.0: give two finite numbers (mean, standard deviation above 0)."),
-        ({"K": (1.0, 2.0, 3.0)}, ValueError, "the prior of K is (1.0, 2.0, 3.0): give two finite numbers (mean, "),
+        (
+            {"K": (2.0, -1.0)},
+            ValueError,
+            "the prior of K is (2.0, -1.0): give two finite numbers (mean, standard",
+        ),
+        (
+            {"K": (np.inf, 1.0)},
+            ValueError,
+            "the prior of K is (inf, 1.0): give two finite numbers (mean, standard",
+        ),
+        (
+            {"K": (2.0, np.inf)},
+            ValueError,
+            "the prior of K is (2.0, inf): give two finite numbers (mean, standard",
+        ),
+        (
+            {"K": 2.0},
+            ValueError,
+            "the prior of K is 2.0: give two finite numbers (mean, standard deviation above 0).",
+        ),
+        (
+            {"K": (1.0, 2.0, 3.0)},
+            ValueError,
+            "the prior of K is (1.0, 2.0, 3.0): give two finite numbers (mean, ",
+        ),
     ],
 )
 def test_knowledge_that_says_nothing_is_refused(prior, error, words):
@@ -202,12 +237,20 @@ def test_an_answer_is_knowledge_of_the_parameters_that_it_shares():
     """By their names outside, with the covariance of these; the others keep what they declare."""
     covariance = np.array([[0.04, -0.01], [-0.01, 0.09]])
     known = Known({"gain": 2.5, "T": 0.7, "zeta": 1.0}, covariance)
-    problem = gb.Problem(Lag(), responses(6, np.array([1.0, 2.0, 4.0])), prior=known, rename={"K": "gain"})
+    problem = gb.Problem(
+        Lag(), responses(6, np.array([1.0, 2.0, 4.0])), prior=known, rename={"K": "gain"}
+    )
     (prior,) = problem.priors
     assert prior.names == ("gain", "T")
     assert prior.mean.tolist() == [2.5, 0.7]
     assert prior.covariance.tolist() == covariance.tolist()
     assert prior.stated == {"gain": (2.5, 0.2), "T": (0.7, 0.3)}
     own = {"T": (0.6, 0.5)}
-    (prior,) = gb.Problem(Lag(), responses(6, np.array([1.0, 2.0, 4.0])), prior=own, rename={"T": "lag"}).priors
-    assert (prior.names, prior.mean.tolist(), prior.covariance.tolist()) == (("lag",), [0.6], [[0.25]])
+    (prior,) = gb.Problem(
+        Lag(), responses(6, np.array([1.0, 2.0, 4.0])), prior=own, rename={"T": "lag"}
+    ).priors
+    assert (prior.names, prior.mean.tolist(), prior.covariance.tolist()) == (
+        ("lag",),
+        [0.6],
+        [[0.25]],
+    )

@@ -5,7 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from declared_models import ROTOR, ROTOR_OMEGA, TILT, TILT_OMEGA, TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from declared_models import (
+    ROTOR,
+    ROTOR_OMEGA,
+    TILT,
+    TILT_OMEGA,
+    TWO_LAGS,
+    TWO_LAGS_OMEGA,
+    Lag,
+    LagLagDelay,
+    measured,
+)
 
 import greybox as gb
 from greybox.models.rotor import Rotor
@@ -59,7 +69,10 @@ def test_a_fit_gives_its_values_whole_or_by_name():
 @pytest.mark.parametrize(
     ("statement", "words"),
     [
-        ({"fixed": {"b": 1.0}}, "fixed names 'b', which LagLagDelay does not have; its parameters are K, T1, T2, tau"),
+        (
+            {"fixed": {"b": 1.0}},
+            "fixed names 'b', which LagLagDelay does not have; its parameters are K, T1, T2, tau",
+        ),
         ({"free": ("b",)}, "free names 'b'"),
         ({"tied": {"b": lambda p: p.K}}, "tied names 'b'"),
         ({"rename": {"b": "c"}}, "rename names 'b'"),
@@ -74,18 +87,33 @@ def test_a_fit_gives_its_values_whole_or_by_name():
         ({"tied": {"T1": lambda p: p.T1}}, r"tied\['T1'\].*has no 'T1'"),
         ({"tied": {"T1": lambda p: None}}, r"tied\['T1'\] gives None: it must give an expression"),
         ({"tied": {"T1": lambda p: np.nan}}, r"tied\['T1'\] is nan at the start values"),
-        ({"tied": {"T1": lambda p: np.log(p.T2 - 5) if p.T2 > 5 else -np.inf}}, r"tied\['T1'\] is -inf at the start"),
-        ({"constraints": [lambda p: p.T1, lambda p: p.T3]}, r"constraints\[1\].*has no 'T3'; it has K, T1, T2, tau"),
+        (
+            {"tied": {"T1": lambda p: np.log(p.T2 - 5) if p.T2 > 5 else -np.inf}},
+            r"tied\['T1'\] is -inf at the start",
+        ),
+        (
+            {"constraints": [lambda p: p.T1, lambda p: p.T3]},
+            r"constraints\[1\].*has no 'T3'; it has K, T1, T2, tau",
+        ),
         ({"constraints": [lambda p: None]}, r"constraints\[0\] gives None"),
-        ({"constraints": [lambda p: p.T1 * np.nan]}, r"constraints\[0\] is nan at the start values"),
-        ({"rename": {"T1": "T2"}}, "rename gives two parameters of LagLagDelay the name 'T2': use tied"),
+        (
+            {"constraints": [lambda p: p.T1 * np.nan]},
+            r"constraints\[0\] is nan at the start values",
+        ),
+        (
+            {"rename": {"T1": "T2"}},
+            "rename gives two parameters of LagLagDelay the name 'T2': use tied",
+        ),
         ({"delay": "pade"}, r"delay 'pade' is not known: use 'exact' or 'pade:n'"),
         ({"delay": "pade:0"}, "delay 'pade:0' is not known"),
         ({"delay": 3}, "delay 3 is not known"),
         ({"weight": 0.0}, r"weight 0\.0 must be a finite number above 0"),
         ({"weight": -1.0}, r"weight -1\.0 must be"),
         ({"weight": np.inf}, "weight inf must be"),
-        ({"at": {"theta": 0.1}}, r"LagLagDelay has no operating point: leave out at=\{'theta': 0.1\}"),
+        (
+            {"at": {"theta": 0.1}},
+            r"LagLagDelay has no operating point: leave out at=\{'theta': 0.1\}",
+        ),
     ],
 )
 def test_a_statement_that_does_not_fit_together_is_refused(statement, words):
@@ -94,16 +122,24 @@ def test_a_statement_that_does_not_fit_together_is_refused(statement, words):
 
 
 def test_a_constraint_that_is_a_truth_value_is_refused():
-    with pytest.raises(ValueError, match=r"constraints\[0\]"):  # as an expression it would be 0 or 1, always >= 0
+    with pytest.raises(
+        ValueError, match=r"constraints\[0\]"
+    ):  # as an expression it would be 0 or 1, always >= 0
         gb.Problem(LagLagDelay(), TWO, constraints=[lambda p: p.T1 > p.T2])
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((LagLagDelay, TWO), r"model is .*LagLagDelay.*give an instance such as Tilt\(\), not the class"),
+        (
+            (LagLagDelay, TWO),
+            r"model is .*LagLagDelay.*give an instance such as Tilt\(\), not the class",
+        ),
         ((LagLagDelay(), 5), "data is 5: give a FrequencyResponse"),
-        ((LagLagDelay(), TWO, gb.RelativeError), "criterion is .*give a criterion such as RelativeError"),
+        (
+            (LagLagDelay(), TWO, gb.RelativeError),
+            "criterion is .*give a criterion such as RelativeError",
+        ),
     ],
 )
 def test_things_of_another_kind_are_refused(arguments, words):
@@ -147,7 +183,10 @@ def test_a_model_must_not_declare_what_its_criterion_adds():
 
     record = gb.Record([0.0, 1.0, 2.0], {"u": [0.0, 1.0, 3.0], "y": [0.1, 1.2, np.nan]})
     assert gb.Problem(Biased(), record).numbers == 2
-    with pytest.raises(ValueError, match=r"^Biased declares 'y_bias', which is also the name of an unknown of the cri"):
+    with pytest.raises(
+        ValueError,
+        match=r"^Biased declares 'y_bias', which is also the name of an unknown of the cri",
+    ):
         gb.Problem(Biased(), record, gb.OutputError(biases=("y",)))
 
 
@@ -158,7 +197,10 @@ def test_data_and_model_meet_by_signal_names():
         gb.Problem(LinearTilt(), gb.FrequencyResponse(TILT_OMEGA, DATA.response))
     with pytest.raises(ValueError, match="LinearTilt has no state or input 'phi'"):
         gb.Problem(LinearTilt(), DATA, at={"phi": 0.0})
-    assert_truth(fit(gb.Problem(LinearTilt(), DATA, fixed={n: ROTOR[n] for n in ("T_rotor", "T_delay")})), TILT)
+    assert_truth(
+        fit(gb.Problem(LinearTilt(), DATA, fixed={n: ROTOR[n] for n in ("T_rotor", "T_delay")})),
+        TILT,
+    )
 
 
 # --- tied and constrained
@@ -217,7 +259,10 @@ def test_rename_is_how_the_outside_knows_a_parameter():
 
 
 def test_parameters_may_swap_names():
-    assert_truth(fit(gb.Problem(LagLagDelay(), TWO, rename={"K": "tau", "tau": "K"})), {"tau": 5.0, "K": 0.05})
+    assert_truth(
+        fit(gb.Problem(LagLagDelay(), TWO, rename={"K": "tau", "tau": "K"})),
+        {"tau": 5.0, "K": 0.05},
+    )
 
 
 @pytest.mark.parametrize("delay", ["exact", "pade:2"])
@@ -233,11 +278,15 @@ def test_a_joint_fit_of_rotor_and_tilt_shares_lag_and_delay(delay):
     assert_truth(found, SHARED | ROTOR)
 
 
-@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=repr)
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=repr
+)
 def test_a_joint_fit_of_noisy_data_holds_the_truth_within_four_standard_errors(criterion):
     tilt = measured(Tilt(), TILT_OMEGA, SHARED, noise=0.02, seed=1)
     rotor = measured(Rotor(), ROTOR_OMEGA, ROTOR, noise=0.02, seed=2)
-    both = gb.Problem(Tilt(), tilt, criterion, free=("T_rotor", "T_delay")) + gb.Problem(Rotor(), rotor, criterion)
+    both = gb.Problem(Tilt(), tilt, criterion, free=("T_rotor", "T_delay")) + gb.Problem(
+        Rotor(), rotor, criterion
+    )
     joint, alone = fit(both), fit(both.parts[0])
     for name, truth in (SHARED | ROTOR).items():
         assert 0 < joint.standard_error[name] < 0.2 * abs(truth)
@@ -269,7 +318,9 @@ def test_weight_decides_between_data_that_disagree():
     one, two = (measured(Gain(), [1.0, 2.0], {"K": k}) for k in (1.0, 2.0))
     squares = gb.SquaredRelativeError()
     for w in (0.25, 1.0, 9.0):
-        found = fit(gb.Problem(Gain(), one, squares, weight=w) + gb.Problem(Gain(), two, squares), starts=3)
+        found = fit(
+            gb.Problem(Gain(), one, squares, weight=w) + gb.Problem(Gain(), two, squares), starts=3
+        )
         # The minimum of w (K - 1)² + (K - 2)² / 4.
         assert found.estimate["K"] == pytest.approx((w + 0.5) / (w + 0.25), rel=1e-6)
 
@@ -290,14 +341,46 @@ class FarAway(LagLagDelay):
             {"model": OtherUnit()},
             r"'T1' has the unit 's' in one part and 'ms' in the other.*rename=\{'T1': \.\.\.\}",
         ),
-        ({}, {"model": FarAway()}, r"the bounds of 'T1', \(0\.001, 10\) and \(20, 40\), do not overlap.*rename"),
-        ({}, {"fixed": {"T1": 1.0}}, "'T1' is fixed in one part and free in the other: fix or free it in both"),
-        ({"fixed": {"T1": 2.0}}, {"fixed": {"T1": 1.0}}, "'T1' is fixed at 2 in one part and at 1 in the other"),
-        ({}, {"tied": {"T1": lambda p: p.T2}}, "'T1' is tied in 'made' and free or tied differently in another part"),
-        ({"tied": {"T1": lambda p: 2 * p.T2}}, {"tied": {"T1": lambda p: p.T2}}, "'T1' is tied in 'made'"),
-        ({"tied": {"T1": lambda p: p.T2}}, {"tied": {"T1": lambda p: 0.01 / p.T2}}, "'T1' is tied in 'made'"),
+        (
+            {},
+            {"model": FarAway()},
+            r"the bounds of 'T1', \(0\.001, 10\) and \(20, 40\), do not overlap.*rename",
+        ),
+        (
+            {},
+            {"fixed": {"T1": 1.0}},
+            "'T1' is fixed in one part and free in the other: fix or free it in both",
+        ),
+        (
+            {"fixed": {"T1": 2.0}},
+            {"fixed": {"T1": 1.0}},
+            "'T1' is fixed at 2 in one part and at 1 in the other",
+        ),
+        (
+            {},
+            {"tied": {"T1": lambda p: p.T2}},
+            "'T1' is tied in 'made' and free or tied differently in another part",
+        ),
+        (
+            {"tied": {"T1": lambda p: 2 * p.T2}},
+            {"tied": {"T1": lambda p: p.T2}},
+            "'T1' is tied in 'made'",
+        ),
+        (
+            {"tied": {"T1": lambda p: p.T2}},
+            {"tied": {"T1": lambda p: 0.01 / p.T2}},
+            "'T1' is tied in 'made'",
+        ),
     ],
-    ids=["unit", "bounds", "fixed and free", "fixed twice", "tied and free", "tied twice", "ties that meet at start"],
+    ids=[
+        "unit",
+        "bounds",
+        "fixed and free",
+        "fixed twice",
+        "tied and free",
+        "tied twice",
+        "ties that meet at start",
+    ],
 )
 def test_parts_that_contradict_one_another_are_refused(a, b, words):
     first, second = ({"model": LagLagDelay(), "data": TWO} | changes for changes in (a, b))
@@ -337,7 +420,9 @@ def test_with_changes_every_part_and_leaves_the_original():
 
 def test_a_fit_without_common_names_is_refused():
     lag = fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}), rename={"K": "G"}))
-    with pytest.raises(ValueError, match="the Fit given as fixed has G, T, of which LagLagDelay has none"):
+    with pytest.raises(
+        ValueError, match="the Fit given as fixed has G, T, of which LagLagDelay has none"
+    ):
         gb.Problem(LagLagDelay(), TWO, fixed=lag)
     with pytest.raises(ValueError, match="the Fit given as fixed has no estimate 'K'"):
         gb.Problem(LagLagDelay(), TWO, fixed={"K": lag})
@@ -353,11 +438,17 @@ def test_a_tied_value_of_an_earlier_fit_keeps_its_uncertainty():
     noisy = measured(Rotor(), ROTOR_OMEGA, ROTOR, noise=0.02, seed=3)
     rotor = fit(gb.Problem(Rotor(), noisy, tied={"T_delay": lambda p: p.T_rotor / 7.5}))
     found = fit(gb.Problem(Tilt(), DATA, fixed=rotor))
-    assert found.standard_error["T_delay"] == pytest.approx(rotor.standard_error["T_delay"], rel=1e-9)
+    assert found.standard_error["T_delay"] == pytest.approx(
+        rotor.standard_error["T_delay"], rel=1e-9
+    )
 
 
 def test_an_earlier_value_without_standard_error_is_not_taken_as_exact():
-    few = fit(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA[:2], ROTOR, noise=0.01), fixed={"T_delay": 0.008}))
+    few = fit(
+        gb.Problem(
+            Rotor(), measured(Rotor(), ROTOR_OMEGA[:2], ROTOR, noise=0.01), fixed={"T_delay": 0.008}
+        )
+    )
     unknown = replace(few, covariance=np.full_like(few.covariance, np.nan))
     found = fit(gb.Problem(Tilt(), DATA, fixed={"T_rotor": unknown, "T_delay": 0.008}))
     assert np.isnan(found.standard_error["T_rotor"])
@@ -371,7 +462,9 @@ def test_a_file_is_read_before_it_is_data(tmp_path, suffix):
     gb.data.write_response(data, path)
     problem = gb.Problem(Rotor(), gb.read_response(path))
     assert np.array_equal(problem.data.response, data.response)
-    with pytest.raises(TypeError, match=r"data is the path .*: read the file first, gb.read_response"):
+    with pytest.raises(
+        TypeError, match=r"data is the path .*: read the file first, gb.read_response"
+    ):
         gb.Problem(Rotor(), path)
 
 
@@ -395,7 +488,10 @@ ROWS = gb.Record(np.arange(4.0), {"F": [0.0, 1.0, 2.0, 1.0], "v": [0.0, 0.5, np.
 @pytest.mark.parametrize(
     ("statement", "words"),
     [
-        ({"amplitude": {"F": 0.1}}, "amplitude is for frequency responses and the data are a record: leave it out."),
+        (
+            {"amplitude": {"F": 0.1}},
+            "amplitude is for frequency responses and the data are a record: leave it out.",
+        ),
         (
             {"at": {"v": 1.0}},
             "at={'v': 1.0} is the operating point of a frequency response and this is a record: leave it out; known "
@@ -406,14 +502,20 @@ ROWS = gb.Record(np.arange(4.0), {"F": [0.0, 1.0, 2.0, 1.0], "v": [0.0, 0.5, np.
             "bounds and start names 'm', which Cube declares fixed: give free=['m'] to estimate it, or "
             "fixed={'m': ...} to hold it at another value.",
         ),
-        ({"tied": {"c": lambda p: p.m / 5}, "start": {"c": 0.5}}, "'c' is tied, so that it has no start of its own: "),
+        (
+            {"tied": {"c": lambda p: p.m / 5}, "start": {"c": 0.5}},
+            "'c' is tied, so that it has no start of its own: ",
+        ),
         (
             {"fixed": {"c": 7.0}},
             "fixed gives 'c' the value 7 outside its bounds (0.1, 5): change the value, or the bounds, "
             "bounds={'c': (low, high)}.",
         ),
         ({"fixed": {"c": np.nan}}, "fixed gives 'c' the value nan: give a finite number or a Fit."),
-        ({"start": {"k": 1.0}}, "start names 'k', which Cube does not have; its parameters are c, m."),
+        (
+            {"start": {"k": 1.0}},
+            "start names 'k', which Cube does not have; its parameters are c, m.",
+        ),
     ],
 )
 def test_what_a_record_cannot_be_asked_is_refused(statement, words):
@@ -428,6 +530,11 @@ def test_values_at_bounds_are_kept_and_numbers_are_what_is_compared():
         assert not problem.parameters["m"].fixed
     assert gb.Problem(Cube(), ROWS).numbers == 3
     assert gb.Problem(LagLagDelay(), TWO).numbers == 2 * len(TWO_LAGS_OMEGA)
-    assert gb.Problem(Cube(), ROWS, bounds={"m": (1, 3)}, free=["m"]).parameters["m"].bounds == (1, 3)
-    with pytest.raises(TypeError, match=r"^bounds is \['c'\]: give \{name: \.\.\.\}, with a name of a parameter\.$"):
+    assert gb.Problem(Cube(), ROWS, bounds={"m": (1, 3)}, free=["m"]).parameters["m"].bounds == (
+        1,
+        3,
+    )
+    with pytest.raises(
+        TypeError, match=r"^bounds is \['c'\]: give \{name: \.\.\.\}, with a name of a parameter\.$"
+    ):
         gb.Problem(Cube(), ROWS, bounds=["c"])

@@ -61,7 +61,9 @@ def test_gain_and_covariance_follow_the_parameters_as_the_equation_of_riccati_sa
         step = 1e-4 * at[i] * np.eye(len(at))[i]
         (_, _, K1, S1), (_, _, K0, S0) = steady_filter(*(at + step)), steady_filter(*(at - step))
         assert_allclose(found.gain_slope[:, :, i], (K1 - K0) / (2 * step[i]), rtol=1e-3, atol=1e-6)
-        assert_allclose(found.covariance_slope[:, :, i], (S1 - S0) / (2 * step[i]), rtol=1e-3, atol=1e-8)
+        assert_allclose(
+            found.covariance_slope[:, :, i], (S1 - S0) / (2 * step[i]), rtol=1e-3, atol=1e-8
+        )
 
 
 def test_the_estimate_is_the_minimum_of_the_likelihood_of_a_kalman_filter(windy):
@@ -81,7 +83,9 @@ def test_the_estimate_is_the_minimum_of_the_likelihood_of_a_kalman_filter(windy)
     for i, j in np.ndindex(8, 8):
         e, f = size * np.eye(8)[i], size * np.eye(8)[j]
         corners = [(e + f, 1), (e - f, -1), (f - e, -1), (-e - f, 1)]
-        H[i, j] = sum(s * negative_log_likelihood(at + d, record) for d, s in corners) / (4 * size[i] * size[j])
+        H[i, j] = sum(s * negative_log_likelihood(at + d, record) for d, s in corners) / (
+            4 * size[i] * size[j]
+        )
     assert_allclose(error, np.sqrt(np.diag(np.linalg.inv(H)))[:6], rtol=0.15)
 
 
@@ -95,10 +99,19 @@ def test_gains_have_the_errors_of_what_they_follow_from(windy):
         slopes.append((high - low).ravel() / (2 * step.max()))
     expected = np.transpose(slopes) @ found.covariance_of(names) @ slopes
     kept = found.at_estimate()
-    places = [kept.names.index(f"K_{state}_{output}") for state in ("x", "v") for output in ("x", "v")]
-    assert_allclose(kept.covariance[np.ix_(places, places)], expected, rtol=1e-2, atol=1e-2 * np.abs(expected).min())
+    places = [
+        kept.names.index(f"K_{state}_{output}") for state in ("x", "v") for output in ("x", "v")
+    ]
+    assert_allclose(
+        kept.covariance[np.ix_(places, places)],
+        expected,
+        rtol=1e-2,
+        atol=1e-2 * np.abs(expected).min(),
+    )
     own = [kept.names.index(name) for name in ("k", "c", "b")]
-    assert_allclose(kept.covariance[np.ix_(own, own)], found.covariance_of(("k", "c", "b")), rtol=1e-9)
+    assert_allclose(
+        kept.covariance[np.ix_(own, own)], found.covariance_of(("k", "c", "b")), rtol=1e-9
+    )
 
 
 def test_a_test_against_output_error_tells_whether_there_is_process_noise(windy):
@@ -120,7 +133,11 @@ def test_five_outputs_need_a_few_numbers():
     wind = {"beta": 0.01, "p": 0.15}
     sensors = {"beta": 0.005, "p": 0.01, "r": 0.005, "phi": 0.004, "a_y": 0.02}
     record = disturbed(Lateral(), LATERAL, doublets(2, 200, 0.1, 3), 0.04, wind, sensors, 3)
-    found = fit(gb.Problem(Lateral(), record, gb.PredictionError(process_noise=("beta", "p"), inputs="held")))
+    found = fit(
+        gb.Problem(
+            Lateral(), record, gb.PredictionError(process_noise=("beta", "p"), inputs="held")
+        )
+    )
     assert len(found.free) == len(LATERAL) + 7
     truth = LATERAL | {f"w_{name}": size for name, size in wind.items()}
     truth |= {f"v_{name}": size for name, size in sensors.items()}
@@ -134,7 +151,9 @@ def test_a_saved_fit_predicts_by_its_filter(windy, tmp_path):
     assert loaded.records[0].driven == ("v",)
     assert loaded.records[0].added == ("w_v", "v_x", "v_v")
     assert_allclose(loaded.records[0].gain, found.records[0].gain)
-    _, _, K, S = steady_filter(*(found.estimate[name] for name in ("k", "c", "b", "w_v", "v_x", "v_v")))
+    _, _, K, S = steady_filter(
+        *(found.estimate[name] for name in ("k", "c", "b", "w_v", "v_x", "v_v"))
+    )
     assert_allclose(np.reshape(found.records[0].gain, (2, 2)), K, rtol=1e-4, atol=1e-6)
     assert_allclose(found.records[0].noise, S, rtol=1e-4)
     ahead = gb.predict(found, record=record, lead=2.0, horizon=0.5)
@@ -156,4 +175,6 @@ def test_what_process_noise_does_not_go_with_is_refused():
     with pytest.raises(ValueError, match="at too few samples for process_noise"):
         compile_problem(gb.Problem(Spring(), slow, WIND)).parts[0].place(np.ones(6))
     with pytest.raises(ValueError, match="use MultipleShooting"):
-        gb.fit(gb.Problem(Spring(), record, WIND), starts=1, method=gb.Collocation(), progress=False)
+        gb.fit(
+            gb.Problem(Spring(), record, WIND), starts=1, method=gb.Collocation(), progress=False
+        )

@@ -27,10 +27,16 @@ def test_bias_and_errors_of_a_gain_are_those_of_many_data_sets(normalized, power
     draws = 1 + sigma * (rng.normal(size=(8000, n)) + 1j * rng.normal(size=(8000, n)))
     found = gains(draws, normalized, power)
     score = relative_score(sigma, n, power, normalized)
-    assert 1 - np.exp(-np.log(np.abs(found)).mean()) == pytest.approx(score.gain_bias, abs=0.2 * sigma / np.sqrt(n))
+    assert 1 - np.exp(-np.log(np.abs(found)).mean()) == pytest.approx(
+        score.gain_bias, abs=0.2 * sigma / np.sqrt(n)
+    )
     errors = np.sqrt(score.variance / n) / score.curvature
-    # The few data sets with a point next to zero take part in a standard deviation, not in an interval.
-    middle = [np.diff(np.quantile(part, [0.025, 0.975]))[0] / 3.92 for part in (np.log(np.abs(found)), np.angle(found))]
+    # The few data sets with a point next to zero take part in a standard deviation, not in an
+    # interval.
+    middle = [
+        np.diff(np.quantile(part, [0.025, 0.975]))[0] / 3.92
+        for part in (np.log(np.abs(found)), np.angle(found))
+    ]
     assert errors == pytest.approx(middle, rel=0.15)
 
 
@@ -57,7 +63,9 @@ def test_the_size_of_the_noise_is_that_of_the_data_whatever_divides_the_errors()
         for normalized in ("measured", "model"):
             chosen = criterion(normalized=normalized)
             estimate = 2.0 / (1 - chosen.gain_bias(sigma, 100))
-            assert chosen.noise(np.full(4000, estimate + 0j), data) == pytest.approx(sigma, rel=0.02)
+            assert chosen.noise(np.full(4000, estimate + 0j), data) == pytest.approx(
+                sigma, rel=0.02
+            )
 
 
 @pytest.mark.parametrize(("points", "same"), [(2, 8), (1000, 100)])
@@ -78,17 +86,23 @@ def test_beyond_the_largest_noise_all_grows_as_small_noise_does_but_the_bias():
     assert above.variance == pytest.approx(at.variance)
 
 
-@pytest.mark.parametrize(("power", "rel"), [(1, 0.012), (2, 1e-3)])  # the first turns sharply about a measurement
+@pytest.mark.parametrize(
+    ("power", "rel"), [(1, 0.012), (2, 1e-3)]
+)  # the first turns sharply about a measurement
 @pytest.mark.parametrize("normalized", ["measured", "model"])
 @pytest.mark.parametrize(("sigma", "n"), [(0.2, 30), (0.1, 12)])
-def test_gain_curvature_and_variances_are_means_over_a_fine_grid_of_errors(sigma, n, normalized, power, rel):
+def test_gain_curvature_and_variances_are_means_over_a_fine_grid_of_errors(
+    sigma, n, normalized, power, rel
+):
     """Gradients by differences, the gain by a search, over errors up to what one point in 2n exceeds."""
     edge = np.linspace(0, np.sqrt(2 * np.log(2 * n)), 401)
     radius, angle = (edge[1:] + edge[:-1]) / 2, 2 * np.pi * (np.arange(90) + 0.5) / 90
     share = np.exp(-(edge[:-1] ** 2) / 2) - np.exp(-(edge[1:] ** 2) / 2)
     share /= share.sum()
     # As large as all errors are in the mean: E|ε| = σ √(π/2), E|ε|² = 2 σ².
-    radius *= np.sqrt(np.pi / 2) / (share @ radius) if power == 1 else np.sqrt(2 / (share @ radius**2))
+    radius *= (
+        np.sqrt(np.pi / 2) / (share @ radius) if power == 1 else np.sqrt(2 / (share @ radius**2))
+    )
     error = sigma * radius[:, None] * np.exp(1j * angle)
 
     def mean(values):
@@ -97,12 +111,17 @@ def test_gain_curvature_and_variances_are_means_over_a_fine_grid_of_errors(sigma
     def cost(gain, moved=0.0):
         """Of a model that is the truth times `gain`, by the logarithm `moved` away."""
         model = gain * np.exp(moved)
-        return np.abs((1 + error - model) / (1 + error if normalized == "measured" else model)) ** power
+        return (
+            np.abs((1 + error - model) / (1 + error if normalized == "measured" else model))
+            ** power
+        )
 
     def unlikely(moved):
         return np.abs((1 + error) / np.exp(moved) - 1) ** 2 / (2 * sigma**2) + 2 * np.real(moved)
 
-    gain = minimize_scalar(lambda g: mean(cost(g)), bounds=(0.5, 1.5), method="bounded", options={"xatol": 1e-9}).x
+    gain = minimize_scalar(
+        lambda g: mean(cost(g)), bounds=(0.5, 1.5), method="bounded", options={"xatol": 1e-9}
+    ).x
     slopes = [(cost(gain, d) - cost(gain, -d)) / 2e-5 for d in (1e-5, 1e-5j)]
     likely = [(unlikely(d) - unlikely(-d)) / 2e-5 for d in (1e-5, 1e-5j)]
     found = relative_score(sigma, n, power, normalized)

@@ -16,7 +16,9 @@ def fit(problem, starts=6):
 
 
 def test_the_estimate_is_found_within_other_bounds_or_ends_at_them():
-    assert fit(gb.Problem(Lag(), LAG, bounds={"K": (0.5, 4)})).estimate["K"] == pytest.approx(2.0, rel=0.1)
+    assert fit(gb.Problem(Lag(), LAG, bounds={"K": (0.5, 4)})).estimate["K"] == pytest.approx(
+        2.0, rel=0.1
+    )
     found = fit(gb.Problem(Lag(), LAG, bounds={"K": (3, 2e3)}))
     (gain,) = (q for q in found.quantities if q.name == "K")
     assert gain.value == pytest.approx(3)
@@ -27,12 +29,15 @@ def test_the_estimate_is_found_within_other_bounds_or_ends_at_them():
 
 
 def test_starts_are_drawn_in_the_box_that_is_given():
-    problem = gb.Problem(LagLagDelay(), TWO, starts={"K": (1.5, 3)}, bounds={"T1": (0.2, 3)}, start={"T2": 0.4})
+    problem = gb.Problem(
+        LagLagDelay(), TWO, starts={"K": (1.5, 3)}, bounds={"T1": (0.2, 3)}, start={"T2": 0.4}
+    )
     begun = np.array([run.start for run in fit(problem, 16).runs])
     assert 1.5 <= begun[:, 0].min() < begun[:, 0].max() <= 3
     assert 0.2 <= begun[:, 1].min() < begun[:, 1].max() <= 3
     (single,) = fit(problem, [{}]).runs
-    # Declared are 1, 0.1, 0.1 and 0.01: the first two lie outside, and move to the nearest value inside.
+    # Declared are 1, 0.1, 0.1 and 0.01: the first two lie outside, and move to the nearest value
+    # inside.
     np.testing.assert_allclose(single.start, [1.5, 0.2, 0.4, 0.01])
 
 
@@ -55,7 +60,9 @@ def test_a_declared_start_box_is_cut_to_the_bounds():
 
 
 def test_bounds_of_a_tied_parameter_limit_its_expression():
-    problem = gb.Problem(LagLagDelay(), TWO, tied={"T1": lambda p: 20 * p.T2}, bounds={"T1": (0.1, 0.2)})
+    problem = gb.Problem(
+        LagLagDelay(), TWO, tied={"T1": lambda p: 20 * p.T2}, bounds={"T1": (0.1, 0.2)}
+    )
     found = fit(problem)
     assert 0.1 <= found.estimate["T1"] <= 0.2 + 1e-6
 
@@ -63,7 +70,9 @@ def test_bounds_of_a_tied_parameter_limit_its_expression():
 def test_bounds_of_parts_intersect_and_names_are_those_of_the_model():
     problem = gb.Problem(Lag(), LAG, bounds={"K": (1, 5)}, rename={"K": "gain"})
     assert problem.parameters["gain"].bounds == (1, 5)
-    other = gb.Problem(Lag(), measured(Lag(), [1.0, 2.0]), bounds={"K": (2, 9)}, rename={"K": "gain"})
+    other = gb.Problem(
+        Lag(), measured(Lag(), [1.0, 2.0]), bounds={"K": (2, 9)}, rename={"K": "gain"}
+    )
     assert (problem + other).parameters["gain"].bounds == (2, 5)
     assert problem.with_(bounds={}).parameters["gain"].bounds == (1e-3, 1e3)
 
@@ -84,12 +93,21 @@ def test_what_judges_a_fit_later_knows_its_bounds(tmp_path):
         ({"bounds": {"b": (0, 1)}}, "bounds names 'b', which LagLagDelay does not have"),
         ({"bounds": {"K": (2, 1)}}, r"K: bounds \(2.0, 1.0\) are reversed or empty"),
         ({"bounds": {"K": 3}}, r"K: bounds 3 must be a pair"),
-        ({"bounds": {"K": (0, 0.5)}, "start": {"K": 1}}, r"K: start 1 lies outside bounds \(0, 0.5\)"),
+        (
+            {"bounds": {"K": (0, 0.5)}, "start": {"K": 1}},
+            r"K: start 1 lies outside bounds \(0, 0.5\)",
+        ),
         ({"start": {"K": np.nan}}, "K: start nan is not a finite number"),
         ({"starts": {"K": (-1, 1)}}, r"K: starts \(-1, 1\) reach outside bounds \(0, 100\)"),
         ({"starts": {"K": (0, np.inf)}}, "K: starts .* must be two finite numbers"),
-        ({"start": {"T1": 1}, "tied": {"T1": lambda p: p.T2}}, "'T1' is tied, so that it has no start"),
-        ({"fixed": {"K": 3}, "bounds": {"K": (0, 2)}}, r"outside its bounds \(0, 2\): change the value, or the bounds"),
+        (
+            {"start": {"T1": 1}, "tied": {"T1": lambda p: p.T2}},
+            "'T1' is tied, so that it has no start",
+        ),
+        (
+            {"fixed": {"K": 3}, "bounds": {"K": (0, 2)}},
+            r"outside its bounds \(0, 2\): change the value, or the bounds",
+        ),
     ],
 )
 def test_what_a_parameter_cannot_have_is_refused(statement, words):
@@ -101,6 +119,11 @@ def test_things_that_are_no_mapping_and_parameters_that_are_not_free_are_refused
     with pytest.raises(TypeError, match=r"bounds is .* give \{name: \.\.\.\}"):
         gb.Problem(LagLagDelay(), TWO, bounds=[("K", 0, 1)])
     data = measured(Parabola(), [1.0, 2.0])
-    with pytest.raises(ValueError, match=r"bounds names 'slope', which Parabola declares fixed: give free=\['slope'\]"):
+    with pytest.raises(
+        ValueError,
+        match=r"bounds names 'slope', which Parabola declares fixed: give free=\['slope'\]",
+    ):
         gb.Problem(Parabola(), data, bounds={"slope": (0, 1)})
-    assert gb.Problem(Parabola(), data, bounds={"slope": (0, 1)}, free=["slope"]).parameters["slope"].bounds == (0, 1)
+    assert gb.Problem(Parabola(), data, bounds={"slope": (0, 1)}, free=["slope"]).parameters[
+        "slope"
+    ].bounds == (0, 1)

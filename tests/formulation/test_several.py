@@ -11,7 +11,14 @@ def test_parameters_of_a_records_own_get_its_number():
     both = gb.several(Spring(), records, own=("b",), criterion=HELD, rename={"k": "stiffness"})
     assert set(both.parameters) == {"stiffness", "c", "d", "b_1", "b_2", "b_3"}
     assert [part.data for part in both.parts] == records
-    assert set(gb.several(Spring(), records, own="b").parameters) == {"k", "c", "d", "b_1", "b_2", "b_3"}
+    assert set(gb.several(Spring(), records, own="b").parameters) == {
+        "k",
+        "c",
+        "d",
+        "b_1",
+        "b_2",
+        "b_3",
+    }
 
 
 def test_several_records_find_what_each_has_for_itself():
@@ -21,7 +28,9 @@ def test_several_records_find_what_each_has_for_itself():
 
 
 def test_mistakes_are_sentences():
-    with pytest.raises(ValueError, match="takes a list of at least two records: for one, use Problem"):
+    with pytest.raises(
+        ValueError, match="takes a list of at least two records: for one, use Problem"
+    ):
         gb.several(Spring(), [spring()])
     with pytest.raises(ValueError, match="Spring has no parameter 'mass'; it has k, c, b, d"):
         gb.several(Spring(), [spring(seed=1), spring(seed=2)], own=("mass",))

@@ -25,8 +25,14 @@ class Rate(gb.StateSpace):
 def record(factor=1.0, **units):
     n = 200
     delta = np.repeat(np.random.default_rng(0).normal(size=n // 10), 10)
-    flown = gb.simulate(Rate(), {"a": 3.0}, gb.Record(0.05 * np.arange(n), {"delta": delta}), inputs="held")["q"]
-    signals = {"delta": delta, "q": factor * flown, "T": 300 + 0.1 * np.random.default_rng(1).normal(size=n)}
+    flown = gb.simulate(
+        Rate(), {"a": 3.0}, gb.Record(0.05 * np.arange(n), {"delta": delta}), inputs="held"
+    )["q"]
+    signals = {
+        "delta": delta,
+        "q": factor * flown,
+        "T": 300 + 0.1 * np.random.default_rng(1).normal(size=n),
+    }
     return gb.Record(0.05 * np.arange(n), signals, units=units, name="flight")
 
 
@@ -37,7 +43,10 @@ def record(factor=1.0, **units):
         ({"delta": "deg"}, "delta is in deg in the record 'flight' and in rad in Rate: convert it"),
         ({"q": "mrad/s"}, "q=0.001 * record['q']"),
         ({"T": "degC"}, "T=1 * record['T'] + 273.15"),
-        ({"q": "m/s"}, "q is in m/s in the record 'flight' and in rad/s in Rate: these are different quantities"),
+        (
+            {"q": "m/s"},
+            "q is in m/s in the record 'flight' and in rad/s in Rate: these are different quantities",
+        ),
     ],
 )
 def test_another_unit_is_refused_with_the_cure(units, words):
@@ -52,11 +61,15 @@ def test_the_cure_works():
         gb.Problem(Rate(), degrees)
     cure = str(refused.value).partition("convert it, ")[2].removesuffix(".")
     converted = eval(cure, {"record": degrees})
-    fit = gb.fit(gb.Problem(Rate(), converted, gb.OutputError(inputs="held")), starts=1, progress=False)
+    fit = gb.fit(
+        gb.Problem(Rate(), converted, gb.OutputError(inputs="held")), starts=1, progress=False
+    )
     assert fit.estimate["a"] == pytest.approx(3.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("units", [{}, {"q": "rad/s"}, {"q": "1/s"}, {"q": "rad s^-1"}, {"q": "furlong"}, {"T": "K"}])
+@pytest.mark.parametrize(
+    "units", [{}, {"q": "rad/s"}, {"q": "1/s"}, {"q": "rad s^-1"}, {"q": "furlong"}, {"T": "K"}]
+)
 def test_the_same_unit_in_other_words_and_unknown_ones_pass(units):
     gb.Problem(Rate(), record(**units))
 
@@ -79,7 +92,9 @@ def test_the_tilt_of_a_log_in_degrees_is_refused():
 def test_a_spectrum_in_other_units_is_refused_with_where_to_convert_it():
     degrees = record(180 / np.pi, q="deg/s", delta="rad", T="K")
     spectrum = gb.spectral.transient_spectrum(degrees, "delta", "q", (0.5, 20.0))
-    with pytest.raises(ValueError, match=r"q is in deg/s in the spectrum .* convert the record that the"):
+    with pytest.raises(
+        ValueError, match=r"q is in deg/s in the spectrum .* convert the record that the"
+    ):
         gb.fit(gb.Problem(Rate(), spectrum), starts=1, progress=False)
 
 
@@ -132,13 +147,17 @@ def test_a_response_in_other_units_is_refused_with_the_cure(units, words):
     assert str(refused.value).startswith(words)
 
 
-@pytest.mark.parametrize("units", [{}, {"F": "N"}, {"theta": "1"}, {"theta": "furlong"}, {"F": "kg*m/s^2"}])
+@pytest.mark.parametrize(
+    "units", [{}, {"F": "N"}, {"theta": "1"}, {"theta": "furlong"}, {"F": "kg*m/s^2"}]
+)
 def test_a_response_in_the_same_or_unknown_units_passes(units):
     check_response_units(Gain(), response(**units))
 
 
 def test_the_only_pair_of_a_model_needs_no_names():
-    data = as_the_only_pair(Gain(), response("lever", "attitude", lever="N", attitude="rad", other="m"))
+    data = as_the_only_pair(
+        Gain(), response("lever", "attitude", lever="N", attitude="rad", other="m")
+    )
     assert (data.input, data.output, data.units) == ("", "", {})
     with pytest.raises(ValueError, match="the output theta is in deg in the response"):
         as_the_only_pair(Gain(), response("lever", "attitude", attitude="deg"))
@@ -151,5 +170,8 @@ def test_units_that_are_not_of_si_are_met_as_they_are():
         units = {"F": "kN", "theta": "deg"}
 
     check_response_units(InDegrees(), response(F="kN", theta="deg"))
-    with pytest.raises(ValueError, match="theta is in rad in the response and in deg in InDegrees: measure it in deg"):
+    with pytest.raises(
+        ValueError,
+        match="theta is in rad in the response and in deg in InDegrees: measure it in deg",
+    ):
         check_response_units(InDegrees(), response(F="kN", theta="rad"))

@@ -28,7 +28,11 @@ class Cart(gb.StateSpace):
 def spectrum(inputs=("F", "wind"), outputs=("x", "v")):
     values = {name: np.exp(1j * GRID * k) for k, name in enumerate((*inputs, *outputs), 1)}
     return TransientSpectrum(
-        GRID, {name: values[name] for name in inputs}, {name: values[name] for name in outputs}, 8.0, 0.02
+        GRID,
+        {name: values[name] for name in inputs},
+        {name: values[name] for name in outputs},
+        8.0,
+        0.02,
     )
 
 
@@ -47,20 +51,35 @@ def test_outputs_are_compared_in_the_order_of_the_model(criterion, outputs, comp
     problem = gb.Problem(Cart(), data, criterion)
     assert problem.numbers == 2 * 5 * len(compared)
     erring = "differential equation" if isinstance(criterion, gb.EquationError) else "outputs"
-    assert criterion.condition_on(data) == f"white errors of the {erring} over the band, and known inputs"
+    assert (
+        criterion.condition_on(data)
+        == f"white errors of the {erring} over the band, and known inputs"
+    )
 
 
 @pytest.mark.parametrize(
     ("criterion", "data", "words"),
     [
-        (gb.PredictionError(), {}, "PredictionError is for records and the data are a TransientSpectrum: use"),
+        (
+            gb.PredictionError(),
+            {},
+            "PredictionError is for records and the data are a TransientSpectrum: use",
+        ),
         (
             gb.OutputError(inputs="held"),
             {},
             "inputs of OutputError is for records and the data are a TransientSpectrum, ",
         ),
-        (gb.OutputError(biases=("x",)), {}, "biases of OutputError is for records and the data are a Transient"),
-        (gb.EquationError(initial={"x": 1.0}), {}, "initial of EquationError is for records and the data are a "),
+        (
+            gb.OutputError(biases=("x",)),
+            {},
+            "biases of OutputError is for records and the data are a Transient",
+        ),
+        (
+            gb.EquationError(initial={"x": 1.0}),
+            {},
+            "initial of EquationError is for records and the data are a ",
+        ),
         (
             gb.OutputError(),
             {"inputs": ("F", "rain")},
@@ -90,5 +109,7 @@ def test_what_does_not_fit_together_is_refused(criterion, data, words):
 
 
 def test_the_errors_of_an_equation_have_no_stated_size():
-    with pytest.raises(ValueError, match=r"^EquationError estimates the size .*: leave out noise\.$"):
+    with pytest.raises(
+        ValueError, match=r"^EquationError estimates the size .*: leave out noise\.$"
+    ):
         gb.EquationError(noise={"x": 0.1})

@@ -22,7 +22,9 @@ def test_points_fill_the_start_boxes_evenly_in_the_parameters_own_scale(rule):
     points = rule(512, seed=3).draw(BOXES)
     assert points.shape == (512, 3)
     for values, (low, high) in zip(
-        (points[:, 0], points[:, 1], np.log10(points[:, 2])), ((-3, 5), (1, 2), (-4, 4)), strict=True
+        (points[:, 0], points[:, 1], np.log10(points[:, 2])),
+        ((-3, 5), (1, 2), (-4, 4)),
+        strict=True,
     ):
         assert values.min() >= low
         assert values.max() <= high
@@ -32,7 +34,9 @@ def test_points_fill_the_start_boxes_evenly_in_the_parameters_own_scale(rule):
 
 @pytest.mark.parametrize("n", [1, 3, 8, 100])
 def test_more_sobol_points_begin_with_the_same_points(n):
-    assert_array_equal(gb.solve.Sobol(2 * n, seed=4).draw(BOXES)[:n], gb.solve.Sobol(n, seed=4).draw(BOXES))
+    assert_array_equal(
+        gb.solve.Sobol(2 * n, seed=4).draw(BOXES)[:n], gb.solve.Sobol(n, seed=4).draw(BOXES)
+    )
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -56,15 +60,21 @@ def test_listed_points_keep_the_declared_start_where_they_are_silent():
 
 def test_a_listed_point_outside_its_bounds_is_refused():
     with pytest.raises(
-        ValueError, match=r"gives 'a' the value 99, outside its bounds \(-?\d+, 5\): move the start or widen"
+        ValueError,
+        match=r"gives 'a' the value 99, outside its bounds \(-?\d+, 5\): move the start or widen",
     ):
         gb.solve.Listed([{"a": 99.0}]).draw(BOXES)
 
 
 def test_a_rule_has_its_own_seed_and_says_so():
-    assert str(as_starts([{"a": 2.0}, gb.solve.Uniform(3, seed=9)])) == "1 listed + 3 by Uniform, seed 9"
+    assert (
+        str(as_starts([{"a": 2.0}, gb.solve.Uniform(3, seed=9)]))
+        == "1 listed + 3 by Uniform, seed 9"
+    )
     assert as_starts([{"a": 2.0}, gb.solve.Uniform(3, seed=9)]).seed == 9
-    with pytest.raises(ValueError, match=r"seed = 4 goes with a number of starts: give it to the rule"):
+    with pytest.raises(
+        ValueError, match=r"seed = 4 goes with a number of starts: give it to the rule"
+    ):
         as_starts(gb.solve.Uniform(3, seed=9), seed=4)
 
 
@@ -92,7 +102,10 @@ def test_an_infinite_box_is_refused_and_a_start_box_or_a_list_cures_it():
         K = gb.Parameter(1.0, bounds=(0, np.inf), starts=(1, 10))
 
     data = measured(Open(), TWO_LAGS_OMEGA, {"K": 7.0})
-    with pytest.raises(ValueError, match=r"random starts for 'K' need a finite box.*\(0, inf\).*starts=\(low, high\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"random starts for 'K' need a finite box.*\(0, inf\).*starts=\(low, high\)",
+    ):
         gb.fit(gb.Problem(Open(), data), starts=3)
     for problem, starts in ((gb.Problem(Open(), data), [{}]), (gb.Problem(Boxed(), data), 3)):
         assert gb.fit(problem, starts=starts).estimate["K"] == pytest.approx(7, rel=1e-6)
@@ -121,7 +134,11 @@ def test_bad_number_or_seed_is_refused(rule, arguments, words):
     ("starts", "kind", "words"),
     [
         (0, ValueError, "number of starts is 0"),
-        ([{"K": 1.0}, {"gain": 1.0}], ValueError, "names 'gain', which is not free; free are K, T1, T2, tau"),
+        (
+            [{"K": 1.0}, {"gain": 1.0}],
+            ValueError,
+            "names 'gain', which is not free; free are K, T1, T2, tau",
+        ),
         ([{"K": float("nan")}], ValueError, "gives 'K' the value nan: give a finite number"),
         ([{"K": "big"}], ValueError, "gives 'K' the value 'big': give a finite number"),
         (gb.solve.Listed([]), ValueError, "list of starts is empty"),
@@ -144,7 +161,9 @@ def test_a_fixed_parameter_has_no_start():
 
 @pytest.mark.parametrize("error", [0, 1, -0.1, "0.1", None])
 def test_an_error_is_a_probability(error):
-    with pytest.raises(ValueError, match=r"error of UntilFoundAgain is .*: give a probability between 0 and 1"):
+    with pytest.raises(
+        ValueError, match=r"error of UntilFoundAgain is .*: give a probability between 0 and 1"
+    ):
         gb.solve.UntilFoundAgain(error=error)
     assert gb.solve.UntilFoundAgain(error=0.5) == gb.solve.UntilFoundAgain(10_000, 0, 0.5)
 

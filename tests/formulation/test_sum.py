@@ -44,7 +44,11 @@ def test_ties_of_one_name_must_agree():
 
     agreeing = tied(lambda p: p.T1 / 2, "a") + tied(lambda p: 0.5 * p.T1, "b")
     assert "T2" not in agreeing.parameters
-    with pytest.raises(ValueError, match="'T2' is tied in 'b' and free or tied differently in another part"):
+    with pytest.raises(
+        ValueError, match="'T2' is tied in 'b' and free or tied differently in another part"
+    ):
         tied(lambda p: p.T1 / 2, "a") + tied(lambda p: p.T1 / 3, "b")
-    with pytest.raises(ValueError, match="tied in 'a' and free or tied differently in another part"):
+    with pytest.raises(
+        ValueError, match="tied in 'a' and free or tied differently in another part"
+    ):
         tied(lambda p: p.T1 / 2, "a") + gb.Problem(LagLagDelay(), DATA)

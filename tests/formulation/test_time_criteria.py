@@ -38,7 +38,7 @@ def short_flight():
     return tilt_flight(25)
 
 
-# --- the tilt plant in closed loop ------------------------------------------------------------------------------------
+# --- the tilt plant in closed loop
 
 
 def test_every_parameter_of_a_flight_is_found(flight):
@@ -46,7 +46,9 @@ def test_every_parameter_of_a_flight_is_found(flight):
     near = [{"T_rotor": 0.03, "T_delay": 0.03, "a1": 10.0, "a2": 1.0, "a4": 300.0, "C_x": 0.5}]
     found = fit(problem, near)
     assert_true(found, TILT, 3.0)
-    assert all(found.standard_error[name] < 0.05 * max(abs(value), 0.1) for name, value in TILT.items())
+    assert all(
+        found.standard_error[name] < 0.05 * max(abs(value), 0.1) for name, value in TILT.items()
+    )
     assert found.records[0].fit_percent("theta") > 90
     assert_allclose(np.sqrt(np.diag(found.records[0].noise)), [0.05, 0.02, 0.005], rtol=0.05)
 
@@ -64,30 +66,37 @@ def test_a_lag_that_has_changed_places_with_another_is_put_back(short_flight):
 
 
 def test_random_starts_in_wide_boxes_agree(short_flight):
-    problem = gb.Problem(FullTilt(), short_flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",))
+    problem = gb.Problem(
+        FullTilt(), short_flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",)
+    )
     found = fit(problem, 16)
     assert_true(found, {k: v for k, v in TILT.items() if k != "T_rotor"}, 3.0)
     assert found.agreeing >= 15
 
 
-# --- delays -----------------------------------------------------------------------------------------------------------
+# --- delays
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["linear", "held"])
 @pytest.mark.parametrize("samples", [0.0, 0.13, 1.0, 1.5, 2.87, 3.0, 4.99])
 def test_a_free_delay_is_found_to_a_tenth_of_a_sample(samples, held):
     data = lag(samples * 0.05, held, noise=0.01)
-    problem = gb.Problem(Lag(), data, gb.OutputError(inputs="held" if held else "linear"), free=("d",))
+    problem = gb.Problem(
+        Lag(), data, gb.OutputError(inputs="held" if held else "linear"), free=("d",)
+    )
     found = fit(problem, [{"d": 0.18}, {"d": 0.02}, {"d": 0.1}])
     assert found.converged
     assert abs(found.estimate["d"] / 0.05 - samples) < 0.1
     assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.02)
-    # A held input has a kink in the delay at whole samples, on both sides of which there may be a minimum.
+    # A held input has a kink in the delay at whole samples, on both sides of which there may be a
+    # minimum.
     assert found.agreeing >= (1 if held and samples % 1 == 0 else 3)
 
 
 @pytest.mark.parametrize("samples", [0.0, 0.3, 1.5, 2.0])
-def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_late_change(samples):
+def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_late_change(
+    samples,
+):
     """The delay is then found within its sample; a mean of both values would draw it to the next whole one."""
     exact = direct(samples, 0)
     starts = [{"d": d} for d in (0.0, 0.02, 0.07, 0.12)]
@@ -95,24 +104,30 @@ def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_
     assert found.estimate["d"] / 0.05 == pytest.approx(samples, abs=0.06)
     assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.03)
     assert np.nanmean(found.records[0].residual("y") ** 2) < 1.2 * 0.01**2
-    assert any("the cost is discontinuous where d is a whole number of samples" in text for text in found.warnings)
+    assert any(
+        "the cost is discontinuous where d is a whole number of samples" in text
+        for text in found.warnings
+    )
     lone = fit(gb.Problem(Lag(), lag(samples * 0.05, True, noise=0.01), HELD, free=("d",)))
     assert not any("the cost is discontinuous" in text for text in lone.warnings)
     simulated = gb.simulate(Direct(), {**LAG, "d": samples * 0.05}, exact, inputs="held")
-    assert_allclose(simulated["y"][5:], exact["y"][5:], atol=0.05)  # five standard deviations of the noise
+    assert_allclose(
+        simulated["y"][5:], exact["y"][5:], atol=0.05
+    )  # five standard deviations of the noise
 
 
 def test_a_delay_by_pade_states_is_nearly_the_same():
     data = lag(0.115, False, noise=0.005)
     exact, pade = (
-        fit(gb.Problem(Lag(), data, free=("d",), delay=delay), [{"d": 0.1}]) for delay in ("exact", "pade:2")
+        fit(gb.Problem(Lag(), data, free=("d",), delay=delay), [{"d": 0.1}])
+        for delay in ("exact", "pade:2")
     )
     assert_allclose(pade.estimate["d"], 0.115, atol=0.01)
     assert_allclose(pade.estimate["K"], exact.estimate["K"], rtol=0.02)
     assert_allclose(exact.estimate["d"], 0.115, atol=0.001)
 
 
-# --- the likelihood ---------------------------------------------------------------------------------------------------
+# --- the likelihood
 
 
 def simulated(record, k, c, b, x0, v0):
@@ -134,7 +149,12 @@ def brute_force(record, likelihood):
     def cost(z):
         return likelihood(y - simulated(record, *z))
 
-    return minimize(cost, [8.9, 1.2, 4.0, *(record[name][0] for name in "xv")], method="BFGS", options={"gtol": 1e-4})
+    return minimize(
+        cost,
+        [8.9, 1.2, 4.0, *(record[name][0] for name in "xv")],
+        method="BFGS",
+        options={"gtol": 1e-4},
+    )
 
 
 def gaussian(residual, sigma):
@@ -178,7 +198,10 @@ def test_the_estimate_is_the_most_likely_one(noise, likelihood):
 
 def test_missing_samples_are_left_out_of_the_likelihood():
     data = correlated()
-    holes = {n: np.where(np.random.default_rng(k).random(150) < 0.3, np.nan, data[n]) for k, n in enumerate("xv")}
+    holes = {
+        n: np.where(np.random.default_rng(k).random(150) < 0.3, np.nan, data[n])
+        for k, n in enumerate("xv")
+    }
     data = data.with_signals(**holes)
     wanted = brute_force(data, diagonal)
     found = fit(gb.Problem(Spring(), data, HELD), method=FINE)
@@ -193,12 +216,15 @@ def test_standard_errors_are_those_of_the_brute_force_likelihood():
     found, h = fit(gb.Problem(Spring(), data, HELD)), 1e-4
     y = np.array([data["x"], data["v"]])
     columns = [
-        (simulated(data, *(wanted.x + h * e)) - simulated(data, *(wanted.x - h * e))) / (2 * h) for e in np.eye(5)
+        (simulated(data, *(wanted.x + h * e)) - simulated(data, *(wanted.x - h * e))) / (2 * h)
+        for e in np.eye(5)
     ]
     sigma = np.sqrt(np.mean((y - simulated(data, *wanted.x)) ** 2, axis=1))
     J = np.array([(c / sigma[:, None]).ravel() for c in columns]).T
     errors = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))[:3]
-    assert_allclose([found.standard_error[n] for n in SPRING], errors, rtol=0.1)  # residuals nearly white
+    assert_allclose(
+        [found.standard_error[n] for n in SPRING], errors, rtol=0.1
+    )  # residuals nearly white
     assert_allclose(np.sqrt(np.diag(found.white)), errors, rtol=0.01)
 
 
@@ -207,13 +233,17 @@ def test_a_bias_begins_as_near_to_zero_in_every_unit(unit):
     time = np.arange(50.0)
     parameter = bias_parameter("y", gb.Record(time, {"y": unit * np.sin(time)}))
     known = bias_parameter("y", gb.Record(time, {"y": np.sin(time)}))
-    assert_allclose([*parameter.starts, *parameter.bounds], unit * np.array([*known.starts, *known.bounds]))
+    assert_allclose(
+        [*parameter.starts, *parameter.bounds], unit * np.array([*known.starts, *known.bounds])
+    )
     assert parameter.bounds[0] <= parameter.starts[0] == -parameter.starts[1] < 0
 
 
 def test_what_a_record_cannot_be_compared_with_is_said():
     record = gb.Record(0.1 * np.arange(50), {"F": np.ones(50), "other": np.zeros(50)})
-    with pytest.raises(ValueError, match=r"none of the outputs of Spring \(x, v\); it has F, other"):
+    with pytest.raises(
+        ValueError, match=r"none of the outputs of Spring \(x, v\); it has F, other"
+    ):
         gb.Problem(Spring(), record, HELD)
     with pytest.raises(TypeError, match=r"initial is \[1\.0\]: give \{state: value or function"):
         gb.OutputError(initial=[1.0])
@@ -224,11 +254,16 @@ def test_what_a_record_cannot_be_compared_with_is_said():
 
 def test_only_a_model_with_named_states_is_predicted():
     record = gb.Record(0.1 * np.arange(50), {"u": np.ones(50), "y": np.zeros(50)})
-    with pytest.raises(TypeError, match="PredictionError needs a StateSpace, whose states it corrects, not Lag"):
+    with pytest.raises(
+        TypeError, match="PredictionError needs a StateSpace, whose states it corrects, not Lag"
+    ):
         gb.PredictionError().gains(Lag(), ("y",))
     constant = bias_parameter("u", record)
     known = bias_parameter("u", record.with_signals(u=np.linspace(3.0, 4.0, 50)))
-    assert (constant.starts, constant.bounds) == (known.starts, known.bounds)  # a constant counts as a range of one
+    assert (constant.starts, constant.bounds) == (
+        known.starts,
+        known.bounds,
+    )  # a constant counts as a range of one
 
 
 def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
@@ -248,7 +283,12 @@ def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
     found = gb.PredictionError(process_noise=("v",), biases=("x",)).parameters(Spring(), record)
     assert list(found) == ["x_bias", "w_v", "v_x", "v_v"]
     driven, deviation = found["w_v"], found["v_v"]
-    assert (driven.start, driven.bounds, driven.starts, driven.unit) == (0, (0, np.inf), (0, 0), "[v]/√s")
+    assert (driven.start, driven.bounds, driven.starts, driven.unit) == (
+        0,
+        (0, np.inf),
+        (0, 0),
+        "[v]/√s",
+    )
     spread = np.sqrt(8 / 3)
     assert deviation.start == pytest.approx(0.1 * spread)
     assert deviation.starts == (deviation.start, deviation.start)
@@ -258,18 +298,40 @@ def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
 
     gains = gb.PredictionError(corrected=("v",)).parameters(Spring(), record)
     assert list(gains) == ["K_v_x", "K_v_v"]
-    assert (gains["K_v_x"].start, gains["K_v_x"].starts, gains["K_v_x"].unit) == (0, (0, 0), "[v/x]")
+    assert (gains["K_v_x"].start, gains["K_v_x"].starts, gains["K_v_x"].unit) == (
+        0,
+        (0, 0),
+        "[v/x]",
+    )
 
 
 @pytest.mark.parametrize(
     ("criterion", "words"),
     [
-        (lambda: gb.OutputError(noise={"x": 0.0}), "noise gives 'x' the value 0.0: give a standard deviation above 0."),
-        (lambda: gb.OutputError(noise={"x": np.inf}), "noise gives 'x' the value inf: give a standard deviation"),
-        (lambda: gb.OutputError(noise={"x": "1"}), "noise gives 'x' the value '1': give a standard deviation"),
-        (lambda: gb.OutputError(noise="ful"), "noise 'ful' is not known: use 'diagonal', 'full' or {output: standard"),
-        (lambda: gb.OutputError(initial={"x": np.nan}), "initial gives 'x' the value nan: give a finite number or"),
-        (lambda: gb.OutputError(initial={"x": "0"}), "initial gives 'x' the value '0': give a finite number or a"),
+        (
+            lambda: gb.OutputError(noise={"x": 0.0}),
+            "noise gives 'x' the value 0.0: give a standard deviation above 0.",
+        ),
+        (
+            lambda: gb.OutputError(noise={"x": np.inf}),
+            "noise gives 'x' the value inf: give a standard deviation",
+        ),
+        (
+            lambda: gb.OutputError(noise={"x": "1"}),
+            "noise gives 'x' the value '1': give a standard deviation",
+        ),
+        (
+            lambda: gb.OutputError(noise="ful"),
+            "noise 'ful' is not known: use 'diagonal', 'full' or {output: standard",
+        ),
+        (
+            lambda: gb.OutputError(initial={"x": np.nan}),
+            "initial gives 'x' the value nan: give a finite number or",
+        ),
+        (
+            lambda: gb.OutputError(initial={"x": "0"}),
+            "initial gives 'x' the value '0': give a finite number or a",
+        ),
         (
             lambda: gb.PredictionError(process_noise="v", corrected=("v",)),
             "process_noise says which states are corrected: leave out corrected.",
@@ -283,15 +345,26 @@ def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
 def test_options_that_are_none_are_refused(criterion, words):
     with pytest.raises(ValueError, match=f"^{re.escape(words)}"):
         criterion()
-    with pytest.raises(TypeError, match=r"^initial is \(\('x', 1\.0\),\): give \{state: value or function of the par"):
+    with pytest.raises(
+        TypeError,
+        match=r"^initial is \(\('x', 1\.0\),\): give \{state: value or function of the par",
+    ):
         gb.OutputError(initial=(("x", 1.0),))
 
 
 @pytest.mark.parametrize(
     ("criterion", "signals", "words"),
     [
-        (gb.OutputError(), ("x", "v"), "Spring needs the input 'F', which the record does not have; it has x, v."),
-        (gb.OutputError(), ("F", "y"), "the record has none of the outputs of Spring (x, v); it has F, y."),
+        (
+            gb.OutputError(),
+            ("x", "v"),
+            "Spring needs the input 'F', which the record does not have; it has x, v.",
+        ),
+        (
+            gb.OutputError(),
+            ("F", "y"),
+            "the record has none of the outputs of Spring (x, v); it has F, y.",
+        ),
         (
             gb.OutputError(noise={"x": 0.1}),
             ("F", "x", "v"),

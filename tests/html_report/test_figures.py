@@ -43,10 +43,14 @@ def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
         assert named(panel, "lag", "points").x.tolist() == part.data.omega.tolist()
     one_sided = np.abs(part.data.response) + np.sqrt(part.data.variance / 2)
     assert measured.high == pytest.approx(20 * np.log10(one_sided))
-    assert named(phase, "lag", "points").y == pytest.approx(np.degrees(np.angle(part.data.response)))
+    assert named(phase, "lag", "points").y == pytest.approx(
+        np.degrees(np.angle(part.data.response))
+    )
     assert named(coherence, "lag", "points").y == pytest.approx(part.data.coherence)
     ratio = part.data.response / part.response
-    size = np.sqrt(part.data.variance / 2) / np.abs(part.data.response)  # of one component, relative
+    size = np.sqrt(part.data.variance / 2) / np.abs(
+        part.data.response
+    )  # of one component, relative
     left = named(error, "lag", "points")
     assert left.y == pytest.approx(20 * np.log10(np.abs(ratio)))
     assert [left.y - left.low, left.high - left.y] == [
@@ -61,7 +65,9 @@ def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
     low, high = (20 * np.log10(limit) for limit in band.magnitude)
     drawn = named(magnitude, "fit of", "band")
     assert np.interp(np.log(band.omega), np.log(drawn.x), drawn.low) == pytest.approx(low, abs=1e-3)
-    assert np.interp(np.log(band.omega), np.log(drawn.x), drawn.high) == pytest.approx(high, abs=1e-3)
+    assert np.interp(np.log(band.omega), np.log(drawn.x), drawn.high) == pytest.approx(
+        high, abs=1e-3
+    )
     assert bode.is_logarithmic
     assert bode.caption == (
         "Shaded is the 95 % confidence band of the fitted response. Bars are one standard deviation of the "
@@ -74,7 +80,9 @@ def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
     assert sign == "−"
     assert float(real) - 1j * float(imaginary) == pytest.approx(part.data.response[3], rel=1e-3)
     curve = named(nyquist.panels[0], "fit of", "line")
-    assert curve.x + 1j * curve.y == pytest.approx(fit.response(fit_omega(fit, curve)).response, rel=1e-6)
+    assert curve.x + 1j * curve.y == pytest.approx(
+        fit.response(fit_omega(fit, curve)).response, rel=1e-6
+    )
     assert (nyquist.limits, nyquist.is_plane) == (None, True)
 
 
@@ -85,7 +93,8 @@ def fit_omega(fit, curve):
 
 def test_data_stay_readable_beside_a_curve_that_is_far_off(fit):
     far = replace(
-        fit.responses[0], curve=replace(fit.responses[0].curve, response=1e3 * fit.responses[0].curve.response)
+        fit.responses[0],
+        curve=replace(fit.responses[0].curve, response=1e3 * fit.responses[0].curve.response),
     )
     _, nyquist = response_figures([replace(fit, parts=(far, fit.parts[1]), models=None)])
     data = fit.responses[0].data.response
@@ -101,17 +110,31 @@ def test_sensitivities_are_differences_of_fits_that_differ_by_a_percent(fit):
         magnitude, phase = (panel.series[k] for panel in figure.panels)
         assert magnitude.name == name
         step = 1e-4
-        moved = tuple(replace(q, value=q.value * (1 + step)) if q.name == name else q for q in fit.quantities)
-        change = replace(fit, quantities=moved).response(magnitude.x).response / fit.response(magnitude.x).response
-        assert magnitude.y == pytest.approx(20 * np.log10(np.abs(change)) * 0.01 / step, rel=1e-3, abs=1e-6)
-        assert phase.y == pytest.approx(np.degrees(np.angle(change)) * 0.01 / step, rel=1e-3, abs=1e-6)
+        moved = tuple(
+            replace(q, value=q.value * (1 + step)) if q.name == name else q for q in fit.quantities
+        )
+        change = (
+            replace(fit, quantities=moved).response(magnitude.x).response
+            / fit.response(magnitude.x).response
+        )
+        assert magnitude.y == pytest.approx(
+            20 * np.log10(np.abs(change)) * 0.01 / step, rel=1e-3, abs=1e-6
+        )
+        assert phase.y == pytest.approx(
+            np.degrees(np.angle(change)) * 0.01 / step, rel=1e-3, abs=1e-6
+        )
 
 
 def test_what_is_zero_has_no_sensitivity(fit):
     """One percent does not move it."""
-    at_zero = replace(fit, quantities=tuple(replace(q, value=0.0) if q.name == "a0" else q for q in fit.quantities))
+    at_zero = replace(
+        fit,
+        quantities=tuple(replace(q, value=0.0) if q.name == "a0" else q for q in fit.quantities),
+    )
     shown = sensitivity_figure(at_zero, fit.responses[0], fit.models[0])
-    assert [series.name for series in shown.panels[0].series] == [name for name in fit.free if name != "a0"]
+    assert [series.name for series in shown.panels[0].series] == [
+        name for name in fit.free if name != "a0"
+    ]
 
 
 def test_histories_show_degrees_and_extremes_of_what_is_too_long(fit):
@@ -153,7 +176,11 @@ def test_starts_are_sorted_and_failed_ones_stand_at_the_right(fit):
     assert minimum.y.tolist() == sorted(run.cost for run in (first, third))
     low, high = figure.panels[0].limits
     assert low < failed.y[0] < high
-    assert [figure.panels[0].label, figure.label, figure.limits] == ["Cost", "Runs, sorted by cost", (0.0, 4.0)]
+    assert [figure.panels[0].label, figure.label, figure.limits] == [
+        "Cost",
+        "Runs, sorted by cost",
+        (0.0, 4.0),
+    ]
     assert figure.caption == (
         "2 of 3 starts agree on the best minimum. Failed runs stand at the right; their height means nothing."
     )
@@ -165,10 +192,14 @@ def test_the_spectrum_of_a_manoeuvre_has_data_fit_and_what_is_left(fit):
     time = 0.05 * np.arange(201)
     u = np.exp(-((time - 2) ** 2))
     y = gb.simulate(Polynomial(1, 0), fit.estimate, gb.Record(time, {"u": u}))["y"]
-    spectrum = gb.spectral.transient_spectrum(gb.Record(time, {"u": u, "y": y}, {"y": "rad"}), "u", "y", (0.5, 6))
+    spectrum = gb.spectral.transient_spectrum(
+        gb.Record(time, {"u": u, "y": y}, {"y": "rad"}), "u", "y", (0.5, 6)
+    )
     fitted = gb.fit(gb.Problem(Polynomial(1, 0), spectrum), starts=2, progress=False)
     output, given = spectrum_figure(fitted.spectra[0]).panels
-    assert named(output, "measured", "points").y == pytest.approx(np.degrees(np.abs(spectrum.outputs["y"])))
+    assert named(output, "measured", "points").y == pytest.approx(
+        np.degrees(np.abs(spectrum.outputs["y"]))
+    )
     assert named(output, "fit of", "line").y == pytest.approx(
         np.degrees(np.abs(spectrum.outputs["y"])), rel=0.01, abs=0.01
     )
@@ -191,7 +222,11 @@ def test_numbers_keep_the_digits_that_zooming_needs():
     [
         ([], False, (0.0, 1.0)),
         ([2.0, 3.0, 300.0], True, (2 / 1.5, 450.0)),
-        ([-5.0, -4.9], False, (-5.5, -3.9)),  # rounding is no range: a tenth of the cost below, and two above
+        (
+            [-5.0, -4.9],
+            False,
+            (-5.5, -3.9),
+        ),  # rounding is no range: a tenth of the cost below, and two above
         ([1.0, 21.0], False, (-1.0, 25.0)),
     ],
 )
@@ -213,21 +248,38 @@ def test_what_tells_of_parameters_is_drawn_in_percent_of_all(fit):
 
 def test_profiles_are_drawn_beside_the_cone_of_the_standard_error():
     values, roots = np.array([0.7, 1.0, 1.4]), np.array([-2.5, 0.0, 2.6])
-    given = {"interval": (0.8, np.inf), "estimate": 1.0, "bias": 0.1, "standard_error": 0.15, "unit": "s"}
+    given = {
+        "interval": (0.8, np.inf),
+        "estimate": 1.0,
+        "bias": 0.1,
+        "standard_error": 0.15,
+        "unit": "s",
+    }
     profile = SimpleNamespace(name="T", values=values, roots=roots, **given)
     (figure,) = profile_figures(SimpleNamespace(profiles=[profile], limit={"T": 2.0}))
     (panel,) = figure.panels
     assert named(panel, "profile", "line").y == pytest.approx([2.5, 0.0, 2.6])
     cone = named(panel, "by the standard error", "line")
-    assert (cone.x, cone.y) == (pytest.approx([1 - 0.15 * 3.2, 1, 1 + 0.15 * 3.2]), pytest.approx([3.2, 0, 3.2]))
+    assert (cone.x, cone.y) == (
+        pytest.approx([1 - 0.15 * 3.2, 1, 1 + 0.15 * 3.2]),
+        pytest.approx([3.2, 0, 3.2]),
+    )
     assert named(panel, "limit", "line").y == pytest.approx([2.1, 2.1, 1.9, 1.9])
-    assert named(panel, "interval", "band").x == pytest.approx([0.8, 1.4])  # open above: to the end of the curve
+    assert named(panel, "interval", "band").x == pytest.approx(
+        [0.8, 1.4]
+    )  # open above: to the end of the curve
     assert (figure.limits, panel.limits, figure.label) == ((0.7, 1.4), (0.0, 3.2), "T, s")
 
 
 @pytest.mark.parametrize(
     ("least", "cost", "is_logarithmic"),
-    [(1.0, 2.0, False), (1.0, 500.0, True), (0.0, 500.0, False), (10.0, 90.0, False), (0.01, 0.9, True)],
+    [
+        (1.0, 2.0, False),
+        (1.0, 500.0, True),
+        (0.0, 500.0, False),
+        (10.0, 90.0, False),
+        (0.01, 0.9, True),
+    ],
 )
 def test_costs_that_span_decades_have_a_logarithmic_axis(fit, least, cost, is_logarithmic):
     first, second, *_ = fit.runs
@@ -248,7 +300,10 @@ def test_wide_figures_and_a_figure_alone_take_the_whole_width():
 
 def test_limits_of_axes_are_handed_on_where_there_are_any():
     assert Panel("a", [], limits=(0.5, np.inf)).plain["limits"] == [0.5, None]
-    assert Panel("a", [], limits=(0.0, 123456.7)).plain["limits"] == [0, 123460]  # five digits of what has no span
+    assert Panel("a", [], limits=(0.0, 123456.7)).plain["limits"] == [
+        0,
+        123460,
+    ]  # five digits of what has no span
     usual = Panel("a", []).plain
     assert (usual["limits"], usual["log"], usual["height"]) == (None, False, 1.0)
     for limits, plain in (((0.0, 3.0), [0, 3]), (None, None)):
@@ -265,11 +320,16 @@ def test_curves_have_no_more_points_than_can_be_seen_and_keep_their_ends(count):
 
 def test_minima_have_five_colors_and_further_ones_and_failed_runs_none(fit):
     first = fit.runs[0]
-    ended = [replace(first, index=k, cost=3.0 + k, iterations=k + 1, converged=True) for k in range(7)]
+    ended = [
+        replace(first, index=k, cost=3.0 + k, iterations=k + 1, converged=True) for k in range(7)
+    ]
     lost = [replace(first, index=7 + k, status="stagnated", converged=False) for k in range(2)]
     screened = [replace(first, index=9 + k, stage=SCREENED) for k in range(4)]
     minima = tuple(replace(fit.minima[0], cost=run.cost, runs=(run.index,)) for run in ended[:6])
-    minima = (replace(minima[0], runs=(6, 0)), *minima[1:])  # the dearest run counts to the first as well
+    minima = (
+        replace(minima[0], runs=(6, 0)),
+        *minima[1:],
+    )  # the dearest run counts to the first as well
     made = replace(fit, runs=(*reversed(ended), *lost, *screened), minima=minima)
     figure = starts_figure(made)
     *found, failed = figure.panels[0].series
@@ -280,7 +340,14 @@ def test_minima_have_five_colors_and_further_ones_and_failed_runs_none(fit):
     ]
     assert [series.x.tolist() for series in found] == [[1, 7], [2], [3], [4], [5], [6]]
     assert [series.y.tolist() for series in found] == [[3, 9], [4], [5], [6], [7], [8]]
-    assert [(series.color, series.style) for series in found] == [(0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (-1, 0)]
+    assert [(series.color, series.style) for series in found] == [
+        (0, 0),
+        (1, 1),
+        (2, 2),
+        (3, 3),
+        (4, 4),
+        (-1, 0),
+    ]
     assert found[0].notes == ["start 0, cost 3, 1 iteration", "start 6, cost 9, 7 iterations"]
     assert (failed.name, failed.color, failed.x.tolist()) == ("2 × failed", -2, [8, 9])
     assert failed.style not in range(5)
@@ -319,5 +386,7 @@ def test_bounds_of_correlations_are_drawn_about_zero(fit):
     most = max(np.abs(points.y).max(), bound)
     assert most < panel.limits[1] == -panel.limits[0] < 1.5 * most
     assert [panel.label, figure.label, figure.is_whole] == ["Autocorrelation", "Lag, samples", True]
-    assert figure.caption.startswith("99 % of single correlations stay within the band if there is none. Probability")
+    assert figure.caption.startswith(
+        "99 % of single correlations stay within the band if there is none. Probability"
+    )
     assert "with themselves p" in figure.caption

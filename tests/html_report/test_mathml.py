@@ -18,7 +18,14 @@ def read(element):
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [("omega_p", "ωp"), ("a1", "a1"), ("T_rotor", "Trotor"), ("K_Omega", "KΩ"), ("tau", "τ"), ("_", "_")],
+    [
+        ("omega_p", "ωp"),
+        ("a1", "a1"),
+        ("T_rotor", "Trotor"),
+        ("K_Omega", "KΩ"),
+        ("tau", "τ"),
+        ("_", "_"),
+    ],
 )
 def test_names_are_symbols_with_indices(name, text):
     assert read(symbol(name)) == text
@@ -60,7 +67,10 @@ def test_a_formula_too_long_to_be_read_is_refused():
 
 def test_elements_escape_what_they_hold():
     made = tag("p", "<b>&", tag("i", "x"), "tail </p>", title='"><script>', hidden=True, lang=None)
-    assert html(made) == '<p title="&quot;&gt;<script&gt;" hidden="">&lt;b&gt;&amp;<i>x</i>tail &lt;/p&gt;</p>'
+    assert (
+        html(made)
+        == '<p title="&quot;&gt;<script&gt;" hidden="">&lt;b&gt;&amp;<i>x</i>tail &lt;/p&gt;</p>'
+    )
     assert html(tag("p", "\x1b[2J\ud800")) == "<p>\\x1b[2J\\ud800</p>"
 
 
@@ -107,8 +117,16 @@ def test_roots_powers_and_fractions_have_their_elements():
     power = written(Power(A, B))
     assert (power.tag, [read(part) for part in power]) == ("msup", ["a", "b"])
     row = written(Product((A, Power(Symbol("e"), B), Number(3.0)), (T,)))
-    assert [(part.tag, read(part)) for part in row] == [("mfrac", "a·3τ"), ("mspace", ""), ("msup", "eb")]
+    assert [(part.tag, read(part)) for part in row] == [
+        ("mfrac", "a·3τ"),
+        ("mspace", ""),
+        ("msup", "eb"),
+    ]
     fraction = row.find("mfrac")
-    for inside, stretchy in ((fraction, "true"), (tag("mrow", fraction), "true"), (tag("mi", "x"), "false")):
+    for inside, stretchy in (
+        (fraction, "true"),
+        (tag("mrow", fraction), "true"),
+        (tag("mi", "x"), "false"),
+    ):
         left, *_, right = parenthesized(tag("mi", "y"), inside)
         assert (left.get("stretchy"), right.get("stretchy")) == (stretchy,) * 2

@@ -32,7 +32,9 @@ def test_one_result_has_its_sections_and_links_to_them(fit):
         "Data and provenance",
     ]  # fmt: skip
     assert headings(text) == sections
-    assert re.findall('<section id="([^"]*)"', text) == [name.lower().replace(" ", "-") for name in sections]
+    assert re.findall('<section id="([^"]*)"', text) == [
+        name.lower().replace(" ", "-") for name in sections
+    ]
     nav = text.partition("<nav")[2].partition("</nav>")[0]
     links = re.findall('<a href="#([^"]*)">([^<]*)</a>', nav)
     assert links == [(name.lower().replace(" ", "-"), name) for name in sections]
@@ -44,14 +46,24 @@ def test_several_results_have_details_that_are_open_up_to_three(fit):
     for count in (3, 4):
         text = page([Entry(f"fit {k}", fit) for k in range(count)], None, "several")
         assert headings(text) == ["Comparison", *(f"fit {k}" for k in range(count))]
-        assert re.findall('<section id="([^"]*)"', text) == ["comparison", *(f"result-{k + 1}" for k in range(count))]
+        assert re.findall('<section id="([^"]*)"', text) == [
+            "comparison",
+            *(f"result-{k + 1}" for k in range(count)),
+        ]
         assert text.count("<details open") >= count * (count <= 3)
         assert ("<details open" in text) == (count <= 3)
         assert "left out" not in text
         assert len(text.encode()) < LARGEST
-    kept = [Entry("shown", fit), Entry("kept", None, fit.to_dict()), Entry("bad", None, error="no log")]
+    kept = [
+        Entry("shown", fit),
+        Entry("kept", None, fit.to_dict()),
+        Entry("bad", None, error="no log"),
+    ]
     text = page(kept, None, "several")
-    assert "Below are details of 1 result, the best of each data set and criterion or those asked for;" in text
+    assert (
+        "Below are details of 1 result, the best of each data set and criterion or those asked for;"
+        in text
+    )
     assert headings(text) == ["Comparison", "shown"]
 
 
@@ -62,18 +74,35 @@ def test_what_cannot_be_reported_is_told(fit, tmp_path):
         gb.report([fit, 3], tmp_path / "x.html")
     with pytest.raises(TypeError, match=r"comparison is 3: give what gb\.compare returns"):
         gb.report(fit, tmp_path / "x.html", comparison=3)
-    with pytest.raises(ValueError, match="a bootstrap is not understood: give what greybox bootstrap"):
+    with pytest.raises(
+        ValueError, match="a bootstrap is not understood: give what greybox bootstrap"
+    ):
         with_bootstraps([Entry("lag", fit)], [{"problem": "lag"}])
-    said = {"about": "x", "replicates": 9, "failed": 0, "seed": 5, "level": 0.9, "warnings": [], "quantities": {}}
-    with pytest.raises(ValueError, match="there is a bootstrap of 'lead', and no fit of that name on this page"):
+    said = {
+        "about": "x",
+        "replicates": 9,
+        "failed": 0,
+        "seed": 5,
+        "level": 0.9,
+        "warnings": [],
+        "quantities": {},
+    }
+    with pytest.raises(
+        ValueError, match="there is a bootstrap of 'lead', and no fit of that name on this page"
+    ):
         with_bootstraps([Entry("lag", fit)], [{**said, "problem": "lead"}])
-    first, second = with_bootstraps([Entry("lag", fit), Entry("none", None)], [{**said, "problem": fit.name}])
+    first, second = with_bootstraps(
+        [Entry("lag", fit), Entry("none", None)], [{**said, "problem": fit.name}]
+    )
     assert (first.bootstrap["seed"], second.bootstrap) == (5, {})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_title_is_that_of_the_fit_or_their_number(fit, tmp_path):
-    for entries, title in (([Entry("a", fit)], fit.name), ([Entry("a", fit)] * 2, "2 results side by side")):
+    for entries, title in (
+        ([Entry("a", fit)], fit.name),
+        ([Entry("a", fit)] * 2, "2 results side by side"),
+    ):
         write_page(entries, tmp_path / "x.html")
         assert f"<h1>{title}</h1>" in (tmp_path / "x.html").read_text(encoding="utf-8")
     write_page([Entry("a", fit)], tmp_path / "x.html", title="own")
@@ -87,16 +116,23 @@ def captions(elements):
 
 def test_of_many_records_the_worst_are_drawn_and_of_one_model_one_sensitivity(fit):
     response, record = fit.parts
-    bad = replace(record, data=replace(record.data, name="bad"), simulated={"y": 0 * record.simulated["y"]})
+    bad = replace(
+        record, data=replace(record.data, name="bad"), simulated={"y": 0 * record.simulated["y"]}
+    )
     many = replace(fit, parts=(response, *(record,) * 3, bad, *(record,) * 3), models=None)
     sections = dict(fit_section(Entry("many", many), 200))
     said, drawn, residuals = sections["Time history"]
     assert said.text == "Of 7 records the 6 that are fitted worst are drawn."
     titles = captions([drawn])
     assert titles.count("Time history, bad") == 1
-    assert titles == ["Time history, flight"] * 3 + ["Time history, bad"] + ["Time history, flight"] * 2
+    assert (
+        titles
+        == ["Time history, flight"] * 3 + ["Time history, bad"] + ["Time history, flight"] * 2
+    )
     assert len(captions([residuals])) == 6
-    few = dict(fit_section(Entry("few", replace(fit, parts=(response, *(record,) * 6), models=None)), 200))
+    few = dict(
+        fit_section(Entry("few", replace(fit, parts=(response, *(record,) * 6), models=None)), 200)
+    )
     assert [element.tag for element in few["Time history"]] == ["div", "div"]
 
     both = gb.fit(
@@ -109,26 +145,42 @@ def test_of_many_records_the_worst_are_drawn_and_of_one_model_one_sensitivity(fi
         parts=(both.parts[0], replace(both.parts[0], name="again"), both.parts[1]),
         models=(*both.models, both.models[0]),
     )
-    assert captions(dict(fit_section(Entry("two", two), 200))["Frequency response"]).count("Sensitivity") == 1
+    assert (
+        captions(dict(fit_section(Entry("two", two), 200))["Frequency response"]).count(
+            "Sensitivity"
+        )
+        == 1
+    )
 
 
 def test_remarks_name_what_is_correlated_and_where_standard_errors_mislead(fit):
-    remarks = [element.text for element in dict(fit_section(Entry("lag", fit), 200))["Parameters"][1:]]
-    assert remarks[0].startswith("CR is the Cramér-Rao bound, the standard error in percent of the value")
+    remarks = [
+        element.text for element in dict(fit_section(Entry("lag", fit), 200))["Parameters"][1:]
+    ]
+    assert remarks[0].startswith(
+        "CR is the Cramér-Rao bound, the standard error in percent of the value"
+    )
     judged = fit.identifiability
     pairs = [f"{a} and {b} ({value:.2f})" for a, b, value in judged.correlated]
     assert [text for text in remarks if text.startswith("Correlated")] == (
         [f"Correlated beyond 0.9: {', '.join(pairs).replace('-', '−')}."] if pairs else []
     )
-    profiled = replace(fit, profiles=SimpleNamespace(profiles=[SimpleNamespace(name="b0"), SimpleNamespace(name="a0")]))
+    profiled = replace(
+        fit,
+        profiles=SimpleNamespace(profiles=[SimpleNamespace(name="b0"), SimpleNamespace(name="a0")]),
+    )
     assert _remarks(profiled)[1].text == (
         "The intervals here are those of the standard errors, which mislead for b0 and a0: see Intervals."
     )
 
 
-@pytest.mark.parametrize(("records", "signals", "columns"), [(0, 1, COLUMNS), (1, 3, COLUMNS), (6, 700, FEWEST)])
+@pytest.mark.parametrize(
+    ("records", "signals", "columns"), [(0, 1, COLUMNS), (1, 3, COLUMNS), (6, 700, FEWEST)]
+)
 def test_lines_of_records_share_the_room_of_the_page(records, signals, columns):
-    part = SimpleNamespace(outputs=("y",), data=SimpleNamespace(signals=dict.fromkeys(range(signals))))
+    part = SimpleNamespace(
+        outputs=("y",), data=SimpleNamespace(signals=dict.fromkeys(range(signals)))
+    )
     assert _columns([SimpleNamespace(records=[part] * records)]) == columns
     many = [SimpleNamespace(records=[part] * 9)] * 20  # of six records of a fit there are figures
     lines = 20 * 6 * (3 + signals)

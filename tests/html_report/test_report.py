@@ -13,7 +13,9 @@ from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
 from greybox.html_report.report import _best, study_entries
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +25,9 @@ def fit():
 
 @pytest.fixture(scope="module")
 def browser():
-    driver = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
+    driver = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed: pip install playwright"
+    )
     if CHROMIUM is None:
         pytest.skip("no Chromium in the path: apt-get install chromium")
     with driver.sync_playwright() as playwright:
@@ -51,7 +55,12 @@ def show(browser):
         shown.trouble = []
         shown.on("console", lambda message: shown.trouble.append(message.text))
         shown.on("pageerror", lambda error: shown.trouble.append(str(error)))
-        shown.on("request", lambda request: None if request.url == path.as_uri() else shown.trouble.append(request.url))
+        shown.on(
+            "request",
+            lambda request: (
+                None if request.url == path.as_uri() else shown.trouble.append(request.url)
+            ),
+        )
         shown.goto(path.as_uri())
         shown.wait_for_selector(".area svg .panel")
         return shown
@@ -206,7 +215,9 @@ def test_the_page_runs_no_script_but_its_own(show, one, tmp_path):
 
 def test_a_failed_fit_shows_where_its_best_run_ended(fit, tmp_path):
     beyond = [lambda p: p.a0 - 1e6]  # its bounds
-    failed = gb.fit(gb.Problem(fit.models[0], fit.parts[0].data, constraints=beyond), starts=1, progress=False)
+    failed = gb.fit(
+        gb.Problem(fit.models[0], fit.parts[0].data, constraints=beyond), starts=1, progress=False
+    )
     assert not failed.converged
     gb.report(failed, tmp_path / "failed.html")
     text = (tmp_path / "failed.html").read_text(encoding="utf-8")
@@ -247,15 +258,25 @@ def test_of_a_study_the_best_of_all_data_and_criteria_are_shown_first():
 
 def test_the_members_of_a_study_stand_with_their_answers_or_why_there_are_none():
     members = [member(f"pitch{k}", "one", "ML", 20.0 - k) for k in range(14)]
-    members += [member("lost", "one", "ML", None, "failed"), member("later", "one", "ML", None, "unfinished")]
+    members += [
+        member("lost", "one", "ML", None, "failed"),
+        member("later", "one", "ML", None, "unfinished"),
+    ]
     study = SimpleNamespace(members=members)
     made = study_entries(study)
     assert [each.label for each in made] == [each.name for each in members]
-    assert [each.fit for each in made[:14]] == [None, None, *(f"fit of pitch{k}" for k in range(2, 14))]
+    assert [each.fit for each in made[:14]] == [
+        None,
+        None,
+        *(f"fit of pitch{k}" for k in range(2, 14)),
+    ]
     assert [each.error for each in made] == [""] * 14 + ["no log", "unfinished"]
     assert made[3].file == "of/pitch3"
     assert made[14].fit is made[15].fit is None
     named = study_entries(study, ["pitch1", "*2"])
     assert [each.label for each in named if each.fit] == ["pitch1", "pitch2", "pitch12"]
-    with pytest.raises(ValueError, match=r"the study has no answer of a member 'lost': its members are in its table"):
+    with pytest.raises(
+        ValueError,
+        match=r"the study has no answer of a member 'lost': its members are in its table",
+    ):
         study_entries(study, ["pitch1", "lost"])

@@ -39,17 +39,30 @@ def test_what_is_not_known_is_a_dash(value):
 
 
 def test_columns_with_a_number_are_sorted_by_it():
-    rows = [[Cell("a"), Cell("-1.5", -1.5)], [Cell("a-b"), Cell("–")], [Cell("x" * 25), Cell("∞", math.inf, "doubt")]]
+    rows = [
+        [Cell("a"), Cell("-1.5", -1.5)],
+        [Cell("a-b"), Cell("–")],
+        [Cell("x" * 25), Cell("∞", math.inf, "doubt")],
+    ]
     made = table(["name", "value"], rows)
     assert texts(made) == [["name", "value"], ["a", "−1.5"], ["a-b", "–"], ["x" * 25, "∞"]]
     assert [cell.get("class") for cell in made.iter("th")] == [None, "number"]
     cells = list(made.iter("td"))
-    assert [cell.get("class") for cell in cells] == [None, "number", None, "number", "prose", "doubt number"]
+    assert [cell.get("class") for cell in cells] == [
+        None,
+        "number",
+        None,
+        "number",
+        "prose",
+        "doubt number",
+    ]
     assert [cell.get("data-value") for cell in cells] == [None, "-1.5", None, None, None, None]
 
 
 def test_parameters_stand_with_errors_intervals_and_shares(fit):
-    bound = replace(fit, quantities=(replace(fit.quantities[0], at_bound=True), *fit.quantities[1:]))
+    bound = replace(
+        fit, quantities=(replace(fit.quantities[0], at_bound=True), *fit.quantities[1:])
+    )
     header, *rows = texts(parameter_table(fit))
     assert header[3] == "95 % interval"
     judged = fit.identifiability
@@ -63,14 +76,18 @@ def test_parameters_stand_with_errors_intervals_and_shares(fit):
         assert ends == pytest.approx([low, high], abs=0.03 * (high - low))
         assert len(row[3]) < 20  # no more digits than the error has
         assert row[4] == q.unit
-        assert [float(cell.removesuffix(" !")) for cell in row[5:7]] == pytest.approx([share, alone], rel=0.06)
+        assert [float(cell.removesuffix(" !")) for cell in row[5:7]] == pytest.approx(
+            [share, alone], rel=0.06
+        )
         assert row[7:] == [f"{q.bounds[0]:g} to {q.bounds[1]:g}".replace("-", "−"), q.kind, q.about]
     assert texts(parameter_table(bound))[1][8] == "at bound"
 
 
 def test_provenance_says_where_everything_came_from(fit):
     costs = {"relative-error": 1.23456, fit.criterion: fit.cost, "none": math.nan}
-    fact, data, *_ = provenance(replace(fit, costs=costs, independent=None), "lag.h5", ("fit", "my lag"))
+    fact, data, *_ = provenance(
+        replace(fit, costs=costs, independent=None), "lag.h5", ("fit", "my lag")
+    )
     said = facts(fact)
     assert said.pop("time taken").endswith(" s")
     assert said.pop("versions").startswith("greybox")
@@ -97,7 +114,10 @@ def test_provenance_says_where_everything_came_from(fit):
 
     response, record = fit.parts
     at = f"input u of {record.name}"
-    assert facts(provenance(fit)[2]) == {f"solved by of {record.name}": record.method, at: record.between["u"]}
+    assert facts(provenance(fit)[2]) == {
+        f"solved by of {record.name}": record.method,
+        at: record.between["u"],
+    }
     first, second = (part.data.checksum for part in fit.parts)
     assert texts(data)[1:] == [
         [
@@ -111,7 +131,17 @@ def test_provenance_says_where_everything_came_from(fit):
             "sweep.csv",
             first,
         ],
-        [record.name, record.label, "u → y", "200 samples", "9.95 s at 20 Hz", record.criterion, "1", "–", second],
+        [
+            record.name,
+            record.label,
+            "u → y",
+            "200 samples",
+            "9.95 s at 20 Hz",
+            record.criterion,
+            "1",
+            "–",
+            second,
+        ],
     ]
     assert data_summary(fit) == (
         f"{response.label} with 2 free parameters, fitted to 12 points in 1 frequency response and "
@@ -122,9 +152,23 @@ def test_provenance_says_where_everything_came_from(fit):
 def test_results_side_by_side_stand_in_one_table(fit):
     failed = Entry("bad", None, error="no log")
     warned = replace(fit, name="warned", warnings=("one", "two"))
-    entries = [Entry("lag", fit, anchor="result-1"), Entry("warned", warned), failed, Entry("none", None)]
+    entries = [
+        Entry("lag", fit, anchor="result-1"),
+        Entry("warned", warned),
+        failed,
+        Entry("none", None),
+    ]
     header, first, second, *rest = texts(overview(entries))
-    assert header == ["result", "verdict", "model", "criterion", "cost", "starts agreeing", "warnings", "data"]
+    assert header == [
+        "result",
+        "verdict",
+        "model",
+        "criterion",
+        "cost",
+        "starts agreeing",
+        "warnings",
+        "data",
+    ]
     answer = fit.to_dict()
     models, data = ", ".join(answer["model"]), ", ".join(answer["data"])
     agreeing = f"{fit.agreeing} of {answer['starts']}"
@@ -147,9 +191,13 @@ def test_results_side_by_side_stand_in_one_table(fit):
 
 def test_estimates_of_several_fits_stand_with_their_errors(fit):
     other = replace(
-        fit, name="other", quantities=(replace(fit.quantities[0], standard_error=math.nan), fit.quantities[1])
+        fit,
+        name="other",
+        quantities=(replace(fit.quantities[0], standard_error=math.nan), fit.quantities[1]),
     )
-    heading, estimates, *compared = comparison_section([Entry("a", fit), Entry("b", other)], None, 200)
+    heading, estimates, *compared = comparison_section(
+        [Entry("a", fit), Entry("b", other)], None, 200
+    )
     assert heading.text == "Estimates with standard errors"
     names = [q.name for q in fit.quantities]
     header, first, second = texts(estimates)
@@ -163,15 +211,21 @@ def test_estimates_of_several_fits_stand_with_their_errors(fit):
     titles = ["".join(title.itertext()) for title in compared[-1].iter("strong")]
     assert titles == ["Bode diagram", "Nyquist diagram, y/u", "Time history, flight"]
     # One fit alone is compared with nothing, and seven are too many for a figure.
-    assert [part.text for part in comparison_section([Entry("a", fit)], None, 200) if part.tag == "h3"] == [
-        heading.text
-    ]
+    assert [
+        part.text for part in comparison_section([Entry("a", fit)], None, 200) if part.tag == "h3"
+    ] == [heading.text]
     many = [Entry(str(k), fit) for k in range(7)]
     assert [part.tag for part in comparison_section(many, None, 200)] == ["h3", "div"]
 
 
 def test_a_bootstrap_is_a_sentence_and_a_table():
-    q = {"estimate": 2.0, "standard_error": 0.1234, "fit_standard_error": 0.11, "bias": -0.01, "unit": "s"}
+    q = {
+        "estimate": 2.0,
+        "standard_error": 0.1234,
+        "fit_standard_error": 0.11,
+        "bias": -0.01,
+        "unit": "s",
+    }
     said = {
         "about": "residuals resampled", "replicates": 1, "failed": 2, "seed": 5, "level": 0.9, "warnings": ["few."],
         "quantities": {"T": {**q, "percentile": [1.5, 2.5], "bca": None}},
@@ -183,15 +237,24 @@ def test_a_bootstrap_is_a_sentence_and_a_table():
     assert row[:6] == ["T", "2", "0.123", "0.11", "−0.01", "s"]
     assert [cell.get("data-value") for cell in found.iter("td")][-2:] == ["1.5", None]
     assert warning.text == "few."
-    assert bootstrap_table({**said, "failed": 0})[0].text == "Bootstrap: residuals resampled; 1 replicate; seed 5."
+    assert (
+        bootstrap_table({**said, "failed": 0})[0].text
+        == "Bootstrap: residuals resampled; 1 replicate; seed 5."
+    )
 
 
-@pytest.mark.parametrize(("known", "shown"), [({"b0": 3.0}, ["b0"]), ({}, ["b0", "a0"]), (None, ["b0", "a0"])])
+@pytest.mark.parametrize(
+    ("known", "shown"), [({"b0": 3.0}, ["b0"]), ({}, ["b0", "a0"]), (None, ["b0", "a0"])]
+)
 def test_where_a_search_ended_is_told_of_what_is_known_or_else_of_all(known, shown):
     def quantity(name):
         return SimpleNamespace(name=name, unit="s", kind="free", about="", bounds=(0.0, 9.0))
 
-    found = texts(_best_effort(SimpleNamespace(best_effort=known, quantities=[quantity("b0"), quantity("a0")])))
+    found = texts(
+        _best_effort(
+            SimpleNamespace(best_effort=known, quantities=[quantity("b0"), quantity("a0")])
+        )
+    )
     assert [row[0] for row in found[1:]] == shown
     assert [row[1] for row in found[1:]] == (["3"] if known else ["–", "–"])
 
@@ -207,7 +270,11 @@ def entry(label, **known):
 def test_quantities_that_a_result_has_not_are_empty_and_unknown_ones_a_dash():
     first, second = entry("one", a=(2.0, 0.25), b=(None, None)), entry("two", c=(3.0, None))
     _, made = comparison_section([first, second], None, 200)
-    assert texts(made) == [["result", "a", "b", "c"], ["one", "2.00 ± 0.25", "–", ""], ["two", "", "", "3"]]
+    assert texts(made) == [
+        ["result", "a", "b", "c"],
+        ["one", "2.00 ± 0.25", "–", ""],
+        ["two", "", "", "3"],
+    ]
 
 
 @pytest.mark.parametrize(("count", "tables"), [(12, 1), (13, 2)])
@@ -218,7 +285,9 @@ def test_results_of_more_than_twelve_quantities_have_a_table_each(count, tables)
 
 
 def test_correlations_and_combinations_are_told_below_the_parameters():
-    judged = SimpleNamespace(correlated=[("a", "b", -0.954), ("b", "c", 0.91)], combinations=("a b", "c / d"))
+    judged = SimpleNamespace(
+        correlated=[("a", "b", -0.954), ("b", "c", 0.91)], combinations=("a b", "c / d")
+    )
     unprofiled = SimpleNamespace(converged=True, profiles=None, identifiability=judged)
     meaning, correlated, combined = (part.text for part in _remarks(unprofiled))
     assert correlated == "Correlated beyond 0.9: a and b (−0.95), b and c (0.91)."

@@ -66,7 +66,15 @@ def test_the_ladder_is_a_table_of_costs_and_bic(flown):
         bic = 2 * cost + free * np.log(20)
         least = min(2 * s.fit.cost + len(s.fit.free) * np.log(20) for s in flown.steps)
         name = step.model + (f" with {', '.join(step.free)} free" if step.free else "")
-        row = [str(k), name, str(free), f"{cost:.4g}", f"{bic:.4g}", f"{bic - least:.4g}", step.about]
+        row = [
+            str(k),
+            name,
+            str(free),
+            f"{cost:.4g}",
+            f"{bic:.4g}",
+            f"{bic - least:.4g}",
+            step.about,
+        ]
         assert re.split(r"\s{2,}", lines[begins + 2 + k]) == row
     assert flown.fit is flown.chosen.fit
     assert repr(flown) == "<Identification sitl_pitch.BIN, rate:DampedAngle>"
@@ -99,7 +107,16 @@ def test_the_single_commands_say_what_was_chosen_and_stated(flown):
     found, measured, fitted = map(shlex.split, other.commands("my flight.BIN", "mine"))
     assert found == ["greybox", "inspect", "my flight.BIN", *finding]
     assert measured == [
-        *("greybox", "response", "my flight.BIN", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch", *finding),
+        *(
+            "greybox",
+            "response",
+            "my flight.BIN",
+            "--input",
+            "u=RATE.POut",
+            "--output",
+            "theta=ATT.Pitch",
+            *finding,
+        ),
         *"--axis pitch --tests 1-3 --instrument SIDD.Targ --rate 50.0 --settle 1.0 --period 20.0".split(),
         *"--method quadrature --points 30 --band 1.0 8.5 --whole --out mine_response.csv".split(),
     ]
@@ -108,30 +125,37 @@ def test_the_single_commands_say_what_was_chosen_and_stated(flown):
         *"--free T_rotor T_delay --criterion maximum-likelihood --starts 3 --seed 7 --out mine_fit.h5".split(),
         *("--plot", "mine.png"),
     ]
-    assert [words.split()[1] for words in replace(other, chosen=None).commands()] == ["inspect", "response"]
+    assert [words.split()[1] for words in replace(other, chosen=None).commands()] == [
+        "inspect",
+        "response",
+    ]
 
 
 def test_what_to_do_next_follows_from_the_answer(flown):
-    again = (
-        "Hold the model against a flight that it has not seen: greybox identify OTHER_LOG, and compare the estimates."
-    )
+    again = "Hold the model against a flight that it has not seen: greybox identify OTHER_LOG, and compare the estimates."
     assert flown.next == (
         "T_delay is not distinguishable from zero: try --fix T_delay=0, or excite higher.",
         again,
     )
     largest = replace(flown, chosen=flown.steps[-1])
-    said = "The largest structure was needed: look for what it still misses in the figure, and add it."
+    said = (
+        "The largest structure was needed: look for what it still misses in the figure, and add it."
+    )
     assert (largest.next[0], largest.next[-1]) == (said, again)
     estimate, error = largest.fit.estimate, largest.fit.standard_error
     weak = [name for name in largest.fit.free if abs(estimate[name]) < 2 * error[name]]
     assert len(weak) > 1
-    assert largest.next[1].startswith(f"{', '.join(weak)} are not distinguishable from zero: try --fix {weak[0]}=0")
+    assert largest.next[1].startswith(
+        f"{', '.join(weak)} are not distinguishable from zero: try --fix {weak[0]}=0"
+    )
     failed = replace(flown, chosen=None)
     assert failed.fit is None
     assert failed.next == (
         "No structure converged: look at the response, and fit a model of your own, greybox new model NAME.",
     )
-    assert replace(failed, steps=()).next == ("Fly the test again, with what the verdict above asks for.",)
+    assert replace(failed, steps=()).next == (
+        "Fly the test again, with what the verdict above asks for.",
+    )
 
 
 def made_log(**extra):
@@ -142,7 +166,9 @@ def made_log(**extra):
     setpoint = np.where(inside, 5 * np.sin(phase), 0)
     roll = setpoint + 0.01 * np.random.default_rng(0).normal(size=time.size)
     records = {
-        "ATT": Record(slow, {"DesRoll": np.interp(slow, time, setpoint), "Roll": np.interp(slow, time, roll)}),
+        "ATT": Record(
+            slow, {"DesRoll": np.interp(slow, time, setpoint), "Roll": np.interp(slow, time, roll)}
+        ),
         "ANG": Record(time, {"DesRoll": setpoint, "Roll": roll}, {"Roll": "deg"}),
         "RATE": Record(time, {"ROut": setpoint - roll, "R": np.gradient(roll, 0.01)}),
         **extra,
@@ -163,7 +189,9 @@ def test_the_best_sampled_signal_is_chosen():
     for rate, output in ((96.0, "phi=ATT.Roll"), (94.0, "phi=ANG.Roll")):
         time = np.arange(0, 80, 1 / rate)
         log = made_log()
-        att = {name: np.interp(time, log["ANG"].time, log["ANG"][name]) for name in ("DesRoll", "Roll")}
+        att = {
+            name: np.interp(time, log["ANG"].time, log["ANG"][name]) for name in ("DesRoll", "Roll")
+        }
         settings, choices = choose(made_log(ATT=Record(time, att)))
         assert settings.output == output
         assert choices[-1].why.endswith(f"ATT.Roll at {rate:.4g} Hz") == (rate < 95)
@@ -172,7 +200,9 @@ def test_the_best_sampled_signal_is_chosen():
 def test_of_two_axes_the_one_with_the_longer_tests_is_taken_and_the_other_is_named():
     log = made_log()
     time = log["ANG"].time
-    pitch = np.where((time > 10) & (time < 40), np.interp(2 * time - 10, time, log["ANG"]["DesRoll"]), 0)
+    pitch = np.where(
+        (time > 10) & (time < 40), np.interp(2 * time - 10, time, log["ANG"]["DesRoll"]), 0
+    )
     signals = {**log["ATT"].signals, "DesPitch": np.interp(log["ATT"].time, time, pitch)}
     fast = {**log["ANG"].signals, "DesPitch": pitch, "Pitch": pitch}
     both = made_log(
@@ -185,29 +215,44 @@ def test_of_two_axes_the_one_with_the_longer_tests_is_taken_and_the_other_is_nam
     assert str(choices[0]) == "axis roll: ATT.DesRoll moves; there are tests of pitch too (--axis)"
     for wanted in ("pitch", "ATT.DesPitch"):
         settings, _ = choose(both, axis=wanted)
-        assert (settings.axis, settings.input, settings.output) == ("ATT.DesPitch", "u=RATE.POut", "theta=ANG.Pitch")
+        assert (settings.axis, settings.input, settings.output) == (
+            "ATT.DesPitch",
+            "u=RATE.POut",
+            "theta=ANG.Pitch",
+        )
 
 
 def test_an_unannounced_name_takes_the_axis_whose_setpoint_moves_most():
     """By its largest motion in any test, of angles that jump by a whole turn."""
     log = made_log()
     time = log["ANG"].time
-    test = Record(time, {"W": np.where((time > 10) & (time < 70), 2.0, 0.0), "Seg": 0 * time, "Eta": 0 * time + 1})
+    test = Record(
+        time,
+        {"W": np.where((time > 10) & (time < 70), 2.0, 0.0), "Seg": 0 * time, "Eta": 0 * time + 1},
+    )
     yaw = Record(
-        time, {"DesRoll": log["ANG"]["DesRoll"], "DesYaw": np.where(time % 2 < 1, 0.5, 359.5)}, {"DesYaw": "deg"}
+        time,
+        {"DesRoll": log["ANG"]["DesRoll"], "DesYaw": np.where(time % 2 < 1, 0.5, 359.5)},
+        {"DesYaw": "deg"},
     )
     settings, choices = choose(made_log(TEST=test, ATT=yaw))
     assert (settings.announced, settings.input) == ("TEST", "u=RATE.ROut")
     assert str(choices[1]) == "axis roll: its setpoint moves most (--axis)"
     controls = {name: r for name, r in made_log(TEST=test).items() if name == "TEST"}
     alone = Recording(
-        {**controls, "RATE": Record(time, {"POut": np.sin(time), "ROut": 0 * time, "P": 0 * time})}, "a.bin"
+        {**controls, "RATE": Record(time, {"POut": np.sin(time), "ROut": 0 * time, "P": 0 * time})},
+        "a.bin",
     )
     settings, _ = choose(alone)
     assert (settings.input, settings.output) == ("u=RATE.POut", "q=RATE.P")
-    with pytest.raises(ValueError, match="no angle or rate is known for the axis 'pitch': give --output NAME=SIGNAL"):
+    with pytest.raises(
+        ValueError,
+        match="no angle or rate is known for the axis 'pitch': give --output NAME=SIGNAL",
+    ):
         choose(Recording({**controls, "RATE": Record(time, {"POut": np.sin(time)})}, "a.bin"))
-    with pytest.raises(ValueError, match="no input is known for this log: give it, --input NAME=SIGNAL"):
+    with pytest.raises(
+        ValueError, match="no input is known for this log: give it, --input NAME=SIGNAL"
+    ):
         choose(Recording(controls, "a.bin"))
 
 
@@ -222,9 +267,14 @@ def test_what_is_stated_is_kept():
 def test_a_log_without_a_test_says_how_to_name_one():
     log = made_log()
     still = replace(
-        log, records={name: r.with_signals(DesRoll=0 * r.time) for name, r in log.items() if name != "RATE"}
+        log,
+        records={
+            name: r.with_signals(DesRoll=0 * r.time) for name, r in log.items() if name != "RATE"
+        },
     )
-    with pytest.raises(ValueError, match=r"no usable test was found in made\.bin: say where they are, --announced"):
+    with pytest.raises(
+        ValueError, match=r"no usable test was found in made\.bin: say where they are, --announced"
+    ):
         choose(still)
 
 
@@ -238,14 +288,21 @@ def filtered_rate_log():
     u = np.where(inside, 0.1 * chirp(time - 2, 0.15, 56, 12, method="logarithmic", phi=-90), 0)
     rate = lsim(([90], [0.05, 1 + 0.05 * 0.7, 0.7]), u, time)[1]
     notch, low_pass = 2 * np.pi * 60, 2 * np.pi * 20
-    width = notch * (16 / 9 - 1) / (4 / 3)  # of a bandwidth of 30 Hz: the lower edge lies at 45, the upper at 80 Hz
+    width = (
+        notch * (16 / 9 - 1) / (4 / 3)
+    )  # of a bandwidth of 30 Hz: the lower edge lies at 45, the upper at 80 Hz
     for b, a in (
         ([1, 0.01 * width, notch**2], [1, width, notch**2]),
         ([low_pass**2], [1, 2**0.5 * low_pass, low_pass**2]),
     ):
         rate = lfilter(*bilinear(b, a, 400), rate)
     rate += 0.01 * np.random.default_rng(3).normal(size=time.size)
-    settings = {"INS_GYRO_FILTER": 20.0, "INS_NOTCH_ENABLE": 1, "INS_NOTCH_FREQ": 60, "INS_NOTCH_ATT": 40}
+    settings = {
+        "INS_GYRO_FILTER": 20.0,
+        "INS_NOTCH_ENABLE": 1,
+        "INS_NOTCH_FREQ": 60,
+        "INS_NOTCH_ATT": 40,
+    }
     records = {
         "RATE": Record(time, {"POut": u, "P": rate}, {"P": "rad/s"}, hold={"POut": 0.0, "P": 0.0}),
         "SIDD": Record(time, {"Targ": u}),
@@ -254,14 +311,23 @@ def filtered_rate_log():
 
 
 def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
-    stated = {"input": "u=RATE.POut", "output": "q=RATE.P", "setpoint": "SIDD.Targ", "band": (1.5, 60.0), "starts": 5}
+    stated = {
+        "input": "u=RATE.POut",
+        "output": "q=RATE.P",
+        "setpoint": "SIDD.Targ",
+        "band": (1.5, 60.0),
+        "starts": 5,
+    }
     ladder = [("rate:DampedRotation", (), "rate damping")]
     found = gb.identify(filtered_rate_log, ladder=ladder, **stated)
     assert found.chosen.through == ("gyro-notch", "gyro-filter")
     truth = {"K_phi": 90, "a": 0.7, "T_rotor": 0.05, "T_delay": 0}
     for name, value in truth.items():
-        assert abs(found.fit.estimate[name] - value) < 3 * found.fit.standard_error[name] + 1e-4, name
-    # What the filters delay at low frequencies, 2 ζ / ω_c and (1 - 0.01) / (Q ω_0), is in the other lag and delay.
+        assert abs(found.fit.estimate[name] - value) < 3 * found.fit.standard_error[name] + 1e-4, (
+            name
+        )
+    # What the filters delay at low frequencies, 2 ζ / ω_c and (1 - 0.01) / (Q ω_0), is in the other
+    # lag and delay.
     lag = 2**0.5 / (2 * np.pi * 20) + 0.99 * 7 / 12 / (2 * np.pi * 60)
     without = found.unfiltered.fit.estimate
     assert without["T_delay"] + without["T_rotor"] == pytest.approx(0.05 + lag, abs=0.003)
@@ -272,7 +338,9 @@ def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
 
     as_logged = gb.identify(filtered_rate_log, ladder=ladder, through=(), **stated)
     assert (as_logged.chosen.through, as_logged.unfiltered) == ((), None)
-    with pytest.raises(ValueError, match="tells of no such filter; it tells of gyro-filter, gyro-notch"):
+    with pytest.raises(
+        ValueError, match="tells of no such filter; it tells of gyro-filter, gyro-notch"
+    ):
         gb.identify(filtered_rate_log, ladder=ladder, through=("d-term-filter",), **stated)
 
 
@@ -284,10 +352,15 @@ def test_the_signals_of_px4_are_known():
             time, {"pitch": setpoint, "roll": 0 * time}, {"pitch": "rad", "roll": "rad"}
         ),
         "vehicle_attitude": Record(time, {"pitch": 0.9 * setpoint}, {"pitch": "rad"}),
-        "vehicle_torque_setpoint": Record(time, {"xyz[0]": 0 * time, "xyz[1]": np.gradient(setpoint)}),
+        "vehicle_torque_setpoint": Record(
+            time, {"xyz[0]": 0 * time, "xyz[1]": np.gradient(setpoint)}
+        ),
     }
     settings, choices = choose(Recording(records, "made.ulg"))
-    assert (settings.input, settings.output) == ("u=vehicle_torque_setpoint.xyz[1]", "theta=vehicle_attitude.pitch")
+    assert (settings.input, settings.output) == (
+        "u=vehicle_torque_setpoint.xyz[1]",
+        "theta=vehicle_attitude.pitch",
+    )
     assert "axis pitch: vehicle_attitude_setpoint.pitch moves" in str(choices[0])
 
 
@@ -296,7 +369,10 @@ def test_a_structure_that_fails_close_to_the_data_is_named():
     unfinished = SimpleNamespace(converged=False, status="stagnated", cost=0.42, stage="")
     failed = SimpleNamespace(converged=False, runs=[unfinished], free=("K", "a"))
     found = SimpleNamespace(converged=True, runs=[], free=("K", "a", "b"), cost=0.41)
-    steps = [FittedStep(name, (), "", (), "", fit) for name, fit in (("rate:A", failed), ("tilt:B", found))]
+    steps = [
+        FittedStep(name, (), "", (), "", fit)
+        for name, fit in (("rate:A", failed), ("tilt:B", found))
+    ]
     (said,) = _closer(steps, steps[1])
     assert said.startswith(
         "Structure 1 did not converge, but came to a cost of 0.42 where the chosen one has 0.41: fit"
@@ -310,7 +386,9 @@ def test_the_motion_of_a_setpoint_is_that_during_the_tests():
     inside = np.where(time < 25, 3.0, 5.0) * np.sin(2 * np.pi * time)
     is_test = ((time >= 10) & (time < 20)) | ((time >= 30) & (time < 40))
     moved = np.where(is_test, inside, 80 * np.sin(9 * time))
-    record = Record(time, {"deg": moved, "rad": np.radians(moved) % (2 * np.pi)}, {"deg": "deg", "rad": "rad"})
+    record = Record(
+        time, {"deg": moved, "rad": np.radians(moved) % (2 * np.pi)}, {"deg": "deg", "rad": "rad"}
+    )
     log = Recording({"ATT": record})
     tests = [Segment(start, start + 9.99, omega=2 * np.pi) for start in (10.0, 30.0)]
     assert _motion(log, "ATT.deg", tests) == pytest.approx(5 / np.sqrt(2), rel=1e-3)
@@ -330,7 +408,10 @@ def test_the_motion_of_a_setpoint_is_that_during_the_tests():
 )
 def test_the_smallest_supported_structure_that_converged_is_chosen(count, supported, chosen, said):
     converged = [False, *[True] * count]
-    steps = [FittedStep(str(k), (), "", (), "", SimpleNamespace(converged=c)) for k, c in enumerate(converged)]
+    steps = [
+        FittedStep(str(k), (), "", (), "", SimpleNamespace(converged=c))
+        for k, c in enumerate(converged)
+    ]
     labels = tuple(str(k + 1) for k, c in enumerate(converged) if c)
     comparison = (
         supported
@@ -342,7 +423,8 @@ def test_the_smallest_supported_structure_that_converged_is_chosen(count, suppor
 
 def test_an_output_without_a_ladder_is_told():
     with pytest.raises(
-        ValueError, match=r"^no structures are known for the output 'height': name it as one of .*=SIGNAL"
+        ValueError,
+        match=r"^no structures are known for the output 'height': name it as one of .*=SIGNAL",
     ):
         _ladder_of("height")
 
@@ -351,9 +433,14 @@ def test_an_axis_without_a_known_control_asks_for_the_input():
     time = np.arange(0, 60, 0.01)
     moved = np.where((time > 5) & (time < 55), 0.1 * np.sin(3 * (time - 5)), 0)
     log = Recording(
-        {"ATT": Record(time, {"DesPitch": moved, "Pitch": 0.9 * moved}, {"DesPitch": "rad", "Pitch": "rad"})}
+        {
+            "ATT": Record(
+                time, {"DesPitch": moved, "Pitch": 0.9 * moved}, {"DesPitch": "rad", "Pitch": "rad"}
+            )
+        }
     )
     with pytest.raises(
-        ValueError, match=r"no control is known for the axis 'ATT.DesPitch': give the input, --input u=M"
+        ValueError,
+        match=r"no control is known for the axis 'ATT.DesPitch': give the input, --input u=M",
     ):
         choose(log)

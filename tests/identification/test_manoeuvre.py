@@ -51,7 +51,9 @@ def test_a_stated_band_and_a_control_of_which_nothing_is_known():
     found = measure_manoeuvre(flown(), ["FLY.u"], ["FLY.q"], "2", band=(1.0, 7.0))
     assert found.manoeuvre.kind == "doublet"
     # Two seconds after a shorter one.
-    assert found.record.time[-1] == pytest.approx(found.manoeuvre.end + max(2.0, found.manoeuvre.duration), abs=0.021)
+    assert found.record.time[-1] == pytest.approx(
+        found.manoeuvre.end + max(2.0, found.manoeuvre.duration), abs=0.021
+    )
     assert 1.0 <= found.spectrum.omega[0] < 3.0
     assert 5.0 < found.spectrum.omega[-1] <= 7.0
     assert found.choices[1:] == (
@@ -81,11 +83,18 @@ def test_a_manoeuvre_in_a_loop_is_told_and_one_that_is_not_there():
     )
     still = Recording({"FLY": flown()["FLY"].with_signals(u=0 * TIME)}, "made.csv")
     with pytest.raises(
-        ValueError, match=r"no manoeuvre was found in FLY\.u: name the signal that shows it, --setpoint"
+        ValueError,
+        match=r"no manoeuvre was found in FLY\.u: name the signal that shows it, --setpoint",
     ):
         measure_manoeuvre(still, ["FLY.u"], ["FLY.q"], "1")
     with pytest.raises(ValueError, match=r"no manoeuvre was found in FLY\.q: name"):
-        measure_manoeuvre(Recording({"FLY": still["FLY"].with_signals(q=0 * TIME)}), ["FLY.u"], [], "1", signal="FLY.q")
+        measure_manoeuvre(
+            Recording({"FLY": still["FLY"].with_signals(q=0 * TIME)}),
+            ["FLY.u"],
+            [],
+            "1",
+            signal="FLY.q",
+        )
 
 
 def test_no_frequency_above_that_which_the_rate_resolves_is_taken():

@@ -39,11 +39,18 @@ SIGNALS = (["FLY.a", "FLY.b"], ["p=FLY.p", "FLY.q"])
 
 @pytest.fixture(scope="module")
 def found():
-    return measure_matrix(flown(), *SIGNALS, PERIOD, excitations=["FLY.e_a", "FLY.e_b"], settle=4.0, band=(2.0, 20.0))
+    return measure_matrix(
+        flown(), *SIGNALS, PERIOD, excitations=["FLY.e_a", "FLY.e_b"], settle=4.0, band=(2.0, 20.0)
+    )
 
 
 def test_every_output_has_a_response_to_every_input(found):
-    assert [(r.output, r.input) for r in found.responses] == [("p", "a"), ("p", "b"), ("q", "a"), ("q", "b")]
+    assert [(r.output, r.input) for r in found.responses] == [
+        ("p", "a"),
+        ("p", "b"),
+        ("q", "a"),
+        ("q", "b"),
+    ]
     for response in found.responses:
         lines = LINES[response.input] * 2 * np.pi / PERIOD
         assert response.omega == pytest.approx(lines[(lines >= 2) & (lines <= 20)])
@@ -53,7 +60,9 @@ def test_every_output_has_a_response_to_every_input(found):
 
 
 def test_what_was_used_is_said_and_tabulated(found):
-    assert found.record.time[[0, -1]] == pytest.approx([6.45, 42.5], abs=0.06)  # settled, to the end of the excitation
+    assert found.record.time[[0, -1]] == pytest.approx(
+        [6.45, 42.5], abs=0.06
+    )  # settled, to the end of the excitation
     first, loop = found.choices
     assert first == (
         f"from {found.record.time[0]:.2f} to {found.record.time[-1]:.2f} s at 20 Hz: 4 periods of 8 s, after 4 s of "
@@ -64,7 +73,17 @@ def test_what_was_used_is_said_and_tabulated(found):
         "tell which lines are whose, --instrument names others."
     )
     lines = str(found).splitlines()
-    assert lines[0].split() == ["output", "input", "points", "from", "rad/s", "to", "rad/s", "error", "%"]
+    assert lines[0].split() == [
+        "output",
+        "input",
+        "points",
+        "from",
+        "rad/s",
+        "to",
+        "rad/s",
+        "error",
+        "%",
+    ]
     for line, r in zip(lines[2:6], found.responses, strict=True):
         error = 100 * np.median(np.sqrt(r.variance) / np.abs(r.response))
         ends = [number(float(r.omega[k]), 4) for k in (0, -1)]
@@ -75,12 +94,16 @@ def test_what_was_used_is_said_and_tabulated(found):
 
 def test_without_excitations_the_inputs_tell_and_a_period_is_a_whole_number_of_samples():
     record = flown()["FLY"].between(2.5, 42.5)
-    slower = Record(record.time * 1.02, record.signals)  # 19.6 Hz: 8.16 s are a period, 8 s are 156.9 samples
+    slower = Record(
+        record.time * 1.02, record.signals
+    )  # 19.6 Hz: 8.16 s are a period, 8 s are 156.9 samples
     found = measure_matrix(Recording({"FLY": slower}, "made.csv"), *SIGNALS, 8.16, settle=0.0)
     assert found.record.rate == pytest.approx(160 / 8.16)
     assert "the inputs themselves tell which lines are whose" in found.choices[1]
     assert found.choices[0].endswith("5 periods of 8.16 s, after 0 s of settling.")
-    stated = measure_matrix(Recording({"FLY": slower}, "made.csv"), *SIGNALS, 8.0 * 1.02, rate=100 / 8.16)
+    stated = measure_matrix(
+        Recording({"FLY": slower}, "made.csv"), *SIGNALS, 8.0 * 1.02, rate=100 / 8.16
+    )
     assert stated.record.rate == pytest.approx(100 / 8.16)
     between = measure_matrix(Recording({"FLY": slower}, "made.csv"), *SIGNALS, 8.0)
     assert between.record.rate == pytest.approx(156 / 8)
@@ -88,5 +111,10 @@ def test_without_excitations_the_inputs_tell_and_a_period_is_a_whole_number_of_s
 
 def test_excitations_that_rest_are_told():
     still = flown()["FLY"].with_signals(e_a=np.ones(900), e_b=np.zeros(900))
-    with pytest.raises(ValueError, match="no excitation moves in the log: name the injected signals, one --instrument"):
-        measure_matrix(Recording({"FLY": still}), *SIGNALS, PERIOD, excitations=["FLY.e_a", "FLY.e_b"])
+    with pytest.raises(
+        ValueError,
+        match="no excitation moves in the log: name the injected signals, one --instrument",
+    ):
+        measure_matrix(
+            Recording({"FLY": still}), *SIGNALS, PERIOD, excitations=["FLY.e_a", "FLY.e_b"]
+        )

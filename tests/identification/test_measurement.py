@@ -9,7 +9,13 @@ from scipy.signal import chirp, lsim
 
 import greybox as gb
 from greybox.data.record import Record, Recording
-from greybox.identification.measurement import FEEDBACK, Settings, found_tests, measure, named_signals
+from greybox.identification.measurement import (
+    FEEDBACK,
+    Settings,
+    found_tests,
+    measure,
+    named_signals,
+)
 
 PAIR = {"input": "u=IN.u", "output": "y=OUT.y"}
 TIME = np.arange(0, 60, 0.04)
@@ -18,8 +24,13 @@ SWEEP = np.where(INSIDE, chirp(TIME - 5, 0.2, 50, 4, method="logarithmic", phi=-
 
 
 def flight(control, **more):
-    y = lsim(([2], [0.3, 1]), control, TIME)[1] + 1e-3 * np.random.default_rng(0).normal(size=TIME.size)
-    records = {"IN": Record(TIME, {"u": control, "w": control}), "OUT": Record(TIME, {"y": y})} | more
+    y = lsim(([2], [0.3, 1]), control, TIME)[1] + 1e-3 * np.random.default_rng(0).normal(
+        size=TIME.size
+    )
+    records = {
+        "IN": Record(TIME, {"u": control, "w": control}),
+        "OUT": Record(TIME, {"y": y}),
+    } | more
     return Recording(records, "made.bin", checksum="0123")
 
 
@@ -60,7 +71,9 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
 def test_sweeps_of_a_setpoint_are_found_and_are_the_instrument(swept):
     found = measure(swept, Settings(**PAIR, setpoint="IN.w", band=(2.0, 20.0)))
     assert [(test.kind, test.axis) for test in found.used] == [("sweep", "IN.w")]
-    assert found.record.time[[0, -1]] == pytest.approx([found.used[0].start, found.used[0].end], abs=0.05)
+    assert found.record.time[[0, -1]] == pytest.approx(
+        [found.used[0].start, found.used[0].end], abs=0.05
+    )
     assert found.signals == {"u": "IN.u", "y": "OUT.y", "instrument": "IN.w", "setpoint": "IN.w"}
     about = found.response.about
     low, high = found.used[0].band
@@ -83,7 +96,10 @@ def test_a_stated_instrument_and_units_are_said(swept):
         "IN": Record(TIME, swept["IN"].signals, {"u": "deg"}),
         "OUT": Record(TIME, swept["OUT"].signals, {"y": "%"}),
     }
-    found = measure(Recording(units, "made.bin"), Settings(**PAIR, instrument="IN.w", whole=True, band=(2.0, 12.0)))
+    found = measure(
+        Recording(units, "made.bin"),
+        Settings(**PAIR, instrument="IN.w", whole=True, band=(2.0, 12.0)),
+    )
     assert found.signals == {"u": "IN.u", "y": "OUT.y", "instrument": "IN.w"}
     assert found.response.about["converted"] == "u from deg to rad, y from % to 1"
     assert found.choices[-1] == "converted: u from deg to rad, y from % to 1."
@@ -98,7 +114,9 @@ def test_a_stated_instrument_and_units_are_said(swept):
 def test_multisines_are_averaged_over_their_periods(instrument):
     omega = 2 * np.pi / 10 * np.arange(2, 20, 3)
     made = flight(sum(np.cos(w * TIME + w**2) for w in omega))
-    found = measure(made, Settings(**PAIR, period=10.0, instrument=instrument, band=(omega[1], 9.0)))
+    found = measure(
+        made, Settings(**PAIR, period=10.0, instrument=instrument, band=(omega[1], 9.0))
+    )
     assert found.response.omega == pytest.approx(omega[1:5])
     assert np.abs(found.response.response / truth(omega[1:5]) - 1).max() < 0.05
     estimate = "periodic, joint input-output with IN.w" if instrument else "periodic, direct"
@@ -121,13 +139,21 @@ def test_system_identification_mode_says_what_was_injected():
     made = Recording({**made.records, "SIDD": made["SIDD"].between(5.0, 55.0)}, "made.bin")
     found = measure(made, Settings(**PAIR, band=(5.0, 10.0)))
     assert found.signals["instrument"] == "SIDD.Targ"
-    assert "joint input-output estimate with the instrument SIDD.Targ, which was injected. In a loop" in str(found)
+    assert (
+        "joint input-output estimate with the instrument SIDD.Targ, which was injected. In a loop"
+        in str(found)
+    )
     assert found.response.about["excitation"].startswith(
         "1 sweep of rate pitch, amplitude 0.1, 1.257 to 25.13 rad/s, 6.00 to 5"
     )
     without = {name: record for name, record in made.records.items() if name != "SIDD"}
-    targets = Recording({**without, "SIDD": Record(made["SIDD"].time, {"Other": made["SIDD"]["Targ"]})}, "made.bin")
-    assert measure(targets, Settings(**PAIR, band=(5.0, 10.0))).signals == {"u": "IN.u", "y": "OUT.y"}
+    targets = Recording(
+        {**without, "SIDD": Record(made["SIDD"].time, {"Other": made["SIDD"]["Targ"]})}, "made.bin"
+    )
+    assert measure(targets, Settings(**PAIR, band=(5.0, 10.0))).signals == {
+        "u": "IN.u",
+        "y": "OUT.y",
+    }
 
 
 def test_tests_of_several_axes_are_refused_until_one_is_chosen():
@@ -143,11 +169,17 @@ def test_tests_of_several_axes_are_refused_until_one_is_chosen():
 @pytest.mark.parametrize(
     ("wanted", "said"),
     [
-        ({}, "no test was found: give --setpoint, --announced or --instrument, or use the --whole log."),
+        (
+            {},
+            "no test was found: give --setpoint, --announced or --instrument, or use the --whole log.",
+        ),
         ({"setpoint": "IN.w", "tests": "2"}, "there is no test 2; the log has 1."),
         ({"setpoint": "IN.w", "tests": "0"}, "there is no test 0; the log has 1."),
         ({"setpoint": "IN.w", "axis": "yaw"}, "no test has the axis 'yaw'; there are IN.w."),
-        ({"setpoint": "IN.w", "tests": "1,1-1", "axis": "yaw"}, "no test has the axis 'yaw'; there are IN.w."),
+        (
+            {"setpoint": "IN.w", "tests": "1,1-1", "axis": "yaw"},
+            "no test has the axis 'yaw'; there are IN.w.",
+        ),
     ],
 )
 def test_what_is_not_there_is_told(swept, wanted, said):
@@ -166,14 +198,32 @@ def test_what_is_not_there_is_told(swept, wanted, said):
         ({"points": 1}, "--points 1 must lie between 2 and 10000."),
         ({"band": (0.0, 1.0)}, "--band 0 1 must be two frequencies above 0, the lower first."),
         ({"band": (1.0, 1.0)}, "--band 1 1 must be two frequencies above 0, the lower first."),
-        ({"band": (1.0, float("inf"))}, "--band 1 inf must be two frequencies above 0, the lower first."),
+        (
+            {"band": (1.0, float("inf"))},
+            "--band 1 inf must be two frequencies above 0, the lower first.",
+        ),
         ({"method": "quadrature", "open_loop": True}, ""),
         ({"method": "quadratic"}, "--method 'quadratic' is not known: use"),
-        ({"open_loop": True, "instrument": "IN.w"}, "--open-loop asks for the direct estimate, --instrument for"),
-        ({"output": "y=IN.u"}, "--input u=IN.u and --output y=IN.u are the same signal or have the same name."),
-        ({"output": "IN.u"}, "--input u=IN.u and --output IN.u are the same signal or have the same name."),
-        ({"output": "u=OUT.y"}, "--input u=IN.u and --output u=OUT.y are the same signal or have the same name."),
-        ({"output": "setpoint=OUT.y"}, "the name 'setpoint' is reserved: give the signal another name, NAME=SIGNAL."),
+        (
+            {"open_loop": True, "instrument": "IN.w"},
+            "--open-loop asks for the direct estimate, --instrument for",
+        ),
+        (
+            {"output": "y=IN.u"},
+            "--input u=IN.u and --output y=IN.u are the same signal or have the same name.",
+        ),
+        (
+            {"output": "IN.u"},
+            "--input u=IN.u and --output IN.u are the same signal or have the same name.",
+        ),
+        (
+            {"output": "u=OUT.y"},
+            "--input u=IN.u and --output u=OUT.y are the same signal or have the same name.",
+        ),
+        (
+            {"output": "setpoint=OUT.y"},
+            "the name 'setpoint' is reserved: give the signal another name, NAME=SIGNAL.",
+        ),
     ],
 )
 def test_settings_that_make_no_sense_in_any_log_are_refused(stated, said):
@@ -193,22 +243,35 @@ def test_sines_are_measured_one_by_one():
         control[during] = 0.2 * np.sin(w * (TIME[during] - start))
         records.append(np.column_stack([TIME[during], np.full((during.sum(), 4), [k, 1, w, 0.2])]))
     rows = np.vstack(records)[::5]
-    announced = Record(rows[:, 0], dict(zip(("Seg", "Ax", "W", "Eta"), rows[:, 1:].T, strict=True)), {"Eta": "deg"})
+    announced = Record(
+        rows[:, 0], dict(zip(("Seg", "Ax", "W", "Eta"), rows[:, 1:].T, strict=True)), {"Eta": "deg"}
+    )
     made = flight(control, SINE=announced)
-    found = measure(made, Settings(**PAIR, announced="SINE", band=(2.0, 8.0), tests="1-3", settle=4.0))
+    found = measure(
+        made, Settings(**PAIR, announced="SINE", band=(2.0, 8.0), tests="1-3", settle=4.0)
+    )
     assert found.response.omega == pytest.approx([3.0, 6.0], rel=1e-3)
     assert np.abs(found.response.response / truth(found.response.omega) - 1).max() < 0.02
     assert [len(found.tests), len(found.used)] == [3, 2]
     assert found.response.about["estimate"] == "single sines, least-squares"
-    assert found.response.about["excitation"] == "2 sines of 1, amplitude 0.2 deg, 3 to 6 rad/s, 22.00 to 57.80 s"
+    assert (
+        found.response.about["excitation"]
+        == "2 sines of 1, amplitude 0.2 deg, 3 to 6 rad/s, 22.00 to 57.80 s"
+    )
     assert found.choices == (
         "open loop (no controller is seen in the log): amplitudes at the frequency of the excitation, whose ratio "
         "feedback does not bias.",
     )
-    with pytest.raises(ValueError, match=r"no sine lies in the band from 7 to 8 rad/s; there are 1\.5, 3, 6 rad/s\."):
+    with pytest.raises(
+        ValueError,
+        match=r"no sine lies in the band from 7 to 8 rad/s; there are 1\.5, 3, 6 rad/s\.",
+    ):
         measure(made, Settings(**PAIR, announced="SINE", band=(7.0, 8.0)))
     other = measure(made, Settings(**PAIR, instrument="IN.w", whole=True))
-    assert other.choices[-1] == "SINE looks like a message that announces tests too: use it with --announced SINE."
+    assert (
+        other.choices[-1]
+        == "SINE looks like a message that announces tests too: use it with --announced SINE."
+    )
 
 
 def test_what_cannot_be_estimated_is_refused_with_the_reason():
@@ -216,12 +279,16 @@ def test_what_cannot_be_estimated_is_refused_with_the_reason():
     assert found.response is None
     assert not found.quality.usable
     assert found.quality.findings[0].about == "response"
-    assert isinstance(gb.identify(flight(SWEEP), **PAIR, whole=True, band=(200.0, 300.0)).fit, type(None))
+    assert isinstance(
+        gb.identify(flight(SWEEP), **PAIR, whole=True, band=(200.0, 300.0)).fit, type(None)
+    )
 
 
 def test_signals_that_share_a_name_are_told():
     assert named_signals(["u=RATE.POut", "ATT.Pitch"]) == {"u": "RATE.POut", "Pitch": "ATT.Pitch"}
-    with pytest.raises(ValueError, match="two signals have one name: give them names of your own, NAME=SIGNAL"):
+    with pytest.raises(
+        ValueError, match="two signals have one name: give them names of your own, NAME=SIGNAL"
+    ):
         named_signals(["ANG.Pitch", "ATT.Pitch"])
 
 

@@ -28,11 +28,18 @@ class Plant(gb.TransferFunction):
 @pytest.fixture(scope="module")
 def found():
     data = measured(Plant(), np.geomspace(0.5, 30, 20), noise=0.02, seed=1)
-    return gb.identification.select_orders(data, n=(1, 2), integrators=(1,), delays=(0.0, 0.2), starts=1)
+    return gb.identification.select_orders(
+        data, n=(1, 2), integrators=(1,), delays=(0.0, 0.2), starts=1
+    )
 
 
 def test_the_structure_of_the_truth_is_chosen(found):
-    assert (found.chosen.n, found.chosen.m, found.chosen.integrators, found.chosen.delay) == (2, 0, 1, True)
+    assert (found.chosen.n, found.chosen.m, found.chosen.integrators, found.chosen.delay) == (
+        2,
+        0,
+        1,
+        True,
+    )
     estimate = found.fit.estimate
     assert estimate["b0"] == pytest.approx(900 / 0.2, rel=0.03)
     assert estimate["a1"] == pytest.approx(5.0, rel=0.03)
@@ -52,11 +59,23 @@ def test_the_table_has_every_structure_that_was_fitted(found):
     """By number of parameters and BIC, with poles and zeros that nearly cancel."""
     lines = str(found).splitlines()
     assert lines[0].split() == "n m integrators delay free -ln L BIC above pairs".split()
-    assert [(c.parameters, c.bic) for c in found.candidates] == sorted((c.parameters, c.bic) for c in found.candidates)
+    assert [(c.parameters, c.bic) for c in found.candidates] == sorted(
+        (c.parameters, c.bic) for c in found.candidates
+    )
     least = min(c.bic for c in found.candidates)
     for line, c in zip(lines[2:], found.candidates, strict=False):
-        cells = [str(c.n), str(c.m), str(c.integrators), *(["yes"] if c.delay else []), str(c.parameters)]
-        cells += [number(c.fit.cost, 5), number(round(c.bic - least, 2), 4), *([str(len(c.pairs))] if c.pairs else [])]
+        cells = [
+            str(c.n),
+            str(c.m),
+            str(c.integrators),
+            *(["yes"] if c.delay else []),
+            str(c.parameters),
+        ]
+        cells += [
+            number(c.fit.cost, 5),
+            number(round(c.bic - least, 2), 4),
+            *([str(len(c.pairs))] if c.pairs else []),
+        ]
         assert line.split() == [*cells, *(["<-", "chosen"] if c is found.chosen else [])]
         estimate = c.fit.estimate
         assert c.parameters == c.n - c.integrators + c.m + 1 + c.delay == len(c.fit.free)
@@ -65,7 +84,10 @@ def test_the_table_has_every_structure_that_was_fitted(found):
         assert list(map(str, c.pairs)) == list(map(str, near_pairs(zeros, poles)))
     assert any(c.m for c in found.candidates)
     assert lines[2 + len(found.candidates) :] == ["", found.verdict]
-    assert repr(found) == f"<OrderSelection {len(found.candidates)} structures, n = 2, m = 0, 1 integrator, delay>"
+    assert (
+        repr(found)
+        == f"<OrderSelection {len(found.candidates)} structures, n = 2, m = 0, 1 integrator, delay>"
+    )
     assert str(replace(found, failed=2)).endswith("2 structures had no fit.")
 
 
@@ -82,15 +104,21 @@ def test_polynomials_have_several_integrators_and_a_delay():
     s = 1j * omega
     model = Polynomial(3, 1, 2, delay=0.2)
     assert model.label == "Polynomial(3, 1, 2 integrators, delay)"
-    made = gb.frequency_response(model, {"b0": 2.0, "b1": 3.0, "a2": 4.0, "T_delay": 0.1}, omega).response
+    made = gb.frequency_response(
+        model, {"b0": 2.0, "b1": 3.0, "a2": 4.0, "T_delay": 0.1}, omega
+    ).response
     np.testing.assert_allclose(made, (3 * s + 2) / (s**2 * (s + 4)) * np.exp(-0.1 * s), rtol=1e-12)
-    with pytest.raises(ValueError, match=r"integrator = 4 and delay = 0\.0: give from 0 to n = 3 integrators"):
+    with pytest.raises(
+        ValueError, match=r"integrator = 4 and delay = 0\.0: give from 0 to n = 3 integrators"
+    ):
         Polynomial(3, 1, 4)
 
 
 def test_a_grid_without_a_structure_is_told():
     data = measured(Plant(), np.array([1.0, 2.0]))
-    with pytest.raises(ValueError, match="no structure of the grid has fewer unknowns than 4 real numbers: lower n"):
+    with pytest.raises(
+        ValueError, match="no structure of the grid has fewer unknowns than 4 real numbers: lower n"
+    ):
         gb.identification.select_orders(data, n=(4,))
 
 
@@ -105,14 +133,20 @@ def test_linear_least_squares_begins_at_the_truth_where_its_share_of_the_delay_i
     assert shares[1] == pytest.approx(exact, rel=1e-6)
     assert shares[0]["a1"] != pytest.approx(5.0, rel=1e-3)
     bare = gb.FrequencyResponse(omega, data.response * np.exp(0.1 * s))
-    assert list(_linear_starts(bare, 3, 1, 1, 0.0)) == [pytest.approx({k: exact[k] for k in ("b0", "b1", "a1", "a2")})]
+    assert list(_linear_starts(bare, 3, 1, 1, 0.0)) == [
+        pytest.approx({k: exact[k] for k in ("b0", "b1", "a1", "a2")})
+    ]
     assert list(_linear_starts(bare, 3, 2, 1, 0.0)) == []
     assert list(_linear_starts(bare, 1, 0, 1, 0.0)) == []
     assert len(list(_linear_starts(bare, 2, 0, 1, 0.0))) == 1
 
 
 def test_a_grid_of_which_no_structure_has_a_fit_is_told(monkeypatch):
-    monkeypatch.setattr("greybox.identification.orders.fit", lambda *_, **__: SimpleNamespace(converged=False))
+    monkeypatch.setattr(
+        "greybox.identification.orders.fit", lambda *_, **__: SimpleNamespace(converged=False)
+    )
     data = measured(Plant(), np.geomspace(0.5, 30, 20))
-    with pytest.raises(ValueError, match="none of 3 structures has a fit: look at the response first"):
+    with pytest.raises(
+        ValueError, match="none of 3 structures has a fit: look at the response first"
+    ):
         gb.identification.select_orders(data, n=(1, 2), integrators=(0,), delays=(0.0,), starts=1)

@@ -32,7 +32,9 @@ def flown(control, outputs=None):
     records = {"RATE": Record(TIME, {"POut": control})}
     if outputs is not None:
         records["RCOU"] = Record(TIME, {"C1": outputs[0], "C2": outputs[1], "C9": 0 * TIME})
-    return Recording(records, metadata={"parameters": QUAD}), Record(TIME, {"u": control, "theta": 0 * TIME})
+    return Recording(records, metadata={"parameters": QUAD}), Record(
+        TIME, {"u": control, "theta": 0 * TIME}
+    )
 
 
 def sines(amplitudes):
@@ -41,7 +43,9 @@ def sines(amplitudes):
         Segment(10.0 * k, 10.0 * k + 9.99, omega=w, amplitude=a)
         for k, (w, a) in enumerate(zip(OMEGA, amplitudes, strict=True))
     ]
-    control = np.concatenate([a * np.sin(w * TIME[:1000]) for w, a in zip(OMEGA, amplitudes, strict=True)])
+    control = np.concatenate(
+        [a * np.sin(w * TIME[:1000]) for w, a in zip(OMEGA, amplitudes, strict=True)]
+    )
     return tests, control
 
 
@@ -51,12 +55,20 @@ def test_rounded_outputs_of_sines_count_at_each_frequency():
     tests, control = sines(amplitudes)
     other = np.sin(2 * np.pi * TIME) * [[0.2], [1.0]]
     recording, record = flown(control, 1500 + STEPS * control + other)
-    shuffled = [tests[k] for k in (2, 0, 1)]  # tests are found by their frequency, not by their place
+    shuffled = [
+        tests[k] for k in (2, 0, 1)
+    ]  # tests are found by their frequency, not by their place
     (error,) = systematic_errors(recording, record, measured(), "RATE.POut", shuffled, amplitudes)
-    assert error.relative == pytest.approx(rounding_error(STEPS * amplitudes, 0.2 / np.sqrt(2)), rel=1e-6)
+    assert error.relative == pytest.approx(
+        rounding_error(STEPS * amplitudes, 0.2 / np.sqrt(2)), rel=1e-6
+    )
     assert error.common is None
     finding = error.finding
-    assert (error.about, finding.about, finding.severity) == ("rounded outputs", "resolution", "warning")
+    assert (error.about, finding.about, finding.severity) == (
+        "rounded outputs",
+        "resolution",
+        "warning",
+    )
     assert finding.value == pytest.approx(0.4)
     share = f"{100 * error.relative.max():.2g}"
     assert finding.text == (
@@ -76,7 +88,10 @@ def test_rounded_outputs_of_a_sweep_count_by_the_largest_motion_and_the_quietest
     assert error.relative == pytest.approx(np.full(3, rounding_error(a, 0.0)[0]), rel=1e-6)
     assert (error.finding.severity, error.finding.value) == ("note", pytest.approx(a))
     share = f"{100 * error.relative[0]:.2g} %"
-    assert error.finding.text == f"motor outputs are whole µs: {share} are added to the standard errors."
+    assert (
+        error.finding.text
+        == f"motor outputs are whole µs: {share} are added to the standard errors."
+    )
     # Of the whole record where no test was found.
     (whole,) = systematic_errors(recording, record, measured(), "RATE.POut", ())
     a = np.sqrt(2) * STEPS * np.std(control)
@@ -125,7 +140,9 @@ def test_errors_add_to_the_variance_and_to_its_degrees_of_freedom():
     assert with_systematic_errors(without, errors) is without
 
 
-@pytest.mark.parametrize(("samples", "severity"), [(30, ""), (31, "warning"), (600, "warning"), (601, "refusal")])
+@pytest.mark.parametrize(
+    ("samples", "severity"), [(30, ""), (31, "warning"), (600, "warning"), (601, "refusal")]
+)
 def test_a_motor_at_its_limit_is_told_from_one_percent_and_refused_from_twenty(samples, severity):
     outputs = np.full((2, 3000), 1500.0)
     outputs[1, :samples] = 1150

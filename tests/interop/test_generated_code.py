@@ -43,7 +43,9 @@ def test_the_casadi_function_of_a_transfer_function_has_its_response():
     blocks = ca.Function("blocks", [], [ca.jacobian(out, by) for out in f(x, u) for by in (x, u)])()
     A, B, C, D = (np.asarray(ca.DM(block)) for block in blocks.values())
     found = [(C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) + D)[0, 0] for w in TILT_OMEGA]
-    expected = gb.frequency_response(Tilt(), {**TILT, "T_delay": 0.02}, TILT_OMEGA, delay="pade:2").response
+    expected = gb.frequency_response(
+        Tilt(), {**TILT, "T_delay": 0.02}, TILT_OMEGA, delay="pade:2"
+    ).response
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
@@ -56,7 +58,9 @@ def example(header):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
 def test_a_stranger_compiles_the_example_and_it_flies_as_here(tmp_path):
     source, header = gb.interop.write_c(NonlinearTilt(), tmp_path / "tilt.c", VALUES)
-    (tmp_path / "example.c").write_text(example(header.read_text()).replace("u[TILT_INPUTS] = {1.0}", "u[1] = {0.01}"))
+    (tmp_path / "example.c").write_text(
+        example(header.read_text()).replace("u[TILT_INPUTS] = {1.0}", "u[1] = {0.01}")
+    )
     strict = ["-std=c99", "-Wall", "-Werror", "-Wno-unused"]
     command = ["cc", *strict, "example.c", "tilt.c", "-lm", "-o", "example"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
@@ -66,7 +70,8 @@ def test_a_stranger_compiles_the_example_and_it_flies_as_here(tmp_path):
     here = gb.simulate(NonlinearTilt(), VALUES, record)
     np.testing.assert_allclose(time, record.time, atol=1e-9)
     np.testing.assert_allclose(theta, here["theta"], rtol=1e-4, atol=5e-8)  # with more substeps
-    # Where a header is there twice, or C++ reads it, it still compiles; the names are those of the file.
+    # Where a header is there twice, or C++ reads it, it still compiles; the names are those of the
+    # file.
     assert "TILT_STATE_rotor = 3" in header.read_text()
     assert "tilt_step" in source.read_text()
 
@@ -85,7 +90,10 @@ def test_names_from_elsewhere_do_not_leave_the_comment(tmp_path):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda p: gb.interop.write_c(Lag(), p / "lag.cpp"), r"lag\.cpp is to be C source: end it in \.c"),
+        (
+            lambda p: gb.interop.write_c(Lag(), p / "lag.cpp"),
+            r"lag\.cpp is to be C source: end it in \.c",
+        ),
         (
             lambda p: gb.interop.write_c(Tilt(), p / "t.c"),
             "delays u by .*, which C code of states and inputs cannot hold",
@@ -136,12 +144,18 @@ def test_a_response_and_a_fit_for_matlab(tmp_path):
     np.testing.assert_array_equal(part["fitted"], fit.parts[0].response)
 
     gb.interop.write_mat(data, tmp_path / "data.mat")
-    np.testing.assert_array_equal(loadmat(tmp_path / "data.mat", simplify_cells=True)["omega"], data.omega)
+    np.testing.assert_array_equal(
+        loadmat(tmp_path / "data.mat", simplify_cells=True)["omega"], data.omega
+    )
 
     linear = {**TILT, "T_rotor": 0.05, "T_delay": 0.0}
     flown = gb.simulate(LinearTilt(), linear, gb.Record(np.arange(20) * 0.05, {"u": np.ones(20)}))
     known = {name: value for name, value in linear.items() if name != "a4"}
-    in_time = gb.fit(gb.Problem(LinearTilt(), flown.with_signals(u=np.ones(20)), fixed=known), [{}], progress=False)
+    in_time = gb.fit(
+        gb.Problem(LinearTilt(), flown.with_signals(u=np.ones(20)), fixed=known),
+        [{}],
+        progress=False,
+    )
     gb.interop.write_mat(in_time, tmp_path / "time.mat")
     part = loadmat(tmp_path / "time.mat", simplify_cells=True)["fit"]["part"]
     np.testing.assert_array_equal(part["data"]["theta"], flown["theta"])
@@ -169,6 +183,9 @@ def test_the_header_names_the_parameters_or_that_there_are_none(tmp_path):
 
 
 def test_what_is_no_data_is_not_written_for_matlab(tmp_path):
-    with pytest.raises(TypeError, match="3 cannot be written for MATLAB: give a Fit, a Record or a FrequencyResponse"):
+    with pytest.raises(
+        TypeError,
+        match="3 cannot be written for MATLAB: give a Fit, a Record or a FrequencyResponse",
+    ):
         gb.interop.write_mat(3, tmp_path / "three.mat")
     assert not [*tmp_path.iterdir()]

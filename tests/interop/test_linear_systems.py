@@ -14,7 +14,11 @@ from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 
 VALUES = {**TILT, "T_rotor": 0.05, "T_delay": 0.02}
 DATA = measured(
-    Lag(), TILT_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.01, columns={"coherence": np.full(len(TILT_OMEGA), 0.9)}
+    Lag(),
+    TILT_OMEGA,
+    {"K": 2.0, "T": 0.3},
+    noise=0.01,
+    columns={"coherence": np.full(len(TILT_OMEGA), 0.9)},
 )
 FIT = gb.fit(gb.Problem(Lag(), DATA), [{"K": 2.0, "T": 0.3}], progress=False)
 
@@ -30,7 +34,8 @@ def expected(model, output="", values=VALUES, **options):
 
 @pytest.mark.parametrize("pade", [1, 3])
 @pytest.mark.parametrize(
-    ("model", "output", "row"), [(Tilt(), "", 0), (LinearTilt(), "theta", 0), (LinearTilt(), "v", 1)]
+    ("model", "output", "row"),
+    [(Tilt(), "", 0), (LinearTilt(), "theta", 0), (LinearTilt(), "v", 1)],
 )
 @pytest.mark.parametrize("kind", ["transfer-function", "state-space"])
 def test_models_go_there_with_their_delay_approximated(control, model, output, row, kind, pade):
@@ -50,19 +55,25 @@ def test_models_go_there_with_their_delay_approximated(control, model, output, r
 def test_a_delay_is_not_lost_without_a_word(control):
     for convert in (gb.interop.to_control, gb.interop.to_scipy):
         for model in (Tilt(), LinearTilt()):
-            with pytest.raises(ValueError, match=r"delays u by 0\.02 s, which .* cannot hold: give pade=3"):
+            with pytest.raises(
+                ValueError, match=r"delays u by 0\.02 s, which .* cannot hold: give pade=3"
+            ):
                 convert(model, VALUES)
         there = convert(Tilt(), VALUES, pade=0)
         assert len(np.atleast_1d(np.squeeze(there.den))) == 5
     plain = gb.interop.to_scipy(Tilt(), {**VALUES, "T_delay": 0.0})
-    np.testing.assert_allclose(plain.freqresp(TILT_OMEGA)[1], expected(Tilt(), values={**VALUES, "T_delay": 0.0}))
+    np.testing.assert_allclose(
+        plain.freqresp(TILT_OMEGA)[1], expected(Tilt(), values={**VALUES, "T_delay": 0.0})
+    )
 
 
 def test_a_fit_goes_there_at_its_estimate_and_a_saved_one_too(control, tmp_path):
     gb.save(FIT, tmp_path / "fit.h5")
     for fit in (FIT, gb.load(tmp_path / "fit.h5", models=[Lag])):
         there = gb.interop.to_control(fit)
-        np.testing.assert_allclose(there(1j * TILT_OMEGA), fit.response(TILT_OMEGA).response, rtol=1e-10)
+        np.testing.assert_allclose(
+            there(1j * TILT_OMEGA), fit.response(TILT_OMEGA).response, rtol=1e-10
+        )
         assert there.name == FIT.name
 
 
@@ -86,7 +97,9 @@ def test_linear_systems_there_and_back(control):
         assert found.output == "theta"
         there = gb.interop.to_scipy(model, kind="state-space")
         resolvent = [np.linalg.solve(1j * w * np.eye(3) - there.A, there.B) for w in TILT_OMEGA]
-        np.testing.assert_allclose([(there.C @ x + there.D)[0, 0] for x in resolvent], response, rtol=1e-9)
+        np.testing.assert_allclose(
+            [(there.C @ x + there.D)[0, 0] for x in resolvent], response, rtol=1e-9
+        )
     theirs = control.tf([20, 40], [1, 12, 37, 170])
     for system in (theirs, control.ss(-2, 1, 3, 0)):
         model = gb.interop.from_control(system, inputs=["u"], outputs=["rate"])
@@ -94,7 +107,11 @@ def test_linear_systems_there_and_back(control):
         np.testing.assert_allclose(found.response, system(1j * TILT_OMEGA), rtol=1e-9)
         assert found.output == "rate"
     labels = gb.interop.from_control(control.rss(3, 2, 2))
-    assert (labels.states, labels.inputs, labels.outputs) == (("x1", "x2", "x3"), ("u1", "u2"), ("y1", "y2"))
+    assert (labels.states, labels.inputs, labels.outputs) == (
+        ("x1", "x2", "x3"),
+        ("u1", "u2"),
+        ("y1", "y2"),
+    )
 
 
 def test_the_nonlinear_ode_flies_there_as_here(control):
@@ -103,7 +120,9 @@ def test_the_nonlinear_ode_flies_there_as_here(control):
     u = 0.1 * np.sin(9 * time)
     here = gb.simulate(NonlinearTilt(), {**values, "T_delay": 0.0}, gb.Record(time, {"u": u}))
     system = gb.interop.to_control(NonlinearTilt(), values, kind="nonlinear", pade=0)
-    there = control.input_output_response(system, time, u, solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-10})
+    there = control.input_output_response(
+        system, time, u, solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-10}
+    )
     np.testing.assert_allclose(there.outputs[0], here["theta"], atol=1e-5)
     np.testing.assert_allclose(there.outputs[1], here["v"], atol=1e-5)
     assert system.params["C_x"] == 0.3
@@ -112,13 +131,33 @@ def test_the_nonlinear_ode_flies_there_as_here(control):
 @pytest.mark.parametrize(
     ("convert", "kind", "words"),
     [
-        (lambda c: gb.interop.from_control(c.tf([1], [1, 1], 0.1)), ValueError, r"sampling time of 0\.1 s"),
+        (
+            lambda c: gb.interop.from_control(c.tf([1], [1, 1], 0.1)),
+            ValueError,
+            r"sampling time of 0\.1 s",
+        ),
         (lambda c: gb.interop.from_control(3), TypeError, "system is 3: give a Freq"),
-        (lambda c: gb.interop.from_control(c.frd(np.ones((1, 2, 3)), [1, 2, 3])), ValueError, "2 inputs and 1 outputs"),
-        (lambda c: gb.interop.from_scipy(signal.dlti([1], [1, 1], dt=0.1)), ValueError, r"sampling time of 0\.1 s"),
+        (
+            lambda c: gb.interop.from_control(c.frd(np.ones((1, 2, 3)), [1, 2, 3])),
+            ValueError,
+            "2 inputs and 1 outputs",
+        ),
+        (
+            lambda c: gb.interop.from_scipy(signal.dlti([1], [1, 1], dt=0.1)),
+            ValueError,
+            r"sampling time of 0\.1 s",
+        ),
         (lambda c: gb.interop.from_scipy([1, 2]), TypeError, r"give a scipy\.signal\.lti"),
-        (lambda c: gb.interop.from_scipy(signal.lti([[1], [2]], [1, 1])), ValueError, "the system has 2 outputs"),
-        (lambda c: gb.interop.to_control(Tilt(), VALUES, kind="lpv"), ValueError, "kind is 'lpv': give one of"),
+        (
+            lambda c: gb.interop.from_scipy(signal.lti([[1], [2]], [1, 1])),
+            ValueError,
+            "the system has 2 outputs",
+        ),
+        (
+            lambda c: gb.interop.to_control(Tilt(), VALUES, kind="lpv"),
+            ValueError,
+            "kind is 'lpv': give one of",
+        ),
         (lambda c: gb.interop.to_scipy(3), TypeError, "3 cannot be converted: give a Fit, a model"),
         (lambda c: gb.interop.to_scipy(FIT, {"K": 1}), TypeError, "values were given beside a Fit"),
         (lambda c: gb.interop.to_scipy(Tilt(), {"b": 1}), ValueError, "Tilt has no parameter 'b'"),
@@ -137,7 +176,9 @@ def test_what_cannot_be_converted_is_refused(control, convert, kind, words):
 def test_without_python_control_the_sentence_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     for convert in (gb.interop.to_control, gb.interop.from_control):
-        with pytest.raises(ModuleNotFoundError, match=r"needs control: pip install 'greybox-id\[control\]'"):
+        with pytest.raises(
+            ModuleNotFoundError, match=r"needs control: pip install 'greybox-id\[control\]'"
+        ):
             convert(DATA)
 
 
@@ -158,7 +199,9 @@ def test_scipys_system_is_of_a_kind_that_it_has():
     model = KnownModel()
     assert isinstance(gb.interop.to_scipy(model), signal.TransferFunction)
     assert isinstance(gb.interop.to_scipy(model, kind="state-space"), signal.StateSpace)
-    with pytest.raises(ValueError, match="kind is 'zpk': give 'transfer-function' or 'state-space'"):
+    with pytest.raises(
+        ValueError, match="kind is 'zpk': give 'transfer-function' or 'state-space'"
+    ):
         gb.interop.to_scipy(model, kind="zpk")
 
 
@@ -191,7 +234,9 @@ def test_states_of_a_delay_are_those_of_the_input_that_it_delays(control, pade):
     assert there.nstates == 2 + pade
     found = there(1j * TILT_OMEGA, squeeze=False)[0]
     for row, name in zip(found, ("u", "w"), strict=True):
-        wanted = gb.frequency_response(TwoInputs(), {}, TILT_OMEGA, input=name, delay=f"pade:{pade}").response
+        wanted = gb.frequency_response(
+            TwoInputs(), {}, TILT_OMEGA, input=name, delay=f"pade:{pade}"
+        ).response
         np.testing.assert_allclose(row, wanted, rtol=1e-9)
 
 
@@ -215,4 +260,6 @@ def test_states_of_a_delay_are_at_rest_at_the_operating_point():
     pade = (1 - 0.1 * s) / (1 + 0.1 * s)
     inside = np.linalg.solve(s * np.eye(2) - made.A, made.B)
     plain = 7 * 1 / (s + 2)
-    np.testing.assert_allclose((made.C @ inside + made.D)[0], [plain * 3 + 0.5, (plain * 5 + 0.25) * pade], rtol=1e-12)
+    np.testing.assert_allclose(
+        (made.C @ inside + made.D)[0], [plain * 3 + 0.5, (plain * 5 + 0.25) * pade], rtol=1e-12
+    )

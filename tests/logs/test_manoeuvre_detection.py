@@ -27,7 +27,9 @@ def pulses(start, unit, pattern, size):
 
 def flight(noise=0.0, lag=0.0):
     values = sum(pulses(*flown) for _, *flown in FLOWN) + 0.5 * (TIME > 95)
-    values = values + np.where((TIME > 80) & (TIME < 84), np.sin((TIME - 80) ** 2) * (84 - TIME) / 4, 0)
+    values = values + np.where(
+        (TIME > 80) & (TIME < 84), np.sin((TIME - 80) ** 2) * (84 - TIME) / 4, 0
+    )
     if lag:
         kernel = np.exp(-np.arange(0, 1.5, 0.02) / lag)
         values = np.convolve(values, kernel / kernel.sum())[: TIME.size]
@@ -56,7 +58,9 @@ def test_sines_sweeps_noise_and_trim_are_no_manoeuvres():
         0.001 * TIME,
         np.zeros_like(TIME),
     ):
-        assert [s for s in manoeuvres_in(TIME, values) if s.kind not in ("stick input", "step")] == []
+        assert [
+            s for s in manoeuvres_in(TIME, values) if s.kind not in ("stick input", "step")
+        ] == []
         assert len(manoeuvres_in(TIME, values)) <= 1
 
 
@@ -69,7 +73,9 @@ def test_records_and_logs_are_searched_in_their_usual_inputs():
     assert [s.kind for s in gb.logs.find_manoeuvres(record, "psi")] == [s.kind for s in found]
     assert chosen_manoeuvre(found, "3-2-1-1") is found[1]
     assert chosen_manoeuvre(found, "4") is found[3]
-    with pytest.raises(ValueError, match=r"2 manoeuvres of the kind 'doublet': give the number of one, 3, 5"):
+    with pytest.raises(
+        ValueError, match=r"2 manoeuvres of the kind 'doublet': give the number of one, 3, 5"
+    ):
         chosen_manoeuvre(found, "doublet")
     with pytest.raises(ValueError, match="there is no manoeuvre 9; the log has 7"):
         chosen_manoeuvre(found, "9")
@@ -79,7 +85,9 @@ def test_the_band_of_a_long_input_is_that_of_its_transform():
     """Random levels, 0.8 s each: the band ends where a sum over all samples falls to a tenth."""
     time = np.arange(30_000) / 50
     levels = np.random.default_rng(3).choice([-1.0, 1.0], 700) * 200
-    values = 1500 + np.where((time > 10) & (time < 560), levels[(time / 0.8).astype(int) % 700], 0.0)
+    values = 1500 + np.where(
+        (time > 10) & (time < 560), levels[(time / 0.8).astype(int) % 700], 0.0
+    )
     found = max(manoeuvres_in(time, values), key=lambda s: s.duration)
     inside = (time >= found.start - 1) & (time <= found.end + 1)
     omega = np.linspace(0.9, 1.1, 41) * found.band[1]
@@ -95,7 +103,8 @@ def test_the_band_of_a_pulse_begins_at_a_period_over_it_and_its_rests():
 
 
 @pytest.mark.parametrize(
-    ("between", "kind"), [(1.3, "step"), (2.0, "stick input"), (-0.3, "step"), (-0.7, "stick input")]
+    ("between", "kind"),
+    [(1.3, "step"), (2.0, "stick input"), (-0.3, "step"), (-0.7, "stick input")],
 )
 def test_a_step_that_swings_far_beyond_its_ends_is_none(between, kind):
     """From zero to one, within half a second by way of another level."""
@@ -107,7 +116,9 @@ def test_a_step_that_swings_far_beyond_its_ends_is_none(between, kind):
 
 def named(*levels, tail=8.0):
     """What is found in levels held one after the other, (level, seconds), after and before a rest of 8 s at zero."""
-    values = np.concatenate([np.full(round(50 * t), x) for x, t in ((0.0, 8.0), *levels, (levels[-1][0], 0.0))])
+    values = np.concatenate(
+        [np.full(round(50 * t), x) for x, t in ((0.0, 8.0), *levels, (levels[-1][0], 0.0))]
+    )
     values = np.append(values, np.full(round(50 * tail), 0.0 if tail == 8.0 else levels[-1][0]))
     return manoeuvres_in(np.arange(values.size) / 50, values)
 
@@ -116,7 +127,9 @@ def kinds(*levels, **options):
     return [segment.kind for segment in named(*levels, **options)]
 
 
-@pytest.mark.parametrize(("off", "doublet", "three"), [(0.28, True, True), (0.32, False, False), (-0.28, True, True)])
+@pytest.mark.parametrize(
+    ("off", "doublet", "three"), [(0.28, True, True), (0.32, False, False), (-0.28, True, True)]
+)
 def test_pulses_are_named_up_to_thirty_percent_off_their_durations(off, doublet, three):
     """Of a doublet one is longer and one shorter by as much; of a 2-1-1 the last two, the first of twice the unit."""
     found = kinds((1.0, 2 * (1 + off)), (-1.0, 2 * (1 - off)))
@@ -126,11 +139,15 @@ def test_pulses_are_named_up_to_thirty_percent_off_their_durations(off, doublet,
 
 
 def test_pulses_of_one_sign_and_pulses_apart_have_no_name():
-    assert kinds((1.0, 2.0), (0.0, 0.9), (1.0, 2.0)) == ["pulse"]  # shorter than 0.6 of the longer: one way of the hand
+    assert kinds((1.0, 2.0), (0.0, 0.9), (1.0, 2.0)) == [
+        "pulse"
+    ]  # shorter than 0.6 of the longer: one way of the hand
     assert kinds((1.0, 1.4), (0.0, 0.9), (1.0, 1.4)) == ["stick input"]  # longer: a pause
     assert kinds((1.0, 2.0), (0.0, 0.9), (-1.0, 2.0)) == ["doublet"]
     assert kinds((1.0, 1.4), (0.0, 0.9), (-1.0, 1.4)) == ["stick input"]
-    assert kinds((1.0, 1.6), (-1.0, 0.3)) == ["pulse"]  # shorter than a fifth of the longest: it swings over
+    assert kinds((1.0, 1.6), (-1.0, 0.3)) == [
+        "pulse"
+    ]  # shorter than a fifth of the longest: it swings over
     assert kinds((1.0, 1.6), (-1.0, 0.34)) == ["stick input"]
     assert kinds((1.0, 1.6), (-0.49, 1.6)) == ["pulse"]  # below a half of the largest
     assert kinds((1.0, 1.6), (-0.51, 1.6)) == ["doublet"]
@@ -162,7 +179,9 @@ def test_times_size_and_first_level_are_those_that_were_held():
 
 def test_the_level_of_rest_is_no_part_of_the_band():
     doublet = pulses(10.0, 0.8, (1, 1), 0.8)[TIME < 30]
-    (alone,), (trimmed,) = (manoeuvres_in(TIME[TIME < 30], doublet + level) for level in (0.0, 1500.0))
+    (alone,), (trimmed,) = (
+        manoeuvres_in(TIME[TIME < 30], doublet + level) for level in (0.0, 1500.0)
+    )
     assert trimmed.band == pytest.approx(alone.band)
     assert alone.band[1] > 3
 
@@ -171,7 +190,10 @@ def test_the_level_of_rest_is_no_part_of_the_band():
 def test_switches_beside_the_four_sticks_are_not_searched(channel, found):
     time = np.arange(0, 40, 0.05)
     pulse = 1500 + 300 * ((time > 15) & (time < 16)) - 300 * ((time >= 16) & (time < 17))
-    sticks = {name: pulse if name == channel else np.full(time.size, 1500.0) for name in ("C1", "C4", "C5", "C8")}
+    sticks = {
+        name: pulse if name == channel else np.full(time.size, 1500.0)
+        for name in ("C1", "C4", "C5", "C8")
+    }
     log = Recording({"RCIN": gb.Record(time, sticks)})
     assert [segment.axis for segment in gb.logs.find_manoeuvres(log)] == [f"RCIN.{channel}"] * found
 
@@ -185,16 +207,25 @@ def test_each_pulse_is_within_thirty_percent_of_its_own_duration(durations, kind
     assert kinds(*zip(signs, durations, strict=True)) == [kind]
 
 
-@pytest.mark.parametrize(("clock", "size", "level"), [(1000.0, -3.0, 1500.0), (-50.0, 0.01, -1500.0)])
+@pytest.mark.parametrize(
+    ("clock", "size", "level"), [(1000.0, -3.0, 1500.0), (-50.0, 0.01, -1500.0)]
+)
 def test_neither_clock_nor_sign_nor_unit_nor_trim_matter(clock, size, level):
     values = flight()[::2]
-    plain, other = manoeuvres_in(TIME[::2], values), manoeuvres_in(TIME[::2] + clock, level + size * values)
+    plain, other = (
+        manoeuvres_in(TIME[::2], values),
+        manoeuvres_in(TIME[::2] + clock, level + size * values),
+    )
     assert [s.kind for s in other] == [s.kind for s in plain]
     assert [s.start for s in other] == pytest.approx([s.start + clock for s in plain])
     assert [s.end for s in other] == pytest.approx([s.end + clock for s in plain])
     assert [s.amplitude for s in other] == pytest.approx([abs(size) * s.amplitude for s in plain])
-    assert np.array([s.band for s in other]) == pytest.approx(np.array([s.band for s in plain]), rel=1e-3)
-    assert [s.offset for s in other] == pytest.approx([level + size * s.offset for s in plain], abs=1e-6)
+    assert np.array([s.band for s in other]) == pytest.approx(
+        np.array([s.band for s in plain]), rel=1e-3
+    )
+    assert [s.offset for s in other] == pytest.approx(
+        [level + size * s.offset for s in plain], abs=1e-6
+    )
 
 
 @pytest.mark.parametrize(("pattern", "unit"), [((1, 1), 1.5), ((2, 1, 1), 1.0)])

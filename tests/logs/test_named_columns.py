@@ -35,7 +35,9 @@ def test_the_one_matrix_of_a_matlab_file_goes_by_numbers(tmp_path):
     np.testing.assert_allclose(record.time, TIME)
     np.testing.assert_array_equal(record["u"], np.sin(TIME))
     savemat(path, {"data": TABLE, "other": TABLE})
-    with pytest.raises(ValueError, match=r"has 2 matrices \(data, other\): save the one to read alone"):
+    with pytest.raises(
+        ValueError, match=r"has 2 matrices \(data, other\): save the one to read alone"
+    ):
         gb.read(path, columns=COLUMNS)
 
 

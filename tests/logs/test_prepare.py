@@ -16,7 +16,12 @@ RANDOM = np.random.default_rng(0)
 
 def recording(metadata=None, **messages):
     """Build a recording from message -> (time, {field: values}, {field: unit})."""
-    return Recording({name: Record(t, s, u) for name, (t, s, u) in messages.items()}, "made.bin", "sum", metadata or {})
+    return Recording(
+        {name: Record(t, s, u) for name, (t, s, u) in messages.items()},
+        "made.bin",
+        "sum",
+        metadata or {},
+    )
 
 
 def stamps(rate, duration, jitter=0.0, start=0.0):
@@ -30,7 +35,9 @@ def wave(time, omega=3.0):
 
 def test_signals_of_different_rates_meet_by_their_time_stamps():
     fast, slow = stamps(400, 20, 0.4), stamps(23.6, 20, 0.4, start=0.11)
-    log = recording(RATE=(fast, {"POut": wave(fast)}, {}), XKF1=(slow, {"VN": wave(slow)}, {"VN": "m/s"}))
+    log = recording(
+        RATE=(fast, {"POut": wave(fast)}, {}), XKF1=(slow, {"VN": wave(slow)}, {"VN": "m/s"})
+    )
     record = gb.prepare(log, {"u": "RATE.POut", "v": "XKF1.VN"}, rate=50)
     assert np.ptp(np.diff(record.time)) < 1e-9
     assert record.rate == pytest.approx(50)
@@ -47,7 +54,9 @@ def test_the_default_rate_is_that_of_the_slowest():
     assert gb.prepare(log, {"x": "A.x", "y": "B.y"}).rate == pytest.approx(25)
 
 
-@pytest.mark.parametrize(("omega", "kept"), [(2 * np.pi * 5, 1.0), (2 * np.pi * 17, 1.0), (2 * np.pi * 60, 0.0)])
+@pytest.mark.parametrize(
+    ("omega", "kept"), [(2 * np.pi * 5, 1.0), (2 * np.pi * 17, 1.0), (2 * np.pi * 60, 0.0)]
+)
 def test_what_is_above_half_the_new_rate_is_filtered_and_the_rest_is_not(omega, kept):
     time = stamps(400, 20)
     record = gb.prepare(recording(A=(time, {"x": wave(time, omega)}, {})), {"x": "A.x"}, rate=50)
@@ -60,10 +69,19 @@ def test_units_become_si_and_angles_are_unwrapped():
     time = stamps(100, 10)
     heading = np.degrees(1.5 * time) % 360
     log = recording(
-        ATT=(time, {"Yaw": heading, "Pitch": np.full(time.size, 3.001)}, {"Yaw": "deg", "Pitch": "deg"}),
+        ATT=(
+            time,
+            {"Yaw": heading, "Pitch": np.full(time.size, 3.001)},
+            {"Yaw": "deg", "Pitch": "deg"},
+        ),
         RATE=(time, {"P": np.full(time.size, 180.0)}, {"P": "deg/s"}),
     )
-    record = gb.prepare(log, {"psi": "ATT.Yaw", "theta": "ATT.Pitch", "q": "RATE.P"}, rate=100, interpolation="linear")
+    record = gb.prepare(
+        log,
+        {"psi": "ATT.Yaw", "theta": "ATT.Pitch", "q": "RATE.P"},
+        rate=100,
+        interpolation="linear",
+    )
     assert record.units == {"psi": "rad", "theta": "rad", "q": "rad/s"}
     assert record["psi"] == pytest.approx(1.5 * record.time, abs=1e-9)
     assert record["theta"] == pytest.approx(np.radians(3.001))
@@ -72,7 +90,16 @@ def test_units_become_si_and_angles_are_unwrapped():
 
 def test_units_of_flight_tests_become_si():
     time = stamps(50, 4)
-    units = {"h": "ft", "V": "kt", "az": "g", "qbar": "psf", "T": "°C", "rotor": "RPM", "throttle": "%", "m": "slug"}
+    units = {
+        "h": "ft",
+        "V": "kt",
+        "az": "g",
+        "qbar": "psf",
+        "T": "°C",
+        "rotor": "RPM",
+        "throttle": "%",
+        "m": "slug",
+    }
     expected = {
         "h": (c.foot, "m"),
         "V": (c.knot, "m/s"),
@@ -128,18 +155,26 @@ def test_missing_samples_are_left_out():
 def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
     time = np.arange(0, 1, 0.02)
     ones = np.ones(time.size)
-    north, east = forward * np.cos(yaw) - right * np.sin(yaw), forward * np.sin(yaw) + right * np.cos(yaw)
+    north, east = (
+        forward * np.cos(yaw) - right * np.sin(yaw),
+        forward * np.sin(yaw) + right * np.cos(yaw),
+    )
     log = recording(
         XKF1=(time, {"VN": north * ones, "VE": east * ones}, {"VN": "m/s", "VE": "m/s"}),
         ATT=(time, {"Yaw": np.degrees(yaw) % 360 * ones}, {"Yaw": "deg"}),
     )
-    names = {"v": gb.logs.horizontal_velocity(axis="forward"), "w": gb.logs.horizontal_velocity(axis="right")}
+    names = {
+        "v": gb.logs.horizontal_velocity(axis="forward"),
+        "w": gb.logs.horizontal_velocity(axis="right"),
+    }
     names |= {"paper": gb.logs.horizontal_velocity(), "back": negative("XKF1.VN")}
     record = gb.prepare(log, names, rate=50)
     assert record["v"] == pytest.approx(forward, abs=1e-9)
     assert record["w"] == pytest.approx(right, abs=1e-9)
     assert record["back"] == pytest.approx(-north, abs=1e-9)
-    assert record["paper"] == pytest.approx(-forward, abs=1e-9)  # a positive pitch accelerates backward
+    assert record["paper"] == pytest.approx(
+        -forward, abs=1e-9
+    )  # a positive pitch accelerates backward
     assert set(record.units.values()) == {"m/s"}
 
 
@@ -171,7 +206,9 @@ def test_the_filter_model_is_the_filter():
 
     omega = np.array([1.0, 50, 125, 400])
     _, expected = freqs(*butter(2, 2 * np.pi * 20, analog=True), omega)
-    assert gb.frequency_response(LowPass(20.0), {}, omega).response == pytest.approx(expected, rel=1e-12)
+    assert gb.frequency_response(LowPass(20.0), {}, omega).response == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def test_the_digital_filter_model_is_the_digital_filter():
@@ -200,7 +237,11 @@ def test_the_digital_filter_model_is_the_digital_filter():
         ({"rate": np.nan}, ValueError, "rate nan must be"),
         ({"start": 100.0}, ValueError, "do not overlap in time"),
         ({"interpolation": "magic"}, ValueError, "interpolation 'magic'"),
-        ({"interpolation": "hold"}, ValueError, "name signals that are held between samples in held"),
+        (
+            {"interpolation": "hold"},
+            ValueError,
+            "name signals that are held between samples in held",
+        ),
         ({"held": "w"}, ValueError, "held names 'w', which is not among the signals"),
         ({"detrend": "all"}, ValueError, "detrend 'all'"),
     ],
@@ -246,7 +287,12 @@ def staircase(rate, duration, hold=None, seed=0):
     """A log of a control that is held, and the integral of the held control at any time."""
     time = stamps(rate, duration)
     values = np.random.default_rng(seed).normal(size=time.size)
-    log = Record(time, {"u": values, "y": np.zeros(time.size)}, name="A", hold={} if hold is None else {"u": hold})
+    log = Record(
+        time,
+        {"u": values, "y": np.zeros(time.size)},
+        name="A",
+        hold={} if hold is None else {"u": hold},
+    )
     ends = np.append(time[1:], time[-1] + 1 / rate)
     area = np.append(0.0, np.cumsum(values * (ends - time)))
     return log, lambda t: np.interp(t, np.append(time, ends[-1]), area)
@@ -289,7 +335,10 @@ def test_a_thinned_log_is_interpolated_and_its_hold_is_kept(rate):
 def test_what_the_log_does_not_say_is_stated_or_unknown():
     log, _ = staircase(50, 10)
     assert gb.prepare(log, {"u": "A.u"}).hold == {}
-    assert gb.prepare(log, {"u": "A.u", "minus": negative("A.u")}, held="u").hold == {"u": np.inf, "minus": np.inf}
+    assert gb.prepare(log, {"u": "A.u", "minus": negative("A.u")}, held="u").hold == {
+        "u": np.inf,
+        "minus": np.inf,
+    }
 
 
 def test_a_signal_computed_from_several_runs_as_they_all_do():
@@ -300,7 +349,12 @@ def test_a_signal_computed_from_several_runs_as_they_all_do():
     def product(*names):
         return Derived(tuple(f"A.{name}" for name in names), lambda *x: np.prod(x, axis=0), "")
 
-    signals = {"held": product("a", "b"), "mixed": product("a", "c"), "unknown": product("c", "d"), "c": "A.c"}
+    signals = {
+        "held": product("a", "b"),
+        "mixed": product("a", "c"),
+        "unknown": product("c", "d"),
+        "c": "A.c",
+    }
     assert gb.prepare(log, signals, rate=50).hold == {"held": np.inf, "c": 0.0}
 
 
@@ -336,7 +390,9 @@ def test_a_straight_line_passes_the_filter_as_it_is(samples, rate):
     assert record["x"] == pytest.approx(2 - 0.7 * record.time, abs=1e-9)
 
 
-@pytest.mark.parametrize(("share", "kept"), [(0.05, 1), (0.2, 1), (0.345, 1), (0.505, 0), (0.7, 0), (1.3, 0), (3.4, 0)])
+@pytest.mark.parametrize(
+    ("share", "kept"), [(0.05, 1), (0.2, 1), (0.345, 1), (0.505, 0), (0.7, 0), (1.3, 0), (3.4, 0)]
+)
 def test_the_filter_is_flat_to_0_35_of_the_new_rate_and_stops_from_half_of_it(share, kept):
     """By 80 dB; it moves nothing in time."""
     time = stamps(400, 12, start=5.0)
@@ -361,7 +417,8 @@ def test_a_rate_is_ten_times_that_of_the_fastest_signal_at_most(rate):
     log = recording(A=(fast, {"x": fast}, {}), B=(slow, {"y": slow}, {}))
     if rate > 1000:
         with pytest.raises(
-            ValueError, match=r"^rate 1001 Hz is more than ten times that of the fastest signal, 100 Hz"
+            ValueError,
+            match=r"^rate 1001 Hz is more than ten times that of the fastest signal, 100 Hz",
         ):
             gb.prepare(log, {"x": "A.x", "y": "B.y"}, rate=rate)
     else:
@@ -392,7 +449,9 @@ def test_the_grid_is_what_all_signals_have_in_common():
     ):
         with pytest.raises(ValueError, match=sentence):
             gb.prepare(log, signals, **{"rate": 10, **words})
-    with pytest.raises(ValueError, match=r"C\.z has 1 sample: there is nothing to put on a time base"):
+    with pytest.raises(
+        ValueError, match=r"C\.z has 1 sample: there is nothing to put on a time base"
+    ):
         gb.prepare(log, {"z": "C.z"})
 
 
@@ -414,7 +473,9 @@ def test_each_piece_loses_its_own_trend():
         assert [len(piece) for piece in record.pieces] == [20, 20, 2]
         for piece, before in zip(record.pieces, whole.pieces, strict=True):
             line = np.polyfit(before.time, before["x"], degree if len(piece) > 2 else 0)
-            assert piece["x"] == pytest.approx(before["x"] - np.polyval(line, before.time), abs=1e-9)
+            assert piece["x"] == pytest.approx(
+                before["x"] - np.polyval(line, before.time), abs=1e-9
+            )
 
 
 @pytest.mark.parametrize("samples", [3, 4, 30])
@@ -423,7 +484,9 @@ def test_a_parabola_is_interpolated_by_cubics_from_four_samples_on(samples):
     record = gb.prepare(recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20)
     expected = record.time**2 if samples >= 4 else np.interp(record.time, time, time**2)
     assert record["x"] == pytest.approx(expected, abs=1e-12)
-    linear = gb.prepare(recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20, interpolation="linear")
+    linear = gb.prepare(
+        recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20, interpolation="linear"
+    )
     assert linear["x"] == pytest.approx(np.interp(linear.time, time, time**2), abs=1e-12)
 
 
@@ -435,5 +498,7 @@ def test_the_negative_of_a_computed_signal_is_computed_first():
     assert record["b"] == pytest.approx(-(2 + record.time) * (3 * record.time - 1))
     assert record["a"] == pytest.approx(-record["b"])
     assert record.units == {"a": "m²", "b": "m²", "c": "m"}
-    with pytest.raises(ValueError, match="axis 'up' is not known: use 'pitch', 'roll', 'forward' or 'right'"):
+    with pytest.raises(
+        ValueError, match="axis 'up' is not known: use 'pitch', 'roll', 'forward' or 'right'"
+    ):
         gb.logs.horizontal_velocity(axis="up")

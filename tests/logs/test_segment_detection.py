@@ -14,10 +14,21 @@ from greybox.logs.segment_detection import announcing, find_segments
 
 
 def system_identification(last=91.0, texts=(), **changes):
-    setting = {"Ax": 11, "Mag": 0.06, "FSt": 0.1, "FSp": 6.0, "TFin": 5.0, "TC": 20.0, "TR": 60.0, "TFout": 5.0}
+    setting = {
+        "Ax": 11,
+        "Mag": 0.06,
+        "FSt": 0.1,
+        "FSp": 6.0,
+        "TFin": 5.0,
+        "TC": 20.0,
+        "TR": 60.0,
+        "TFout": 5.0,
+    }
     sids = Record([100.0], {name: [value] for name, value in (setting | changes).items()})
     time = np.arange(100.0, 100.0 + last, 0.01)
-    return Recording({"SIDS": sids, "SIDD": Record(time, {"Targ": 0 * time})}, metadata={"texts": texts})
+    return Recording(
+        {"SIDS": sids, "SIDD": Record(time, {"Targ": 0 * time})}, metadata={"texts": texts}
+    )
 
 
 def test_a_system_identification_run():
@@ -39,14 +50,18 @@ def test_aborted_runs():
     assert not run.usable
     assert run.end == pytest.approx(131, abs=0.02)
     assert run.findings == ("ended early, after 30.0 of 60.0 s",)
-    (run,) = find_segments(system_identification(texts=((99.0, "SystemID Stopped"), (111.0, "SystemID Stopped: lean"))))
+    (run,) = find_segments(
+        system_identification(texts=((99.0, "SystemID Stopped"), (111.0, "SystemID Stopped: lean")))
+    )
     assert run.findings[0] == "ended early, after 10.0 of 60.0 s (SystemID Stopped: lean)"
     (run,) = find_segments(system_identification(last=0.5))
     assert run.findings[0] == "ended before the waveform began"
     assert not run.usable
 
 
-@pytest.mark.parametrize("changes", [{"TR": math.nan}, {"FSt": 0.0}, {"FSp": -1.0}, {"Ax": math.inf}])
+@pytest.mark.parametrize(
+    "changes", [{"TR": math.nan}, {"FSt": 0.0}, {"FSp": -1.0}, {"Ax": math.inf}]
+)
 def test_runs_without_sense_are_no_segments(changes):
     assert find_segments(system_identification(**changes)) == ()
 
@@ -62,7 +77,12 @@ def announced(plan=PLAN, modes=(), **columns):
         t = np.arange(now, now + duration, 0.0123)
         time, omega, number = [*time, *t], [*omega, *([w] * t.size)], [*number, *([k] * t.size)]
         now += duration + 2.0
-    fields = {"Seg": number, "Ax": np.full(len(time), 2.0), "W": omega, "Eta": np.full(len(time), 3.0)}
+    fields = {
+        "Seg": number,
+        "Ax": np.full(len(time), 2.0),
+        "W": omega,
+        "Eta": np.full(len(time), 3.0),
+    }
     record = Record(time, fields | columns, units={"Eta": "deg"})
     return Recording({"SINE": record}, source="flight.BIN", metadata={"modes": modes})
 
@@ -71,7 +91,9 @@ def test_announced_sines():
     found = find_segments(announced(), message="SINE")
     assert [s.omega for s in found] == [20, 8, 4, 2]
     assert [round(s.duration) for s in found] == [15, 15, 16, 32]
-    assert {(s.axis, s.amplitude, s.unit, s.source, s.usable) for s in found} == {("2", 3.0, "deg", "SINE", True)}
+    assert {(s.axis, s.amplitude, s.unit, s.source, s.usable) for s in found} == {
+        ("2", 3.0, "deg", "SINE", True)
+    }
     assert math.isnan(found[0].offset)
     assert "3 deg" in segment_table(found)
     named = find_segments(announced(), message="SINE", fields={"omega": "W", "axis": "Ax"})
@@ -86,7 +108,9 @@ def test_a_record_announces_by_its_own_signals():
 
 
 def test_the_same_frequency_twice_is_two_tests():
-    found = find_segments(announced([(5.0, 10.0), (5.0, 10.0)]), message="SINE", fields={"omega": "W"})
+    found = find_segments(
+        announced([(5.0, 10.0), (5.0, 10.0)]), message="SINE", fields={"omega": "W"}
+    )
     assert len(found) == 2
 
 
@@ -97,7 +121,9 @@ def test_useless_tests_are_listed_with_the_reason():
     assert found[5].findings[0] == "shorter than one period (0.16 of one)"
     assert "5: ended early" in segment_table(found)
     flight = announced()
-    weak = np.where(flight["SINE"]["Seg"] == 2, 0.0, np.where(flight["SINE"]["Seg"] == 3, 0.01, 3.0))
+    weak = np.where(
+        flight["SINE"]["Seg"] == 2, 0.0, np.where(flight["SINE"]["Seg"] == 3, 0.01, 3.0)
+    )
     found = find_segments(announced(Eta=weak), message="SINE")
     assert [s.usable for s in found] == [True, False, False, True]
     assert found[1].findings == ("barely excited: the amplitude is 0",)
@@ -134,7 +160,9 @@ def test_setpoints_of_a_recording():
     for words in ({}, {"setpoint": "ATT.DesPitch"}, {"setpoint": ["ATT.DesPitch"]}):
         found = find_segments(Recording({"ATT": attitude}), **words)
         assert [round(s.omega, 2) for s in found] == [8, 4]
-        assert {(s.axis, s.unit, s.source) for s in found} == {("ATT.DesPitch", "deg", "setpoint ATT.DesPitch")}
+        assert {(s.axis, s.unit, s.source) for s in found} == {
+            ("ATT.DesPitch", "deg", "setpoint ATT.DesPitch")
+        }
     prepared = Record(t, {"r": np.where(t < starts[0][1] - 3, np.nan, r)})
     assert [round(s.omega, 2) for s in find_segments(prepared)] == [8, 4]
     assert [round(s.omega, 2) for s in find_segments(prepared, setpoint="r")] == [8, 4]
@@ -164,7 +192,11 @@ def flown_by(stick):
     time = np.arange(0, 40, 0.02)
     setpoint = np.where((time > 5) & (time < 35), 5 * np.sin(2 * time), 0)
     rcin = Record(
-        time[::2], {"C1": 1500 + stick * setpoint[::2] + np.round(np.sin(9 * time[::2])), "C2": 1500 + 0 * time[::2]}
+        time[::2],
+        {
+            "C1": 1500 + stick * setpoint[::2] + np.round(np.sin(9 * time[::2])),
+            "C2": 1500 + 0 * time[::2],
+        },
     )
     return Recording({"ATT": Record(time, {"DesRoll": setpoint, "Roll": setpoint}), "RCIN": rcin})
 
@@ -202,21 +234,27 @@ def test_lost_samples_and_slow_logging_before_do_not_hide_a_sine():
 def test_a_test_ended_early_with_less_periods_and_less_time_than_others(short, usable):
     """Others have 10 periods in 16 s; early is less than half of the one and less than three quarters of the other."""
     omega = 2 * np.pi * 10 / 16
-    found = find_segments(announced([(omega, 16.0), (omega, 16.0), (omega, 16.0), short]), message="SINE")
+    found = find_segments(
+        announced([(omega, 16.0), (omega, 16.0), (omega, 16.0), short]), message="SINE"
+    )
     assert [s.usable for s in found] == [True] * 3 + [usable]
 
 
 @pytest.mark.parametrize(("share", "usable"), [(0.48, False), (0.52, True)])
 def test_half_of_the_periods_of_others_are_enough(share, usable):
     omega = 2 * np.pi * 10 / 16
-    found = find_segments(announced([(omega, 16.0)] * 3 + [(omega * share * 16 / 8, 8.0)]), message="SINE")
+    found = find_segments(
+        announced([(omega, 16.0)] * 3 + [(omega * share * 16 / 8, 8.0)]), message="SINE"
+    )
     assert found[-1].usable is usable
 
 
 @pytest.mark.parametrize(("weak", "usable"), [(0.029, False), (0.031, True)])
 def test_a_hundredth_of_the_largest_amplitude_is_an_excitation(weak, usable):
     flight = announced()
-    found = find_segments(announced(Eta=np.where(flight["SINE"]["Seg"] == 3, weak, 3.0)), message="SINE")
+    found = find_segments(
+        announced(Eta=np.where(flight["SINE"]["Seg"] == 3, weak, 3.0)), message="SINE"
+    )
     assert [s.usable for s in found] == [True, True, usable, True]
 
 
@@ -226,12 +264,16 @@ def test_a_second_without_its_announcement_ends_a_test(pause, tests):
     record = Record(time, {"W": np.full(time.size, 5.0)})
     found = find_segments(record, fields={"omega": "W"})
     assert (len(found), found[0].start, found[-1].end) == (tests, time[0], time[-1])
-    slow = np.concatenate([np.arange(0, 30, 0.5), np.arange(29.5 + 2.5 * pause, 60, 0.5)])  # five of its intervals
+    slow = np.concatenate(
+        [np.arange(0, 30, 0.5), np.arange(29.5 + 2.5 * pause, 60, 0.5)]
+    )  # five of its intervals
     record = Record(slow, {"W": np.full(slow.size, 5.0)})
     assert len(find_segments(record, fields={"omega": "W"})) == tests
 
 
-@pytest.mark.parametrize(("moment", "usable"), [(22.05, True), (22.15, False), (36.95, True), (36.85, False)])
+@pytest.mark.parametrize(
+    ("moment", "usable"), [(22.05, True), (22.15, False), (36.95, True), (36.85, False)]
+)
 def test_a_mode_that_changes_within_a_tenth_of_a_second_of_an_end_is_outside(moment, usable):
     """The second test lasts from 22 to 37 s."""
     found = find_segments(announced(modes=((moment, "LOITER"),)), message="SINE")
@@ -244,7 +286,10 @@ def test_a_stick_that_moves_by_a_twentieth_of_its_travel_flies(travel, usable):
     """Of 1000 µs, peak to peak."""
     time = np.arange(0, 40, 0.02)
     sine = np.where((time > 5) & (time < 35), np.sin(2 * time), 0)
-    records = {"ATT": Record(time, {"DesRoll": 5 * sine}), "RCIN": Record(time, {"C1": 1500 + travel / 2 * sine})}
+    records = {
+        "ATT": Record(time, {"DesRoll": 5 * sine}),
+        "RCIN": Record(time, {"C1": 1500 + travel / 2 * sine}),
+    }
     (found,) = find_segments(Recording(records))
     assert found.usable is usable
 
@@ -276,7 +321,9 @@ def test_one_lost_sample_of_a_slow_log_is_no_pause(lost, pieces):
     """Samples of 1.2 s, in a sine of half a minute a period: from two and a half intervals on it is a gap."""
     time = np.arange(0, 360, 1.2)
     kept = ~((time > 179) & (time < 179 + 1.2 * (lost + 0.5)))
-    record = Record(time[kept], {"r": np.where((time > 30) & (time < 330), np.sin(0.2 * time), 0)[kept]})
+    record = Record(
+        time[kept], {"r": np.where((time > 30) & (time < 330), np.sin(0.2 * time), 0)[kept]}
+    )
     found = [s for s in find_segments(record) if s.kind == "sine"]
     assert len(found) == pieces
 
@@ -289,7 +336,11 @@ def test_one_lost_sample_of_a_slow_log_is_no_pause(lost, pieces):
         ("ATT.DesYaw", "RCIN.C4", ("RCIN.C1", "RCIN.C2", "RCIN.C3", "RCIN.C5")),
         *(
             (f"vehicle_attitude_setpoint.{axis}", f"manual_control_setpoint.{stick}", others)
-            for axis, letter, rest in (("roll", "y", "xrz"), ("pitch", "x", "yrz"), ("yaw", "r", "xyz"))
+            for axis, letter, rest in (
+                ("roll", "y", "xrz"),
+                ("pitch", "x", "yrz"),
+                ("yaw", "r", "xyz"),
+            )
             for stick, others in (
                 (axis, ("manual_control_setpoint.throttle",)),
                 (letter, tuple(f"manual_control_setpoint.{other}" for other in rest)),
@@ -303,22 +354,38 @@ def test_the_stick_of_an_axis_flies_it(setpoint, stick, others):
     sine = np.where((time > 5) & (time < 25), np.sin(3 * time), 0)
     size, center = (300.0, 1500.0) if stick.startswith("RCIN") else (0.5, 0.0)
     for moving in ((stick,), others):
-        values = {name: center + size * sine * (name in moving) for name in (stick, *others)} | {setpoint: 0.1 * sine}
+        values = {name: center + size * sine * (name in moving) for name in (stick, *others)} | {
+            setpoint: 0.1 * sine
+        }
         records = {}
         for name, one in values.items():
             message, _, field = name.partition(".")
             records.setdefault(message, {})[field] = one
-        (found,) = find_segments(Recording({name: Record(time, signals) for name, signals in records.items()}))
+        (found,) = find_segments(
+            Recording({name: Record(time, signals) for name, signals in records.items()})
+        )
         assert found.usable is (moving == others)
 
 
 def test_sines_of_the_system_identification_mode_are_as_long_as_they_were_set():
     """They are not held against one another; a run whose data end a tenth of a second early is whole."""
-    setting = {"Ax": [10.0] * 3, "Mag": [0.1, 0.1, 1e-4], "FSt": [0.5] * 3, "FSp": [0.5] * 3, "TR": [60.0, 60.0, 10.0]}
+    setting = {
+        "Ax": [10.0] * 3,
+        "Mag": [0.1, 0.1, 1e-4],
+        "FSt": [0.5] * 3,
+        "FSp": [0.5] * 3,
+        "TR": [60.0, 60.0, 10.0],
+    }
     time = np.concatenate(
-        [100 + np.arange(0, 60.95, 0.01), 200 + np.arange(0, 60.8, 0.01), 300 + np.arange(0.01, 20, 0.01)]
+        [
+            100 + np.arange(0, 60.95, 0.01),
+            200 + np.arange(0, 60.8, 0.01),
+            300 + np.arange(0.01, 20, 0.01),
+        ]
     )
-    log = Recording({"SIDS": Record([100.0, 200.0, 300.0], setting), "SIDD": Record(time, {"Targ": 0 * time})})
+    log = Recording(
+        {"SIDS": Record([100.0, 200.0, 300.0], setting), "SIDD": Record(time, {"Targ": 0 * time})}
+    )
     found = find_segments(log)
     assert [(s.kind, s.axis, s.usable) for s in found] == [
         ("sine", "mixer roll", True), ("sine", "mixer roll", False), ("sine", "mixer roll", True),

@@ -76,7 +76,11 @@ def test_sines_in_noise(seed, ratio, omega):
 def test_a_sweep_is_not_called_sines(low, factor, duration, logarithmic, sign):
     t = np.arange(0, duration, STEP)
     x = t / duration
-    phase = low * duration * ((factor**x - 1) / math.log(factor) if logarithmic else x + (factor - 1) * x**2 / 2)
+    phase = (
+        low
+        * duration
+        * ((factor**x - 1) / math.log(factor) if logarithmic else x + (factor - 1) * x**2 / 2)
+    )
     r = np.sin(phase)[:: -1 if sign else 1]
     runs = sines_and_sweeps(t, r)
     assert not [run for run in runs if run.kind == "sine"]
@@ -87,7 +91,8 @@ def test_a_sweep_is_called_a_sweep():
     phase = 60 * (30 ** (t / 60) - 1) / math.log(30)
     (run,) = sines_and_sweeps(t, 2 * np.sin(phase))
     assert run.kind == "sweep"
-    # Frequencies of the sweep where the segment begins and ends; its first and last piece are some periods long.
+    # Frequencies of the sweep where the segment begins and ends; its first and last piece are some
+    # periods long.
     assert run.band == pytest.approx((30 ** (run.start / 60), 30 ** (run.end / 60)), rel=0.2)
     assert run.start < 15
     assert run.end > 55
@@ -95,7 +100,9 @@ def test_a_sweep_is_called_a_sweep():
     assert "sweep" in segment_table([run])
 
 
-@pytest.mark.parametrize(("duration", "highest", "noise"), [(60, 6.0, 0.0), (90, 2.0, 0.05), (120, 6.0, 0.2)])
+@pytest.mark.parametrize(
+    ("duration", "highest", "noise"), [(60, 6.0, 0.0), (90, 2.0, 0.05), (120, 6.0, 0.2)]
+)
 @pytest.mark.parametrize("way", [1, -1], ids=["rising", "falling"])
 def test_a_sweep_between_other_sticks_is_found_whole(duration, highest, noise, way):
     """Logarithmic from 0.1 Hz, with rests of 6 s and sticks beside it; periods at its beginning differ by a third."""
@@ -103,10 +110,19 @@ def test_a_sweep_between_other_sticks_is_found_whole(duration, highest, noise, w
     t = np.arange(0, duration + 80, 0.02)
     since, grows = t - 40, math.log(highest / 0.1)
     inside = (since >= 0) & (since <= duration)
-    sweep = 5 * np.sin(0.2 * np.pi * duration / grows * np.expm1(np.where(inside, since, 0) / duration * grows))
-    sticks = np.convolve(rng.standard_normal(t.size), np.exp(-np.arange(0, 4, 0.02) / 0.5))[: t.size]
+    sweep = 5 * np.sin(
+        0.2 * np.pi * duration / grows * np.expm1(np.where(inside, since, 0) / duration * grows)
+    )
+    sticks = np.convolve(rng.standard_normal(t.size), np.exp(-np.arange(0, 4, 0.02) / 0.5))[
+        : t.size
+    ]
     sticks *= ((t > 3) & (since < -6)) | (since > duration + 6)
-    r = np.round(np.where(inside, sweep, 0) + 3 * sticks / sticks.std() + noise * rng.standard_normal(t.size), 2)
+    r = np.round(
+        np.where(inside, sweep, 0)
+        + 3 * sticks / sticks.std()
+        + noise * rng.standard_normal(t.size),
+        2,
+    )
     found = [run for run in sines_and_sweeps(t, r[::way]) if run.kind == "sweep"]
     (run,) = [run for run in found if run.end > 40 and run.start < 40 + duration]
     assert run.start == pytest.approx(40, abs=0.5)
@@ -126,7 +142,9 @@ def test_noise_steps_squares_and_walks_are_no_sines(seed):
         np.zeros(t.size),
         t,
     ):
-        assert not [run for run in sines_and_sweeps(t, r) if run.kind == "sine" and run.duration > 3]
+        assert not [
+            run for run in sines_and_sweeps(t, r) if run.kind == "sine" and run.duration > 3
+        ]
 
 
 @given(st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=60))
@@ -147,14 +165,20 @@ def test_a_falling_sweep_has_its_band_from_low_to_high():
     phase = 60 * (30 ** (t / 60) - 1) / math.log(30)
     (run,) = sines_and_sweeps(t, 2 * np.sin(phase)[::-1])
     assert run.kind == "sweep"
-    assert run.band == pytest.approx((30 ** (1 - run.end / 60), 30 ** (1 - run.start / 60)), rel=0.2)
+    assert run.band == pytest.approx(
+        (30 ** (1 - run.end / 60), 30 ** (1 - run.start / 60)), rel=0.2
+    )
 
 
 @pytest.mark.parametrize("samples", [1, 2, 4, 10])
 def test_what_is_found_does_not_depend_on_when_the_clock_began(samples):
     """Short bursts of few samples a period among rest."""
     t = np.arange(0, 20, STEP)
-    r = np.where((t > 5) & (t < 5 + 12 * samples * STEP), np.sin(math.pi * (t - 5) / (samples * STEP) + 0.5), 0.0)
+    r = np.where(
+        (t > 5) & (t < 5 + 12 * samples * STEP),
+        np.sin(math.pi * (t - 5) / (samples * STEP) + 0.5),
+        0.0,
+    )
     first, later = (sines_and_sweeps(start + t, r) for start in (0.0, 5000.0))
     assert [round(run.start, 3) for run in first] == [round(run.start - 5000, 3) for run in later]
 
@@ -177,7 +201,10 @@ def test_turning_points_are_where_the_signal_turned_by_the_height():
 @pytest.mark.parametrize(
     ("values", "turns"),
     [
-        ([5.0, 4.5, 5.5, 6.5, 4.5, 4.6, 2.0, 3.9, 1.0, 3.0], [3, 8]),  # 6.5 is higher by two than the lowest before it
+        (
+            [5.0, 4.5, 5.5, 6.5, 4.5, 4.6, 2.0, 3.9, 1.0, 3.0],
+            [3, 8],
+        ),  # 6.5 is higher by two than the lowest before it
         ([5.0, 4.5, 5.5, 6.4, 4.5, 4.6, 2.0, 3.9, 1.0, 3.0], [8]),  # 6.4 is not: it turns nothing
         ([9.0, 8.0, 4.0, 6.0, 3.0, 8.0], [2, 3, 4]),
         ([4.0, 4.0, 5.0, 5.0, 4.5, 4.5], []),
@@ -212,7 +239,9 @@ def test_a_crossing_is_where_the_middle_is_left_and_reached(values, crossing):
     """Of turning points 0 and 2, on the way up and down."""
     time = np.array([1.0, 4.0, 8.0, 9.5])[: len(values)]
     for sign, offset in ((1, 0.0), (-1, 0.0), (1, 7.0), (-3, -5.0)):
-        crossings, swings = _crossings(time, offset + sign * np.array(values), np.array([0, len(values) - 1]))
+        crossings, swings = _crossings(
+            time, offset + sign * np.array(values), np.array([0, len(values) - 1])
+        )
         assert crossings.tolist() == [crossing]
         assert swings == pytest.approx([2 * abs(sign)])
 
@@ -247,10 +276,14 @@ def test_the_frequency_of_a_sine_is_refined_by_least_squares():
         for start in (0.97, 1.0, 1.03):
             assert _refined_frequency(t, x, start * truth) == pytest.approx(truth, rel=1e-6)
     t = np.linspace(-0.4, 0.5, 300)
-    assert _refined_frequency(t, np.sin(6 * t + 0.3), 12.0) == pytest.approx(12 * 0.9**4)  # four steps from far off
+    assert _refined_frequency(t, np.sin(6 * t + 0.3), 12.0) == pytest.approx(
+        12 * 0.9**4
+    )  # four steps from far off
 
 
-@pytest.mark.parametrize(("omega", "begin", "half_waves"), [(7.0, 10.0, 27), (2.3, 8.0, 17), (13.0, 5.0, 60)])
+@pytest.mark.parametrize(
+    ("omega", "begin", "half_waves"), [(7.0, 10.0, 27), (2.3, 8.0, 17), (13.0, 5.0, 60)]
+)
 @pytest.mark.parametrize(("offset", "trend"), [(0.0, 0.0), (5.0, 0.03), (-40.0, -0.05)])
 def test_a_clean_sine_is_found_to_its_numbers(omega, begin, half_waves, offset, trend):
     """It ends where the rest beside it is off the sine by a twentieth of its amplitude, so late by 0.05 rad."""
@@ -283,7 +316,10 @@ def sweeping(law, low, high, duration=60.0, rest=20.0):
         rate = math.log(high / low) / duration
         phase, omega = low * np.expm1(rate * since) / rate, low * np.exp(rate * since)
     else:
-        phase, omega = low * since + (high - low) * since**2 / (2 * duration), low + (high - low) * since / duration
+        phase, omega = (
+            low * since + (high - low) * since**2 / (2 * duration),
+            low + (high - low) * since / duration,
+        )
     return t, np.where((t > rest) & (t < rest + duration), 2 * np.sin(phase), 0.0), omega, phase
 
 
@@ -331,12 +367,17 @@ def test_a_frequency_is_expected_to_fall_to_a_half_at_most():
     """On the way to a rest: of 4, 3, 2, 1 Hz the line leads to zero; the next half period is two at most."""
     crossings = np.cumsum([0.0, 1 / 4, 1 / 3, 1 / 2, 1.0])
     for period, follows in ((2.49, True), (2.52, False)):
-        assert _follows(np.append(crossings, crossings[-1] + period), np.ones(6), 4, 1, 0.01) is follows
+        assert (
+            _follows(np.append(crossings, crossings[-1] + period), np.ones(6), 4, 1, 0.01)
+            is follows
+        )
 
 
 def test_crossings_are_halfway_between_turning_points_and_swings_their_distance():
     time = np.arange(0, 20, 0.01)
-    crossings, swings = _crossings(time, np.cos(2 * time) + 7, np.rint(np.arange(0, 20, np.pi / 2) * 100).astype(int))
+    crossings, swings = _crossings(
+        time, np.cos(2 * time) + 7, np.rint(np.arange(0, 20, np.pi / 2) * 100).astype(int)
+    )
     assert crossings == pytest.approx(np.pi / 4 + np.arange(crossings.size) * np.pi / 2, abs=0.006)
     assert swings == pytest.approx(2.0, rel=1e-3)
 
@@ -345,7 +386,9 @@ def test_crossings_are_halfway_between_turning_points_and_swings_their_distance(
     (1.0, 0.18, True), (1.0, 0.22, False), (1.0, -0.18, True), (1.0, -0.22, False),
     (0.62, 0.0, True), (0.58, 0.0, False), (1.58, 0.0, True), (1.62, 0.0, False),
 ])  # fmt: skip
-def test_a_crossing_continues_within_a_fifth_of_a_half_period_of_the_regression_line(swing, late, continues):
+def test_a_crossing_continues_within_a_fifth_of_a_half_period_of_the_regression_line(
+    swing, late, continues
+):
     """The line by numpy's polyfit through crossings that scatter."""
     k = np.arange(7)
     past = 3.0 + 0.5 * k + 0.03 * np.array([1, -2, 0, 3, -1, 1, -2])
@@ -358,7 +401,9 @@ def test_a_crossing_continues_within_a_fifth_of_a_half_period_of_the_regression_
 @pytest.mark.parametrize("steps", [1.0, 1.5])
 def test_a_sweep_is_extrapolated_by_the_line_through_four_values(steps):
     values = np.array([3.0, 2.0, 2.5, 0.7])
-    assert _beyond(steps) @ values == pytest.approx(np.polyval(np.polyfit(np.arange(4), values, 1), -steps))
+    assert _beyond(steps) @ values == pytest.approx(
+        np.polyval(np.polyfit(np.arange(4), values, 1), -steps)
+    )
 
 
 def test_the_frequency_at_the_end_of_a_sweep_lies_half_a_wave_beyond_its_last_crossing():
@@ -367,7 +412,9 @@ def test_the_frequency_at_the_end_of_a_sweep_lies_half_a_wave_beyond_its_last_cr
     assert _end_frequency(crossings) == pytest.approx((math.pi * (1.0 - 0.15), math.pi))
     steep = np.cumsum([0, 1.0, 1 / 2, 1 / 3, 1 / 4])
     assert _end_frequency(steep) == pytest.approx((0.5 * math.pi, math.pi))
-    assert _end_frequency(crossings[::-1]) == pytest.approx((1.3 * math.pi, 1.3 * math.pi))  # not above the last
+    assert _end_frequency(crossings[::-1]) == pytest.approx(
+        (1.3 * math.pi, 1.3 * math.pi)
+    )  # not above the last
 
 
 def test_the_columns_of_a_fit_are_the_derivatives_of_a_sine_by_its_frequency():
@@ -404,7 +451,8 @@ def test_pieces_are_a_sweep_from_three_on_of_thirty_percent_and_without_a_pause(
     def pieces(*omega, gap=0.0):
         starts = 10.0 * np.arange(len(omega))
         return [
-            Segment(t, t + 10 - gap, "sweep", band=(w, w), amplitude=1.0) for t, w in zip(starts, omega, strict=True)
+            Segment(t, t + 10 - gap, "sweep", band=(w, w), amplitude=1.0)
+            for t, w in zip(starts, omega, strict=True)
         ]
 
     (joined,) = _sweeps(pieces(2.0, 2.3, 2.61))
@@ -413,11 +461,15 @@ def test_pieces_are_a_sweep_from_three_on_of_thirty_percent_and_without_a_pause(
     assert _sweeps(pieces(2.0, 4.0)) == []
     assert _sweeps(pieces(2.0, 4.0, 3.0)) == []  # not one way
     assert _sweeps(pieces(4.0, 3.0, 2.0))[0].band == (2.0, 4.0)
-    assert len(_sweeps(pieces(2.0, 2.3, 2.7, gap=math.pi / 1.36))) == 1  # a period of the later piece at most
+    assert (
+        len(_sweeps(pieces(2.0, 2.3, 2.7, gap=math.pi / 1.36))) == 1
+    )  # a period of the later piece at most
     assert _sweeps(pieces(2.0, 2.3, 2.7, gap=math.pi / 1.34)) == []
 
 
-@pytest.mark.parametrize(("omega", "duration", "found"), [(20.0, 1.1, 1), (20.0, 0.9, 0), (2.0, 8.0, 1), (2.0, 6.0, 0)])
+@pytest.mark.parametrize(
+    ("omega", "duration", "found"), [(20.0, 1.1, 1), (20.0, 0.9, 0), (2.0, 8.0, 1), (2.0, 6.0, 0)]
+)
 def test_a_sine_lasts_a_second_and_two_periods(omega, duration, found):
     t = np.arange(0, 30, STEP)
     r = np.where((t > 10) & (t < 10 + duration), np.sin(omega * (t - 10)), 0.0)
@@ -430,8 +482,11 @@ def test_a_sweep_begins_where_its_first_half_wave_leaves_the_middle(offset):
     t = np.arange(0, 12, 0.01)
     r = offset + np.where(t > 3, np.sin(math.pi * (t - 3)), 0.0)
     peak, other, crossings = 350, 450, np.array([4.0, 5.0, 6.0])
-    # The middle of the first two turning points, that of the sweep, is left by a twentieth of the amplitude.
-    assert _first_half_wave(t, r, peak, other, crossings) == pytest.approx(3 + math.asin(0.05) / math.pi, abs=0.011)
+    # The middle of the first two turning points, that of the sweep, is left by a twentieth of the
+    # amplitude.
+    assert _first_half_wave(t, r, peak, other, crossings) == pytest.approx(
+        3 + math.asin(0.05) / math.pi, abs=0.011
+    )
     assert _first_half_wave(t, np.where(t > 3.5, r, offset + 1), peak, other, crossings) == 4.0
 
 
@@ -439,10 +494,15 @@ def test_a_constant_beside_a_sweep_changes_nothing():
     t = np.arange(0, 50, 0.02)
     since = np.clip(t - 5, 0, 40)
     r = np.where((t > 5) & (t < 45), 2 * np.sin(40 * (20 ** (since / 40) - 1) / math.log(20)), 0.0)
-    (alone,), (beside,), (below,) = (sines_and_sweeps(t, r + offset) for offset in (0.0, 300.0, -300.0))
+    (alone,), (beside,), (below,) = (
+        sines_and_sweeps(t, r + offset) for offset in (0.0, 300.0, -300.0)
+    )
     for found in (beside, below):
         assert (found.start, found.end) == (alone.start, alone.end)
-        assert (found.band, found.amplitude) == (pytest.approx(alone.band), pytest.approx(alone.amplitude))
+        assert (found.band, found.amplitude) == (
+            pytest.approx(alone.band),
+            pytest.approx(alone.amplitude),
+        )
     assert (alone.start, alone.end) == pytest.approx((5, 45), abs=0.5)
 
 
@@ -452,7 +512,9 @@ def test_a_sweep_flown_backwards_is_found_backwards():
     since = np.clip(t - 5, 0, 40)
     r = np.where((t > 5) & (t < 45), 2 * np.sin(40 * (20 ** (since / 40) - 1) / math.log(20)), 0.0)
     (there,), (back,) = (sines_and_sweeps(t, each) for each in (r, r[::-1]))
-    assert (t[-1] - back.end, t[-1] - back.start) == pytest.approx((there.start, there.end), abs=0.021)
+    assert (t[-1] - back.end, t[-1] - back.start) == pytest.approx(
+        (there.start, there.end), abs=0.021
+    )
     assert back.band == pytest.approx(there.band)
     assert there.start == pytest.approx(5, abs=0.2)
 
@@ -463,7 +525,11 @@ def test_the_unit_of_a_sweep_does_not_matter(size):
     since = np.clip(t - 5, 0, 40)
     r = np.where((t > 5) & (t < 45), 2 * np.sin(40 * (20 ** (since / 40) - 1) / math.log(20)), 0.0)
     (plain,), (scaled,) = (sines_and_sweeps(t, each) for each in (r, size * r))
-    assert (scaled.start, scaled.end, scaled.band) == (plain.start, plain.end, pytest.approx(plain.band))
+    assert (scaled.start, scaled.end, scaled.band) == (
+        plain.start,
+        plain.end,
+        pytest.approx(plain.band),
+    )
     assert scaled.amplitude == pytest.approx(size * plain.amplitude)
 
 
@@ -480,7 +546,9 @@ def test_a_sine_has_eight_samples_a_period(samples, found):
 def test_a_sine_has_an_amplitude_of_half_a_percent_of_the_range(amplitude, found):
     """Beside a step of one; its turning points are twice as far apart."""
     t = np.arange(0, 30, STEP)
-    r = np.where(t < 3, 0.0, 1.0) + np.where((t > 10) & (t < 25), amplitude * np.sin(4 * (t - 10)), 0.0)
+    r = np.where(t < 3, 0.0, 1.0) + np.where(
+        (t > 10) & (t < 25), amplitude * np.sin(4 * (t - 10)), 0.0
+    )
     runs = [run for run in sines_and_sweeps(t, r) if run.duration > 5]
     assert len(runs) == found
     for run in runs:

@@ -24,7 +24,9 @@ OPERATORS = [operator.add, operator.sub, operator.mul, operator.truediv]
 size = st.floats(0.1, 10)
 
 
-numbers = st.builds(lambda r, angle: complex(r * math.cos(angle), r * math.sin(angle)), size, st.floats(-3, 3))
+numbers = st.builds(
+    lambda r, angle: complex(r * math.cos(angle), r * math.sin(angle)), size, st.floats(-3, 3)
+)
 
 
 def number(z):
@@ -40,7 +42,9 @@ def close(actual, expected):
     assert_allclose(actual, expected, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("make", [lambda z: Complex(z.real, z.imag), symbolic], ids=["numbers", "casadi"])
+@pytest.mark.parametrize(
+    "make", [lambda z: Complex(z.real, z.imag), symbolic], ids=["numbers", "casadi"]
+)
 @pytest.mark.parametrize("combine", OPERATORS)
 @given(a=numbers, b=numbers, c=size)
 def test_complex_arithmetic_is_that_of_numpy(make, combine, a, b, c):
@@ -74,7 +78,10 @@ def test_complex_functions_are_those_of_numpy(z, power, fraction):
 def test_complex_meets_casadi_expressions():
     p = ca.SX.sym("p")
     result = (p + 1j * Complex(1.0, 2.0)) / p
-    close(number(Complex(*(ca.substitute(part, p, 4.0) for part in (result.re, result.im)))), (2 + 1j) / 4)
+    close(
+        number(Complex(*(ca.substitute(part, p, 4.0) for part in (result.re, result.im)))),
+        (2 + 1j) / 4,
+    )
 
 
 @pytest.mark.parametrize("other", ["text", None, np.array(["a"])])

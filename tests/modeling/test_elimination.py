@@ -51,13 +51,19 @@ def test_a_sub_block_that_resonates_at_a_data_frequency_is_eliminated_in_another
     b = np.array([0.0, 2, 0])
     order = elimination_order(A[None], b[None], A == 0, OMEGA)
     found = np.stack(solve(entries(A), list(b), 1j * OMEGA, order), axis=-1)
-    expected = solve_pencils(1j * OMEGA[:, None, None] * np.eye(3) - A, np.broadcast_to(b.astype(complex), (5, 3)))
+    expected = solve_pencils(
+        1j * OMEGA[:, None, None] * np.eye(3) - A, np.broadcast_to(b.astype(complex), (5, 3))
+    )
     assert found == pytest.approx(expected, rel=1e-12)
 
 
 def test_such_a_model_is_fitted():
     truth = {"c": 5.0, "b": 7.0, "T": 0.2}
-    fit = gb.fit(gb.Problem(Resonator(), gb.frequency_response(Resonator(), truth, OMEGA)), starts=10, progress=False)
+    fit = gb.fit(
+        gb.Problem(Resonator(), gb.frequency_response(Resonator(), truth, OMEGA)),
+        starts=10,
+        progress=False,
+    )
     assert fit.agreeing == 10
     assert {name: fit.estimate[name] for name in truth} == pytest.approx(truth, rel=1e-6)
 
@@ -71,7 +77,10 @@ class Chain(gb.StateSpace):
 
     def derivative(self, x, u, p):
         into = [p.K * u.u, *list(x.values())[:-1]]
-        return [(before - after) / T for before, after, T in zip(into, x.values(), self.lags, strict=True)]
+        return [
+            (before - after) / T
+            for before, after, T in zip(into, x.values(), self.lags, strict=True)
+        ]
 
     def output(self, x, u, p):
         return (x.i,)
@@ -81,14 +90,18 @@ def test_stiff_systems_keep_their_digits():
     omega = np.geomspace(0.01, 300, 40)
     re, im = response_formula(Chain(), omega).closed()([2.0])
     expected = 2 / np.prod([1 + 1j * omega * T for T in Chain.lags], axis=0)
-    assert np.asarray(re).ravel() + 1j * np.asarray(im).ravel() == pytest.approx(expected, rel=1e-12)
+    assert np.asarray(re).ravel() + 1j * np.asarray(im).ravel() == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def test_a_pole_on_the_axis_is_named_and_spoils_no_other_frequency():
     class Undamped(Resonator):
         c = gb.Parameter(0.0, bounds=(0, 50))
 
-    with pytest.raises(ValueError, match="no finite response at omega = 4 rad/s: a pole lies there"):
+    with pytest.raises(
+        ValueError, match="no finite response at omega = 4 rad/s: a pole lies there"
+    ):
         gb.frequency_response(Undamped(), {}, OMEGA)
     assert np.all(np.isfinite(gb.frequency_response(Undamped(), {}, [1.0, 5.0]).response))
 
@@ -117,6 +130,8 @@ def test_the_first_order_that_is_accurate_is_taken():
         random = np.random.default_rng(seed)
         A, b = random.normal(size=(2, 4, 4)), random.normal(size=(2, 4))
         assert elimination_order(A, b, np.zeros((4, 4), dtype=bool), OMEGA) == (0, 1, 2, 3)
-    A = np.array([[0.0, 4, 0], [-4, 0, -3], [0, 2, -3]])  # of the first two alone, 4 rad/s is an eigenvalue
+    A = np.array(
+        [[0.0, 4, 0], [-4, 0, -3], [0, 2, -3]]
+    )  # of the first two alone, 4 rad/s is an eigenvalue
     assert elimination_order(A[None], np.array([[0.0, 2, 0]]), A == 0, OMEGA) == (0, 2, 1)
     assert elimination_order(A[None, :1, :1], np.ones((1, 1)), A[:1, :1] == 0, OMEGA) == (0,)

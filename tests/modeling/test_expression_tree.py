@@ -52,7 +52,9 @@ def evaluated(expression, values):
         case Sum(terms):
             return sum(sign * evaluated(term, values) for sign, term in terms)
         case Product(over, under):
-            return math.prod(evaluated(f, values) for f in over) / math.prod(evaluated(f, values) for f in under)
+            return math.prod(evaluated(f, values) for f in over) / math.prod(
+                evaluated(f, values) for f in under
+            )
         case Power(base, exponent):
             return evaluated(base, values) ** evaluated(exponent, values)
         case Function(name, arguments):
@@ -63,7 +65,9 @@ def included():
     package = import_module("greybox.models")
     for item in pkgutil.iter_modules(package.__path__):
         for model in models_of(import_module(f"greybox.models.{item.name}")):
-            yield pytest.param(model(4, 2) if "Polynomial" in model.__name__ else model(), id=model.__name__)
+            yield pytest.param(
+                model(4, 2) if "Polynomial" in model.__name__ else model(), id=model.__name__
+            )
 
 
 def tree(function, *names):
@@ -90,9 +94,13 @@ def test_every_included_model_keeps_its_value(model):
     z = {name: float(rng.uniform(-1, 1)) for name in signals}
     if not model.states:
         return
-    found = expressions(traced_derivative(model, ca.vertcat(*signals.values()), vector), {**signals, **symbols}, {})
+    found = expressions(
+        traced_derivative(model, ca.vertcat(*signals.values()), vector), {**signals, **symbols}, {}
+    )
     expected = model.derivative(*split(model, list(z.values())), model.values(p))
-    assert [evaluated(f, {**z, **p}) for f in found] == pytest.approx([float(e) for e in expected], rel=1e-12)
+    assert [evaluated(f, {**z, **p}) for f in found] == pytest.approx(
+        [float(e) for e in expected], rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -109,12 +117,16 @@ def test_signs_fractions_and_branches_keep_the_value(function, at):
     values = dict(zip("ab", at, strict=True))
     found = tree(function, "a", "b")
     assert evaluated(found, values) == pytest.approx(float(function(*at)), rel=1e-14)
-    assert evaluated(with_values(found, values), {}) == pytest.approx(float(function(*at)), rel=1e-14)
+    assert evaluated(with_values(found, values), {}) == pytest.approx(
+        float(function(*at)), rel=1e-14
+    )
 
 
 def test_it_is_what_a_person_would_write():
     s, k = Symbol("s"), Symbol("K")
-    assert tree(lambda s, k: k * s * s**2 / (s * 2), "s", "K") == Product((Number(0.5), k, Power(s, Number(3.0))), (s,))
+    assert tree(lambda s, k: k * s * s**2 / (s * 2), "s", "K") == Product(
+        (Number(0.5), k, Power(s, Number(3.0))), (s,)
+    )
     assert tree(lambda s, k: k - (s - 1), "s", "K") == Sum(((1, k), (-1, s), (1, Number(1.0))))
     assert with_values(tree(lambda s, k: k * s + 3, "s", "K"), {"K": 0.0}) == Number(3.0)
 
@@ -139,11 +151,16 @@ def test_the_size_counts_symbols_numbers_and_operations():
 def test_values_stand_in_the_place_of_all_symbols_that_they_name():
     s, k = Symbol("s"), Symbol("K")
     found = with_values(
-        Function("max", (Power(s, k), Product((Number(3.0), k), (Sum(((1, s), (-1, k))),)))), {"K": 2.0}
+        Function("max", (Power(s, k), Product((Number(3.0), k), (Sum(((1, s), (-1, k))),)))),
+        {"K": 2.0},
     )
     two = Number(2.0)
-    assert found == Function("max", (Power(s, two), Product((Number(6.0),), (Sum(((1, s), (-1, two))),))))
-    assert with_values(Product((Number(3.0), k), (s,)), {"K": -0.5}) == Sum(((-1, Product((Number(1.5),), (s,))),))
+    assert found == Function(
+        "max", (Power(s, two), Product((Number(6.0),), (Sum(((1, s), (-1, two))),)))
+    )
+    assert with_values(Product((Number(3.0), k), (s,)), {"K": -0.5}) == Sum(
+        ((-1, Product((Number(1.5),), (s,))),)
+    )
     assert with_values(Product((k,), (s,)), {"K": 0.0}) == Number(0.0)
     assert with_values(k, {}) is k
 
@@ -152,8 +169,12 @@ def test_negative_numbers_stand_behind_their_sign():
     s, k = Symbol("s"), Symbol("K")
     assert tree(lambda s, k: -2.5 * s, "s", "K") == Sum(((-1, Product((Number(2.5), s), ())),))
     assert tree(lambda s, k: k - 2.5, "s", "K") == Sum(((1, k), (-1, Number(2.5))))
-    assert with_values(tree(lambda s, k: s + k, "s", "K"), {"K": -3.0}) == Sum(((1, s), (-1, Number(3.0))))
-    assert with_values(tree(lambda s, k: s * k, "s", "K"), {"K": -3.0}) == Sum(((-1, Product((Number(3.0), s), ())),))
+    assert with_values(tree(lambda s, k: s + k, "s", "K"), {"K": -3.0}) == Sum(
+        ((1, s), (-1, Number(3.0)))
+    )
+    assert with_values(tree(lambda s, k: s * k, "s", "K"), {"K": -3.0}) == Sum(
+        ((-1, Product((Number(3.0), s), ())),)
+    )
 
 
 def test_an_operation_without_a_sign_of_its_own_is_refused():

@@ -87,11 +87,16 @@ def integral(formula, wave, points, threshold=0.3):
     """The mean over a period of a formula of (1.6 cos φ, sin φ, 0) times wave(φ), from the means of intervals."""
     slopes, sizes = ca.SX.sym("slopes", 3), ca.SX.sym("sizes", 3)
     function = ca.Function(
-        "mean", [z, slopes, sizes, p], list(interval_mean(formula, z, slopes, sizes, 2 * np.pi / points))
+        "mean",
+        [z, slopes, sizes, p],
+        list(interval_mean(formula, z, slopes, sizes, 2 * np.pi / points)),
     )
     total = 0.0
     for phase in 2 * np.pi * (np.arange(points) + 0.125) / points:
-        signals, speeds = [1.6 * np.cos(phase), np.sin(phase), 0.0], [-1.6 * np.sin(phase), np.cos(phase), 0.0]
+        signals, speeds = (
+            [1.6 * np.cos(phase), np.sin(phase), 0.0],
+            [-1.6 * np.sin(phase), np.cos(phase), 0.0],
+        )
         mean, moment = function(signals, speeds, np.zeros(3), threshold)
         slope = (wave(phase + 1e-5) - wave(phase - 1e-5)) / 2e-5
         total += (float(mean) * wave(phase) + float(moment) * slope) / points
@@ -120,7 +125,9 @@ def mean_of_samples(formula, wave):
     ids=str,
 )
 def test_every_operation_with_a_switch_has_its_means(formula):
-    assert integral(formula, np.cos, 65) == pytest.approx(mean_of_samples(formula, np.cos), abs=3e-4)
+    assert integral(formula, np.cos, 65) == pytest.approx(
+        mean_of_samples(formula, np.cos), abs=3e-4
+    )
 
 
 @pytest.mark.parametrize(
@@ -148,13 +155,18 @@ def test_the_instant_of_a_switch_has_a_derivative():
     c = np.array([0.3, 0.301])
     means = [integral(gb.sign(z[0] - p), lambda x: 1.0, 65, threshold) for threshold in c]
     assert_allclose(means, 2 * np.arccos(c / 1.6) / np.pi - 1, atol=1e-4)
-    assert (means[1] - means[0]) / 0.001 == pytest.approx(-2 / np.pi / np.sqrt(1.6**2 - 0.3**2), rel=0.02)
+    assert (means[1] - means[0]) / 0.001 == pytest.approx(
+        -2 / np.pi / np.sqrt(1.6**2 - 0.3**2), rel=0.02
+    )
 
 
 def test_coefficients_are_those_of_an_affine_formula_whatever_it_is_written_with():
     """Sums, differences, signs, doublings, products and quotients by constants, and terms that cancel."""
     formula = (
-        -(z[0] + z[0]) + (z[1] * p) / (1 + p) - (z[2] - z[2] + 3) * (z[0] - 2 * p) + ca.if_else(p > 0, 7 * z[2], 0)
+        -(z[0] + z[0])
+        + (z[1] * p) / (1 + p)
+        - (z[2] - z[2] + 3) * (z[0] - 2 * p)
+        + ca.if_else(p > 0, 7 * z[2], 0)
     )
     formula = formula - (p - z[1]) / -4
     linear, rest = separated(ca.vertcat(formula, p * p - 5), z)
@@ -196,7 +208,9 @@ def test_jumps_of_nested_switches_are_those_of_the_signals_that_decide_the_inner
 
 def interval(formula, at, slopes, sizes, length=0.5):
     symbols = ca.SX.sym("slopes", 3), ca.SX.sym("sizes", 3)
-    function = ca.Function("mean", [z, *symbols, p], list(interval_mean(formula, z, *symbols, length)))
+    function = ca.Function(
+        "mean", [z, *symbols, p], list(interval_mean(formula, z, *symbols, length))
+    )
     return [float(v) for v in function(at, slopes, sizes, 0.0)]
 
 
@@ -213,7 +227,9 @@ def interval(formula, at, slopes, sizes, length=0.5):
     ],
     ids=str,
 )
-def test_a_switch_turns_as_fast_as_its_argument_moves_and_its_signals_usually_do(formula, z0, slope, size, turn):
+def test_a_switch_turns_as_fast_as_its_argument_moves_and_its_signals_usually_do(
+    formula, z0, slope, size, turn
+):
     """So many intervals from the middle; integrals of ±1 and of the time before and after, less a 24th at both ends."""
     mean, moment = interval(formula, [z0, 0, 0], [slope, 0, 0], [size, size, 0])
     after = 1 if slope >= 0 else -1

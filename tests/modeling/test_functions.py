@@ -14,7 +14,8 @@ def close(actual, expected):
 
 
 @pytest.mark.parametrize(
-    "name", ["exp", "log", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "tanh", "sign"]
+    "name",
+    ["exp", "log", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "tanh", "sign"],
 )
 def test_functions_give_the_numpy_value_in_both_readings(name):
     function, reference, x = getattr(gb, name), getattr(np, name), np.array([0.2, 0.7])

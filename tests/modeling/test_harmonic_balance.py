@@ -18,7 +18,15 @@ from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
 
-TRUTH = {"a1": -11.0, "a2": 2.6, "a3": 8.0, "a4": 290.0, "T_rotor": 0.048, "T_delay": 0.0042, "C_x": 0.3}
+TRUTH = {
+    "a1": -11.0,
+    "a2": 2.6,
+    "a3": 8.0,
+    "a4": 290.0,
+    "T_rotor": 0.048,
+    "T_delay": 0.0042,
+    "C_x": 0.3,
+}
 TRUTH_FREE = {name: value for name, value in TRUTH.items() if not name.startswith("T_")}
 OMEGA = np.array([1.0, 1.7, 2.8, 4.5, 8.0, 16.0])
 SWING = float(np.radians(6))
@@ -63,7 +71,9 @@ def simulated_velocity(omega, swing, middle=0.0, C_x=TRUTH["C_x"]):
 
     begin = np.sign(middle) * np.sqrt(gb.g * np.tan(abs(middle)) / C_x)
     last = (PERIODS + np.arange(256) / 256) * period
-    found = solve_ivp(slope, (0, last[-1]), [begin], t_eval=last, rtol=1e-9, atol=1e-11, method="LSODA")
+    found = solve_ivp(
+        slope, (0, last[-1]), [begin], t_eval=last, rtol=1e-9, atol=1e-11, method="LSODA"
+    )
     return first_harmonic(found.y[0])
 
 
@@ -81,19 +91,28 @@ def simulated_response(omega, swing, middle=0.0, truth=TRUTH):
 @pytest.mark.parametrize("amplitude", [0.1, 3.0])
 @pytest.mark.parametrize(
     ("formula", "gain"),
-    [(lambda u: abs(u) * u, lambda V: 8 / (3 * np.pi) * V), (lambda u: u**3 + 2 * u, lambda V: 0.75 * V**2 + 2)],
+    [
+        (lambda u: abs(u) * u, lambda V: 8 / (3 * np.pi) * V),
+        (lambda u: u**3 + 2 * u, lambda V: 0.75 * V**2 + 2),
+    ],
     ids=["|u| u", "u³ + 2 u"],
 )
 def test_the_response_of_a_static_model_is_its_describing_function(formula, gain, amplitude):
-    response = gb.modeling.harmonic_response(static(formula), {}, [0.5, 7.0], amplitude={"u": amplitude}).response
+    response = gb.modeling.harmonic_response(
+        static(formula), {}, [0.5, 7.0], amplitude={"u": amplitude}
+    ).response
     assert_allclose(response, gain(amplitude), rtol=3e-5)
 
 
 @pytest.mark.parametrize("middle", [0.0, float(np.radians(5))])
 def test_the_velocity_is_that_of_a_simulation(middle):
     sine = gb.modeling.Sine("theta", SWING, harmonics=9)
-    response = gb.modeling.harmonic_response(Slider(), {}, OMEGA, amplitude=sine, at={"theta": middle}).response
-    assert_allclose(response, [simulated_velocity(w, SWING, middle) / SWING for w in OMEGA], rtol=2e-5)
+    response = gb.modeling.harmonic_response(
+        Slider(), {}, OMEGA, amplitude=sine, at={"theta": middle}
+    ).response
+    assert_allclose(
+        response, [simulated_velocity(w, SWING, middle) / SWING for w in OMEGA], rtol=2e-5
+    )
 
 
 @pytest.mark.parametrize("middle", [0.0, float(np.radians(5))])
@@ -105,7 +124,9 @@ def test_the_tilt_with_an_angle_held_to_a_sine_is_that_of_a_simulation(middle):
     wanted = [simulated_response(w, SWING, middle) for w in OMEGA]
     assert_allclose(response, wanted, rtol=1e-3)  # of three harmonics
     more = gb.modeling.Sine("theta", SWING, harmonics=9)
-    response = gb.modeling.harmonic_response(NonlinearTilt(), TRUTH, OMEGA, amplitude=more, **options).response
+    response = gb.modeling.harmonic_response(
+        NonlinearTilt(), TRUTH, OMEGA, amplitude=more, **options
+    ).response
     assert_allclose(response, wanted, rtol=1e-5)
     linear = gb.frequency_response(NonlinearTilt(), TRUTH, OMEGA, **options).response
     assert np.abs(linear / wanted - 1).max() > 0.02
@@ -121,15 +142,21 @@ def test_the_tilt_with_a_sine_for_control_solves_the_periodic_boundary_value_pro
         control = amplitude * np.cos(omega * t)
         acceleration = -p["a1"] * theta - p["a2"] * q - p["a3"] * v + p["a4"] * rotor
         drag = p["C_x"] * np.abs(v) * v
-        return np.array([gb.g * np.tan(theta) - drag, acceleration, q, (control - rotor) / p["T_rotor"]])
+        return np.array(
+            [gb.g * np.tan(theta) - drag, acceleration, q, (control - rotor) / p["T_rotor"]]
+        )
 
     t = np.linspace(0, 2 * np.pi / omega, 101)
-    found = solve_bvp(slope, lambda a, b: a - b, t, np.zeros((4, t.size)), tol=1e-8, max_nodes=20000)
+    found = solve_bvp(
+        slope, lambda a, b: a - b, t, np.zeros((4, t.size)), tol=1e-8, max_nodes=20000
+    )
     assert found.success
     theta = found.sol(t[-1] * np.arange(256) / 256)[2]
     wanted = first_harmonic(theta) / amplitude * np.exp(-1j * omega * p["T_delay"])
     sine = gb.modeling.Sine("u", amplitude, harmonics=7)
-    response = gb.modeling.harmonic_response(NonlinearTilt(), p, omega, amplitude=sine, output="theta").response
+    response = gb.modeling.harmonic_response(
+        NonlinearTilt(), p, omega, amplitude=sine, output="theta"
+    ).response
     assert_allclose(response, wanted, rtol=1e-4)
 
 
@@ -139,8 +166,12 @@ def test_a_linear_model_keeps_its_linear_response_whatever_moves_sinusoidally(mo
     for signal in (*model.inputs, *model.outputs, *model.states):
         for output in model.outputs:
             options = {"output": output, "delay": delay}
-            response = gb.modeling.harmonic_response(model, {}, OMEGA, amplitude={signal: 40.0}, **options).response
-            assert_allclose(response, gb.frequency_response(model, {}, OMEGA, **options).response, rtol=1e-10)
+            response = gb.modeling.harmonic_response(
+                model, {}, OMEGA, amplitude={signal: 40.0}, **options
+            ).response
+            assert_allclose(
+                response, gb.frequency_response(model, {}, OMEGA, **options).response, rtol=1e-10
+            )
 
 
 @pytest.mark.parametrize("signal", ["theta", "u"])
@@ -150,13 +181,16 @@ def test_a_vanishing_amplitude_gives_the_linear_response(signal, degrees):
     linear = gb.frequency_response(NonlinearTilt(), TRUTH, OMEGA, **options).response
     error = [
         np.abs(
-            gb.modeling.harmonic_response(NonlinearTilt(), TRUTH, OMEGA, amplitude={signal: a}, **options).response
+            gb.modeling.harmonic_response(
+                NonlinearTilt(), TRUTH, OMEGA, amplitude={signal: a}, **options
+            ).response
             / linear
             - 1
         )
         for a in (1e-3, 1e-5)
     ]
-    # With the square of the amplitude where the model is smooth, with the amplitude itself where |v| v has its kink.
+    # With the square of the amplitude where the model is smooth, with the amplitude itself where
+    # |v| v has its kink.
     assert error[1].max() < (0.02 if degrees == 0 else 2e-4) * error[0].max()
     assert error[1].max() < (2e-4 if degrees == 0 else 1e-8)
 
@@ -182,7 +216,9 @@ def test_a_sine_that_is_a_formula_of_the_states_is_met():
         def output(self, x, u, p):
             return (x.theta / 2, x.v)
 
-    half = gb.modeling.harmonic_response(Halved(), TRUTH, OMEGA, amplitude={"half": SWING / 2}, output="v").response
+    half = gb.modeling.harmonic_response(
+        Halved(), TRUTH, OMEGA, amplitude={"half": SWING / 2}, output="v"
+    ).response
     whole = gb.modeling.harmonic_response(
         NonlinearTilt(), TRUTH, OMEGA, amplitude={"theta": SWING}, output="v"
     ).response
@@ -191,15 +227,23 @@ def test_a_sine_that_is_a_formula_of_the_states_is_met():
 
 @pytest.mark.parametrize(("signal", "amplitude"), [("theta", SWING), ("u", 0.01)])
 def test_jacobian_and_hessian_through_the_balance(signal, amplitude):
-    function = harmonic_function(NonlinearTilt(), OMEGA[:3], gb.modeling.Sine(signal, amplitude), output="theta")
+    function = harmonic_function(
+        NonlinearTilt(), OMEGA[:3], gb.modeling.Sine(signal, amplitude), output="theta"
+    )
     p, point = ca.MX.sym("p", 7), np.array(list(TRUTH.values()))
     column = ca.vertcat(*function(p))
     weights = ca.DM(np.cos(np.arange(6)))
     hessian = ca.hessian(ca.dot(weights, column), p)[0]
-    value, jacobian, hessian = (ca.Function("f", [p], [e]) for e in (column, ca.jacobian(column, p), hessian))
+    value, jacobian, hessian = (
+        ca.Function("f", [p], [e]) for e in (column, ca.jacobian(column, p), hessian)
+    )
     wanted = numeric_jacobian(lambda x: np.asarray(value(x)).ravel(), point, 1e-4)
-    assert_allclose(jacobian(point), wanted, rtol=1e-7, atol=1e-8 * np.abs(wanted).max(axis=0).min())
-    wanted = numeric_jacobian(lambda x: np.asarray(weights).ravel() @ np.asarray(jacobian(x)), point, 1e-4)
+    assert_allclose(
+        jacobian(point), wanted, rtol=1e-7, atol=1e-8 * np.abs(wanted).max(axis=0).min()
+    )
+    wanted = numeric_jacobian(
+        lambda x: np.asarray(weights).ravel() @ np.asarray(jacobian(x)), point, 1e-4
+    )
     assert_allclose(hessian(point), wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
 
 
@@ -207,7 +251,9 @@ def test_an_angle_held_to_a_sine_has_a_response_in_the_whole_box():
     parameters = NonlinearTilt().parameters
     points = gb.solve.Sobol(128).draw(parameters)
     for swing in (0.01, 0.5):
-        function = harmonic_function(NonlinearTilt(), OMEGA[::2], gb.modeling.Sine("theta", swing), output="theta")
+        function = harmonic_function(
+            NonlinearTilt(), OMEGA[::2], gb.modeling.Sine("theta", swing), output="theta"
+        )
         assert np.all(np.isfinite(np.asarray(function(points.T)[0])))
 
 
@@ -240,7 +286,9 @@ def test_a_switched_static_model_has_its_describing_function(name):
     formula, amplitude = SWITCHED[name], 1.6
     phase = 2 * np.pi * (np.arange(400_000) + 0.5) / 400_000
     wanted = 2 * np.mean(formula(amplitude * np.cos(phase)) * np.cos(phase)) / amplitude
-    response = gb.modeling.harmonic_response(static(formula), {}, [1.0], amplitude={"u": amplitude}).response
+    response = gb.modeling.harmonic_response(
+        static(formula), {}, [1.0], amplitude={"u": amplitude}
+    ).response
     assert_allclose(response, [wanted], rtol=1e-3)
 
 
@@ -264,7 +312,10 @@ def rubbing_exactly(force, omega, m, b, c):
     half = np.pi / omega
 
     def speed(t, phase):
-        motion = [(force * np.exp(1j * (omega * at + phase)) / (1j * omega * m + b)).real - c / b for at in (t, 0.0)]
+        motion = [
+            (force * np.exp(1j * (omega * at + phase)) / (1j * omega * m + b)).real - c / b
+            for at in (t, 0.0)
+        ]
         return motion[0] - motion[1] * np.exp(-b / m * t)
 
     t = half * (np.arange(20_000) + 0.5) / 20_000
@@ -279,7 +330,9 @@ def rubbing_exactly(force, omega, m, b, c):
 
 def test_friction_under_a_force_is_the_exact_motion():
     values = {"m": 2.0, "b": 0.3, "c": 1.0}
-    response = gb.modeling.harmonic_response(Rubbing(), values, [1.0], amplitude={"F": 5.0}).response
+    response = gb.modeling.harmonic_response(
+        Rubbing(), values, [1.0], amplitude={"F": 5.0}
+    ).response
     assert_allclose(response, [rubbing_exactly(5.0, 1.0, **values)], rtol=1e-3)
 
 
@@ -330,18 +383,28 @@ def settled(amplitude, omega):
     def slope(t, z):
         return [z[1], -z[0] - z[0] ** 3 - 0.2 * z[1] + amplitude * np.cos(omega * t)]
 
-    return first_harmonic(solve_ivp(slope, (0, t[-1]), [0, 0], t_eval=t, rtol=1e-8, atol=1e-10).y[0]) / amplitude
+    return (
+        first_harmonic(solve_ivp(slope, (0, t[-1]), [0, 0], t_eval=t, rtol=1e-8, atol=1e-10).y[0])
+        / amplitude
+    )
 
 
 def test_of_several_motions_the_one_that_a_test_shows_is_used_and_all_are_said():
-    with pytest.warns(UserWarning, match=r"Duffing has 3 periodic motions .* 0\.5019 .* unstable; 0\.4611 .* stable"):
-        response = gb.modeling.harmonic_response(Duffing(), {}, [1.0], amplitude={"u": 3.0}).response
+    with pytest.warns(
+        UserWarning,
+        match=r"Duffing has 3 periodic motions .* 0\.5019 .* unstable; 0\.4611 .* stable",
+    ):
+        response = gb.modeling.harmonic_response(
+            Duffing(), {}, [1.0], amplitude={"u": 3.0}
+        ).response
     assert_allclose(response, [settled(3.0, 1.0)], rtol=1e-3)
 
 
 @pytest.mark.parametrize(("amplitude", "omega"), [(3.0, 0.7), (2.0, 1.0)])
 def test_a_strong_spring_has_as_many_harmonics_as_it_needs(amplitude, omega):
-    response = gb.modeling.harmonic_response(Duffing(), {}, [omega], amplitude={"u": amplitude}).response
+    response = gb.modeling.harmonic_response(
+        Duffing(), {}, [omega], amplitude={"u": amplitude}
+    ).response
     assert_allclose(response, [settled(amplitude, omega)], rtol=1e-3)
 
 
@@ -353,7 +416,9 @@ def made(swing, middle=0.0, noise=0.005, seed=0, omega=OMEGA):
     random = np.random.default_rng(seed)
     exact = np.array([simulated_response(w, swing, middle) for w in omega])
     error = noise * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
-    return gb.FrequencyResponse(omega, exact * (1 + error), input="u", output="theta", name=f"sines about {middle:g}")
+    return gb.FrequencyResponse(
+        omega, exact * (1 + error), input="u", output="theta", name=f"sines about {middle:g}"
+    )
 
 
 @cache
@@ -387,7 +452,9 @@ def test_the_standard_errors_are_those_of_repeated_tests():
         )
         for seed in range(1, 4)
     ]
-    scatter = [(fit.estimate[n] - TRUTH[n]) / fit.standard_error[n] for fit in fits for n in fit.free]
+    scatter = [
+        (fit.estimate[n] - TRUTH[n]) / fit.standard_error[n] for fit in fits for n in fit.free
+    ]
     assert 0.6 < np.sqrt(np.mean(np.square(scatter))) < 1.6
 
 
@@ -411,7 +478,10 @@ def test_harmonics_that_do_not_suffice_are_told_with_the_shift_that_more_bring()
     """The shift is that of a second fit, with as many harmonics as the sentence names."""
     few = slid(1)
     (said,) = [text for text in few.warnings if "harmonics" in text]
-    found = re.search(r"with (\d+) the response .* and C_x by ([\d.]+) standard errors; use .*harmonics=(\d+)\)", said)
+    found = re.search(
+        r"with (\d+) the response .* and C_x by ([\d.]+) standard errors; use .*harmonics=(\d+)\)",
+        said,
+    )
     assert found[1] == found[3]
     many = slid(int(found[1]))
     moved = abs(many.estimate["C_x"] - few.estimate["C_x"]) / few.standard_error["C_x"]
@@ -432,8 +502,17 @@ def test_the_harmonics_that_are_proposed_lead_to_enough():
 def test_small_and_large_sines_and_two_operating_points_are_one_fit():
     middle = float(np.radians(5))
     parts = [
-        gb.Problem(NonlinearTilt(), made(SWING / 6, seed=2), amplitude={"theta": np.full(OMEGA.size, SWING / 6)}),
-        gb.Problem(NonlinearTilt(), made(SWING, middle, seed=3), amplitude={"theta": SWING}, at={"theta": middle}),
+        gb.Problem(
+            NonlinearTilt(),
+            made(SWING / 6, seed=2),
+            amplitude={"theta": np.full(OMEGA.size, SWING / 6)},
+        ),
+        gb.Problem(
+            NonlinearTilt(),
+            made(SWING, middle, seed=3),
+            amplitude={"theta": SWING},
+            at={"theta": middle},
+        ),
     ]
     fit = gb.fit(parts[0] + parts[1], 1, progress=False)
     for name in fit.free:
@@ -453,7 +532,9 @@ def test_a_saved_fit_answers_at_the_amplitude_it_was_tested_with(tmp_path):
 
 
 def test_between_the_frequencies_the_amplitude_is_interpolated():
-    sine = gb.modeling.Sine("theta", np.array([0.3, 0.1])).between(np.array([4.0, 1.0]), np.array([1.0, 2.0, 4.0, 9.0]))
+    sine = gb.modeling.Sine("theta", np.array([0.3, 0.1])).between(
+        np.array([4.0, 1.0]), np.array([1.0, 2.0, 4.0, 9.0])
+    )
     assert_allclose(sine.amplitude, [0.1, 0.2, 0.3, 0.3])
 
 
@@ -534,7 +615,8 @@ def test_a_motion_that_does_not_exist_is_said_and_prints_nothing(capfd):
             return (x.theta, abs(x.v) + 0.01 * x.v)
 
     with pytest.raises(
-        ValueError, match=r"Speed has no periodic motion at omega = .* speed is a sine of amplitude 0.5"
+        ValueError,
+        match=r"Speed has no periodic motion at omega = .* speed is a sine of amplitude 0.5",
     ):
         respond({"speed": 0.5}, Speed())
     printed = capfd.readouterr()
@@ -547,7 +629,9 @@ def test_a_motion_that_does_not_exist_is_said_and_prints_nothing(capfd):
 @pytest.mark.parametrize(("harmonics", "least", "points"), [(1, 33, 33), (3, 65, 65), (9, 33, 37)])
 @pytest.mark.parametrize("shift", [0.0, 0.125])
 def test_samples_and_coefficients_are_each_others_inverse(harmonics, least, points, shift):
-    to_samples, to_series = (m.full() for m in harmonic_balance._transforms(harmonics, least, shift))
+    to_samples, to_series = (
+        m.full() for m in harmonic_balance._transforms(harmonics, least, shift)
+    )
     assert to_samples.shape == (2 * harmonics + 1, points)
     assert_allclose(to_samples @ to_series, np.eye(2 * harmonics + 1), atol=1e-14)
     phase = 2 * np.pi * (np.arange(points) + shift) / points
@@ -555,11 +639,14 @@ def test_samples_and_coefficients_are_each_others_inverse(harmonics, least, poin
     k = np.arange(1, harmonics + 1)
     mean, cosines, sines = coefficients[0], coefficients[1::2], coefficients[2::2]
     assert_allclose(
-        coefficients @ to_samples, mean + cosines @ np.cos(np.outer(k, phase)) + sines @ np.sin(np.outer(k, phase))
+        coefficients @ to_samples,
+        mean + cosines @ np.cos(np.outer(k, phase)) + sines @ np.sin(np.outer(k, phase)),
     )
     slope = (coefficients @ harmonic_balance._derivative(harmonics).full()) @ to_samples
     assert_allclose(
-        slope, -(cosines * k) @ np.sin(np.outer(k, phase)) + (sines * k) @ np.cos(np.outer(k, phase)), atol=1e-13
+        slope,
+        -(cosines * k) @ np.sin(np.outer(k, phase)) + (sines * k) @ np.cos(np.outer(k, phase)),
+        atol=1e-13,
     )
 
 
@@ -569,7 +656,9 @@ def test_an_error_of_one_over_the_harmonics_is_extrapolated_away(harmonics, fewe
     balance = harmonic_balance.CompiledBalance.at(Rubbing(), np.array([1.0]), sine)
     assert balance.fewer == fewer
     if fewer is not None:
-        assert balance.extrapolated(2.0 + 0.3 / (harmonics + 1), 2.0 + 0.3 / (fewer + 1)) == pytest.approx(2.0)
+        assert balance.extrapolated(
+            2.0 + 0.3 / (harmonics + 1), 2.0 + 0.3 / (fewer + 1)
+        ) == pytest.approx(2.0)
 
 
 def test_what_is_given_at_every_frequency():
@@ -582,23 +671,34 @@ def test_what_is_given_at_every_frequency():
     omega, amplitudes = np.array([1.0, 3.0, 2.0]), np.array([0.1, 0.2, 0.3])
     sine = gb.modeling.Sine("theta", amplitudes, harmonics=1)
     at = {"theta": 0.05, "wind": 2.0}
-    balance = harmonic_balance.CompiledBalance.at(Leaned(), omega, sine, input="theta", output="v", at=at)
+    balance = harmonic_balance.CompiledBalance.at(
+        Leaned(), omega, sine, input="theta", output="v", at=at
+    )
     given = np.asarray(ca.DM(balance.given(ca.DM([0.4]), omega)))
     speed = 2.0 + np.sqrt(gb.g * np.tan(0.05) / 0.4)
     rows = [[0.4] * 3, [speed] * 3, [0.05] * 3, [2.0] * 3, omega, amplitudes, [0.05] * 3]
     assert_allclose(given, rows, rtol=1e-9)
-    series = np.asarray(ca.DM(balance.coefficients(np.zeros(balance.balance.unknown.numel()), given[:, 1])))
+    series = np.asarray(
+        ca.DM(balance.coefficients(np.zeros(balance.balance.unknown.numel()), given[:, 1]))
+    )
     assert_allclose(series, [[speed, 0, 0], [0.05, 0.2, 0], [2.0, 0, 0]], rtol=1e-9)
 
 
 def shifting(count):
     """A stand-in for Newton's method, whose answer is the list of the amplitudes, or widths, that it was asked for."""
     x, p = ca.SX.sym("x", count), ca.SX.sym("p", 4)
-    return x, p, lambda asked: ca.Function("careful", [x, p], [ca.vertcat(x[1:], asked)], ["x0", "p"], ["x"])
+    return (
+        x,
+        p,
+        lambda asked: ca.Function(
+            "careful", [x, p], [ca.vertcat(x[1:], asked)], ["x0", "p"], ["x"]
+        ),
+    )
 
 
 @pytest.mark.parametrize(
-    ("from_end", "steps"), [(0, 3.0 / 2.0 ** np.arange(7, -1, -1)), (1, 4.0 * 2.0 ** np.arange(12, -1, -1))]
+    ("from_end", "steps"),
+    [(0, 3.0 / 2.0 ** np.arange(7, -1, -1)), (1, 4.0 * 2.0 ** np.arange(12, -1, -1))],
 )
 @pytest.mark.parametrize("give_up", [False, True])
 def test_steps_lead_from_where_the_model_is_nearly_linear(from_end, steps, give_up):
@@ -607,10 +707,13 @@ def test_steps_lead_from_where_the_model_is_nearly_linear(from_end, steps, give_
         sums = ca.sum1(x > 0) <= limit
         finish = ca.Function("finish", [x, p], [x[:2], sums])
         start = ca.DM.zeros(steps.size)
-        found = harmonic_balance._in_steps("by", careful(p[2 + from_end]), finish, from_end, start, give_up=give_up)
+        found = harmonic_balance._in_steps(
+            "by", careful(p[2 + from_end]), finish, from_end, start, give_up=give_up
+        )
         asked = np.asarray(found([1.0, 2.0, 3.0, 4.0])).ravel()
         asked = asked[asked > 0]
-        # The step after the first three makes four, which is no motion: nothing is tried from there on.
+        # The step after the first three makes four, which is no motion: nothing is tried from there
+        # on.
         assert_allclose(asked, steps[: tried + 1] if give_up else steps)
 
 
@@ -618,7 +721,9 @@ def test_steps_lead_from_where_the_model_is_nearly_linear(from_end, steps, give_
     ("switches", "enough", "found"),
     [(True, 0, "once"), (True, 3, "doubling"), (True, 20, "narrowing"), (False, 20, "doubling")],
 )
-def test_a_guess_is_found_at_once_or_by_doubling_or_by_narrowing(monkeypatch, switches, enough, found):
+def test_a_guess_is_found_at_once_or_by_doubling_or_by_narrowing(
+    monkeypatch, switches, enough, found
+):
     x, p, _ = shifting(2)
     newton = ca.Function("newton", [x, p], [x + 1], ["x0", "p"], ["x"])
     finish = ca.Function("finish", [x, p], [x, ca.sum1(x) > p[0]])
@@ -644,16 +749,27 @@ def test_harmonics_are_enough_where_the_next_number_changes_the_response_by_less
         tried[number], used = harmonic_balance.directly_found(Slider(), values, omega, sine)
         assert used == number
     numbers = list(tried)
-    enough = next(a for a, b in pairwise(numbers) if abs(tried[b] - tried[a])[0] <= 3e-4 * abs(tried[b])[0])
+    enough = next(
+        a for a, b in pairwise(numbers) if abs(tried[b] - tried[a])[0] <= 3e-4 * abs(tried[b])[0]
+    )
     free = gb.modeling.Sine("theta", 0.3)
     response, number = harmonic_balance.directly_found(Slider(), values, omega, free)
     assert number == enough == 7
     assert_allclose(response, tried[15], rtol=1e-12)  # the more exact of the two that agree
     assert harmonic_balance.directly_found(Slider(), values, omega, free, most=3)[1] == 3
-    assert harmonic_balance.directly_found(Slider(), values, omega, gb.modeling.Sine("theta", 1e-6))[1] == 1
+    assert (
+        harmonic_balance.directly_found(Slider(), values, omega, gb.modeling.Sine("theta", 1e-6))[1]
+        == 1
+    )
     small = gb.modeling.Sine("theta", 1e-6)
     assert harmonic_balance.enough_harmonics(Slider(), omega, small).harmonics == 3
-    assert harmonic_balance.enough_harmonics(Slider(), omega, gb.modeling.Sine("theta", 0.3)).harmonics == 7
     assert (
-        harmonic_balance.enough_harmonics(Slider(), omega, gb.modeling.Sine("theta", 0.3, harmonics=2)).harmonics == 2
+        harmonic_balance.enough_harmonics(Slider(), omega, gb.modeling.Sine("theta", 0.3)).harmonics
+        == 7
+    )
+    assert (
+        harmonic_balance.enough_harmonics(
+            Slider(), omega, gb.modeling.Sine("theta", 0.3, harmonics=2)
+        ).harmonics
+        == 2
     )

@@ -46,9 +46,10 @@ def test_its_derivatives_are_exact():
     function = step(3)
     slope = ca.Function("slope", [x], [ca.jacobian(function(x, 0.3, 0.4, 2.0, 0.5), x)])
     eps = 1e-6
-    difference = (float(function(1.5 + eps, 0.3, 0.4, 2.0, 0.5)) - float(function(1.5 - eps, 0.3, 0.4, 2.0, 0.5))) / (
-        2 * eps
-    )
+    difference = (
+        float(function(1.5 + eps, 0.3, 0.4, 2.0, 0.5))
+        - float(function(1.5 - eps, 0.3, 0.4, 2.0, 0.5))
+    ) / (2 * eps)
     assert float(slope(1.5)) == pytest.approx(difference, rel=1e-7)
 
 
@@ -71,4 +72,6 @@ def test_a_collocation_is_judged_as_it_was_solved(degree):
         assert "method=Collocation(degree=2)" in told[0]
         assert gb.cost(problem, estimate) > found.cost + 10
     residual = np.concatenate([found.records[0].residual(name) for name in ("x", "v")])
-    assert_allclose(np.sqrt(np.mean(residual[:150] ** 2)), np.sqrt(found.records[0].noise[0, 0]), rtol=1e-6)
+    assert_allclose(
+        np.sqrt(np.mean(residual[:150] ** 2)), np.sqrt(found.records[0].noise[0, 0]), rtol=1e-6
+    )

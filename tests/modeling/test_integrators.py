@@ -19,7 +19,10 @@ class Pendulum(gb.StateSpace):
     c = gb.Parameter(0.5)
 
     def derivative(self, x, u, p):
-        return (x.rate, -p.k * gb.sin(x.angle) - p.c * x.rate * abs(x.rate) + u.u + 0.3 * u.u * x.angle)
+        return (
+            x.rate,
+            -p.k * gb.sin(x.angle) - p.c * x.rate * abs(x.rate) + u.u + 0.3 * u.u * x.angle,
+        )
 
     def output(self, x, u, p):
         return (x.angle,)
@@ -67,7 +70,9 @@ def advanced(scheme, substeps, step, x=(0.5, -1.0)):
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: type(s).__name__)
 def test_the_error_falls_with_the_promised_order(scheme):
     step = 0.3
-    errors = np.array([np.abs(advanced(scheme, n, step) - exact(step)).max() for n in (4, 8, 16, 32)])
+    errors = np.array(
+        [np.abs(advanced(scheme, n, step) - exact(step)).max() for n in (4, 8, 16, 32)]
+    )
     orders = np.log2(errors[:-1] / errors[1:])
     assert_allclose(orders[-1], scheme.order, atol=0.25)
 
@@ -102,7 +107,9 @@ def test_a_stiff_model():
         made, used, turned = 0.04 * x[0], 1e4 * x[1] * x[2], 3e7 * x[1] ** 2
         return (-made + used, made - used - turned, turned)
 
-    wanted = solve_ivp(slope, (0, 41), (1, 0, 0), method="Radau", t_eval=(1, 41), rtol=1e-10, atol=1e-14).y
+    wanted = solve_ivp(
+        slope, (0, 41), (1, 0, 0), method="Radau", t_eval=(1, 41), rtol=1e-10, atol=1e-14
+    ).y
     system = dynamics(Robertson())
     found = {}
     for scheme in SCHEMES:
@@ -122,7 +129,9 @@ def test_a_static_model_stays_without_states():
         def output(self, x, u, p):
             return (p.k * u.u,)
 
-    assert step_function(dynamics(Static()), gb.RungeKutta(), 3)([], 1.0, 0.0, [2.0], 0.1).shape == (0, 1)
+    assert step_function(dynamics(Static()), gb.RungeKutta(), 3)(
+        [], 1.0, 0.0, [2.0], 0.1
+    ).shape == (0, 1)
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, "2"])
@@ -145,7 +154,11 @@ def test_an_oscillation_is_followed_to_less_than_a_thousandth_in_a_step():
             return (x.a,)
 
     wave = gb.RungeKutta.wave
-    a, b = step_function(dynamics(Oscillator()), gb.RungeKutta(), 1)([1, 0], [], [], [wave], 1.0).full().ravel()
+    a, b = (
+        step_function(dynamics(Oscillator()), gb.RungeKutta(), 1)([1, 0], [], [], [wave], 1.0)
+        .full()
+        .ravel()
+    )
     assert 1 - np.hypot(a, b) == pytest.approx(wave**6 / 144, rel=0.1)
     assert wave - np.arctan2(b, a) == pytest.approx(wave**5 / 120, rel=0.2)
     assert 1 - np.hypot(a, b) < 1e-3

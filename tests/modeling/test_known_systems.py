@@ -22,8 +22,21 @@ def test_a_ratio_of_polynomials():
 
 def test_matrices():
     model = KnownStateSpace(A, B, C, D, inputs=["elevator"])
-    assert (model.states, model.inputs, model.outputs) == (("x1", "x2"), ("elevator",), ("y1", "y2"))
-    assert sorted(model.parameters) == ["A_1_2", "A_2_1", "A_2_2", "B_2_1", "C_1_1", "C_1_2", "C_2_2", "D_2_1"]
+    assert (model.states, model.inputs, model.outputs) == (
+        ("x1", "x2"),
+        ("elevator",),
+        ("y1", "y2"),
+    )
+    assert sorted(model.parameters) == [
+        "A_1_2",
+        "A_2_1",
+        "A_2_2",
+        "B_2_1",
+        "C_1_1",
+        "C_1_2",
+        "C_2_2",
+        "D_2_1",
+    ]
     for k, name in enumerate(model.outputs):
         expected = [(C @ np.linalg.solve(s * np.eye(2) - A, B) + D)[k, 0] for s in S]
         found = gb.frequency_response(model, {}, TWO_LAGS_OMEGA, output=name)
@@ -41,11 +54,15 @@ def test_a_known_filter_before_a_plant_leaves_the_plant_to_be_found():
     assert found.free == ("K", "T")
     assert {name: found.estimate[name] for name in truth} == pytest.approx(truth)
     # One of its numbers set free is found too, within bounds for its start.
-    freed = gb.Problem(known * Lag(), data, free=["filter_b0"], fixed={"K": 2.0}, bounds={"filter_b0": (1, 50)})
+    freed = gb.Problem(
+        known * Lag(), data, free=["filter_b0"], fixed={"K": 2.0}, bounds={"filter_b0": (1, 50)}
+    )
     assert gb.fit(freed, starts=6, progress=False).estimate["filter_b0"] == pytest.approx(10)
 
 
-@pytest.mark.parametrize("model", [KnownTransferFunction([1], [1, 2]), KnownStateSpace(np.array(A), B, C, D)])
+@pytest.mark.parametrize(
+    "model", [KnownTransferFunction([1], [1, 2]), KnownStateSpace(np.array(A), B, C, D)]
+)
 def test_a_stored_result_knows_it(model):
     again = resolve(reference(model))
     assert repr(again) == repr(model)
@@ -56,10 +73,19 @@ def test_a_stored_result_knows_it(model):
     ("make", "words"),
     [
         (lambda: KnownTransferFunction([1], [0, 0]), "the denominator is zero"),
-        (lambda: KnownTransferFunction([np.nan], [1]), "the numerator is .* give finite coefficients"),
-        (lambda: KnownStateSpace(A, [[1]], C, D), r"B has shape \(1, 1\) where the others need \(2, 1\)"),
+        (
+            lambda: KnownTransferFunction([np.nan], [1]),
+            "the numerator is .* give finite coefficients",
+        ),
+        (
+            lambda: KnownStateSpace(A, [[1]], C, D),
+            r"B has shape \(1, 1\) where the others need \(2, 1\)",
+        ),
         (lambda: KnownStateSpace(A, B, C, D, states=["x"]), "are the names of 2 signals"),
-        (lambda: KnownStateSpace([[np.inf, 0], [0, 1]], B, C, D), "A has an entry that is not finite"),
+        (
+            lambda: KnownStateSpace([[np.inf, 0], [0, 1]], B, C, D),
+            "A has an entry that is not finite",
+        ),
     ],
 )
 def test_numbers_that_are_no_system_are_refused(make, words):
@@ -72,12 +98,22 @@ def test_signals_without_names_are_numbered_where_there_are_several_and_states_a
     assert (model.states, model.inputs, model.outputs) == (("x1",), ("u",), ("y",))
     assert list(model.parameters) == ["f_A_1_1", "f_B_1_1", "f_C_1_1"]
     entry = model.parameters["f_A_1_1"]
-    assert (entry.start, entry.fixed, entry.about, entry.bounds) == (-1.0, True, "entry of A", (-np.inf, np.inf))
+    assert (entry.start, entry.fixed, entry.about, entry.bounds) == (
+        -1.0,
+        True,
+        "entry of A",
+        (-np.inf, np.inf),
+    )
     named = KnownStateSpace([[-1]], [[1]], [[1]], [[0]], states=["q"], inputs=["F"], outputs=["v"])
     assert (named.states, named.inputs, named.outputs) == (("q",), ("F",), ("v",))
     ratio = KnownTransferFunction([3, 1], [1, 2])
     assert all(p.fixed for p in ratio.parameters.values())
-    assert {name: p.start for name, p in ratio.parameters.items()} == {"b1": 3.0, "b0": 1.0, "a1": 1.0, "a0": 2.0}
+    assert {name: p.start for name, p in ratio.parameters.items()} == {
+        "b1": 3.0,
+        "b0": 1.0,
+        "a1": 1.0,
+        "a0": 2.0,
+    }
 
 
 @pytest.mark.parametrize("outputs", [1, 3])

@@ -17,9 +17,15 @@ TIMES = {"beta_delay": 0.1, "a_y_lag": 0.06}
 
 def test_in_the_frequency_domain_they_are_a_delay_and_a_lag():
     omega = np.geomspace(0.1, 10, 20)  # up to one radian of the delay
-    for output, factor in (("beta", np.exp(-0.1j * omega)), ("a_y", 1 / (0.06j * omega + 1)), ("r", 1.0)):
+    for output, factor in (
+        ("beta", np.exp(-0.1j * omega)),
+        ("a_y", 1 / (0.06j * omega + 1)),
+        ("r", 1.0),
+    ):
         late, prompt = (
-            gb.modeling.frequency_response(model, values, omega, input="rudder", output=output).response
+            gb.modeling.frequency_response(
+                model, values, omega, input="rudder", output=output
+            ).response
             for model, values in ((LATE, LATERAL | TIMES), (Lateral(), LATERAL))
         )
         assert_allclose(late, factor * prompt, rtol=0.01)
@@ -30,7 +36,9 @@ def test_the_delay_of_a_vane_is_found_again_with_the_aircraft():
     inputs = doublets(2, n + late, 0.1, 3)
     sensors = {"beta": 0.003, "p": 0.01, "r": 0.005, "phi": 0.004, "a_y": 0.02}
     prompt = disturbed(Lateral(), LATERAL, inputs, 0.04, {}, sensors, 3)
-    signals = {name: prompt[name][late:] for name in prompt.signals} | {"beta": prompt["beta"][:-late]}
+    signals = {name: prompt[name][late:] for name in prompt.signals} | {
+        "beta": prompt["beta"][:-late]
+    }
     record = gb.Record(prompt.time[:-late], signals)
     model = gb.modeling.late_sensors(Lateral(), delays={"beta": (0.02, 0.3)})
     found = fit(gb.Problem(model, record, gb.OutputError(inputs="held")))
@@ -90,7 +98,9 @@ class Decay(gb.StateSpace):
 def test_a_single_derivative_or_output_needs_no_tuple():
     model = gb.modeling.late_sensors(Decay(), lags={"y": (0.01, 0.2)})
     s = 1j * np.array([1.0, 5.0])
-    assert_allclose(gb.frequency_response(model, {"y_lag": 0.1}, s.imag).response, 1 / ((s + 2) * (0.1 * s + 1)))
+    assert_allclose(
+        gb.frequency_response(model, {"y_lag": 0.1}, s.imag).response, 1 / ((s + 2) * (0.1 * s + 1))
+    )
 
 
 def test_what_is_no_late_sensor_is_refused():
@@ -114,7 +124,9 @@ def test_late_sensors_have_states_and_a_parameter_between_their_bounds():
         assert (parameter.bounds, parameter.unit) == ((0.01, 0.3), "s")
         assert parameter.about == f"{kind} of the sensor of {sensor}"
     for bounds in ((0.2, 0.2), (0.3, 0.2), (0.1, np.inf)):
-        with pytest.raises(ValueError, match=r"the lag of 'p' has the bounds .*: give 0 < low < high, in s"):
+        with pytest.raises(
+            ValueError, match=r"the lag of 'p' has the bounds .*: give 0 < low < high, in s"
+        ):
             gb.modeling.late_sensors(Lateral(), lags={"p": bounds})
 
     class Taken(Decay):
@@ -131,4 +143,6 @@ def test_what_a_sensor_shows_follows_the_output_through_its_states():
     late = gb.modeling.late_sensors(Decay(), delays={"y": (0.01, 0.5)})
     s = 1j * np.array([0.7, 4.0, 20.0])
     found = gb.frequency_response(late, {"a": 3.0, "y_delay": 0.3}, s.imag).response
-    assert_allclose(found, (1 - 0.15 * s + 0.09 * s**2 / 12) / (1 + 0.15 * s + 0.09 * s**2 / 12) / (s + 3))
+    assert_allclose(
+        found, (1 - 0.15 * s + 0.09 * s**2 / 12) / (1 + 0.15 * s + 0.09 * s**2 / 12) / (s + 3)
+    )

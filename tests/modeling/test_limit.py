@@ -26,13 +26,26 @@ def facts(parameter):
 @pytest.mark.parametrize(
     ("member", "power", "value", "name", "expected"),
     [
-        # A gain that may have either sign: a thousand times its size on both sides, starts three times.
+        # A gain that may have either sign: a thousand times its size on both sides, starts three
+        # times.
         ("K", 1, -6.0, "K_per_T", (-3.0, (-3000.0, 3000.0), (-9.0, 9.0), "m/s²", "K/T (gain)")),
-        ("K", 2, 6.0, "K_per_T_squared", (1.5, (-1500.0, 1500.0), (-4.5, 4.5), "m/s³", "K/T² (gain)")),
+        (
+            "K",
+            2,
+            6.0,
+            "K_per_T_squared",
+            (1.5, (-1500.0, 1500.0), (-4.5, 4.5), "m/s³", "K/T² (gain)"),
+        ),
         ("K", -1, 6.0, "K_times_T", (12.0, (-12000.0, 12000.0), (-36.0, 36.0), "m", "K·T (gain)")),
         # One of a single sign keeps it.
         ("k", 3, 4.0, "k_per_T_cubed", (0.5, (0.0005, 500.0), (0.0005, 500.0), "N/s³", "k/T³ (k)")),
-        ("k", -4, -4.0, "k_times_T_to_4", (-64.0, (-64e3, -0.064), (-64e3, -0.064), "N·s⁴", "k·T⁴ (k)")),
+        (
+            "k",
+            -4,
+            -4.0,
+            "k_times_T_to_4",
+            (-64.0, (-64e3, -0.064), (-64e3, -0.064), "N·s⁴", "k·T⁴ (k)"),
+        ),
     ],
 )
 def test_what_stays_beside_a_parameter_that_goes(member, power, value, name, expected):
@@ -40,7 +53,11 @@ def test_what_stays_beside_a_parameter_that_goes(member, power, value, name, exp
     assert invariant_name(member, "T", power) == name
     assert set(model.parameters) == {"K", "k", name} - {member}
     start, bounds, starts, unit, about = facts(model.parameters[name])
-    assert (start, bounds, starts) == (expected[0], pytest.approx(expected[1]), pytest.approx(expected[2]))
+    assert (start, bounds, starts) == (
+        expected[0],
+        pytest.approx(expected[1]),
+        pytest.approx(expected[2]),
+    )
     assert about == expected[4]
     assert unit == expected[3]
     assert model.label == "Chain, T → ∞"

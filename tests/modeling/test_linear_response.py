@@ -28,7 +28,9 @@ def test_every_pair_has_its_own_delay_and_feedthrough(k, u, y):
     expected = expected * np.exp(-S * (0.3 if u == "inflow" else 0.1))
     options = {"input": u, "output": y, "at": AT}
     values = {"k": k}
-    assert_allclose(gb.frequency_response(Tanks(), values, OMEGA, **options).response, expected, rtol=1e-9)
+    assert_allclose(
+        gb.frequency_response(Tanks(), values, OMEGA, **options).response, expected, rtol=1e-9
+    )
     assert_allclose(compiled_response(Tanks(), OMEGA, **options)(values), expected, rtol=1e-9)
     form = gb.modeling.rational(Tanks(), values, **options)
     assert_allclose(form(S), expected, rtol=1e-8)
@@ -66,8 +68,14 @@ def test_a_constant_response_holds_at_every_frequency():
 def test_a_static_model_has_a_constant_response(u, slope):
     at = {"Omega_1": 500.0, "Omega_2": 600.0}
     options = {"input": u, "output": "tau_phi", "at": at}
-    assert_allclose(gb.frequency_response(Torques(), {}, OMEGA, **options).response, np.full(12, slope), rtol=1e-14)
-    assert_allclose(compiled_response(Torques(), OMEGA, **options)(), np.full(12, slope), rtol=1e-14)
+    assert_allclose(
+        gb.frequency_response(Torques(), {}, OMEGA, **options).response,
+        np.full(12, slope),
+        rtol=1e-14,
+    )
+    assert_allclose(
+        compiled_response(Torques(), OMEGA, **options)(), np.full(12, slope), rtol=1e-14
+    )
     form = gb.modeling.rational(Torques(), **options)
     assert_allclose((form.numerator, form.denominator), [[slope], [1]], rtol=1e-14)
 
@@ -88,7 +96,11 @@ def test_other_delay_words_are_refused(word):
 )
 @pytest.mark.parametrize("read", [gb.frequency_response, response_formula, gb.modeling.rational])
 def test_signals_that_are_not_there_are_refused(read, names, sentence):
-    arguments = {gb.frequency_response: ({}, OMEGA), response_formula: (OMEGA,), gb.modeling.rational: ()}[read]
+    arguments = {
+        gb.frequency_response: ({}, OMEGA),
+        response_formula: (OMEGA,),
+        gb.modeling.rational: (),
+    }[read]
     with pytest.raises(ValueError, match=sentence):
         read(LinearTilt(), *arguments, **names)
 
@@ -100,7 +112,9 @@ def test_the_only_signals_need_no_name():
 
 @pytest.mark.parametrize("read", [gb.frequency_response, response_formula])
 def test_a_transfer_function_has_no_operating_point(read):
-    with pytest.raises(ValueError, match=r"Tilt is a transfer function and has no operating point: leave out at"):
+    with pytest.raises(
+        ValueError, match=r"Tilt is a transfer function and has no operating point: leave out at"
+    ):
         read(Tilt(), *([{}] if read is gb.frequency_response else []), OMEGA, at={"theta": 0.1})
     with pytest.raises(ValueError, match=r"Tilt is a transfer function and has no operating point"):
         gb.modeling.rational(Tilt(), at={"theta": 0.1})
@@ -183,5 +197,9 @@ def test_values_at_which_the_matrices_are_not_finite_leave_the_order_of_eliminat
             return (x.y,)
 
     expected = S / (S**2 + S + 2)
-    assert_allclose(gb.frequency_response(Rooted(), {}, OMEGA, at={"u": 0.0}).response, expected, rtol=1e-9)
-    assert_allclose(compiled_response(Rooted(), OMEGA, at={"u": 0.0})({"c": 4.0}), expected, rtol=1e-9)
+    assert_allclose(
+        gb.frequency_response(Rooted(), {}, OMEGA, at={"u": 0.0}).response, expected, rtol=1e-9
+    )
+    assert_allclose(
+        compiled_response(Rooted(), OMEGA, at={"u": 0.0})({"c": 4.0}), expected, rtol=1e-9
+    )

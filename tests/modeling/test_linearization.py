@@ -23,7 +23,11 @@ def test_linearize_gives_the_jacobians_and_the_point():
     assert_allclose(system.D, [[0, 0], [0, -0.5]])
     assert_allclose(np.sort(system.poles), [-2 / 3, -0.5], rtol=1e-9)
     assert system.delays.tolist() == [0.3, 0.1]
-    assert (system.states, system.inputs, system.outputs) == (Tanks.states, Tanks.inputs, Tanks.outputs)
+    assert (system.states, system.inputs, system.outputs) == (
+        Tanks.states,
+        Tanks.inputs,
+        Tanks.outputs,
+    )
 
 
 @pytest.mark.parametrize("read", [gb.modeling.linearize, gb.modeling.rational])

@@ -26,7 +26,9 @@ def test_names_are_attributes_and_mapping():
 
 
 def test_names_say_what_there_is():
-    with pytest.raises(AttributeError, match=r"Tilt has no 'a6'; it has a1, a2, a3, a4, T_rotor, T_delay, a5\."):
+    with pytest.raises(
+        AttributeError, match=r"Tilt has no 'a6'; it has a1, a2, a3, a4, T_rotor, T_delay, a5\."
+    ):
         _ = Tilt().values().a6
     with pytest.raises(AttributeError, match="it has no 'a'; it has nothing"):
         _ = Names({}).a
@@ -68,7 +70,9 @@ def test_a_model_says_its_signals_label_and_arguments():
     assert equation(Gain) == equation(Gain()) == "A number, (0.0)."
 
 
-@pytest.mark.parametrize("model", [Tilt(), LinearTilt(), Polynomial(3, m=2), Lag() * Tilt()], ids=repr)
+@pytest.mark.parametrize(
+    "model", [Tilt(), LinearTilt(), Polynomial(3, m=2), Lag() * Tilt()], ids=repr
+)
 def test_models_can_be_sent_to_another_process(model):
     copy = pickle.loads(pickle.dumps(model))
     assert repr(copy) == repr(model)
@@ -110,8 +114,16 @@ def test_merged_bounds_and_start_boxes_intersect():
             {"bounds": (2, 3), "start": 2.0},
             r"bounds of 'T', \(0, 1\) and \(2, 3\), do not overlap",
         ),
-        ({"bounds": (0, 1)}, {"bounds": (1, 3)}, r"bounds of 'T', \(0, 1\) and \(1, 3\), do not overlap"),
-        ({"starts": (0, 1)}, {"starts": (2, 3)}, r"start boxes of 'T', \(0, 1\) and \(2, 3\), do not overlap"),
+        (
+            {"bounds": (0, 1)},
+            {"bounds": (1, 3)},
+            r"bounds of 'T', \(0, 1\) and \(1, 3\), do not overlap",
+        ),
+        (
+            {"starts": (0, 1)},
+            {"starts": (2, 3)},
+            r"start boxes of 'T', \(0, 1\) and \(2, 3\), do not overlap",
+        ),
     ],
 )
 def test_parameters_that_cannot_be_one_unknown_are_refused(a, b, sentence):
@@ -141,17 +153,25 @@ def test_signals_are_picked_by_name_or_because_they_are_the_only_ones():
     assert pick_signals(LinearTilt(), output="v") == ("u", "v")
     assert pick_signals(Tilt()) == ("u", "theta")
     assert pick_signals(Tilt(), "u", "theta") == ("u", "theta")
-    with pytest.raises(ValueError, match=r"LinearTilt has several outputs \(theta, v\): specify which one, output="):
+    with pytest.raises(
+        ValueError, match=r"LinearTilt has several outputs \(theta, v\): specify which one, output="
+    ):
         pick_signals(LinearTilt())
-    with pytest.raises(ValueError, match=r"Tilt has no input 'v'; it has u: name the data's input as one of them\."):
+    with pytest.raises(
+        ValueError, match=r"Tilt has no input 'v'; it has u: name the data's input as one of them\."
+    ):
         pick_signals(Tilt(), "v")
 
 
 def test_values_are_given_to_a_problem_not_to_a_model():
     for args, kwargs in (((1.0,), {}), ((), {"k": 1.0})):
-        with pytest.raises(TypeError, match=r"Lag\(\) takes no arguments: give values to a problem"):
+        with pytest.raises(
+            TypeError, match=r"Lag\(\) takes no arguments: give values to a problem"
+        ):
             Lag(*args, **kwargs)
-    with pytest.raises(TypeError, match=r"the values of Lag are \[1\]: give \{name: value\}, after the model"):
+    with pytest.raises(
+        TypeError, match=r"the values of Lag are \[1\]: give \{name: value\}, after the model"
+    ):
         Lag().values([1])
     for value in ("1", None, np.nan, np.inf):
         with pytest.raises(ValueError, match=r"k = .* of Lag is not a finite number: give one"):

@@ -39,18 +39,28 @@ MODELS = [
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.label)
 def test_a_model_survives_json(model):
-    again = resolve(json.loads(json.dumps(reference(model))), (LagLagDelay, Outer.Inner, Integrator))
+    again = resolve(
+        json.loads(json.dumps(reference(model))), (LagLagDelay, Outer.Inner, Integrator)
+    )
     assert type(again) is type(model)
     assert again.parameters == model.parameters
-    expected, found = (gb.modeling.rational(m, pade=1, output=m.output_names[0]) for m in (model, again))
+    expected, found = (
+        gb.modeling.rational(m, pade=1, output=m.output_names[0]) for m in (model, again)
+    )
     assert (found.numerator, found.denominator) == (expected.numerator, expected.denominator)
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("gone_module_xyz:Tilt", "the model Tilt of the module 'gone_module_xyz' is needed and was not found"),
-        ("greybox.models.tilt:Gone", "the model Gone of the module 'greybox.models.tilt' is needed and was not found"),
+        (
+            "gone_module_xyz:Tilt",
+            "the model Tilt of the module 'gone_module_xyz' is needed and was not found",
+        ),
+        (
+            "greybox.models.tilt:Gone",
+            "the model Gone of the module 'greybox.models.tilt' is needed and was not found",
+        ),
         ("greybox.models.tilt:gb", "the model gb of the module"),
         ("greybox.models.tilt:gb.TransferFunction", "the model gb.TransferFunction of the module"),
         ("math:sin", "the model sin of the module"),
@@ -88,7 +98,9 @@ def test_a_class_that_was_given_wins_and_its_module_does_not_matter():
     assert type(resolve(stored, [Tilt])) is Tilt
 
 
-@pytest.mark.parametrize("name", ["this", "antigravity", "wsgiref.handlers", "greybox.cli.main", "xml.dom.minidom"])
+@pytest.mark.parametrize(
+    "name", ["this", "antigravity", "wsgiref.handlers", "greybox.cli.main", "xml.dom.minidom"]
+)
 def test_nothing_that_a_file_names_is_imported(name, monkeypatch):
     monkeypatch.delitem(sys.modules, name, raising=False)
     with pytest.raises(LookupError, match="is needed and was not found"):
@@ -99,7 +111,9 @@ def test_nothing_that_a_file_names_is_imported(name, monkeypatch):
 def nested(depth):
     stored = reference(Rotor())
     for _ in range(depth):
-        stored = reference(Rotor() * Rotor()) | {"arguments": [{"model": stored}, {"model": reference(Rotor())}]}
+        stored = reference(Rotor() * Rotor()) | {
+            "arguments": [{"model": stored}, {"model": reference(Rotor())}]
+        }
     return stored
 
 
@@ -123,7 +137,11 @@ def test_an_argument_that_is_no_plain_value_is_stored_as_text_and_said_to_be():
     stored = json.loads(json.dumps(reference(Configured({"a": 1}))))
     with pytest.raises(LookupError, match=r"\{'a': 1\}, was stored as text only: give model="):
         resolve(stored, given)
-    assert resolve(json.loads(json.dumps(reference(Configured([1, "b", None])))), given).thing == (1, "b", None)
+    assert resolve(json.loads(json.dumps(reference(Configured([1, "b", None])))), given).thing == (
+        1,
+        "b",
+        None,
+    )
 
 
 def test_a_class_that_no_longer_takes_its_arguments_is_a_lookup_error():

@@ -11,7 +11,13 @@ from pade_by_definition import pade
 
 import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.pade_delay import delay_order, pade_coefficients, pade_rows, pade_states, pade_steady
+from greybox.modeling.pade_delay import (
+    delay_order,
+    pade_coefficients,
+    pade_rows,
+    pade_states,
+    pade_steady,
+)
 from greybox.modeling.rational import Rational
 
 
@@ -71,9 +77,15 @@ def test_the_states_have_the_response_and_rest_where_the_input_does(order):
     T = 0.3
     unit = np.eye(order + 1)
     columns = [pade_rows(list(row[:order]), row[order], T, order) for row in unit]
-    output, rates = np.array([column[0] for column in columns]), np.array([column[1] for column in columns]).T
+    output, rates = (
+        np.array([column[0] for column in columns]),
+        np.array([column[1] for column in columns]).T,
+    )
     s = 1j * np.array([0.2, 3.0, 40.0])
-    found = [output[:order] @ np.linalg.solve(v * np.eye(order) - rates[:, :order], rates[:, order]) for v in s]
+    found = [
+        output[:order] @ np.linalg.solve(v * np.eye(order) - rates[:, :order], rates[:, order])
+        for v in s
+    ]
     c = pade_coefficients(order)[::-1]
     close(np.array(found) + output[order], np.polyval(c, -s * T) / np.polyval(c, s * T))
 

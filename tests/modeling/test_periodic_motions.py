@@ -47,12 +47,16 @@ def swung(amplitude, begin, raised=0.0, quadratic=0.0):
         force = amplitude * min(1.0, t / raised if raised else 1.0) * np.cos(OMEGA * (t - end))
         return [s[1], -s[0] - s[0] ** 3 - quadratic * s[0] ** 2 - DAMPING * s[1] + force]
 
-    motion = solve_ivp(slope, (0, t[-1]), begin, t_eval=t, rtol=1e-7, atol=1e-9, max_step=period / 20).y[0]
+    motion = solve_ivp(
+        slope, (0, t[-1]), begin, t_eval=t, rtol=1e-7, atol=1e-9, max_step=period / 20
+    ).y[0]
     return 2 * np.fft.fft(motion)[1] / motion.size / amplitude
 
 
 def found(model, amplitude, **options):
-    return periodic_motions(model, {}, np.array([OMEGA]), gb.modeling.Sine("u", amplitude, **options))
+    return periodic_motions(
+        model, {}, np.array([OMEGA]), gb.modeling.Sine("u", amplitude, **options)
+    )
 
 
 def test_the_motion_that_is_used_is_that_of_an_amplitude_raised_slowly():
@@ -62,7 +66,10 @@ def test_the_motion_that_is_used_is_that_of_an_amplitude_raised_slowly():
     assert_allclose(motions.response, [small], rtol=1e-3)
     assert abs(large) > 3 * abs(small)
     (sentence,) = motions.several
-    assert "has 3 periodic motions at omega = 2 rad/s in which u is a sine of amplitude 0.5" in sentence
+    assert (
+        "has 3 periodic motions at omega = 2 rad/s in which u is a sine of amplitude 0.5"
+        in sentence
+    )
     for response, kind in ((small, "stable"), (large, "stable")):
         assert f"{abs(response):.4g}"[:4] in sentence
         assert kind in sentence
@@ -70,13 +77,19 @@ def test_the_motion_that_is_used_is_that_of_an_amplitude_raised_slowly():
 
 
 def test_a_motion_without_symmetry_is_found_as_well():
-    assert_allclose(found(Leaning(), 0.4).response, [swung(0.4, [0.0, 0.0], raised=60.0, quadratic=0.5)], rtol=2e-3)
+    assert_allclose(
+        found(Leaning(), 0.4).response,
+        [swung(0.4, [0.0, 0.0], raised=60.0, quadratic=0.5)],
+        rtol=2e-3,
+    )
 
 
 def test_a_small_amplitude_has_one_motion_and_nothing_is_said():
     motions = found(Spring(), 0.01)
     assert motions.several == ()
-    assert_allclose(motions.response, gb.frequency_response(Spring(), {}, [OMEGA]).response, rtol=1e-3)
+    assert_allclose(
+        motions.response, gb.frequency_response(Spring(), {}, [OMEGA]).response, rtol=1e-3
+    )
 
 
 def test_a_linear_model_is_not_searched():
@@ -84,14 +97,18 @@ def test_a_linear_model_is_not_searched():
     sine = gb.modeling.Sine("u", 40.0)
     motions = periodic_motions(LinearTilt(), {}, omega, sine, output="theta")
     assert motions.several == ()
-    assert_allclose(motions.response, gb.frequency_response(LinearTilt(), {}, omega, output="theta").response)
+    assert_allclose(
+        motions.response, gb.frequency_response(LinearTilt(), {}, omega, output="theta").response
+    )
 
 
 def test_a_number_of_harmonics_is_kept():
     """One harmonic of a cubic spring under a sine of its position: the describing function, exactly."""
     sine = gb.modeling.Sine("x", 2.0, harmonics=1)
     motions = periodic_motions(Spring(), {}, np.array([OMEGA]), sine)
-    assert_allclose(motions.response, [1 / (1 + 0.75 * 4.0 - OMEGA**2 + 1j * OMEGA * DAMPING)], rtol=1e-6)
+    assert_allclose(
+        motions.response, [1 / (1 + 0.75 * 4.0 - OMEGA**2 + 1j * OMEGA * DAMPING)], rtol=1e-6
+    )
 
 
 def test_the_response_of_a_test_is_linear_without_a_sine_and_interpolates_the_amplitude():
@@ -101,7 +118,9 @@ def test_the_response_of_a_test_is_linear_without_a_sine_and_interpolates_the_am
     sine = gb.modeling.Sine("x", np.array([1.0, 3.0]))
     between = response_of_test(Spring(), {}, [2.0], sine, measured)
     amplitude = 1 + 2 * np.log(2) / np.log(3)  # over the logarithm of the frequency
-    assert_allclose(between.response, [1 / (1 + 0.75 * amplitude**2 - 4.0 + 2j * DAMPING)], rtol=1e-6)
+    assert_allclose(
+        between.response, [1 / (1 + 0.75 * amplitude**2 - 4.0 + 2j * DAMPING)], rtol=1e-6
+    )
 
 
 def test_a_warning_names_the_motions_only_where_there_are_several():
@@ -118,13 +137,17 @@ def test_a_warning_names_the_motions_only_where_there_are_several():
 def level_of(model, amplitude, harmonics, omega=OMEGA):
     sine = gb.modeling.Sine("u", amplitude, harmonics=harmonics)
     options = {"input": "u", "output": model.output_names[0], "pade": None}
-    return periodic._Levels(model, list(model.values({}).values()), np.array([omega]), sine, options)
+    return periodic._Levels(
+        model, list(model.values({}).values()), np.array([omega]), sine, options
+    )
 
 
 def describing_responses(amplitude, b=1.0):
     """All x with (1 - ω² + 3/4 b |x|² + 0.1 jω) x = amplitude, over the amplitude, the smallest first."""
     stiffness, damping = 1 - OMEGA**2, OMEGA * DAMPING
-    roots = np.roots([9 / 16 * b**2, 1.5 * b * stiffness, stiffness**2 + damping**2, -(amplitude**2)])
+    roots = np.roots(
+        [9 / 16 * b**2, 1.5 * b * stiffness, stiffness**2 + damping**2, -(amplitude**2)]
+    )
     squares = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
     return 1 / (stiffness + 0.75 * b * squares + 1j * damping)
 
@@ -139,7 +162,9 @@ def test_the_curve_meets_all_motions_in_their_order(amplitude):
     candidates = periodic._candidates(balance, given)
     assert_allclose([periodic._response(balance, x, given) for x in candidates], wanted, rtol=1e-7)
     from_above = periodic._followed(balance, given, periodic.RANGE)
-    assert_allclose([periodic._response(balance, x, given) for x in from_above], wanted[::-1], rtol=1e-7)
+    assert_allclose(
+        [periodic._response(balance, x, given) for x in from_above], wanted[::-1], rtol=1e-7
+    )
 
 
 def test_points_of_the_curve_are_motions_and_its_tangent_leads_along_it():
@@ -153,7 +178,10 @@ def test_points_of_the_curve_are_motions_and_its_tangent_leads_along_it():
     assert np.linalg.norm(tangent / scale) == pytest.approx(1)
     assert tangent[-1] > 0
     assert_allclose(curve.tangent(y, np.append(np.zeros(7), -1.0), scale), -tangent)
-    near = [np.append(periodic._solved(balance, y[:-1], curve.given_at(at + h)), at + h) for h in (-1e-4, 1e-4)]
+    near = [
+        np.append(periodic._solved(balance, y[:-1], curve.given_at(at + h)), at + h)
+        for h in (-1e-4, 1e-4)
+    ]
     assert_allclose(tangent / tangent[-1], (near[1] - near[0]) / 2e-4, rtol=1e-5, atol=1e-6)
 
     guess = y + 0.05 * tangent
@@ -166,7 +194,9 @@ def test_points_of_the_curve_are_motions_and_its_tangent_leads_along_it():
 
 @pytest.mark.parametrize("harmonics", [1, 3])
 def test_a_stated_number_of_harmonics_of_the_input_is_kept(harmonics):
-    motions = periodic_motions(Spring(), {}, np.array([OMEGA]), gb.modeling.Sine("u", 0.5, harmonics=harmonics))
+    motions = periodic_motions(
+        Spring(), {}, np.array([OMEGA]), gb.modeling.Sine("u", 0.5, harmonics=harmonics)
+    )
     one = describing_responses(0.5)[0]
     assert (abs(motions.response[0] - one) < 1e-9) == (harmonics == 1)
     assert_allclose(motions.response, [one], rtol=1e-5)
@@ -248,7 +278,9 @@ def test_the_response_of_a_motion_with_jumps_is_extrapolated_as_that_of_a_fit():
     level = level_of(Rubbing(), 5.0, 7, omega=0.8)
     balance, given = level.balance(7), level.given(7, 0)
     motion = level.solved(7, np.asarray(balance.guess(given)).ravel(), 0)
-    re, im = harmonic_function(Rubbing(), np.array([0.8]), gb.modeling.Sine("u", 5.0, harmonics=7))([0.5])
+    re, im = harmonic_function(Rubbing(), np.array([0.8]), gb.modeling.Sine("u", 5.0, harmonics=7))(
+        [0.5]
+    )
     assert level.response(7, motion, 0) == pytest.approx(complex(re, im), rel=1e-9)
     assert abs(level.response(7, motion, 0) / periodic._response(balance, motion, given) - 1) > 1e-3
 
@@ -272,7 +304,9 @@ def test_a_motion_of_a_symmetric_model_has_its_twin(monkeypatch):
     x = np.random.default_rng(0).normal(size=number.size)
     twin = np.where(number % 2 == 1, x, -x)
     monkeypatch.setattr(periodic, "_followed", lambda *_: [x])
-    monkeypatch.setattr(periodic, "_solved", lambda _, guess, __: guess if np.allclose(guess, twin) else None)
+    monkeypatch.setattr(
+        periodic, "_solved", lambda _, guess, __: guess if np.allclose(guess, twin) else None
+    )
     found = periodic._candidates(balance, given)
     assert len(found) == 2
     assert found[0] is x
@@ -283,7 +317,9 @@ def test_motions_are_distinct_by_a_thousandth_of_their_size():
     x = np.array([3.0, 4.0])
     near, far, rest = np.array([3.0, 4.0049]), np.array([3.0, 4.0051]), np.zeros(2)
     assert [m is x for m in periodic._distinct([x, near])] == [True]
-    assert [id(m) for m in periodic._distinct([x, near, far, rest, rest])] == [id(m) for m in (x, far, rest)]
+    assert [id(m) for m in periodic._distinct([x, near, far, rest, rest])] == [
+        id(m) for m in (x, far, rest)
+    ]
 
 
 def test_equations_without_a_solution_of_any_use_have_none():
@@ -297,7 +333,10 @@ def test_equations_without_a_solution_of_any_use_have_none():
 
 
 def test_all_motions_are_said_with_gain_phase_and_stability():
-    motions = [periodic._Motion(np.zeros(1), r, s) for r, s in ((1.5j, True), (-0.25, False), (2 + 0j, None))]
+    motions = [
+        periodic._Motion(np.zeros(1), r, s)
+        for r, s in ((1.5j, True), (-0.25, False), (2 + 0j, None))
+    ]
     omega, sine = np.array([1.0, 2.0]), gb.modeling.Sine("u", [0.1, 0.5])
     said = periodic._said(Spring(), sine, omega, 1, [*motions, motions[0]], motions[2])
     assert said == (
@@ -311,7 +350,8 @@ def test_the_first_frequency_without_a_motion_is_named():
     sine = gb.modeling.Sine("u", [0.1, 0.5, 0.7])
     omega, response = np.array([1.0, 2.0, 3.0]), np.array([1.0, np.nan, np.nan + 0j])
     with pytest.raises(
-        ValueError, match=r"no periodic motion at omega = 2 rad/s in which u is a sine of amplitude 0.5:"
+        ValueError,
+        match=r"no periodic motion at omega = 2 rad/s in which u is a sine of amplitude 0.5:",
     ):
         periodic._require_finite(Spring(), omega, sine, response)
     periodic._require_finite(Spring(), omega[:1], gb.modeling.Sine("u", 0.1), response[:1])
@@ -339,4 +379,6 @@ def test_a_signal_that_a_loop_holds_to_a_sine_keeps_its_mean():
     """Of the position, about zero: what pushes to one side is met by the mean of the force, and no first harmonic."""
     sine = gb.modeling.Sine("x", 2.0, harmonics=1)
     motions = periodic_motions(Leaning(), {}, np.array([OMEGA]), sine)
-    assert_allclose(motions.response, [1 / (1 + 0.75 * 4.0 - OMEGA**2 + 1j * OMEGA * DAMPING)], rtol=1e-6)
+    assert_allclose(
+        motions.response, [1 / (1 + 0.75 * 4.0 - OMEGA**2 + 1j * OMEGA * DAMPING)], rtol=1e-6
+    )

@@ -26,7 +26,9 @@ OPERATORS = [operator.add, operator.sub, operator.mul, operator.truediv]
 size = st.floats(0.1, 10)
 
 
-numbers = st.builds(lambda r, angle: complex(r * math.cos(angle), r * math.sin(angle)), size, st.floats(-3, 3))
+numbers = st.builds(
+    lambda r, angle: complex(r * math.cos(angle), r * math.sin(angle)), size, st.floats(-3, 3)
+)
 
 
 polynomials = st.lists(st.floats(-10, 10), min_size=1, max_size=4).filter(lambda c: abs(c[0]) > 0.1)
@@ -61,7 +63,11 @@ def test_rational_products_are_those_of_numpy_polynomials(a, b):
     product = Rational(*a) * Rational(*b)
     assume(len(product.numerator) == len(a[0]) + len(b[0]) - 1)  # nothing canceled
     for mine, factors in ((product.numerator, (a[0], b[0])), (product.denominator, (a[1], b[1]))):
-        assert_allclose(mine, (Polynomial(factors[0][::-1]) * Polynomial(factors[1][::-1])).coef[::-1], atol=1e-12)
+        assert_allclose(
+            mine,
+            (Polynomial(factors[0][::-1]) * Polynomial(factors[1][::-1])).coef[::-1],
+            atol=1e-12,
+        )
 
 
 @given(a=rationals, s=numbers, power=st.integers(-3, 3))
@@ -114,11 +120,20 @@ NO_RATIONAL_FORM = {
         lambda: 1 + gb.exp(-S * 0.1),
         r"different delays .* Padé .* pade=3 .* delay='pade:3'",
     ),
-    "fractional power": (lambda: S**0.5, r"power 0\.5 of s has no rational form: only whole powers have"),
+    "fractional power": (
+        lambda: S**0.5,
+        r"power 0\.5 of s has no rational form: only whole powers have",
+    ),
     "square root": (lambda: gb.sqrt(S), r"sqrt of a function of s has no rational form"),
     "sine": (lambda: gb.sin(S), r"sin of a function of s has no rational form"),
-    "sine of Complex": (lambda: gb.sin(Complex(0.0, 1.0)), r"sin of a function of s has no complex form"),
-    "exponential of a lag": (lambda: gb.exp(1 / (S + 1)), r"only exp\(-s T\) with a T that does not depend"),
+    "sine of Complex": (
+        lambda: gb.sin(Complex(0.0, 1.0)),
+        r"sin of a function of s has no complex form",
+    ),
+    "exponential of a lag": (
+        lambda: gb.exp(1 / (S + 1)),
+        r"only exp\(-s T\) with a T that does not depend",
+    ),
     "exponential of a square": (lambda: gb.exp(-S * S), r"only exp\(-s T\)"),
     "exponential with an offset": (lambda: gb.exp(-S - 1), r"only exp\(-s T\)"),
 }
@@ -166,8 +181,15 @@ def test_exponentials_of_lines_through_zero_are_delays():
     assert gb.exp(Rational([-0.5, 0.0], [2.0])).delay == 0.25
     assert gb.exp(Rational([0.0])).delay == 0
     assert gb.exp(-S * ca.SX.sym("T")).numerator == [1.0]
-    for wrong in (Rational([-1.0, 0.0], [1.0, 1.0]), Rational([-1.0, 0.5]), Rational([2.0]), S * gb.exp(-S)):
-        with pytest.raises(ValueError, match=r"only exp\(-s T\) with a T that does not depend on s"):
+    for wrong in (
+        Rational([-1.0, 0.0], [1.0, 1.0]),
+        Rational([-1.0, 0.5]),
+        Rational([2.0]),
+        S * gb.exp(-S),
+    ):
+        with pytest.raises(
+            ValueError, match=r"only exp\(-s T\) with a T that does not depend on s"
+        ):
             gb.exp(wrong)
 
 

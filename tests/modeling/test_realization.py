@@ -22,14 +22,18 @@ def matrices(system, values):
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
     f, y = system.derivative(x, u, values), system.output(x, u, values)
     slopes = ca.Function("slopes", [x, u], [ca.jacobian(a, b) for a in (f, y) for b in (x, u)])
-    return [value.full() for value in slopes(np.zeros(len(system.states)), np.zeros(len(system.inputs)))]
+    return [
+        value.full() for value in slopes(np.zeros(len(system.states)), np.zeros(len(system.inputs)))
+    ]
 
 
 def response(system, values, omega, delayed=True):
     """C (s - A)^-1 B + D with the delays of the inputs, (k, m, omega)."""
     A, B, C, D = matrices(system, values)
     s = 1j * omega[:, None, None]
-    found = C @ np.linalg.solve(s * np.eye(len(A)) - A, np.broadcast_to(B, (omega.size, *B.shape))) + D
+    found = (
+        C @ np.linalg.solve(s * np.eye(len(A)) - A, np.broadcast_to(B, (omega.size, *B.shape))) + D
+    )
     delay = system.delay(values).full().ravel()
     return np.moveaxis(found * np.exp(-s * delay * delayed), 0, -1)
 
@@ -81,7 +85,9 @@ class Two(gb.StateSpace):
         return (x.a + x.b + 2 * u.late, x.b)
 
 
-@pytest.mark.parametrize("name", sorted(n for n, m in shipped_models().items() if issubclass(m, gb.TransferFunction)))
+@pytest.mark.parametrize(
+    "name", sorted(n for n, m in shipped_models().items() if issubclass(m, gb.TransferFunction))
+)
 def test_a_realized_transfer_function_has_its_own_frequency_response(name):
     model = shipped_models()[name]()
     random = np.random.default_rng(3)
@@ -98,7 +104,9 @@ def test_a_realized_transfer_function_has_its_own_frequency_response(name):
 def test_pade_states_give_the_pade_frequency_response(model, order):
     values = list(model.values().values())
     found = response(dynamics(model, order), values, OMEGA)[0, 0]
-    assert_allclose(found, gb.frequency_response(model, {}, OMEGA, delay=f"pade:{order}").response, rtol=1e-7)
+    assert_allclose(
+        found, gb.frequency_response(model, {}, OMEGA, delay=f"pade:{order}").response, rtol=1e-7
+    )
     assert not dynamics(model, order).delayed
 
 
@@ -109,7 +117,9 @@ def test_a_state_space_has_its_own_frequency_response(model, order):
     found = response(dynamics(model, order), list(values.values()), OMEGA)
     delay = "exact" if order is None else f"pade:{order}"
     for i, o in input_output_pairs(model):
-        wanted = gb.frequency_response(model, values, OMEGA, input=i, output=o, delay=delay).response
+        wanted = gb.frequency_response(
+            model, values, OMEGA, input=i, output=o, delay=delay
+        ).response
         row = found[model.outputs.index(o), model.inputs.index(i)]
         assert_allclose(row, wanted, rtol=1e-7, atol=1e-12)
 
@@ -121,7 +131,9 @@ def test_realized_states_simulate_as_those_of_scipy():
     u = np.sin(7 * time)
     slow = np.polymul([1, values.a5], [1, values.a2, values.a1])
     denominator = np.polymul([values.T_rotor, 1], np.polyadd(slow, [gb.g * values.a3]))
-    _, wanted, _ = lsim(ScipyTransferFunction(values.a4 * np.array([1, values.a5]), denominator), u, time)
+    _, wanted, _ = lsim(
+        ScipyTransferFunction(values.a4 * np.array([1, values.a5]), denominator), u, time
+    )
     _, found, _ = lsim((A, B, C, D), u, time)
     assert_allclose(found, wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
 
@@ -148,7 +160,9 @@ def test_what_no_ode_can_follow_is_refused():
 def test_a_loop_around_a_delay_goes_by_pade_states():
     loop = gb.feedback(LeadLag() * Gain())
     found = response(dynamics(loop, 3), list(loop.values().values()), OMEGA)[0, 0]
-    assert_allclose(found, gb.frequency_response(loop, {}, OMEGA, delay="pade:3").response, rtol=1e-7)
+    assert_allclose(
+        found, gb.frequency_response(loop, {}, OMEGA, delay="pade:3").response, rtol=1e-7
+    )
 
 
 def test_inputs_that_act_later_have_the_sum_of_both_delays():

@@ -27,11 +27,15 @@ def test_amplitudes_between_frequencies_are_linear_in_their_logarithm():
 
 
 def test_amplitudes_are_one_for_each_frequency():
-    with pytest.raises(ValueError, match=r"amplitude of 'u' has 2 values for 3 frequencies: give one for each"):
+    with pytest.raises(
+        ValueError, match=r"amplitude of 'u' has 2 values for 3 frequencies: give one for each"
+    ):
         gb.modeling.Sine("u", [1.0, 2.0]).amplitudes(OMEGA)
 
 
-@pytest.mark.parametrize("amplitude", [0, -1.0, np.nan, np.inf, "much", None, [], [1.0, 0.0], [[1.0]], 1j])
+@pytest.mark.parametrize(
+    "amplitude", [0, -1.0, np.nan, np.inf, "much", None, [], [1.0, 0.0], [[1.0]], 1j]
+)
 def test_amplitudes_are_finite_and_above_zero(amplitude):
     with pytest.raises(ValueError, match=r"amplitude of 'u' is .*: give a finite number above 0"):
         gb.modeling.Sine("u", amplitude)

@@ -6,7 +6,10 @@ import greybox as gb
 
 
 def declare(**body):
-    functions = {"derivative": lambda self, x, u, p: (-x.x,), "output": lambda self, x, u, p: (x.x,)}
+    functions = {
+        "derivative": lambda self, x, u, p: (-x.x,),
+        "output": lambda self, x, u, p: (x.x,),
+    }
     return type("Broken", (gb.StateSpace,), {"states": ("x",), **functions, **body})
 
 
@@ -14,7 +17,10 @@ def declare(**body):
     ("body", "sentence"),
     [
         ({"states": "x"}, r"Broken\.states = 'x' must be a tuple of different names"),
-        ({"inputs": ("u", "u")}, r"Broken\.inputs = \('u', 'u'\) must be a tuple of different names"),
+        (
+            {"inputs": ("u", "u")},
+            r"Broken\.inputs = \('u', 'u'\) must be a tuple of different names",
+        ),
         ({"outputs": "y"}, r"Broken\.outputs = 'y' must be a tuple"),
         ({"inputs": ("x",)}, r"Broken has 'x' both as state and as input: use two names"),
         ({"delays": {"v": "T"}}, r"Broken\.inputs has no input 'v'; it has u"),
@@ -27,7 +33,9 @@ def test_a_wrong_declaration_is_refused_when_it_is_made(body, sentence):
 
 
 def test_states_need_a_derivative():
-    with pytest.raises(TypeError, match=r"Broken has states but no derivative\(self, x, u, p\): declare it"):
+    with pytest.raises(
+        TypeError, match=r"Broken has states but no derivative\(self, x, u, p\): declare it"
+    ):
         declare(derivative=gb.StateSpace.derivative)
 
 

@@ -110,7 +110,9 @@ def test_changes_are_relative_to_sizes_and_rounding_is_no_size():
     x = np.array([[1e3, -2e3, 0.0], [1e-13, 0.0, -1e-13], [0.5, 0.1, 0.2]])
     size = state_sizes(x)
     assert_allclose(size, [2e3, 2e-3, 0.5])
-    assert relative_change(np.array([[2.0, 0.0], [0.0, -4e-6], [0.0, 0.0]]), size) == pytest.approx(2e-3)
+    assert relative_change(np.array([[2.0, 0.0], [0.0, -4e-6], [0.0, 0.0]]), size) == pytest.approx(
+        2e-3
+    )
     assert_allclose(state_sizes(x[2:], -3 * x[2:]), [1.5])
     assert relative_change(np.ones((1, 2)), np.zeros(1)) == 1.0
     assert relative_change(np.zeros((0, 4)), np.zeros(0)) == 0.0

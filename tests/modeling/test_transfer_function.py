@@ -21,7 +21,15 @@ def response(model, values=None, **options):
 def test_series_multiplies_responses_and_merges_parameters():
     chain = Rotor() * FreeYaw()
     assert (chain.input_names, chain.output_names) == (("u",), ("r",))
-    assert list(chain.parameters) == ["K_Omega", "T_rotor", "T_delay", "a1_tilde", "a2", "a3_tilde", "a4"]
+    assert list(chain.parameters) == [
+        "K_Omega",
+        "T_rotor",
+        "T_delay",
+        "a1_tilde",
+        "a2",
+        "a3_tilde",
+        "a4",
+    ]
     assert chain.label == "Rotor * FreeYaw"
     values = chain.values(T_rotor=0.07, T_delay=0.02)
     rotor, yaw = ({n: values[n] for n in part.parameters} for part in (Rotor(), FreeYaw()))

@@ -59,10 +59,14 @@ def test_response_jacobian_and_hessian_through_the_trim(model, degrees, p):
         return weights @ numeric_jacobian(lambda r: closed_form(r, theta), q, 1e-3)
 
     wanted = numeric_jacobian(lambda q: closed_form(q, theta), p, 1e-3)
-    assert_allclose(jacobian(p), wanted, rtol=1e-6, atol=1e-7 * np.abs(wanted).max(axis=0).min(initial=1))
+    assert_allclose(
+        jacobian(p), wanted, rtol=1e-6, atol=1e-7 * np.abs(wanted).max(axis=0).min(initial=1)
+    )
     wanted = numeric_jacobian(gradient, p, 1e-3)
     assert_allclose(hessian(p), wanted, rtol=1e-5, atol=1e-7 * np.abs(wanted).max())
-    assert (np.count_nonzero(jacobian(p)[:, -1]) == 0) == (degrees == 0)  # C_x, which hover does not show
+    assert (np.count_nonzero(jacobian(p)[:, -1]) == 0) == (
+        degrees == 0
+    )  # C_x, which hover does not show
 
 
 @pytest.mark.parametrize("theta", [1e-6, 1e-3, -0.5, 1.5])
@@ -91,7 +95,9 @@ def make(derivative, inputs=("u",), states=("x",), **body):
         "output": lambda self, x, u, p: (x[states[0]],),
         "c": gb.Parameter(4.0, bounds=(-9, 9)),
     }
-    return type("Mine", (gb.StateSpace,), {"states": states, "inputs": inputs, **functions, **body})()
+    return type(
+        "Mine", (gb.StateSpace,), {"states": states, "inputs": inputs, **functions, **body}
+    )()
 
 
 def point(model, values=None, **at):
@@ -203,7 +209,10 @@ def test_the_own_trim_is_the_implicit_one():
             lambda self, at, p: {"x": 1.0},
             r"Mine\.trim at \{'u': 2\.0\} is not an equilibrium: .* 'x' is -2 there",
         ),
-        (lambda self, at, p: {"x": at.u / p.c, "y": 0.0}, r"Mine has no state or input 'y'; it has x, u"),
+        (
+            lambda self, at, p: {"x": at.u / p.c, "y": 0.0},
+            r"Mine has no state or input 'y'; it has x, u",
+        ),
         (lambda self, at, p: {"x": np.nan}, r"Mine\.trim becomes NaN"),
         (lambda self, at, p: {"x": at.w}, r"at has no 'w'; it has u"),
     ],
@@ -215,7 +224,9 @@ def test_a_wrong_own_trim_is_refused(trim, sentence):
 
 
 def test_what_is_given_wins_over_the_own_trim():
-    model = make(lambda x, u, p: (u.u - p.c * x.x,), trim=lambda self, at, p: {"u": p.c * at.x, "x": 99.0})
+    model = make(
+        lambda x, u, p: (u.u - p.c * x.x,), trim=lambda self, at, p: {"u": p.c * at.x, "x": 99.0}
+    )
     assert point(model, {"c": 2.0}, x=3.0) == {"x": 3.0, "u": 6.0}
 
 
@@ -223,9 +234,14 @@ def test_an_own_trim_is_judged_relative_to_its_size():
     """Rounding of a level of 1e7 is no mistake; the same at a level of 1 is."""
 
     def trimmed(level):
-        return make(lambda x, u, p: (u.u - x.x,), trim=lambda self, at, p: {"x": at.u * (1 + 1e-8) + 1e-3 * level})
+        return make(
+            lambda x, u, p: (u.u - x.x,),
+            trim=lambda self, at, p: {"x": at.u * (1 + 1e-8) + 1e-3 * level},
+        )
 
-    assert gb.modeling.linearize(trimmed(0), at={"u": 1e7}).point["x"] == pytest.approx(1e7, rel=1e-7)
+    assert gb.modeling.linearize(trimmed(0), at={"u": 1e7}).point["x"] == pytest.approx(
+        1e7, rel=1e-7
+    )
     for sign in (1, -1):
         with pytest.raises(ValueError, match="is not an equilibrium"):
             gb.modeling.linearize(trimmed(sign), at={"u": 1.0})

@@ -28,7 +28,8 @@ from greybox.models.yaw import YawAngle, YawRate, YawStates
 SHIPPED = shipped_models()
 OMEGA = np.geomspace(0.3, 40, 12)
 ATTITUDE = {"phi": 0.3, "theta": -0.4, "psi": 2.0}
-# Each model at the origin, those of variable order in more sizes, those that are nonlinear elsewhere too.
+# Each model at the origin, those of variable order in more sizes, those that are nonlinear
+# elsewhere too.
 CASES = [(model(), {}) for model in SHIPPED.values()] + [
     (Polynomial(4, 1, integrator=True), {}),
     (Polynomial(6, 5), {}),
@@ -54,8 +55,12 @@ def response(model, values, **options):
 
 
 def test_the_equations_of_the_paper_are_all_there():
-    found = set(re.findall(r"\((\d\.\d+)\)", " ".join(equation(model) for model in SHIPPED.values())))
-    wanted = "2.1 2.2 2.3 2.4 2.5 2.6 2.7 2.8 2.9 2.10 2.11 2.12 2.13 4.21 4.23 4.24 4.25 4.33 4.34 4.37"
+    found = set(
+        re.findall(r"\((\d\.\d+)\)", " ".join(equation(model) for model in SHIPPED.values()))
+    )
+    wanted = (
+        "2.1 2.2 2.3 2.4 2.5 2.6 2.7 2.8 2.9 2.10 2.11 2.12 2.13 4.21 4.23 4.24 4.25 4.33 4.34 4.37"
+    )
     assert found >= set(wanted.split())
 
 
@@ -79,7 +84,9 @@ def test_every_parameter_has_finite_bounds_unit_and_meaning(model):
         assert len(parameter.about) > 3
 
 
-@pytest.mark.parametrize("models", [(Tilt, LinearTilt, NonlinearTilt), (YawRate, YawAngle, YawStates)])
+@pytest.mark.parametrize(
+    "models", [(Tilt, LinearTilt, NonlinearTilt), (YawRate, YawAngle, YawStates)]
+)
 def test_forms_of_one_structure_declare_shared_parameters_alike(models):
     first, *others = (model.parameters for model in models)
     for other in others:
@@ -107,7 +114,9 @@ def test_numbers_casadi_and_rational_form_agree(model, at, delay):
 @pytest.mark.parametrize("model", [m for m, _ in CASES if "T_delay" in m.parameters], ids=repr)
 def test_a_pade_reading_is_close_to_the_exact_delay_and_has_none_itself(model):
     for y in model.output_names:
-        exact, pade = (response(model, None, output=y, delay=delay) for delay in ("exact", "pade:3"))
+        exact, pade = (
+            response(model, None, output=y, delay=delay) for delay in ("exact", "pade:3")
+        )
         assert_allclose(pade, exact, rtol=1e-7)
         assert not np.array_equal(pade, exact)
         assert gb.modeling.rational(model, output=y).delay == model.parameters["T_delay"].start
@@ -138,7 +147,9 @@ def test_rigid_body_satisfies_eulers_equation_in_vector_form():
         J, rates = np.array(list(values.values())), state[3:]
         z = np.concatenate([state, torque])
         derivative = np.asarray(derivative_function(RigidBody())(z, J)).ravel()
-        assert_allclose(J * derivative[3:] + np.cross(rates, J * rates), torque, rtol=1e-10, atol=1e-12)
+        assert_allclose(
+            J * derivative[3:] + np.cross(rates, J * rates), torque, rtol=1e-10, atol=1e-12
+        )
         kinematics = derivative_function(EulerKinematics())(state, [])
         assert_allclose(derivative[:3], np.asarray(kinematics).ravel(), rtol=1e-13)
 
@@ -146,8 +157,9 @@ def test_rigid_body_satisfies_eulers_equation_in_vector_form():
 def test_roll_torque_per_rotor_speed_is_eight_and_per_control_four():
     """The printed 4 of (2.5) includes the mixer's 0.5.
 
-    With Ω_i = Ω_F ± Ω_φ in the signs of (2.3) the torque is 8 K_τ Ω_F Ω_φ (the paper prints 4 above (2.5)).
-    The mixer passes 0.5 u_φ to each rotor, so from u_φ it is 4 K_τ Ω_F K_Ω, as K_φ of (2.5) says. Yaw has no
+    With Ω_i = Ω_F ± Ω_φ in the signs of (2.3) the torque is 8 K_τ Ω_F Ω_φ (the paper prints 4 above
+    (2.5)). The mixer passes 0.5 u_φ to each rotor, so from u_φ it is 4 K_τ Ω_F K_Ω, as K_φ of (2.5)
+    says. Yaw has no
     0.5, so there it is 8 K_ψ Ω_F K_Ω.
     """
     K_tau, K_psi, Omega_F, K_Omega = 3e-6, 4e-7, 600.0, 1033.0
@@ -156,14 +168,18 @@ def test_roll_torque_per_rotor_speed_is_eight_and_per_control_four():
     assert_allclose(torques @ [-1, 1, 1, -1], [8 * K_tau * Omega_F, 0, 0], rtol=1e-12)
     per_control = torques @ (K_Omega * np.eye(4)) @ gb.modeling.linearize(Mixer()).D
     roll, yaw = 4 * K_tau * Omega_F * K_Omega, 8 * K_psi * Omega_F * K_Omega
-    assert_allclose(per_control, [[0, roll, 0, 0], [0, 0, roll, 0], [0, 0, 0, yaw]], rtol=1e-12, atol=1e-15)
+    assert_allclose(
+        per_control, [[0, roll, 0, 0], [0, 0, roll, 0], [0, 0, 0, yaw]], rtol=1e-12, atol=1e-15
+    )
 
 
 def test_basic_rate_and_angle_are_mixer_rotor_torques_and_body_in_series():
     """(2.5) and (2.6) from (2.1) to (2.4), each linearized at hover."""
     K_tau, Omega_F, J_x = 3e-6, 600.0, 0.012
     rotor = {"K_Omega": 1033.0, "T_rotor": 0.048, "T_delay": 0.0042}
-    torques = gb.modeling.linearize(Torques(), {"K_tau": K_tau}, {f"Omega_{i}": Omega_F for i in range(1, 5)}).D
+    torques = gb.modeling.linearize(
+        Torques(), {"K_tau": K_tau}, {f"Omega_{i}": Omega_F for i in range(1, 5)}
+    ).D
     gain = torques[0] @ gb.modeling.linearize(Mixer()).D[:, 1]
     K_phi = 4 * K_tau * Omega_F * rotor["K_Omega"] / J_x
     for model, y in ((BasicRate(), "p"), (BasicAngle(), "phi")):
@@ -186,7 +202,9 @@ def test_damped_rate_has_the_poles_its_parameters_name(values):
     assert_allclose(slope, values["K_1"] / values["omega_p"] ** 2, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("model", "gain", "lag"), [(Rotor(), "K_Omega", "T_rotor"), (YawRateLag(), "K_2", "T_2")])
+@pytest.mark.parametrize(
+    ("model", "gain", "lag"), [(Rotor(), "K_Omega", "T_rotor"), (YawRateLag(), "K_2", "T_2")]
+)
 def test_a_lag_falls_to_half_power_and_turns_by_45_degrees_at_its_corner(model, gain, lag):
     """(4.21) and (2.8)."""
     values = model.values(T_delay=0.0)
@@ -259,9 +277,15 @@ def test_yaw_states_have_the_transfer_functions_of_the_paper(values):
     """(4.33) with (4.21) gives (4.34) and, integrated, (4.37)."""
     tilde = {"a1_tilde": values["a1"] * values["K_nu"], "a3_tilde": values["a3"]}
     printed = {name: ({**values, **tilde})[name] for name in YawRate.parameters}
-    assert_allclose(response(YawStates(), values, output="r"), response(YawRate(), printed), rtol=1e-10)
-    assert_allclose(response(YawStates(), values, output="psi"), response(YawAngle(), printed), rtol=1e-10)
-    assert_allclose(response(YawAngle(), printed) * 1j * OMEGA, response(YawRate(), printed), rtol=1e-12)
+    assert_allclose(
+        response(YawStates(), values, output="r"), response(YawRate(), printed), rtol=1e-10
+    )
+    assert_allclose(
+        response(YawStates(), values, output="psi"), response(YawAngle(), printed), rtol=1e-10
+    )
+    assert_allclose(
+        response(YawAngle(), printed) * 1j * OMEGA, response(YawRate(), printed), rtol=1e-12
+    )
     derived_quantities_equal(YawStates(), values, tilde)
 
 
@@ -287,7 +311,9 @@ def test_nonlinear_tilt_in_forward_flight(values, theta):
     u = (values["a1"] * theta + values["a3"] * v) / values["a4"]
     system = gb.modeling.linearize(NonlinearTilt(), values, at={"theta": theta})
     wanted = {"v": v, "q": 0.0, "theta": theta, "rotor": u, "u": u}
-    assert_allclose([system.point[name] for name in wanted], list(wanted.values()), rtol=1e-9, atol=1e-12)
+    assert_allclose(
+        [system.point[name] for name in wanted], list(wanted.values()), rtol=1e-9, atol=1e-12
+    )
     linear = gb.modeling.linearize(LinearTilt(), shared_with(LinearTilt, values))
     A = linear.A.copy()
     A[0, 0], A[0, 2] = -2 * values["C_x"] * speed, gb.g / np.cos(theta) ** 2
@@ -297,8 +323,18 @@ def test_nonlinear_tilt_in_forward_flight(values, theta):
 
 ROTOR_POLE = -1 / 0.048
 PUBLISHED = {  # parameters, and the gain, zero and poles of the transfer function printed for them
-    "(4.29)": (Tilt, [-1.28, 1.86, 73.07, 286.6], 56.67 / 0.198, [-1 / 0.198, *np.roots([1, -3.04, 14.4])]),
-    "(4.30)": (Tilt, [-14.61, 2.97, 83.06, 295.5], 42.91 / 0.145, [-1 / 0.145, *np.roots([1, -3.75, 11.7])]),
+    "(4.29)": (
+        Tilt,
+        [-1.28, 1.86, 73.07, 286.6],
+        56.67 / 0.198,
+        [-1 / 0.198, *np.roots([1, -3.04, 14.4])],
+    ),
+    "(4.30)": (
+        Tilt,
+        [-14.61, 2.97, 83.06, 295.5],
+        42.91 / 0.145,
+        [-1 / 0.145, *np.roots([1, -3.75, 11.7])],
+    ),
     "(4.32)": (Tilt, [-34.01, 3.41, 26.38, 241.9], 30.05 / 0.124, [-1 / 0.124, 3.79, 0.685]),
     "(4.36)": (YawRate, [-1875, 352.6, 992.0, 5.62], 992.0, [-358, -0.296]),
     "(4.37)": (YawAngle, [-1875, 352.6, 992.0, 5.62], 992.0, [-358, -0.296, 0]),
@@ -381,11 +417,17 @@ def test_polynomial_units_count_the_powers_of_a_second():
     ("arguments", "sentence"),
     [
         ({"n": 2, "m": 2}, r"m = 2 is not below n = 2: .* Lower m or raise n"),
-        ({"n": 0, "m": 0}, r"n = 0 is not the order of a polynomial: give an integer of at least 1"),
+        (
+            {"n": 0, "m": 0},
+            r"n = 0 is not the order of a polynomial: give an integer of at least 1",
+        ),
         ({"n": 2.5, "m": 1}, r"n = 2\.5 is not the order"),
         ({"n": "4", "m": 1}, r"n = '4' is not the order"),
         ({"n": True, "m": 0}, r"n = True is not the order"),
-        ({"n": 3, "m": -1}, r"m = -1 is not the order of a polynomial: give an integer of at least 0"),
+        (
+            {"n": 3, "m": -1},
+            r"m = -1 is not the order of a polynomial: give an integer of at least 0",
+        ),
         (
             {"radius": 10.0, "starts": 20.0},
             r"starts = 20\.0 and radius = 10\.0 must be finite with 0 < starts",

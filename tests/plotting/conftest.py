@@ -25,13 +25,18 @@ def pitch():
 
 @pytest.fixture(scope="session")
 def rotors():
-    parts = [gb.Problem(Rotor(), table("table_4_2", f"rotor{k}_", name=f"rotor {k}")) for k in (1, 2, 3, 4)]
+    parts = [
+        gb.Problem(Rotor(), table("table_4_2", f"rotor{k}_", name=f"rotor {k}"))
+        for k in (1, 2, 3, 4)
+    ]
     return gb.fit(parts[0] + parts[1] + parts[2] + parts[3], **QUICK)
 
 
 @pytest.fixture(scope="session")
 def two_points():
-    hover = gb.Problem(Tilt(), table("table_3_1", "pitch_", name="hover"), rename={"a1": "a1_0", "a3": "a3_0"})
+    hover = gb.Problem(
+        Tilt(), table("table_3_1", "pitch_", name="hover"), rename={"a1": "a1_0", "a3": "a3_0"}
+    )
     return gb.fit(hover + gb.Problem(Tilt(), table("table_4_3", "pitch_", name="5°")), **QUICK)
 
 

@@ -46,9 +46,13 @@ def test_phases_of_each_pair_begin_within_half_a_turn(rotors, pitch):
 
 def test_whole_curves_are_moved_together_within_their_pair_only():
     omega = np.geomspace(1, 10, 50)
-    first = gb.FrequencyResponse(omega, np.exp(1j * np.radians(170 - 5 * omega)), "u", "y", source="model", name="a")
+    first = gb.FrequencyResponse(
+        omega, np.exp(1j * np.radians(170 - 5 * omega)), "u", "y", source="model", name="a"
+    )
     second = replace(first, response=first.response * np.exp(0.5j), name="b")
-    third = replace(first, response=np.full(50, np.exp(-1j * np.radians(100))), output="z", name="c")
+    third = replace(
+        first, response=np.full(50, np.exp(-1j * np.radians(100))), output="z", name="c"
+    )
     one, other, apart = curves(gb.plotting.bode(first, second, third)[1])
     np.testing.assert_allclose(apart.get_ydata(), -100)
     np.testing.assert_allclose(one.get_ydata(), 170 - 5 * omega)
@@ -98,7 +102,10 @@ def test_errors_and_bands_are_those_of_the_fit(pitch):
     magnitude, phase, error, turn = gb.plotting.bode(pitch, level=0.9)
     part, band = pitch.parts[0], pitch.response_band(level=0.9)
     ratio = part.data.response / part.response
-    for ax, expected in ((error, 20 * np.log10(np.abs(ratio))), (turn, np.degrees(np.angle(ratio)))):
+    for ax, expected in (
+        (error, 20 * np.log10(np.abs(ratio))),
+        (turn, np.degrees(np.angle(ratio))),
+    ):
         line = next(line for line in ax.get_lines() if line.get_linestyle() == "None")
         np.testing.assert_allclose(line.get_ydata(), expected)
     top = 20 * np.log10(band.magnitude[1])
@@ -128,13 +135,18 @@ def test_users_axes_may_leave_out_the_errors(pitch, sweep):
 
 def test_bands_are_the_half_widths_about_the_response_less_its_bias_in_decibel_and_degrees():
     omega = np.array([4.0, 1.0, 2.0])
-    offset, half = np.array([[0.0, 0.1, 0.2], [0.0, -0.1, 0.3]]), np.array([[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
+    offset, half = (
+        np.array([[0.0, 0.1, 0.2], [0.0, -0.1, 0.3]]),
+        np.array([[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]]),
+    )
     found, low, high = band_limits(SimpleNamespace(omega=omega, offset=offset, half_width=half))
     order = [1, 2, 0]
     np.testing.assert_array_equal(found, omega[order])
     for limit, sign in ((low, -1), (high, 1)):
         decibel = 20 * np.log10(np.exp(offset[0] + sign * half[0]))
-        np.testing.assert_allclose(limit, [decibel[order], np.degrees(offset[1] + sign * half[1])[order]])
+        np.testing.assert_allclose(
+            limit, [decibel[order], np.degrees(offset[1] + sign * half[1])[order]]
+        )
 
 
 @pytest.mark.parametrize(
@@ -142,7 +154,9 @@ def test_bands_are_the_half_widths_about_the_response_less_its_bias_in_decibel_a
 )
 def test_phases_have_at_most_eight_lines_at_parts_or_multiples_of_a_turn(span, step):
     omega = np.linspace(1, 2, 600)
-    axes = gb.plotting.bode(gb.FrequencyResponse(omega, np.exp(-1j * np.radians(span / 1.1 * (omega - 1)))))[1]
+    axes = gb.plotting.bode(
+        gb.FrequencyResponse(omega, np.exp(-1j * np.radians(span / 1.1 * (omega - 1))))
+    )[1]
     low, high = axes.get_ylim()
     ticks = axes.get_yticks()
     assert np.diff(ticks) == pytest.approx(step)
@@ -157,5 +171,7 @@ def test_whole_turns_are_those_between_the_means_over_the_frequencies_that_both_
     moved = _moved(curve, beside)
     np.testing.assert_array_equal(moved[0], omega)
     np.testing.assert_allclose(moved[1], curve[1] + 720)
-    apart = _moved((np.array([20.0, 30.0]), np.array([400.0, 500.0])), beside)  # no frequency in common
+    apart = _moved(
+        (np.array([20.0, 30.0]), np.array([400.0, 500.0])), beside
+    )  # no frequency in common
     np.testing.assert_allclose(apart[1], [40.0, 140.0])

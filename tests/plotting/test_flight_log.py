@@ -40,7 +40,9 @@ def test_gaps_stay_open():
 
 
 def test_a_recording_is_drawn_with_its_tests_shaded():
-    degrees = Record(TIME, {"DesPitch": TIME, "Pitch": (10 * TIME) % 360}, {"DesPitch": "deg", "Pitch": "deg"})
+    degrees = Record(
+        TIME, {"DesPitch": TIME, "Pitch": (10 * TIME) % 360}, {"DesPitch": "deg", "Pitch": "deg"}
+    )
     segments = [Segment(10, 20, omega=3.0), Segment(30, 40, omega=2.0, usable=False)]
     (axes,) = gb.plotting.recording(Recording({"ATT": degrees}, "made.bin"), segments)
     assert len(axes.patches) == 2

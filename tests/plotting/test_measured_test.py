@@ -32,7 +32,12 @@ def measured():
         "RATE": Record(TIME, {"POut": u, "P": q}, {"P": "rad/s"}),
         "RCOU": Record(TIME[::10], {"C1": np.where(TIME[::10] < 4, 1950, 1500)}),
     }
-    parameters = {"INS_GYRO_FILTER": 20.0, "SERVO1_FUNCTION": 33, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}
+    parameters = {
+        "INS_GYRO_FILTER": 20.0,
+        "SERVO1_FUNCTION": 33,
+        "MOT_SPIN_MIN": 0.15,
+        "MOT_SPIN_MAX": 0.95,
+    }
     log = Recording(records, "made.bin", metadata={"parameters": parameters})
     return log, measure(log, Settings("u=RATE.POut", "q=RATE.P", whole=True, open_loop=True))
 
@@ -43,10 +48,15 @@ def test_signals_have_axes_of_their_own_and_limits_are_marked(measured):
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert labels[:3] == ["u", "q, °/s", "motors, µs"]
     marked = [
-        line.get_xdata() for ax in (figure.axes[0], figure.axes[2]) for line in ax.lines if line.get_marker() == "|"
+        line.get_xdata()
+        for ax in (figure.axes[0], figure.axes[2])
+        for line in ax.lines
+        if line.get_marker() == "|"
     ]
     assert marked[1].max() < 4 < marked[1].size
-    assert "without the 20 Hz low-pass filter" in {text.get_text() for text in figure.findobj(mpl.text.Text)}
+    assert "without the 20 Hz low-pass filter" in {
+        text.get_text() for text in figure.findobj(mpl.text.Text)
+    }
 
 
 def test_the_ridge_of_a_spectrogram_is_the_law_of_the_sweep():
@@ -72,7 +82,9 @@ def test_the_demodulated_sine_lies_over_the_raw_one():
     control, angle = gb.plotting.demodulated(record, Segment(0.0, 40.0, omega=3.0), ("u", "theta"))
     raw, sine = angle.lines
     at = sine.get_xdata()
-    assert sine.get_ydata() == pytest.approx(np.degrees(0.05 * np.sin(3 * at) + 0.3 - 0.02 * at), abs=0.08)
+    assert sine.get_ydata() == pytest.approx(
+        np.degrees(0.05 * np.sin(3 * at) + 0.3 - 0.02 * at), abs=0.08
+    )
     assert np.ptp(raw.get_xdata()) == pytest.approx(4 * 2 * np.pi / 3, rel=0.01)
     assert (control.get_ylabel(), angle.get_ylabel()) == ("u", "θ, °")
     with pytest.raises(ValueError, match="the test is a sweep"):

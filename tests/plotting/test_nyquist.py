@@ -15,15 +15,21 @@ def test_nyquist_draws_the_curve_and_every_point(pitch):
     (axes,) = gb.plotting.nyquist(pitch)
     (line,), (data,) = curves(axes), points(axes)
     part = pitch.parts[0]
-    np.testing.assert_array_equal(line.get_xydata(), np.column_stack([part.curve.alpha, part.curve.beta]))
-    np.testing.assert_array_equal(data.get_xydata(), np.column_stack([part.data.alpha, part.data.beta]))
+    np.testing.assert_array_equal(
+        line.get_xydata(), np.column_stack([part.curve.alpha, part.curve.beta])
+    )
+    np.testing.assert_array_equal(
+        data.get_xydata(), np.column_stack([part.data.alpha, part.data.beta])
+    )
     assert axes.get_aspect() == 1
     assert axes.get_xlabel() == "Real part of θ/u"
 
 
 def test_nyquist_numbers_the_points_without_overlap(pitch):
     (axes,) = gb.plotting.nyquist(pitch)
-    assert sorted(numbers(axes)) == sorted(["1 rad/s", "2", "3", "3.5", "4", "5.34", "8", "12", "16", "20.1"])
+    assert sorted(numbers(axes)) == sorted(
+        ["1 rad/s", "2", "3", "3.5", "4", "5.34", "8", "12", "16", "20.1"]
+    )
     boxes = [text.get_window_extent() for text in axes.texts]
     assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
     spots = axes.transData.transform(points(axes)[0].get_xydata())
@@ -73,10 +79,14 @@ def test_points_of_known_variance_have_their_region_and_curves_their_band(pitch)
     for given, dof in ((data, 1e9), (replace(data, dof=[6.0, 6.0]), 6)):
         (circles,) = gb.plotting.nyquist(given)[0].collections
         widths = [np.ptp(path.vertices[:, 0]) / 2 for path in circles.get_paths()]
-        np.testing.assert_allclose(widths, np.sqrt(data.variance * stats.f.ppf(0.95, 2, dof)), rtol=1e-3)
+        np.testing.assert_allclose(
+            widths, np.sqrt(data.variance * stats.f.ppf(0.95, 2, dof)), rtol=1e-3
+        )
 
     (axes,) = gb.plotting.nyquist(pitch)
     (band,) = axes.collections
     ellipses = pitch.response_band().ellipses()
-    np.testing.assert_allclose(band.get_paths()[7].vertices[:-1], np.column_stack([ellipses[7].real, ellipses[7].imag]))
+    np.testing.assert_allclose(
+        band.get_paths()[7].vertices[:-1], np.column_stack([ellipses[7].real, ellipses[7].imag])
+    )
     assert not gb.plotting.nyquist(pitch, data, level=None)[0].collections

@@ -24,7 +24,10 @@ def test_structures_stand_at_their_parameters_and_the_best_of_each_number_is_nam
     places = [line.get_xydata().round(9).tolist() for line in (plain, delayed, integrating, ring)]
     assert places[0] == [[2, 45], [3, 22], [4, 3], [5, 10], [6, 10.1]]
     assert places[1:] == [[[4, 0]], [[3, 1.5]], [[3, 1.5]]]
-    looks = [(to_hex(line.get_color()).upper(), line.get_marker()) for line in (plain, delayed, integrating)]
+    looks = [
+        (to_hex(line.get_color()).upper(), line.get_marker())
+        for line in (plain, delayed, integrating)
+    ]
     assert looks == [*zip(COLORS[:3], MARKERS[:3], strict=True)]
     assert (limit.get_ydata()[0], to_hex(limit.get_color())) == (2, GRAYS[0])
     named = {text.get_text(): text.xy for text in ax.texts}
@@ -33,4 +36,7 @@ def test_structures_stand_at_their_parameters_and_the_best_of_each_number_is_nam
     assert told == ["no integrator", "no integrator, delay", "1 integrator", "chosen"]
     assert -2 < ax.get_ylim()[0] < 0
     assert all(tick == round(tick) for tick in ax.xaxis.get_major_locator().tick_values(2, 6))
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("parameters (labels: n, m)", "BIC above the least")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (
+        "parameters (labels: n, m)",
+        "BIC above the least",
+    )

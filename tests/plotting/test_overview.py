@@ -33,7 +33,9 @@ def test_a_loaded_fit_needs_no_model(pitch):
 
 
 def run(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def test_importing_greybox_loads_no_matplotlib_and_plotting_no_pyplot():

@@ -30,10 +30,15 @@ def test_residuals_have_a_histogram_and_their_correlations(spring, record):
     np.testing.assert_allclose(curve.get_ydata()[100], density)
     area = sum(patch.get_width() * patch.get_height() for patch in histogram.patches)
     assert area == pytest.approx(1)
-    for ax, test in ((autocorrelation, whiteness([e])), (force, input_correlation([e], [record["force"]]))):
+    for ax, test in (
+        (autocorrelation, whiteness([e])),
+        (force, input_correlation([e], [record["force"]])),
+    ):
         np.testing.assert_allclose(ax.get_lines()[-1].get_ydata(), test.correlations)
         assert ax.get_title().endswith(f", p = {test.p_value:.2g}")
-        np.testing.assert_array_equal(ax.get_lines()[-1].get_xdata(), np.arange(1, len(test.correlations) + 1))
+        np.testing.assert_array_equal(
+            ax.get_lines()[-1].get_xdata(), np.arange(1, len(test.correlations) + 1)
+        )
         (shade,) = ax.patches
         box = shade.get_extents().transformed(ax.transData.inverted())
         assert (box.y0, box.y1) == (pytest.approx(-test.bound), pytest.approx(test.bound))
@@ -46,7 +51,9 @@ def test_residuals_have_a_histogram_and_their_correlations(spring, record):
 
 
 def test_what_the_model_lacks_shows(record):
-    stiff = gb.fit(gb.Problem(Spring(), record, fixed={"stiffness": 4.6}), starts=[{}], progress=False)
+    stiff = gb.fit(
+        gb.Problem(Spring(), record, fixed={"stiffness": 4.6}), starts=[{}], progress=False
+    )
     assert "p < 0.0001" in gb.plotting.residuals(stiff)[1].get_title()
 
 
@@ -68,7 +75,9 @@ def test_constant_inputs_and_rows_without_a_time_have_no_correlations(spring, re
     with pytest.raises(ValueError, match="there is no record 3"):
         gb.plotting.residuals(spring, 3)
     response = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA)), starts=1, progress=False)
-    with pytest.raises(ValueError, match=r"has no record: gb\.plotting\.bode shows the errors of its responses"):
+    with pytest.raises(
+        ValueError, match=r"has no record: gb\.plotting\.bode shows the errors of its responses"
+    ):
         gb.plotting.residuals(response)
     with pytest.raises(TypeError, match="cannot draw 3: give a Fit"):
         gb.plotting.residuals(3)

@@ -12,15 +12,28 @@ def response(output, name, low, high, gain):
 
 
 def test_every_pair_has_its_place_and_missing_ones_are_blank():
-    given = [response("p", "da", 1, 20, 0.1), response("p", "dr", 2, 90, 10), response("r", "dr", 0.5, 8, 100)]
+    given = [
+        response("p", "da", 1, 20, 0.1),
+        response("p", "dr", 2, 90, 10),
+        response("r", "dr", 0.5, 8, 100),
+    ]
     axes = response_matrix(given).reshape(4, 2)
     decibel = {(i, j): axes[i, j].get_lines()[0].get_ydata() for i, j in ((0, 0), (0, 1), (2, 1))}
     assert {
-        where: pytest.approx(np.full(5, v)) for where, v in {(0, 0): -20, (0, 1): 20, (2, 1): 40}.items()
+        where: pytest.approx(np.full(5, v))
+        for where, v in {(0, 0): -20, (0, 1): 20, (2, 1): 40}.items()
     } == decibel
-    assert [axes[i, j].axison for i, j in ((2, 0), (3, 0), (2, 1), (3, 1))] == [False, False, True, True]
+    assert [axes[i, j].axison for i, j in ((2, 0), (3, 0), (2, 1), (3, 1))] == [
+        False,
+        False,
+        True,
+        True,
+    ]
     assert [axes[0, j].get_title() for j in (0, 1)] == ["da to p", "dr to p"]
-    assert [[axes[i, j].get_ylabel() for j in (0, 1)] for i in (0, 1)] == [["|.|, dB", ""], ["∠, °", ""]]
+    assert [[axes[i, j].get_ylabel() for j in (0, 1)] for i in (0, 1)] == [
+        ["|.|, dB", ""],
+        ["∠, °", ""],
+    ]
     assert [axes[3, 1].get_xlabel(), axes[1, 1].get_xlabel()] == ["ω, rad/s", ""]
     low, high = axes[0, 0].get_xlim()
     assert 0.3 < low <= 0.5

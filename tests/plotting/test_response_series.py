@@ -23,7 +23,9 @@ def test_a_joint_fit_shows_every_part_and_a_common_curve_once(rotors):
 def test_a_common_curve_over_a_part_of_the_band_is_not_drawn_again(rotors):
     first, second, *_ = rotors.parts
     inside = slice(50, 150)
-    shorter = replace(second.curve, omega=second.curve.omega[inside], response=second.curve.response[inside])
+    shorter = replace(
+        second.curve, omega=second.curve.omega[inside], response=second.curve.response[inside]
+    )
     fit = replace(rotors, parts=(replace(second, curve=shorter), first))
     (line,) = curves(gb.plotting.nyquist(fit)[0])
     np.testing.assert_array_equal(line.get_xdata(), first.curve.alpha)
@@ -66,12 +68,16 @@ def test_plain_responses_are_points_when_measured_and_lines_when_from_a_model(dr
 
 def test_a_refined_resonance_is_drawn_whole_and_counts_as_the_same_curve(rotors):
     def oscillator(omega):
-        return gb.FrequencyResponse(omega, 3 / (25 - omega**2 + 0.02j * omega), "u", "y", source="model", name="o")
+        return gb.FrequencyResponse(
+            omega, 3 / (25 - omega**2 + 0.02j * omega), "u", "y", source="model", name="o"
+        )
 
     dense = 5 + 0.5 * np.sinh(np.linspace(-6, 6, 1500)) / np.sinh(6)
     fine = oscillator(np.union1d(np.geomspace(0.5, 50, 500), dense))
     finer = oscillator(np.union1d(np.geomspace(1, 20, 400), dense))
-    parts = [replace(part, curve=curve) for part, curve in zip(rotors.parts, (finer, fine), strict=False)]
+    parts = [
+        replace(part, curve=curve) for part, curve in zip(rotors.parts, (finer, fine), strict=False)
+    ]
     (axes,) = gb.plotting.nyquist(replace(rotors, parts=tuple(parts)))
     (line,) = curves(axes)
     np.testing.assert_array_equal(line.get_xdata(), fine.alpha)
@@ -84,7 +90,9 @@ def test_a_refined_resonance_is_drawn_whole_and_counts_as_the_same_curve(rotors)
 def test_many_points_are_small_and_below_the_curve(sweep):
     omega = np.geomspace(0.5, 200, 3000)
     exact = gb.frequency_response(Tilt(), TRUTH, omega)
-    data = gb.FrequencyResponse(omega, exact.response * 1e-9, "u", "theta", variance=np.full(3000, 1e-20))
+    data = gb.FrequencyResponse(
+        omega, exact.response * 1e-9, "u", "theta", variance=np.full(3000, 1e-20)
+    )
     for draw in (gb.plotting.nyquist, gb.plotting.bode):
         axes = draw(data, replace(exact, response=exact.response * 1e-9))[0]
         (cloud,), (line,) = points(axes), curves(axes)
@@ -95,7 +103,9 @@ def test_many_points_are_small_and_below_the_curve(sweep):
 
 
 def test_one_frequency_and_odd_names_are_drawn():
-    data = gb.FrequencyResponse([2.0], [0.0], input="RATE.POut", output="Omega_1", name="_50 % of $u$ and $x")
+    data = gb.FrequencyResponse(
+        [2.0], [0.0], input="RATE.POut", output="Omega_1", name="_50 % of $u$ and $x"
+    )
     curve = gb.frequency_response(Rotor(), {}, [2.0])
     for draw in (gb.plotting.nyquist, gb.plotting.bode):
         draw(data, curve)[0].figure.draw_without_rendering()
@@ -103,7 +113,14 @@ def test_one_frequency_and_odd_names_are_drawn():
 
 @pytest.mark.parametrize(
     ("name", "shown"),
-    [("theta", "θ"), ("Omega", "Ω"), ("ETA", "ETA"), ("u", "u"), ("u_phi", "u_φ"), ("RATE.POut", "RATE.POut")],
+    [
+        ("theta", "θ"),
+        ("Omega", "Ω"),
+        ("ETA", "ETA"),
+        ("u", "u"),
+        ("u_phi", "u_φ"),
+        ("RATE.POut", "RATE.POut"),
+    ],
 )
 def test_signal_names_become_symbols(name, shown):
     data = gb.FrequencyResponse([1.0, 2.0], [1, 1j], input="u", output=name)

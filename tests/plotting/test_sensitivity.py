@@ -27,11 +27,17 @@ def test_shares_are_drawn_in_percent_an_output_a_color_and_all_together_in_gray(
     assert alone.get_ydata() == pytest.approx([25, 25, 40])
     assert first.get_ydata() == pytest.approx([40, 5, 15])
     assert second.get_ydata() == pytest.approx([10, 20, 10])
-    assert [to_hex(line.get_color()).upper() for line in (alone, first, second)] == [GRAYS[2], *COLORS[:2]]
+    assert [to_hex(line.get_color()).upper() for line in (alone, first, second)] == [
+        GRAYS[2],
+        *COLORS[:2],
+    ]
     assert [*first.get_xdata()] == [0.5, 2.0, 9.0]
     assert [line.get_marker() for line in told.get_lines()] == [""] * 3
     assert (told.get_ylabel(), untold.get_ylabel()) == ("K, %", "τ, %")
-    assert ([t.get_text() for t in told.texts], [t.get_text() for t in untold.texts]) == ([], ["not determined"])
+    assert ([t.get_text() for t in told.texts], [t.get_text() for t in untold.texts]) == (
+        [],
+        ["not determined"],
+    )
     assert told.get_ylim()[0] == untold.get_ylim()[0] == 0
 
 

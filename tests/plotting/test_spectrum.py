@@ -13,7 +13,9 @@ study = benchmark("transient_coverage")
 
 @pytest.fixture(scope="module")
 def fit():
-    noisy = study.measured(study.lateral_record(), {"roll": 0.02, "yaw": 0.005}, np.random.default_rng(1))
+    noisy = study.measured(
+        study.lateral_record(), {"roll": 0.02, "yaw": 0.005}, np.random.default_rng(1)
+    )
     spectrum = gb.spectral.transient_spectrum(noisy, ["da", "dr"], ["roll", "yaw"], study.BAND)
     return gb.fit(gb.Problem(study.Lateral(), spectrum), starts=1, progress=False)
 
@@ -49,5 +51,7 @@ def test_what_cannot_be_drawn_is_said(fit):
         gb.plotting.spectrum("fit")
     with pytest.raises(ValueError, match="there is no manoeuvre 1"):
         gb.plotting.spectrum(fit, part=1)
-    with pytest.raises(ValueError, match=r"^the fit 'plain' has no manoeuvre: draw it with gb\.plot\.$"):
+    with pytest.raises(
+        ValueError, match=r"^the fit 'plain' has no manoeuvre: draw it with gb\.plot\.$"
+    ):
         gb.plotting.spectrum(replace(fit, name="plain", parts=()))

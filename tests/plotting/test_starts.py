@@ -24,12 +24,21 @@ def test_starts_shows_every_run_sorted_and_grouped(pitch):
     assert low < min(y) <= max(y) < high
     assert axes.get_xlim() == (0, 9)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Runs, sorted by cost", "Cost")
-    assert legend(axes) == [f"minimum {k}: {len(m.runs)} × cost {m.cost:.5g}" for k, m in enumerate(pitch.minima, 1)]
+    assert legend(axes) == [
+        f"minimum {k}: {len(m.runs)} × cost {m.cost:.5g}" for k, m in enumerate(pitch.minima, 1)
+    ]
 
 
 def test_starts_shows_failed_runs_at_the_right_and_never_their_cost(pitch):
-    lost = [replace(run, converged=False, cost=0.0, status="Invalid_Number_Detected") for run in pitch.runs[:3]]
-    kept = [m for m in (replace(m, runs=tuple(k for k in m.runs if k >= 3)) for m in pitch.minima) if m.runs]
+    lost = [
+        replace(run, converged=False, cost=0.0, status="Invalid_Number_Detected")
+        for run in pitch.runs[:3]
+    ]
+    kept = [
+        m
+        for m in (replace(m, runs=tuple(k for k in m.runs if k >= 3)) for m in pitch.minima)
+        if m.runs
+    ]
     axes = gb.plotting.starts(replace(pitch, runs=(*lost, *pitch.runs[3:]), minima=tuple(kept)))
     crosses = points(axes)[-1]
     np.testing.assert_array_equal(crosses.get_xdata(), [6, 7, 8])
@@ -57,7 +66,11 @@ def test_more_minima_than_colors_share_one_gray(pitch):
     [
         ([2.0, 3.0, 59.0], "linear", (2 - 5.7, 59 + 11.4)),
         ([2.0, 3.0, 61.0], "log", None),
-        ([-5.0, -4.9], "linear", (-5.5, -3.9)),  # rounding is no range: a tenth of the cost below, and two above
+        (
+            [-5.0, -4.9],
+            "linear",
+            (-5.5, -3.9),
+        ),  # rounding is no range: a tenth of the cost below, and two above
         ([0.0, 50.0], "linear", (-5.0, 60.0)),
     ],
 )

@@ -11,7 +11,12 @@ from greybox.data.record import Record, Recording
 from greybox.models.tilt import Tilt
 from greybox.plotting.style import legend_below
 
-RECORD = Record(np.arange(0, 5, 0.01), {"u": np.arange(500.0), "theta": np.zeros(500)}, {"theta": "rad"}, name="made")
+RECORD = Record(
+    np.arange(0, 5, 0.01),
+    {"u": np.arange(500.0), "theta": np.zeros(500)},
+    {"theta": "rad"},
+    name="made",
+)
 
 
 @pytest.fixture
@@ -33,7 +38,11 @@ def page():
 def test_a_bode_diagram_goes_into_two_panels_of_a_users_figure(page, pitch):
     drawn = gb.plotting.bode(pitch, axes=page[:, 0])
     assert drawn.tolist() == [page[0, 0], page[1, 0]]
-    assert [text.get_text() for text in page[0, 0].get_legend().get_texts()] == ["pitch", "fit of Tilt", "95 % band"]
+    assert [text.get_text() for text in page[0, 0].get_legend().get_texts()] == [
+        "pitch",
+        "fit of Tilt",
+        "95 % band",
+    ]
     assert page[1, 0].get_legend() is None
     assert [ax.get_xscale() for ax in drawn] == ["log", "log"]
     assert [ax.get_xlabel() for ax in drawn] == ["ω, rad/s", "ω, rad/s"]
@@ -44,12 +53,17 @@ def test_a_coherence_needs_a_third_panel(page, sweep, pitch):
     assert len(gb.plotting.bode(sweep, axes=page[0])) == 2
     drawn = gb.plotting.bode(sweep, axes=[*page[0], page[1, 0]])
     np.testing.assert_array_equal(points(drawn[2])[0].get_ydata(), sweep.coherence)
-    with pytest.raises(ValueError, match=r"draws 2 panels \(magnitude, phase\), but `axes` has 3: give one for each"):
+    with pytest.raises(
+        ValueError,
+        match=r"draws 2 panels \(magnitude, phase\), but `axes` has 3: give one for each",
+    ):
         gb.plotting.bode(pitch, axes=[*page[0], page[1, 0]])
 
 
 def test_a_bode_diagram_drawn_over_another_shows_the_frequencies_of_both(page):
-    drawn = gb.plotting.bode(gb.frequency_response(Tilt(), TRUTH, [1.0, 2.0]), axes=page[0], legend=False)
+    drawn = gb.plotting.bode(
+        gb.frequency_response(Tilt(), TRUTH, [1.0, 2.0]), axes=page[0], legend=False
+    )
     gb.plotting.bode(gb.frequency_response(Tilt(), TRUTH, [5.0, 90.0]), axes=drawn)
     low, high = drawn[0].get_xlim()
     assert low < 1
@@ -62,7 +76,9 @@ def test_a_nyquist_diagram_takes_one_panel_for_all_or_one_for_each_pair(page, ro
     _, second = gb.plotting.nyquist(rotors, pitch, axes=page[:, 0], legend=False)
     assert second is page[1, 0]
     assert len(points(second)) == len(curves(second)) == 1
-    with pytest.raises(ValueError, match="`axes` has 3 axes for 2 input-output pairs: give one, or one for each"):
+    with pytest.raises(
+        ValueError, match="`axes` has 3 axes for 2 input-output pairs: give one, or one for each"
+    ):
         gb.plotting.nyquist(rotors, pitch, axes=page.ravel()[:3])
 
 
@@ -77,7 +93,9 @@ def test_a_log_goes_into_given_panels(page):
     assert [ax.get_xlabel() for ax in page[0]] == ["Time, s", "Time, s"]
     log = Recording({"table": RECORD}, "made.csv")
     assert gb.plotting.recording(log, axes=page[0], legend=False).tolist() == page[0].tolist()
-    with pytest.raises(ValueError, match=r"this log draws 2 panels \(table.u, table.theta\), but `axes` has 1"):
+    with pytest.raises(
+        ValueError, match=r"this log draws 2 panels \(table.u, table.theta\), but `axes` has 1"
+    ):
         gb.plotting.recording(log, axes=page[0, 0])
 
 

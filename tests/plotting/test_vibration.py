@@ -16,7 +16,9 @@ def log(rate=1000.0, size=6000):
     random = np.random.default_rng(0)
     time = np.arange(size) / rate
     noise = random.normal(size=(3, size))
-    lines = np.array([0 * time, 2 * np.sin(2 * np.pi * 80 * time), 3 * np.sin(2 * np.pi * 30 * time)])
+    lines = np.array(
+        [0 * time, 2 * np.sin(2 * np.pi * 80 * time), 3 * np.sin(2 * np.pi * 30 * time)]
+    )
     return gb.Record(time, dict(zip(UNITS, noise + lines, strict=True)), UNITS, name="IMU")
 
 
@@ -27,7 +29,9 @@ def test_a_panel_for_each_unit_with_the_density_of_its_signals_and_their_peaks()
     assert [line.get_label() for line in (plain, shaken)] == ["GyrX", "GyrY"]
     hz, density = plain.get_data()
     assert hz[0] > 0
-    assert np.median(density) == pytest.approx(np.sqrt(2 / 1000), rel=0.1)  # white of size one: 2 / rate per Hz
+    assert np.median(density) == pytest.approx(
+        np.sqrt(2 / 1000), rel=0.1
+    )  # white of size one: 2 / rate per Hz
     (peak,) = gyro.texts
     at = float(peak.get_text())
     assert at == pytest.approx(80, abs=1.5)
@@ -50,5 +54,8 @@ def test_panels_share_the_range_of_the_fastest_and_a_page_has_eight_at_most():
     assert len(many) == 8
     heights = [ax.figure.get_size_inches()[1] for ax in (two[0], many[0])]
     assert 1.5 < heights[1] / heights[0] < 2
-    with pytest.raises(ValueError, match="the recording has no gyro or accelerometer at 100 Hz or more: log raw bat"):
+    with pytest.raises(
+        ValueError,
+        match="the recording has no gyro or accelerometer at 100 Hz or more: log raw bat",
+    ):
         vibration(Recording({"IMU[0]": log(90.0)}))

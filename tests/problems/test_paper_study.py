@@ -13,7 +13,18 @@ def test_every_structure_is_fitted_by_every_criterion_with_both_delays_from_ever
     members = paper.members()
     assert len(members) == len({member.name for member in members}) == 22 * 3 * 2 * 2
     equations = {name.rpartition(" ")[2] for name in paper.problems()}
-    assert equations == {"(2.5)", "(2.6)", "(2.7)", "(2.8)", "(2.9)", "(2.10)", "(2.12)", "(4.21)", "(4.25)", "(4.34)"}
+    assert equations == {
+        "(2.5)",
+        "(2.6)",
+        "(2.7)",
+        "(2.8)",
+        "(2.9)",
+        "(2.10)",
+        "(2.12)",
+        "(4.21)",
+        "(4.25)",
+        "(4.34)",
+    }
 
 
 def test_the_minima_are_those_of_the_problems(tmp_path):
@@ -27,7 +38,10 @@ def test_the_minima_are_those_of_the_problems(tmp_path):
     }
     tables = ("roll", "pitch", "pitch 5 deg")
     wanted = [*known, *(f"{table} ({equation})" for table in tables for equation in ("2.5", "2.6"))]
-    members = {member.name.removesuffix(", relative-error, exact, seed 0"): member for member in paper.members()}
+    members = {
+        member.name.removesuffix(", relative-error, exact, seed 0"): member
+        for member in paper.members()
+    }
     few = [replace(members[name], starts=8) for name in wanted]
     study = gb.batch(few, tmp_path, progress=False)
     assert study.count("done") == len(wanted)

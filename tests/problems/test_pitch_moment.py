@@ -11,12 +11,25 @@ from greybox.problems import pitch_5deg, pitch_hover, pitch_moment
 
 
 def test_the_linearization_by_hand_is_that_of_the_nonlinear_model():
-    values = {"a1": -11.0, "a2": 3.0, "a3": 8.0, "a4": 290.0, "b_vv": -0.3, "b_vtheta": -2.0, "b_vq": 0.1}
+    values = {
+        "a1": -11.0,
+        "a2": 3.0,
+        "a3": 8.0,
+        "a4": 290.0,
+        "b_vv": -0.3,
+        "b_vtheta": -2.0,
+        "b_vq": 0.1,
+    }
     values |= {"b_thetatheta": 20.0, "b_thetaq": 1.0, "b_vtau": 5.0}
     omega = np.geomspace(1, 20, 6)
     for angle in (0.0, math.radians(5)):
         by_states = gb.frequency_response(
-            TiltMoment(), {**values, "C_x": 0.0075}, omega, input="u", output="theta", at={"theta": angle}
+            TiltMoment(),
+            {**values, "C_x": 0.0075},
+            omega,
+            input="u",
+            output="theta",
+            at={"theta": angle},
         )
         by_hand = gb.frequency_response(TiltMomentAt(angle, 0.0075), values, omega)
         np.testing.assert_allclose(by_hand.response, by_states.response, rtol=1e-9)

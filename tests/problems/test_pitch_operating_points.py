@@ -5,7 +5,13 @@ import pytest
 
 import greybox as gb
 from greybox.models.tilt import Tilt
-from greybox.problems import pitch_5deg, pitch_hover, pitch_hover_sines, pitch_operating_points, pitch_two_points
+from greybox.problems import (
+    pitch_5deg,
+    pitch_hover,
+    pitch_hover_sines,
+    pitch_operating_points,
+    pitch_two_points,
+)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,9 @@ from greybox.problems import (
     yaw_hover,
 )
 
-MODULES = {name: importlib.import_module(f"greybox.problems.{name}") for name in shipped("problems")}
+MODULES = {
+    name: importlib.import_module(f"greybox.problems.{name}") for name in shipped("problems")
+}
 PUBLISHED = {name: module for name, module in MODULES.items() if hasattr(module, "published")}
 RULES = (
     gb.solve.Sobol(20, seed=0),
@@ -32,7 +34,8 @@ RULES = (
     gb.solve.LatinHypercube(20, seed=2),
     gb.solve.Uniform(20, seed=3),
 )
-# Harmonic balance makes this one the slowest by far, and one rule of few starts shows the same as two of many.
+# Harmonic balance makes this one the slowest by far, and one rule of few starts shows the same as
+# two of many.
 SLOW = "pitch_hover_sines"
 FEW = gb.solve.Sobol(6, seed=0)
 CASES = [(name, RULES[0]) for name in MODULES]
@@ -116,7 +119,12 @@ def test_the_problems_of_the_paper_are_all_there():
 
 def test_the_tables_are_as_printed():
     assert [len(r) for r in rotors.data()] == [9, 9, 9, 9]
-    assert [len(m.data()) for m in (roll_hover, pitch_hover, pitch_5deg, yaw_hover)] == [10, 10, 10, 10]
+    assert [len(m.data()) for m in (roll_hover, pitch_hover, pitch_5deg, yaw_hover)] == [
+        10,
+        10,
+        10,
+        10,
+    ]
     assert roll_hover.data().response[0] == -0.397 + 0.344j
     assert pitch_5deg.data().response[-1] == -4.554 + 3.292j
     assert yaw_hover.data().omega[0] == 30.28
@@ -146,7 +154,9 @@ def test_the_sign_of_one_value_explains_most_of_the_rotors_cost():
 
 
 @pytest.mark.parametrize(
-    ("name", "rule"), CASES, ids=[f"{type(rule).__name__}-{rule.seed}-{name}" for name, rule in CASES]
+    ("name", "rule"),
+    CASES,
+    ids=[f"{type(rule).__name__}-{rule.seed}-{name}" for name, rule in CASES],
 )
 def test_few_starts_of_any_rule_reach_the_recorded_minimum(name, rule):
     fit = fitted(name, rule)
@@ -173,7 +183,9 @@ def test_joint_problems_share_what_the_paper_takes_in_turn():
     assert set(two.free) == {"a1", "a2", "a3", "a4", "a1_5deg", "a3_5deg"}
     # Sharing costs something, and freeing two fixed parameters gains something.
     assert pitch_two_points.minimum > pitch_hover.minimum + pitch_5deg.minimum
-    separately = gb.cost(rotors_and_pitch.problem(), rotors.published["values"] | pitch_hover.published["values"])
+    separately = gb.cost(
+        rotors_and_pitch.problem(), rotors.published["values"] | pitch_hover.published["values"]
+    )
     assert rotors_and_pitch.minimum < separately
 
 
@@ -189,7 +201,9 @@ def test_an_ode_reaches_the_minimum_of_its_transfer_function(name):
 @pytest.mark.parametrize("name", [*TILTS, "yaw_hover"])
 @pytest.mark.parametrize("states", [True, False], ids=["ODE", "transfer function"])
 def test_pade_of_second_order_costs_almost_the_same(name, states):
-    problem = as_states(name, delay="pade:2") if states else MODULES[name].problem().with_(delay="pade:2")
+    problem = (
+        as_states(name, delay="pade:2") if states else MODULES[name].problem().with_(delay="pade:2")
+    )
     fit = gb.fit(problem, RULES[0], progress=False)
     assert fit.cost == pytest.approx(MODULES[name].minimum, rel=1e-3)
 
@@ -213,7 +227,10 @@ def test_the_simulated_flight_gives_its_own_physics_back():
     """From the log to the fit: each parameter within 2.5 standard errors, gain 1 %, lag 2 ms, delay 1 ms."""
     module = MODULES["sitl_pitch"]
     fit = gb.fit(module.problem(), starts=20, progress=False)
-    truth, near = module.published["values"], {"K_phi": 0.91, "a": 1.0, "T_rotor": 0.002, "T_delay": 0.001}
+    truth, near = (
+        module.published["values"],
+        {"K_phi": 0.91, "a": 1.0, "T_rotor": 0.002, "T_delay": 0.001},
+    )
     for name, value in truth.items():
         assert abs(fit.estimate[name] - value) < min(2.5 * fit.standard_error[name], near[name])
 
@@ -224,7 +241,11 @@ def test_the_simulated_flight_gives_its_own_physics_back():
 def test_the_tables_are_what_the_code_gives():
     text = INCLUDED.read_text(encoding="utf-8")
     new = written(text, lambda name: fitted(name, RULES[0]))
-    assert NUMBER.sub("#", new) == NUMBER.sub("#", text), "run `python tests/support/readme_blocks.py`"
+    assert NUMBER.sub("#", new) == NUMBER.sub("#", text), (
+        "run `python tests/support/readme_blocks.py`"
+    )
     # The yaw problem's values lie in a flat valley: their last digits depend on the machine.
     shown, found = ([float(n) for n in NUMBER.findall(text)] for text in (text, new))
-    assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), "run `python tests/support/readme_blocks.py`"
+    assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), (
+        "run `python tests/support/readme_blocks.py`"
+    )

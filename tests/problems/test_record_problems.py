@@ -11,7 +11,19 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 from scipy.signal import lfilter
-from spring_lag_tilt import FINE, HELD, LAG, SPRING, Lag, Spring, assert_true, fit, lag, spring, steps
+from spring_lag_tilt import (
+    FINE,
+    HELD,
+    LAG,
+    SPRING,
+    Lag,
+    Spring,
+    assert_true,
+    fit,
+    lag,
+    spring,
+    steps,
+)
 
 import greybox as gb
 
@@ -32,7 +44,7 @@ def assert_same(a, b, names=NAMES, share=0.01):
     assert_allclose(errors(a, names), errors(b, names), rtol=share)
 
 
-# --- answers that must not depend on the way --------------------------------------------------------------------------
+# --- answers that must not depend on the way
 
 
 @pytest.mark.parametrize("segment", [1, 2, 7, 64, 500])
@@ -43,7 +55,10 @@ def test_the_answer_does_not_depend_on_the_segments(segment):
 
 
 def test_the_answer_does_not_depend_on_the_order_of_the_records():
-    parts = [gb.Problem(Spring(), spring(seed=k, n=100 + 40 * k, rate=20.0 + 5 * k), HELD) for k in range(3)]
+    parts = [
+        gb.Problem(Spring(), spring(seed=k, n=100 + 40 * k, rate=20.0 + 5 * k), HELD)
+        for k in range(3)
+    ]
     answers = [fit(sum(order)) for order in itertools.permutations(parts)]
     for other in answers[1:]:
         assert_same(answers[0], other)
@@ -52,17 +67,20 @@ def test_the_answer_does_not_depend_on_the_order_of_the_records():
 def test_a_compiled_step_gives_the_same(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     problem = gb.Problem(Spring(), spring(values=SPRING | {"d": 0.033}), HELD, free=("d",))
-    assert_same(fit(problem), fit(problem, method=gb.MultipleShooting(compile=True)), (*NAMES, "d"), 1e-3)
+    assert_same(
+        fit(problem), fit(problem, method=gb.MultipleShooting(compile=True)), (*NAMES, "d"), 1e-3
+    )
 
 
-# --- gaps, several records --------------------------------------------------------------------------------------------
+# --- gaps, several records
 
 
 def test_two_halves_with_a_gap_are_two_records():
     whole = spring(400, seed=4)
     first, second = whole.rows(np.arange(190)), whole.rows(np.arange(210, 400))
     gapped = gb.Record(
-        np.concatenate([first.time, second.time]), {n: np.concatenate([first[n], second[n]]) for n in whole.signals}
+        np.concatenate([first.time, second.time]),
+        {n: np.concatenate([first[n], second[n]]) for n in whole.signals},
     )
     noise = gb.OutputError(noise={"x": 0.05, "v": 0.15}, inputs="held")
     one = fit(gb.Problem(Spring(), gapped, noise))
@@ -70,13 +88,18 @@ def test_two_halves_with_a_gap_are_two_records():
     assert_allclose(estimates(one), estimates(two), rtol=1e-6)
     assert_allclose(one.cost, two.cost, rtol=1e-9)
     assert len(one.records[0].initial["x"]) == 2
-    assert_allclose(errors(one), errors(two), rtol=0.15)  # the color of the residuals is estimated apart
+    assert_allclose(
+        errors(one), errors(two), rtol=0.15
+    )  # the color of the residuals is estimated apart
     assert_true(one, SPRING)
 
 
 def test_several_records_weigh_as_their_information():
     """Standard errors of the sum: inverse variances add."""
-    parts = [gb.Problem(Spring(), spring(seed=k, n=500, rate=rate), HELD) for k, rate in enumerate((20.0, 25.0, 40.0))]
+    parts = [
+        gb.Problem(Spring(), spring(seed=k, n=500, rate=rate), HELD)
+        for k, rate in enumerate((20.0, 25.0, 40.0))
+    ]
     alone, together = [fit(p) for p in parts], fit(sum(parts))
     assert_true(together, SPRING)
     information = sum(np.linalg.inv(f.covariance_of(NAMES)) for f in alone)
@@ -97,8 +120,8 @@ def test_a_renamed_parameter_is_one_records_own():
 def test_degrees_of_freedom_are_those_of_independent_residuals_also_with_noise_given():
     """Errors follow the residuals, so given variances leave them as uncertain as estimated ones.
 
-    That the residuals are white is known from 400 of them alone: fewer degrees of freedom, though enough for intervals
-    that are at most 5 % wider.
+    That the residuals are white is known from 400 of them alone: fewer degrees of freedom, though
+    enough for intervals that are at most 5 % wider.
     """
     given = gb.OutputError(noise={"x": 0.05, "v": 0.15}, inputs="held")
     found, same = (fit(gb.Problem(Spring(), spring(200), criterion)) for criterion in (HELD, given))
@@ -109,11 +132,13 @@ def test_degrees_of_freedom_are_those_of_independent_residuals_also_with_noise_g
     assert colored.dof < 0.7 * same.dof
     response = measured(StaticLag(), np.geomspace(0.1, 10, 20), noise=0.02, seed=3)
     variances = replace(response, variance=2 * (0.02 * np.abs(response.response)) ** 2)
-    exact = gb.fit(gb.Problem(StaticLag(), variances, gb.MaximumLikelihood()), starts=1, progress=False)
+    exact = gb.fit(
+        gb.Problem(StaticLag(), variances, gb.MaximumLikelihood()), starts=1, progress=False
+    )
     assert exact.dof == np.inf
 
 
-# --- ties, constraints, bounds, fixed values --------------------------------------------------------------------------
+# --- ties, constraints, bounds, fixed values
 
 
 def test_a_tie_is_a_smaller_model():
@@ -163,15 +188,20 @@ def test_an_earlier_fit_widens_the_errors():
     assert_allclose(estimates(exact), estimates(known), rtol=1e-9)
     h = 0.01
     moved = [
-        estimates(fit(gb.Problem(Spring(), data, HELD, fixed={"k": first.estimate["k"] + s * h})), ("c", "b"))
+        estimates(
+            fit(gb.Problem(Spring(), data, HELD, fixed={"k": first.estimate["k"] + s * h})),
+            ("c", "b"),
+        )
         for s in (1, -1)
     ]
     slope = (moved[0] - moved[1]) / (2 * h)
     wanted = np.hypot(errors(exact, ("c", "b")), slope * first.standard_error["k"])
-    assert_allclose(errors(known, ("c", "b")), wanted, rtol=0.05)  # the color of the residuals is judged anew
+    assert_allclose(
+        errors(known, ("c", "b")), wanted, rtol=0.05
+    )  # the color of the residuals is judged anew
 
 
-# --- biases and initial states ----------------------------------------------------------------------------------------
+# --- biases and initial states
 
 
 def test_biases_of_outputs_and_inputs():
@@ -187,7 +217,9 @@ def test_biases_of_outputs_and_inputs():
 def test_initial_states_known_as_numbers_and_as_functions():
     data = spring(seed=5, initial={"x": 1.0, "v": -2.0}, force=np.zeros(80) + steps(80, 5) * 0.05)
     unknown = fit(gb.Problem(Spring(), data, HELD))
-    numbers = fit(gb.Problem(Spring(), data, gb.OutputError(inputs="held", initial={"x": 1.0, "v": -2.0})))
+    numbers = fit(
+        gb.Problem(Spring(), data, gb.OutputError(inputs="held", initial={"x": 1.0, "v": -2.0}))
+    )
     assert_true(unknown, SPRING)
     assert_true(numbers, SPRING)
     assert numbers.standard_error["k"] < unknown.standard_error["k"]
@@ -198,7 +230,9 @@ def test_initial_states_known_as_numbers_and_as_functions():
     rest = gb.OutputError(inputs="held", initial={"x": lambda p: 2 * p.b / p.k, "v": 0.0})
     found = fit(gb.Problem(Spring(), data, rest))
     assert_true(found, SPRING)
-    assert_allclose(found.records[0].initial["x"][0], 2 * found.estimate["b"] / found.estimate["k"], rtol=1e-9)
+    assert_allclose(
+        found.records[0].initial["x"][0], 2 * found.estimate["b"] / found.estimate["k"], rtol=1e-9
+    )
 
 
 def test_known_initial_states_are_those_of_the_record_not_those_after_a_gap():
@@ -214,11 +248,13 @@ def test_known_initial_states_are_those_of_the_record_not_those_after_a_gap():
 def test_a_long_record_with_a_known_initial_state():
     """Long ones are thinned first, into pieces that begin anywhere."""
     data = spring(24000, seed=1, initial={"x": 5.0})
-    found = fit(gb.Problem(Spring(), data, gb.OutputError(inputs="held", initial={"x": 5.0, "v": 0.0})))
+    found = fit(
+        gb.Problem(Spring(), data, gb.OutputError(inputs="held", initial={"x": 5.0, "v": 0.0}))
+    )
     assert_true(found, SPRING)
 
 
-# --- kinds of models --------------------------------------------------------------------------------------------------
+# --- kinds of models
 
 
 class Static(gb.StateSpace):
@@ -267,9 +303,12 @@ def test_a_model_without_inputs():
         y = 3 * np.exp(-2.5 * time) + 0.02 * np.random.default_rng(seed).normal(size=100)
         found = fit(gb.Problem(Named(), gb.Record(time, {"x": y})))
         values, covariance = curve_fit(lambda t, r, a: a * np.exp(-r * t), time, y, (1, 1))
-        assert_allclose([found.estimate["rate"], found.records[0].initial["x"][0]], values, rtol=1e-5)
+        assert_allclose(
+            [found.estimate["rate"], found.records[0].initial["x"][0]], values, rtol=1e-5
+        )
         ratios.append(found.standard_error["rate"] / np.sqrt(covariance[0, 0]))
-    # scipy is told that the errors are white; here that is estimated from 100 of them, record by record.
+    # scipy is told that the errors are white; here that is estimated from 100 of them, record by
+    # record.
     assert np.median(ratios) == pytest.approx(1.0, abs=0.1)
     assert max(ratios) < 1.4
     assert min(ratios) > 0.7
@@ -313,9 +352,16 @@ class Cart(gb.StateSpace):
 def test_saturation_and_friction():
     truth = {"F": 4.0, "mu": 0.8, "limit": 0.6}
     data = gb.virtual_flight(
-        Cart(), truth, excitation={"u": steps(1000, 2, hold=20)}, rate=50.0, noise={"x": 0.01, "v": 0.02}, seed=1
+        Cart(),
+        truth,
+        excitation={"u": steps(1000, 2, hold=20)},
+        rate=50.0,
+        noise={"x": 0.01, "v": 0.02},
+        seed=1,
     )
-    found = fit(gb.Problem(Cart(), data, HELD), [{}, {"F": 10.0, "limit": 0.3}, {"mu": 3.0, "limit": 0.9}])
+    found = fit(
+        gb.Problem(Cart(), data, HELD), [{}, {"F": 10.0, "limit": 0.3}, {"mu": 3.0, "limit": 0.9}]
+    )
     assert_true(found, truth)
     assert found.agreeing == 3
 
@@ -338,15 +384,26 @@ def test_a_stiff_model():
     u, truth = 1 + 0.5 * steps(120, 4, hold=10), (2.0, 1.5)
 
     def slope(t, x):
-        return (5000 * (truth[1] * u[min(int(t / 0.1 + 1e-9), 119)] - x[0] * (1 + x[1] ** 2)), truth[0] * (x[0] - x[1]))
+        return (
+            5000 * (truth[1] * u[min(int(t / 0.1 + 1e-9), 119)] - x[0] * (1 + x[1] ** 2)),
+            truth[0] * (x[0] - x[1]),
+        )
 
-    found = solve_ivp(slope, (0, 11.9), (0, 0), "Radau", np.arange(120) * 0.1, rtol=1e-8, atol=1e-10, max_step=0.1)
+    found = solve_ivp(
+        slope, (0, 11.9), (0, 0), "Radau", np.arange(120) * 0.1, rtol=1e-8, atol=1e-10, max_step=0.1
+    )
     noisy = found.y + 0.02 * np.random.default_rng(0).normal(size=found.y.shape)
     # A fast state has its own value right after a step of the input, before which it is sampled.
-    data = gb.Record(found.t, {"u": u, "fast": np.where(np.arange(120) % 10, noisy[0], np.nan), "slow": noisy[1]})
-    fitted = fit(gb.Problem(Reaction(), data, HELD), method=gb.MultipleShooting(integrator=gb.Rosenbrock(4)))
+    data = gb.Record(
+        found.t, {"u": u, "fast": np.where(np.arange(120) % 10, noisy[0], np.nan), "slow": noisy[1]}
+    )
+    fitted = fit(
+        gb.Problem(Reaction(), data, HELD), method=gb.MultipleShooting(integrator=gb.Rosenbrock(4))
+    )
     assert_true(fitted, {"k": 2.0, "K": 1.5})
-    chosen = fit(gb.Problem(Reaction(), data, HELD), method=gb.MultipleShooting(integrator=gb.Rosenbrock()))
+    chosen = fit(
+        gb.Problem(Reaction(), data, HELD), method=gb.MultipleShooting(integrator=gb.Rosenbrock())
+    )
     assert_true(chosen, {"k": 2.0, "K": 1.5})
 
 
@@ -407,7 +464,7 @@ def test_without_noise_the_truth_is_found():
     assert_allclose(estimates(found), [*SPRING.values()], rtol=1e-4)
 
 
-# --- together with frequency responses --------------------------------------------------------------------------------
+# --- together with frequency responses
 
 
 class StepLag(StaticLag):
@@ -417,7 +474,9 @@ class StepLag(StaticLag):
 def joint(weights=(1.0, 1.0), seed=0):
     truth = {"K": 2.0, "T": 0.4}
     u = steps(400, seed, hold=6)
-    data = gb.virtual_flight(StepLag(), truth, excitation={"u": u}, rate=20.0, noise={"y": 0.1}, seed=seed)
+    data = gb.virtual_flight(
+        StepLag(), truth, excitation={"u": u}, rate=20.0, noise={"y": 0.1}, seed=seed
+    )
     response = measured(StepLag(), np.geomspace(0.3, 20, 20), truth, noise=0.02, seed=seed)
     return [
         gb.Problem(StepLag(), data, HELD, weight=weights[0]),
@@ -440,11 +499,13 @@ def test_a_joint_fit_adds_information():
     alone = [fit(part) for part in (time, frequency)]
     together = fit(time + frequency)
     information = sum(np.linalg.inv(f.covariance_of(names)) for f in alone)
-    assert_allclose(errors(together, names), np.sqrt(np.diag(np.linalg.inv(information))), rtol=0.15)
+    assert_allclose(
+        errors(together, names), np.sqrt(np.diag(np.linalg.inv(information))), rtol=0.15
+    )
     assert_true(together, {"K": 2.0, "T": 0.4})
 
 
-# --- process noise ----------------------------------------------------------------------------------------------------
+# --- process noise
 
 
 def windy(n=2000, seed=0):
@@ -479,7 +540,9 @@ def test_prediction_error_where_the_wind_blows():
 def test_the_gain_is_that_of_the_kalman_filter():
     from scipy.linalg import expm, solve_discrete_are
 
-    found = fit(gb.Problem(Spring(), windy(6000, 1), gb.PredictionError(noise="full", inputs="held")))
+    found = fit(
+        gb.Problem(Spring(), windy(6000, 1), gb.PredictionError(noise="full", inputs="held"))
+    )
     A, step = np.array([[0, 1], [-9, -1.2]]), 0.05
     F = expm(A * step)
     # The force is held over a step: white with a variance of 1 / step.
@@ -501,7 +564,7 @@ def test_only_some_states_are_corrected():
     assert abs(color(found.records[0].residual("v"))) < 0.3
 
 
-# --- coverage ---------------------------------------------------------------------------------------------------------
+# --- coverage
 
 
 def noisy(seed, *, n=200, rho=0.0, bias=0.0, **options):
@@ -529,6 +592,10 @@ def test_intervals_cover(case):
         found = fit(gb.Problem(Spring(), noisy(seed, **options), rule), [SPRING])
         interval = found.interval()
         hits.append([interval[n][0] < value < interval[n][1] for n, value in truth.items()])
-        z.append([(found.estimate[n] - value) / found.standard_error[n] for n, value in truth.items()])
-    assert np.mean(hits) >= 0.9  # of 54 all may be inside; intervals that are too wide are seen in the size
+        z.append(
+            [(found.estimate[n] - value) / found.standard_error[n] for n, value in truth.items()]
+        )
+    assert (
+        np.mean(hits) >= 0.9
+    )  # of 54 all may be inside; intervals that are too wide are seen in the size
     assert 0.85 < np.sqrt(np.mean(np.square(z))) < 1.2  # 1 ± 0.1 by chance

@@ -17,7 +17,13 @@ from greybox.models.rigid_body import RigidBody
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
-from greybox.regression.equation_error import EquationErrorEstimate, UsedEquation, _longest_delays, _warnings, _why
+from greybox.regression.equation_error import (
+    EquationErrorEstimate,
+    UsedEquation,
+    _longest_delays,
+    _warnings,
+    _why,
+)
 from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve
 from greybox.regression.linear_in_parameters import regressions
 
@@ -67,7 +73,9 @@ def force(t):
 
 
 def solved(derivative, start, time):
-    return solve_ivp(derivative, (time[0], time[-1]), start, t_eval=time, rtol=1e-7, atol=1e-9, max_step=0.05).y
+    return solve_ivp(
+        derivative, (time[0], time[-1]), start, t_eval=time, rtol=1e-7, atol=1e-9, max_step=0.05
+    ).y
 
 
 @cache
@@ -98,7 +106,9 @@ def tilt(model, values, seconds=40.0, step=0.01):
 
     y = solved(derivative, [0, 0, 0, 0], time)
     u = np.array([control(t, column) for t, column in zip(time, y.T, strict=True)])
-    return gb.Record(time, {"u": u, "v": y[0], "q": y[1], "theta": y[2], "rotor": y[3]}, name="tilt")
+    return gb.Record(
+        time, {"u": u, "v": y[0], "q": y[1], "theta": y[2], "rotor": y[3]}, name="tilt"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +124,10 @@ def flown():
 def measured(record, names, noise=0.0, seed=0, exact=("u", "F")):
     """Some signals of a record, with white noise relative to their size."""
     random = np.random.default_rng(seed)
-    errors = {n: 0 if n in exact else noise * np.std(record[n]) * random.normal(size=len(record)) for n in names}
+    errors = {
+        n: 0 if n in exact else noise * np.std(record[n]) * random.normal(size=len(record))
+        for n in names
+    }
     return gb.Record(record.time, {n: record[n] + errors[n] for n in names}, name=record.name)
 
 
@@ -138,12 +151,18 @@ def test_a_virtual_flight_under_a_sampled_controller():
     time = np.arange(12 * 400) / 400
     noise = {"theta": 0.001, "q": 0.01, "v": 0.02}
     flight = {"controller": AttitudeController(), "excitation": {"reference": 0.15 * force(time)}}
-    record = gb.virtual_flight(LinearTilt(), {**TILT, "a5": 0.3, "T_delay": 0.0042}, noise=noise, **flight)
-    assert_near(gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0042}), TILT, 0.04)
+    record = gb.virtual_flight(
+        LinearTilt(), {**TILT, "a5": 0.3, "T_delay": 0.0042}, noise=noise, **flight
+    )
+    assert_near(
+        gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0042}), TILT, 0.04
+    )
     free = gb.regression.equation_error(LinearTilt(), record, free="T_delay")
     assert free.estimate["T_delay"] == pytest.approx(0.0042, abs=4 * free.standard_error["T_delay"])
     linear = gb.regression.equation_error(LinearTilt(), record, free="T_delay", inputs="linear")
-    assert linear.estimate["T_delay"] - free.estimate["T_delay"] == pytest.approx(0.5 * record.step, rel=0.1)
+    assert linear.estimate["T_delay"] - free.estimate["T_delay"] == pytest.approx(
+        0.5 * record.step, rel=0.1
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.031])
@@ -151,17 +170,25 @@ def test_a_held_control_on_slow_samples(delay):
     """Exact in the mean of the held input, delayed by a fraction of a step too; interpolation is 25 ms late."""
     time = np.arange(800) / 20
     flown = gb.virtual_flight(
-        Slider(), {**SLIDER, "mu": 0.0, "d": delay}, {"F": np.round(force(time), 1)}, rate=20.0, noise={"v": 0.0}
+        Slider(),
+        {**SLIDER, "mu": 0.0, "d": delay},
+        {"F": np.round(force(time), 1)},
+        rate=20.0,
+        noise={"v": 0.0},
     )
     found = gb.regression.equation_error(Slider(), flown, fixed={"mu": 0.0}, free="d")
     assert_near(found, {"k": 9.0, "c": 1.2, "b": 4.0}, 0.01)
     assert found.estimate["d"] == pytest.approx(delay, abs=0.001)
     assert found.inputs == {"F": "held until its next sample, as the record says"}
     assert not any("held" in text for text in found.warnings)
-    interpolated = gb.regression.equation_error(Slider(), flown, fixed={"mu": 0.0}, free="d", inputs="linear")
+    interpolated = gb.regression.equation_error(
+        Slider(), flown, fixed={"mu": 0.0}, free="d", inputs="linear"
+    )
     assert interpolated.estimate["d"] - found.estimate["d"] == pytest.approx(0.025, abs=0.004)
     (said,) = (text for text in interpolated.warnings if "held" in text)
-    assert said.startswith("the record says that F is held until its next sample, and equation_error takes it as")
+    assert said.startswith(
+        "the record says that F is held until its next sample, and equation_error takes it as"
+    )
     assert "what the record says moves d by -0.02" in said
 
 
@@ -176,7 +203,9 @@ def test_what_the_record_does_not_know_is_said_with_its_size():
 
 def test_a_log_of_every_fourth_control_acts_half_a_loop_later():
     fast = np.arange(40 * 200) / 200
-    flown = gb.virtual_flight(Slider(), {**SLIDER, "mu": 0.0, "d": 0.03}, {"F": force(fast)}, rate=200.0)
+    flown = gb.virtual_flight(
+        Slider(), {**SLIDER, "mu": 0.0, "d": 0.03}, {"F": force(fast)}, rate=200.0
+    )
     rows = np.arange(0, len(flown), 4)
     thinned = replace(flown.rows(rows), hold={**flown.hold, "F": 1 / 200})
     found = gb.regression.equation_error(Slider(), thinned, fixed={"mu": 0.0}, free="d")
@@ -191,13 +220,19 @@ def test_nonlinear_tilt():
 
 def test_a_rotor_that_is_not_measured_gives_its_time_constant(flown):
     record = measured(flown, ("u", "v", "theta"), 1e-3)
-    result = gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0}, free=["a5", "T_rotor"])
+    result = gb.regression.equation_error(
+        LinearTilt(), record, fixed={"T_delay": 0.0}, free=["a5", "T_rotor"]
+    )
     assert_near(result, {**TILT, "T_rotor": 0.048}, 0.01)
 
 
 @pytest.mark.parametrize(("noise", "rel"), [(0.0, 0.02), (1e-3, 0.02), (0.01, 0.06)])
 def test_coulomb_friction(sliding, noise, rel):
-    assert_near(gb.regression.equation_error(Slider(), measured(sliding, ("F", "x", "v"), noise)), SLIDER, rel)
+    assert_near(
+        gb.regression.equation_error(Slider(), measured(sliding, ("F", "x", "v"), noise)),
+        SLIDER,
+        rel,
+    )
 
 
 def test_a_free_delay():
@@ -214,7 +249,9 @@ def test_a_free_delay():
 def test_the_busy_part_of_a_long_record_gives_the_delay():
     record = measured(slider(delay=0.083), ("F", "x", "v"), 1e-3)
     time = np.arange(9000) * 0.01
-    signals = {n: np.concatenate([1e-4 * np.sin(time[:5000]), v]) for n, v in record.signals.items()}
+    signals = {
+        n: np.concatenate([1e-4 * np.sin(time[:5000]), v]) for n, v in record.signals.items()
+    }
     late = time + np.where(time >= 50, 1.0, 0.0)
     result = gb.regression.equation_error(Slider(), gb.Record(late, signals), free="d")
     assert result.estimate["d"] == pytest.approx(0.083, abs=0.003)
@@ -255,7 +292,9 @@ def test_a_static_model():
         "tau_phi": 3e-6 * (two + three - one - four) + 0.1 * random.normal(size=500),
         "tau_psi": 4e-7 * (one + two - three - four),
     }
-    result = gb.regression.equation_error(Torques(), gb.Record(np.arange(500) * 0.01, {**speeds, **torques}))
+    result = gb.regression.equation_error(
+        Torques(), gb.Record(np.arange(500) * 0.01, {**speeds, **torques})
+    )
     assert_near(result, {"K_tau": 3e-6, "K_psi": 4e-7}, 0.02)
     assert [e.left for e in result.equations] == ["tau_phi", "tau_psi"]
     assert "all" in str(result)
@@ -290,7 +329,9 @@ def test_intervals_cover_for_colored_residuals():
         errors.append([result.estimate["b"] - 2, result.standard_error["b"]])
     error, claimed = np.array(errors).T
     assert np.mean(np.abs(error) < 1.96 * claimed) >= 0.88
-    assert np.sqrt(np.mean((error / claimed) ** 2)) == pytest.approx(1, abs=0.22)  # 1 ± 0.11 by chance
+    assert np.sqrt(np.mean((error / claimed) ** 2)) == pytest.approx(
+        1, abs=0.22
+    )  # 1 ± 0.11 by chance
 
 
 def test_covariance_of_known_color():
@@ -305,7 +346,11 @@ def test_covariance_of_known_color():
         blocks = [Block(0, X @ [1.0, 2.0] + noise, np.zeros(n), X)]
         found = solve(blocks, np.ones(1), np.full(2, -np.inf), np.full(2, np.inf))
         drawn.append(found)
-        claimed.append(np.diag(covariance(blocks, np.ones(1), autocovariances(blocks, residuals(blocks, found)))))
+        claimed.append(
+            np.diag(
+                covariance(blocks, np.ones(1), autocovariances(blocks, residuals(blocks, found)))
+            )
+        )
     assert_allclose(np.sqrt(np.mean(claimed, axis=0)), np.std(drawn, axis=0), rtol=0.2)
 
 
@@ -323,8 +368,14 @@ def test_the_bias_by_noise_has_the_right_size_and_sign(flown):
 
 
 def test_high_noise_is_said(flown):
-    result = gb.regression.equation_error(LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3), free="T_delay")
-    (said,) = [text for text in result.warnings if "noise in the measured states biases the estimate" in text]
+    result = gb.regression.equation_error(
+        LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3), free="T_delay"
+    )
+    (said,) = [
+        text
+        for text in result.warnings
+        if "noise in the measured states biases the estimate" in text
+    ]
     assert {n for n in result.bias if f"{n} by about {result.bias[n]:.2g}" in said} == {
         n for n, shift in result.bias.items() if abs(shift) > result.standard_error[n]
     }
@@ -346,7 +397,9 @@ def test_nothing_crosses_gaps_and_missing_samples(sliding):
     signals["v"][1500:1600] = np.nan
     time = sliding.time + np.where(sliding.time >= 25, 12.3, 0.0)
     rows = (sliding.time < 22) | (sliding.time >= 25)
-    result = gb.regression.equation_error(Slider(), gb.Record(time, signals).rows(np.flatnonzero(rows)))
+    result = gb.regression.equation_error(
+        Slider(), gb.Record(time, signals).rows(np.flatnonzero(rows))
+    )
     assert_near(result, SLIDER, 0.03)
     assert result.equations[0].rows < 3600
 
@@ -357,7 +410,8 @@ def test_a_state_follows_from_a_derivative_where_no_free_parameter_is_in_the_way
     assert_near(result, TILT, 0.02)
     assert "theta from the derivative of v" in result.states
     with pytest.raises(
-        ValueError, match=r"no equation .* \(v' \(it needs theta, not known\); q' \(it needs theta, not"
+        ValueError,
+        match=r"no equation .* \(v' \(it needs theta, not known\); q' \(it needs theta, not",
     ):
         gb.regression.equation_error(LinearTilt(), record, free="a5")
 
@@ -380,10 +434,14 @@ def test_a_hidden_state_with_a_free_parameter_is_solved_for_it():
     values = YawStates().values({**truth, "T_delay": 0.0})
     f, time = dynamics(YawStates()).derivative, np.arange(2000) * 0.01
     y = solved(
-        lambda t, y: np.asarray(f(y, 0.1 * force(t) - 0.02 * y[1], list(values.values()))).ravel(), [0] * 4, time
+        lambda t, y: np.asarray(f(y, 0.1 * force(t) - 0.02 * y[1], list(values.values()))).ravel(),
+        [0] * 4,
+        time,
     )
     record = gb.Record(time, {"u": 0.1 * force(time) - 0.02 * y[1], "r": y[1]})
-    assert_near(gb.regression.equation_error(YawStates(), record, fixed={"T_delay": 0.0}), truth, 0.05)
+    assert_near(
+        gb.regression.equation_error(YawStates(), record, fixed={"T_delay": 0.0}), truth, 0.05
+    )
 
 
 def test_a_hidden_state_that_remembers_longer_than_its_start_says(flown):
@@ -392,7 +450,9 @@ def test_a_hidden_state_that_remembers_longer_than_its_start_says(flown):
 
     late = measured(flown, ("u", "v", "theta"), 1e-3).between(10.0, 25.0)
     slow = gb.regression.equation_error(Slow(), late, fixed={"T_delay": 0.0})
-    known = gb.regression.equation_error(LinearTilt(), late, fixed={"T_delay": 0.0}, free=["T_rotor"])
+    known = gb.regression.equation_error(
+        LinearTilt(), late, fixed={"T_delay": 0.0}, free=["T_rotor"]
+    )
     assert slow.estimate["T_rotor"] == pytest.approx(known.estimate["T_rotor"], rel=1e-3)
     assert abs(slow.equations[0].rows - known.equations[0].rows) <= 2
 
@@ -401,7 +461,9 @@ def test_an_unstable_hidden_state_is_not_solved(flown):
     class Drifting(LinearTilt):
         a5 = gb.Parameter(-0.1, bounds=(-1, 1), unit="1/s", about="negative drag", fixed=True)
 
-    with pytest.raises(ValueError, match=r"no equation of Drifting can be used \(q' \(it needs v, not known\)\)"):
+    with pytest.raises(
+        ValueError, match=r"no equation of Drifting can be used \(q' \(it needs v, not known\)\)"
+    ):
         gb.regression.equation_error(Drifting(), measured(flown, ("u", "theta", "q")))
 
 
@@ -456,7 +518,10 @@ def test_parameters_are_sorted_into_linear_and_nonlinear():
 
     assert sort(Slider(), ["F", "x", "v"]) == ({"k", "c", "mu", "b"}, {"d"})
     assert sort(LinearTilt(), ["u", "theta", "v"], T_delay=0.0) == ({*TILT, "a5"}, {"T_rotor"})
-    assert sort(YawStates(), ["u", "r"], T_delay=0, T_rotor=0.05, K_nu=1) == ({"a1", "a2", "a3"}, {"a4"})
+    assert sort(YawStates(), ["u", "r"], T_delay=0, T_rotor=0.05, K_nu=1) == (
+        {"a1", "a2", "a3"},
+        {"a4"},
+    )
     body = RigidBody()
     assert sort(body, [*body.states, *body.inputs]) == (set(), {"J_x", "J_y", "J_z"})
 
@@ -469,7 +534,9 @@ def test_the_estimate_is_a_start(flown):
         LinearTilt(), measured(flown, ("u", "v", "theta"), 0.01), fixed={"T_delay": 0.0}
     )
     truth = {**TILT, "a5": 0.16, "T_delay": 0.0}
-    data = gb.frequency_response(LinearTilt(), truth, np.geomspace(1, 20, 12), input="u", output="theta")
+    data = gb.frequency_response(
+        LinearTilt(), truth, np.geomspace(1, 20, 12), input="u", output="theta"
+    )
     fit = gb.fit(gb.Problem(LinearTilt(), data, fixed={"T_delay": 0.0}), starts=[result.estimate])
     assert fit.converged
     assert result.covariance_of(["a2", "a1"]).shape == (2, 2)
@@ -480,10 +547,18 @@ def test_the_estimate_is_a_start(flown):
 
 def test_it_prints_itself(flown):
     text = str(
-        gb.regression.equation_error(LinearTilt(), measured(flown, ("u", "v", "theta"), 0.01), fixed={"T_delay": 0.0})
+        gb.regression.equation_error(
+            LinearTilt(), measured(flown, ("u", "v", "theta"), 0.01), fixed={"T_delay": 0.0}
+        )
     )
     assert text.startswith("LinearTilt, tilt: equation error\n")
-    for part in ("a4", "1/(m·s)", "q' ", "state q from the derivative of theta", "state rotor simulated from u"):
+    for part in (
+        "a4",
+        "1/(m·s)",
+        "q' ",
+        "state q from the derivative of theta",
+        "state rotor simulated from u",
+    ):
         assert part in text
 
 
@@ -495,18 +570,34 @@ def test_it_prints_itself(flown):
     [
         ({"F": None}, {}, "the record has no signal 'F', an input of Slider; it has x, v"),
         ({"F": 0.3, "x": 0.1, "v": 0.0}, {}, "F and x and v of Slider are constant in the record"),
-        ({"F": -0.3, "x": -0.1, "v": 0.0}, {}, "F and x and v of Slider are constant in the record"),
-        ({"x": None, "v": None}, {}, r"no equation of Slider can be used \(v' \(the state v is not known\)\)"),
+        (
+            {"F": -0.3, "x": -0.1, "v": 0.0},
+            {},
+            "F and x and v of Slider are constant in the record",
+        ),
+        (
+            {"x": None, "v": None},
+            {},
+            r"no equation of Slider can be used \(v' \(the state v is not known\)\)",
+        ),
         ({"v": 0.0, "x": 0.0}, {"fixed": {"b": 4.0}}, "the record determines none of k, c, mu"),
         ({}, {"fixed": SLIDER}, "Slider has no free parameter here"),
         ({}, {"fixed": {"nu": 1}}, "Slider has no parameter 'nu'"),
         ({}, {"free": ["nu"]}, "Slider has no parameter 'nu'"),
         ({}, {"fixed": {"d": 0.1}, "free": "d"}, "'d' is both fixed and free"),
-        ({}, {"fixed": {"d": 7.0}}, r"fixed gives 'd' the value 7\.0: give a number within \(0, 0\.3\)"),
+        (
+            {},
+            {"fixed": {"d": 7.0}},
+            r"fixed gives 'd' the value 7\.0: give a number within \(0, 0\.3\)",
+        ),
         ({}, {"biases": "y"}, "Slider has no measured signal 'y'; it has x, v, F"),
         ({}, {"inputs": "cubic"}, "inputs 'cubic' is not known: use 'linear' or 'held'"),
         ({}, {"cutoff": 0}, "cutoff 0 must be a number of Hz above 0"),
-        ({}, {"cutoff": 0.01}, "no stretch without a gap is long enough: the longest piece of the record has 40 s"),
+        (
+            {},
+            {"cutoff": 0.01},
+            "no stretch without a gap is long enough: the longest piece of the record has 40 s",
+        ),
     ],
 )
 def test_bad_input(sliding, change, options, sentence):
@@ -532,7 +623,9 @@ def test_bad_records(sliding):
 
 
 def test_a_transfer_function_of_higher_order_is_refused(flown):
-    with pytest.raises(ValueError, match=r"Tilt needs derivatives of 'theta' .* declare it as a StateSpace"):
+    with pytest.raises(
+        ValueError, match=r"Tilt needs derivatives of 'theta' .* declare it as a StateSpace"
+    ):
         gb.regression.equation_error(Tilt(), flown)
 
 
@@ -552,7 +645,10 @@ class Short(gb.StateSpace):
     Md = gb.Parameter(-5.0, bounds=(-50, 50), unit="1/s²")
 
     def derivative(self, x, u, p):
-        return (x.q + (p.Z0 + p.Za * u.V * x.alpha) / u.V, p.Ma * x.alpha + p.Mq * x.q + p.Md * u.delta)
+        return (
+            x.q + (p.Z0 + p.Za * u.V * x.alpha) / u.V,
+            p.Ma * x.alpha + p.Mq * x.q + p.Md * u.delta,
+        )
 
     def output(self, x, u, p):
         return (x.alpha, x.q, p.Z0 + p.Za * u.V * x.alpha)
@@ -587,10 +683,14 @@ def test_constant_errors_of_sensors_are_estimated():
         scaled = []
         for seed in range(2):
             found = gb.regression.equation_error(Short(), short_period(seed, **known), biases=names)
-            scaled.append([(found.estimate[n] - v) / found.standard_error[n] for n, v in truth.items()])
+            scaled.append(
+                [(found.estimate[n] - v) / found.standard_error[n] for n, v in truth.items()]
+            )
         assert np.sqrt(np.mean(np.square(scaled))) < 1.5
         assert np.abs(scaled).max() < 5
-    given = gb.regression.equation_error(Short(), short_period(**known), biases=names, fixed={"delta_bias": 0.01})
+    given = gb.regression.equation_error(
+        Short(), short_period(**known), biases=names, fixed={"delta_bias": 0.01}
+    )
     assert given.fixed["delta_bias"] == 0.01
     assert_near(given, SHORT, 0.01)
 
@@ -617,17 +717,26 @@ def test_a_known_constant_input_is_no_fault():
 
 def test_a_free_motion_needs_no_input_that_moves():
     flown = gb.virtual_flight(
-        Short(), SHORT, {"delta": np.full(500, 0.02), "V": np.full(500, 60.0)}, rate=50.0, initial={"alpha": 0.1}
+        Short(),
+        SHORT,
+        {"delta": np.full(500, 0.02), "V": np.full(500, 60.0)},
+        rate=50.0,
+        initial={"alpha": 0.1},
     )
     found = gb.regression.equation_error(Short(), flown)
     assert_near(found, {name: SHORT[name] for name in ("Za", "Ma", "Mq")}, 0.02)
     (said,) = found.warnings
-    assert said == "the effect of Md is constant, since delta is: a constant error of a sensor looks the same."
+    assert (
+        said
+        == "the effect of Md is constant, since delta is: a constant error of a sensor looks the same."
+    )
 
 
 def test_a_cutoff_in_hertz_is_the_band_of_every_equation():
     result = gb.regression.equation_error(Short(), short_period(), cutoff=0.5)
-    assert [equation.band for equation in result.equations] == pytest.approx([0.5] * len(result.equations))
+    assert [equation.band for equation in result.equations] == pytest.approx(
+        [0.5] * len(result.equations)
+    )
 
 
 class StaticSum(gb.StateSpace):
@@ -646,7 +755,9 @@ def test_gains_that_only_their_sum_tells_count_as_one():
     """With 14 rows, of which the two that are determined leave 12: the error of the offset is that of one gain held."""
     random = np.random.default_rng(0)
     u = random.normal(size=14)
-    record = gb.Record(np.arange(14) * 0.1, {"u": u, "y": 2 * u + 0.3 + 0.1 * random.normal(size=14)})
+    record = gb.Record(
+        np.arange(14) * 0.1, {"u": u, "y": 2 * u + 0.3 + 0.1 * random.normal(size=14)}
+    )
     found = gb.regression.equation_error(StaticSum(), record)
     held = gb.regression.equation_error(StaticSum(), record, fixed={"b": 0.5})
     assert set(found.missing) == {"a", "b"}
@@ -661,10 +772,14 @@ def judged(**more):
 
 
 @pytest.mark.parametrize(
-    ("r_squared", "said"), [(0.49, "only 49 % of the variance of y"), (0.51, ""), (-0.2, "only 0 %")]
+    ("r_squared", "said"),
+    [(0.49, "only 49 % of the variance of y"), (0.51, ""), (-0.2, "only 0 %")],
 )
 def test_an_equation_that_explains_less_than_half_is_told(r_squared, said):
-    used = [UsedEquation("y", ("a",), r_squared, 40, 1.0, 0.1), UsedEquation("z", ("a",), 0.1, 0, 1.0, 0.1)]
+    used = [
+        UsedEquation("y", ("a",), r_squared, 40, 1.0, 0.1),
+        UsedEquation("z", ("a",), 0.1, 0, 1.0, 0.1),
+    ]
     texts = _warnings(used, judged(), {"a": 0.0, "b": 0.0}, {"a": 1.0, "b": 1.0})
     assert len(texts) == bool(said)
     assert all(said in text for text in texts)
@@ -678,7 +793,9 @@ def test_a_bias_of_half_a_standard_error_is_told(bias, named):
     assert all(named in text for text in texts)
 
 
-@pytest.mark.parametrize(("dof", "said"), [(9.4, "only 9 degrees of freedom"), (10.0, ""), (-3.0, "only 0 degrees")])
+@pytest.mark.parametrize(
+    ("dof", "said"), [(9.4, "only 9 degrees of freedom"), (10.0, ""), (-3.0, "only 0 degrees")]
+)
 def test_few_degrees_of_freedom_are_told(dof, said):
     texts = _warnings([], judged(dof=dof), {"a": 0.0, "b": 0.0}, {"a": 1.0, "b": 1.0})
     assert len(texts) == bool(said)
@@ -814,7 +931,9 @@ def test_signals_that_vary_by_rounding_are_constant(ripple, rests):
     wave = np.where(np.arange(14) == 5, 0.0, 1.0)
     record = sampled(u=-40 * (1 - ripple * wave), y=np.full(14, 3.0))
     if rests:
-        with pytest.raises(ValueError, match="u and y of StaticSum are constant in the record, which carries no"):
+        with pytest.raises(
+            ValueError, match="u and y of StaticSum are constant in the record, which carries no"
+        ):
             gb.regression.equation_error(StaticSum(), record)
     else:
         found = gb.regression.equation_error(StaticSum(), record, fixed={"b": 0.0, "c": 0.0})

@@ -29,7 +29,9 @@ def blocks(noise=0.0, sizes=(40, 25, 60), seed=0):
     for equation, n in zip((0, 0, 1), sizes, strict=True):
         slopes = random.normal(size=(n, 3)) * [1.0, 0.01, 1e3]
         base = random.normal(size=n)
-        result.append(Block(equation, base + slopes @ TRUTH + noise * random.normal(size=n), base, slopes))
+        result.append(
+            Block(equation, base + slopes @ TRUTH + noise * random.normal(size=n), base, slopes)
+        )
     return result
 
 
@@ -41,7 +43,9 @@ def stacked(parts, weights):
 def test_the_solution_is_that_of_the_stacked_equations():
     parts, weights = blocks(noise=0.5), np.array([1.0, 7.0])
     X, y = stacked(parts, weights)
-    assert_allclose(solve(parts, weights, -WIDE, WIDE), np.linalg.lstsq(X, y, rcond=None)[0], rtol=1e-10)
+    assert_allclose(
+        solve(parts, weights, -WIDE, WIDE), np.linalg.lstsq(X, y, rcond=None)[0], rtol=1e-10
+    )
     assert_allclose(solve(blocks(), weights, -WIDE, WIDE), TRUTH, rtol=1e-12)
 
 
@@ -69,18 +73,33 @@ def test_bounds_hold_and_the_rest_is_the_best_within_them():
 
 def test_a_column_of_zeros_has_the_unknown_zero():
     parts, weights = blocks(noise=0.5), np.array([1.0, 7.0])
-    wider = [Block(b.equation, b.target, b.base, np.insert(b.slopes, 1, 0.0, axis=1)) for b in parts]
+    wider = [
+        Block(b.equation, b.target, b.base, np.insert(b.slopes, 1, 0.0, axis=1)) for b in parts
+    ]
     wanted = np.insert(solve(parts, weights, -WIDE, WIDE), 1, 0.0)
-    assert_allclose(solve(wider, weights, np.full(4, -np.inf), np.full(4, np.inf)), wanted, rtol=1e-10, atol=1e-9)
+    assert_allclose(
+        solve(wider, weights, np.full(4, -np.inf), np.full(4, np.inf)),
+        wanted,
+        rtol=1e-10,
+        atol=1e-9,
+    )
     none = [Block(b.equation, b.target, b.base, b.slopes[:, :0]) for b in parts]
     assert solve(none, weights, np.zeros(0), np.zeros(0)).shape == (0,)
 
 
 def test_what_has_no_effect_is_named_alone_and_in_combination():
-    parts = [Block(b.equation, b.target, b.base, np.column_stack([b.slopes, 0 * b.base])) for b in blocks()]
+    parts = [
+        Block(b.equation, b.target, b.base, np.column_stack([b.slopes, 0 * b.base]))
+        for b in blocks()
+    ]
     assert undetermined(parts) == [(3,)]
     doubled = [
-        Block(b.equation, b.target, b.base, np.column_stack([b.slopes, 3e-5 * b.slopes[:, 2] - b.slopes[:, 0]]))
+        Block(
+            b.equation,
+            b.target,
+            b.base,
+            np.column_stack([b.slopes, 3e-5 * b.slopes[:, 2] - b.slopes[:, 0]]),
+        )
         for b in blocks()
     ]
     assert undetermined(doubled) == [(0, 2, 3)]
@@ -91,7 +110,9 @@ def test_spread_is_the_rms_of_an_equation():
     parts = blocks(noise=0.5)
     errors = residuals(parts, TRUTH)
     first, second = np.concatenate(errors[:2]), errors[2]
-    assert_allclose(spread(parts, errors), [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))])
+    assert_allclose(
+        spread(parts, errors), [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))]
+    )
     exact = spread(parts, [0 * e for e in errors])
     assert np.all((exact > 0) & (exact < 1e-10))
     empty = [Block(0, np.zeros(5), np.zeros(5), np.ones((5, 1)))]
@@ -141,11 +162,21 @@ def test_the_autocovariance_of_colored_residuals_is_theirs():
 
 def test_the_autocovariance_is_that_of_the_samples_under_the_window_of_parzen():
     """Of two stretches, one of which is shorter than the lags."""
-    errors = [lfilter([1.0], [1, -0.8], np.random.default_rng(k).normal(size=n)) for k, n in enumerate((60, 3, 40))]
+    errors = [
+        lfilter([1.0], [1, -0.8], np.random.default_rng(k).normal(size=n))
+        for k, n in enumerate((60, 3, 40))
+    ]
     parts = [Block(k, e, 0 * e, e[:, None]) for k, e in zip((0, 0, 1), errors, strict=True)]
-    for found, members in zip(autocovariances(parts, errors), (errors[:2], errors[2:]), strict=True):
+    for found, members in zip(
+        autocovariances(parts, errors), (errors[:2], errors[2:]), strict=True
+    ):
         total, lags = sum(e.size for e in members), len(found.lags)
-        raw = np.array([sum(e[k:] @ e[: e.size - k] for e in members if e.size > k) / total for k in range(total // 5)])
+        raw = np.array(
+            [
+                sum(e[k:] @ e[: e.size - k] for e in members if e.size > k) / total
+                for k in range(total // 5)
+            ]
+        )
         at = np.arange(lags) / lags
         window = np.where(at <= 0.5, 1 - 6 * at**2 * (1 - at), 2 * (1 - at) ** 3)
         assert_allclose(found.lags, raw[:lags] * window, rtol=1e-9)

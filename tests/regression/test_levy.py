@@ -5,7 +5,17 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from numpy.testing import assert_allclose
-from rational_functions import PITCH, ROLL, ROOTS, YAW, expand, numbers, polynomial, simulated, table
+from rational_functions import (
+    PITCH,
+    ROLL,
+    ROOTS,
+    YAW,
+    expand,
+    numbers,
+    polynomial,
+    simulated,
+    table,
+)
 
 import greybox as gb
 from greybox.formulation.frequency_criteria import evaluate
@@ -51,7 +61,8 @@ def test_yaw_of_the_paper_follows_from_a_table_that_rounds_to_the_printed_one():
 
 
 @pytest.mark.parametrize(
-    ("name", "published", "cost"), [("roll", ROLL, 0.6288), ("pitch", PITCH, 0.6771), ("yaw", YAW, 1.9701)]
+    ("name", "published", "cost"),
+    [("roll", ROLL, 0.6288), ("pitch", PITCH, 0.6771), ("yaw", YAW, 1.9701)],
 )
 def test_costs_of_the_published_functions(name, published, cost):
     data = table(name)
@@ -90,7 +101,9 @@ def test_same_as_the_equations_written_out(name, n, m):
     assert_allclose(fit.denominator, denominator, rtol=1e-7)
 
 
-@given(st.permutations(ROOTS), st.integers(1, 3), st.integers(0, 3), st.floats(0.1, 10), st.booleans())
+@given(
+    st.permutations(ROOTS), st.integers(1, 3), st.integers(0, 3), st.floats(0.1, 10), st.booleans()
+)
 def test_exact_data_give_back_the_function(roots, below, above, gain, integrator):
     denominator = polynomial(roots[:below])
     numerator = gain * polynomial(roots[below : below + above])
@@ -120,13 +133,17 @@ def test_equivariance():
 def test_weights():
     data = table("roll")
     fit = levy(data, 4, 1)
-    assert_allclose(levy(data, 4, 1, weight=np.full(10, 7.0)).denominator, fit.denominator, rtol=1e-9)
+    assert_allclose(
+        levy(data, 4, 1, weight=np.full(10, 7.0)).denominator, fit.denominator, rtol=1e-9
+    )
     # a weight of two counts as four equal points: normal equations of the written-out system
     weight = np.geomspace(1, 2, 10)
     s, P = 1j * data.omega, data.response
     A = np.column_stack([s, s**0, -P * s**3, -P * s**2, -P * s, -P]) * weight[:, None]
     y = weight * P * s**4
-    x = np.linalg.lstsq(np.vstack([A.real, A.imag]), np.concatenate([y.real, y.imag]), rcond=None)[0]
+    x = np.linalg.lstsq(np.vstack([A.real, A.imag]), np.concatenate([y.real, y.imag]), rcond=None)[
+        0
+    ]
     weighted = levy(data, 4, 1, weight=weight)
     assert_allclose(np.concatenate([weighted.numerator, weighted.denominator[1:]]), x, rtol=1e-7)
 
@@ -189,7 +206,10 @@ def test_orders_one_too_high_leave_a_pair_open():
 
 def test_a_fit_prints_itself():
     lines = str(levy(table("yaw"), 4, 1, integrator=True)).splitlines()
-    assert lines[0] == "linear least squares (3.17), n = 4, m = 1, with integrator, 10 frequencies, not reweighted"
+    assert (
+        lines[0]
+        == "linear least squares (3.17), n = 4, m = 1, with integrator, 10 frequencies, not reweighted"
+    )
     assert lines[1] == "P(s) = 1138 (s + 11.7) / [s (0.8145 s + 1) (s² + 25.66 s + 996.6)]"
     assert [line.split()[:2] for line in lines[4:8]] == [
         ["zero", "-11.7"],
@@ -221,10 +241,22 @@ def test_fits_are_frozen():
         ({"n": 4.0, "m": 1}, r"n is 4\.0: give a whole number of at least 1\."),
         ({"n": True, "m": 0}, r"n is True: give a whole number"),
         ({"n": 4, "m": -1}, r"m is -1: give a whole number of at least 0\."),
-        ({"n": 10, "m": 9}, r"10 frequencies give 20 equations for the 20 unknowns of n = 10, m = 9: .* lower n and m"),
-        ({"n": 11, "m": 9, "integrator": True}, r"20 equations for the 20 unknowns of n = 11, m = 9"),
-        ({"n": 4, "m": 1, "iterations": -1}, r"iterations is -1: give a whole number of at least 0\."),
-        ({"n": 4, "m": 1, "weight": [1.0]}, r"weight has shape \(1,\) for 10 frequencies: give one number for each\."),
+        (
+            {"n": 10, "m": 9},
+            r"10 frequencies give 20 equations for the 20 unknowns of n = 10, m = 9: .* lower n and m",
+        ),
+        (
+            {"n": 11, "m": 9, "integrator": True},
+            r"20 equations for the 20 unknowns of n = 11, m = 9",
+        ),
+        (
+            {"n": 4, "m": 1, "iterations": -1},
+            r"iterations is -1: give a whole number of at least 0\.",
+        ),
+        (
+            {"n": 4, "m": 1, "weight": [1.0]},
+            r"weight has shape \(1,\) for 10 frequencies: give one number for each\.",
+        ),
         (
             {"n": 4, "m": 1, "weight": [0] + [1] * 9},
             r"weight is 0 at omega = 20\.11 rad/s: it must be above 0, or omit the point",

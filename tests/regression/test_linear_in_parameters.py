@@ -55,7 +55,10 @@ def test_parameters_of_a_simulated_state_are_not_linear():
 
 def test_a_measured_state_makes_its_own_equation():
     found = of(Motor(), ["u", "degrees", "current"])
-    assert {e.left: e.parameters for e in found.equations} == {"rate'": ("k", "c"), "current'": ("R", "L")}
+    assert {e.left: e.parameters for e in found.equations} == {
+        "rate'": ("k", "c"),
+        "current'": ("R", "L"),
+    }
     # Of R / L and 1 / L, R enters linearly for a given L.
     assert found.linear == ("k", "c", "R")
     assert found.nonlinear == ("L",)
@@ -93,7 +96,10 @@ def test_a_fixed_parameter_is_a_number_and_a_free_delay_is_not_linear():
 def test_an_unstable_state_is_not_simulated():
     found = of(Motor(), ["u", "degrees"], start=[2.0, 0.5, -3.0, 0.5])
     assert found.equations == ()
-    assert found.left_out == ("rate' (it needs current, not known)", "current' (the state current is not known)")
+    assert found.left_out == (
+        "rate' (it needs current, not known)",
+        "current' (the state current is not known)",
+    )
 
 
 @pytest.mark.parametrize("fixed", [{"T": 0.0}, {"T": 0.0, "current_bias": 0.4}])
@@ -119,7 +125,9 @@ def test_biases_are_taken_off_wherever_what_is_measured_stands(fixed):
     assert ("current_bias" in found.free) == ("current_bias" not in fixed)
 
     true = np.array([0.3, 1.2, 0.8])
-    measured = true + np.array([-np.radians(3.0), 0.0, 0.4])  # the angle as it follows from the degrees
+    measured = true + np.array(
+        [-np.radians(3.0), 0.0, 0.4]
+    )  # the angle as it follows from the degrees
     base, slopes = (np.asarray(v) for v in found.rows(measured, [4.0 - 0.7], start))
     rows = base.ravel() + slopes @ [values[name] for name in found.linear]
     p = [values[name] for name in model.parameters]
@@ -247,4 +255,8 @@ def test_of_parameters_that_multiply_one_another_the_fewest_are_left_out():
 
 def test_an_equation_is_of_the_signals_behind_its_row_and_of_that_whose_slope_it_is():
     found = of(Products(), ["u", "v", "w", "y"], fixed={})
-    assert [(e.left, e.signals) for e in found.equations] == [("v'", ("v", "w")), ("w'", ("w",)), ("y", ("w",))]
+    assert [(e.left, e.signals) for e in found.equations] == [
+        ("v'", ("v", "w")),
+        ("w'", ("w",)),
+        ("y", ("w",)),
+    ]

@@ -19,7 +19,9 @@ def test_path_from_too_high_ends_at_the_true_orders(roots, above, excess, integr
     assume(m < n)
     path = order_path(simulated(numerator, denominator), n + excess, m + excess, integrator)
     assert path.orders == tuple((n + k, m + k) for k in range(excess, -1, -1))
-    assert_allclose(path.fit.denominator, denominator, rtol=1e-6, atol=1e-7 * np.abs(denominator).max())
+    assert_allclose(
+        path.fit.denominator, denominator, rtol=1e-6, atol=1e-7 * np.abs(denominator).max()
+    )
     assert path.reasons[0] == "rank deficient"
 
 
@@ -27,7 +29,10 @@ def test_path_drops_a_stable_pair_and_keeps_an_unstable_one():
     stable = simulated([1, 4.04], polynomial([-4, -1.5 + 2j]))
     path = order_path(stable, 3, 1)
     assert path.orders == ((3, 1), (2, 0))
-    assert path.reasons == ("stable zero -4.04 and pole -4, 0.99 % apart", "no stable pair within 10 %")
+    assert path.reasons == (
+        "stable zero -4.04 and pole -4, 0.99 % apart",
+        "no stable pair within 10 %",
+    )
     assert order_path(stable, 3, 1, tolerance=0.005).orders == ((3, 1),)
     unstable = simulated([1, -4.04], polynomial([4, -1.5 + 2j]))
     assert order_path(unstable, 3, 1).orders == ((3, 1),)
@@ -74,5 +79,7 @@ def test_a_path_prints_itself():
 
 @pytest.mark.parametrize("tolerance", [0, -1.0, 1.5, float("nan")])
 def test_bad_tolerance(tolerance):
-    with pytest.raises(ValueError, match="it is a relative distance, give a number above 0 and at most 1"):
+    with pytest.raises(
+        ValueError, match="it is a relative distance, give a number above 0 and at most 1"
+    ):
         order_path(table("roll"), 7, 4, tolerance=tolerance)

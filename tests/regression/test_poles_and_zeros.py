@@ -18,10 +18,15 @@ def test_an_exact_pair_is_reported():
 
 def test_pairs_are_matched_once_closest_first():
     pairs = near_pairs([-1.0, -1.04, 2 + 3j, 2 - 3j], [-1.05, -8.0, 2.1 + 3j, 2.1 - 3j])
-    assert [(p.zero, p.pole, p.stable) for p in pairs] == [(-1.04, -1.05, True), (2 + 3j, 2.1 + 3j, False)]
+    assert [(p.zero, p.pole, p.stable) for p in pairs] == [
+        (-1.04, -1.05, True),
+        (2 + 3j, 2.1 + 3j, False),
+    ]
     assert_allclose([p.distance for p in pairs], [0.01 / 1.05, 0.1 / abs(2.1 + 3j)])
     assert near_pairs([-1.0], [-1.05], tolerance=0.01) == ()
-    assert near_pairs([-1e-3], [0.0]) == ()  # an integrator is cancelled by a zero at the origin only
+    assert (
+        near_pairs([-1e-3], [0.0]) == ()
+    )  # an integrator is cancelled by a zero at the origin only
     assert near_pairs([0.01], [-0.01]) == ()
 
 
@@ -39,14 +44,20 @@ def test_factored_form_is_the_same_function():
     fit = levy(table("roll"), 4, 1)
     numerator, denominator = expand(fit.factored)
     s = 1j * OMEGA
-    assert_allclose(np.polyval(numerator, s) / np.polyval(denominator, s), fit.response(OMEGA).response, rtol=1e-9)
+    assert_allclose(
+        np.polyval(numerator, s) / np.polyval(denominator, s),
+        fit.response(OMEGA).response,
+        rtol=1e-9,
+    )
 
 
 def test_a_pair_counts_below_the_tolerance_and_is_stable_off_the_axis():
     assert near_pairs([-0.75], [-1.0], tolerance=0.25) == ()  # a quarter apart
     (pair,) = near_pairs([-1.0], [-0.75], tolerance=0.2501)
     assert (pair.distance, pair.stable) == (0.25, True)
-    assert [NearPair(z, p, 0.0).stable for z, p in ((-1, 0), (0, -1), (-1, 2), (2, -1))] == [False] * 4
+    assert [NearPair(z, p, 0.0).stable for z, p in ((-1, 0), (0, -1), (-1, 2), (2, -1))] == [
+        False
+    ] * 4
     assert str(NearPair(-1 + 2j, 0.5, 0.123)) == "unstable zero -1 ± 2j and pole 0.5, 12 % apart"
 
 
@@ -70,4 +81,7 @@ def test_every_kind_of_factor_is_written():
     assert_allclose(found.zero_quadratics, [(-2, 5)])
     assert_allclose(found.quadratics, [(0, 10)], atol=1e-12)
     stated = replace(found, zeros=(0.0, 0.5), quadratics=((0.0, 10.0),), gain=1.5)
-    assert str(stated) == "1.5 s (s + 0.5) (s² - 2 s + 5) / [s s (0.25 s + 1) (2 s + 1) (s - 3) (s² + 10)]"
+    assert (
+        str(stated)
+        == "1.5 s (s + 0.5) (s² - 2 s + 5) / [s s (0.25 s + 1) (2 s + 1) (s - 3) (s² + 10)]"
+    )

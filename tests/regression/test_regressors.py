@@ -15,7 +15,15 @@ import greybox as gb
 from greybox.data.intersample import Intersample
 from greybox.modeling.realization import dynamics
 from greybox.regression.linear_in_parameters import regressions
-from greybox.regression.regressors import FEWEST, REMEMBERED, _derivative, _linear_response, acting, memory, regressors
+from greybox.regression.regressors import (
+    FEWEST,
+    REMEMBERED,
+    _derivative,
+    _linear_response,
+    acting,
+    memory,
+    regressors,
+)
 from greybox.regression.smoothing import reach
 
 
@@ -61,7 +69,9 @@ def test_an_unstable_lag_has_no_blocks():
 
 def test_memory_is_that_of_the_slowest_mode():
     matrix = np.array([[-2.0, 1.0], [0.0, -0.5]])
-    equations = SimpleNamespace(simulated_names=("p", "q"), simulated=lambda x, u, p: (np.zeros((2, 1)), matrix))
+    equations = SimpleNamespace(
+        simulated_names=("p", "q"), simulated=lambda x, u, p: (np.zeros((2, 1)), matrix)
+    )
     assert memory(equations, (("p", "q"), ()), np.zeros(0)) == pytest.approx(math.log(100) / 0.5)
     assert memory(SimpleNamespace(simulated_names=()), ((), ()), np.zeros(0)) == 0.0
 
@@ -99,7 +109,10 @@ def test_stretches_that_are_too_short_give_no_block():
     both = made(record.with_signals(v=v)).blocks(TRUTH)
     assert len(both) == 2
     assert min(block.target.size for block in both) >= FEWEST
-    assert made(record.with_signals(v=v), latest=12.0).blocks(TRUTH)[0].target.size < both[1].target.size
+    assert (
+        made(record.with_signals(v=v), latest=12.0).blocks(TRUTH)[0].target.size
+        < both[1].target.size
+    )
 
 
 def test_a_band_limits_all_terms():
@@ -118,14 +131,20 @@ def test_what_is_held_acts_as_the_smooth_slope_of_what_integrates_it():
     for rows in (slice(0, 90), slice(90, 120), slice(123, 160)):
         x = step * np.concatenate([[0.0], np.cumsum(u[rows][:-1])])
         inside = slice(8, -8)
-        assert_allclose(acts[rows][inside], CubicSpline(time[rows], x)(time[rows], 1)[inside], atol=3e-3)
+        assert_allclose(
+            acts[rows][inside], CubicSpline(time[rows], x)(time[rows], 1)[inside], atol=3e-3
+        )
         first = CubicSpline(time[rows], u[rows])  # before the first sample nothing is known
-        assert acts[rows][0] == pytest.approx(first(time[rows][0]) - step**2 / 24 * first(time[rows][0], 2))
+        assert acts[rows][0] == pytest.approx(
+            first(time[rows][0]) - step**2 / 24 * first(time[rows][0], 2)
+        )
     assert np.flatnonzero(np.isnan(acts)).tolist() == [120, 121, 122]
     assert acting(time, values, False) is values
     alone = np.array([np.nan, 4.0, np.nan, 1.0, 3.0, np.nan])
     # Of two samples the line through them, half a step late; of one there is none.
-    assert_allclose(acting(step * np.arange(6), alone, True), [np.nan, np.nan, np.nan, 1.0, 2.0, np.nan])
+    assert_allclose(
+        acting(step * np.arange(6), alone, True), [np.nan, np.nan, np.nan, 1.0, 2.0, np.nan]
+    )
 
 
 class Autonomous(gb.StateSpace):
@@ -165,7 +184,15 @@ POINT = np.array([-1.5, 2.0, 0.4, 0.07, 0.02])
 def two_inputs(record, between, p=POINT, **options):
     system = dynamics(TwoInputs())
     equations = regressions(system, record.signals, {}, p)
-    return regressors(equations, (system.states, system.inputs), record, p, np.array([0.1, 0.3]), between, **options)
+    return regressors(
+        equations,
+        (system.states, system.inputs),
+        record,
+        p,
+        np.array([0.1, 0.3]),
+        between,
+        **options,
+    )
 
 
 CONTINUOUS = {"u": Intersample(False), "r": Intersample(False)}
@@ -173,7 +200,12 @@ CONTINUOUS = {"u": Intersample(False), "r": Intersample(False)}
 
 def driven(count=600, step=0.05):
     time = step * np.arange(count)
-    signals = {"u": np.sin(1.3 * time) + 2, "r": np.cos(2.1 * time), "v": np.sin(time), "y": np.cos(0.7 * time)}
+    signals = {
+        "u": np.sin(1.3 * time) + 2,
+        "r": np.cos(2.1 * time),
+        "v": np.sin(time),
+        "y": np.cos(0.7 * time),
+    }
     return gb.Record(time, signals)
 
 
@@ -182,7 +214,12 @@ def test_without_inputs_nothing_is_late():
     system = dynamics(Autonomous())
     record = gb.Record(time, {"v": np.exp(-1.0 * time)})
     data = regressors(
-        regressions(system, ["v"], {}, np.array([-1.0])), (("v",), ()), record, np.array([-1.0]), np.zeros(0), {}
+        regressions(system, ["v"], {}, np.array([-1.0])),
+        (("v",), ()),
+        record,
+        np.array([-1.0]),
+        np.zeros(0),
+        {},
     )
     assert (data.lateness, data.step) == (0.0, pytest.approx(0.05))
     (block,) = data.blocks(np.array([-1.0]))
@@ -253,7 +290,9 @@ def test_a_stretch_is_used_from_four_rows_on():
         short = record.rows(slice(count))
         data = two_inputs(short, CONTINUOUS, cutoffs=dict.fromkeys(("v", "y"), 2 * band), band=band)
         assert data.bands == (band, band)
-        assert [block.target.size for block in data.blocks(POINT)] == [FEWEST] * 2 * (rows == FEWEST)
+        assert [block.target.size for block in data.blocks(POINT)] == [FEWEST] * 2 * (
+            rows == FEWEST
+        )
 
 
 def test_a_band_is_half_the_lowest_cutoff_or_less_where_one_is_given():
@@ -312,7 +351,8 @@ def test_a_short_stretch_behind_a_long_one_gives_no_block():
 def test_what_integrates_is_not_simulated(value, stable):
     record = driven(50)
     fixed = SimpleNamespace(
-        simulated_names=("w",), simulated=lambda x, u, p: (np.ones((1, 50)), np.full((1, 50), value))
+        simulated_names=("w",),
+        simulated=lambda x, u, p: (np.ones((1, 50)), np.full((1, 50), value)),
     )
     data = replace(two_inputs(record, CONTINUOUS), equations=fixed)
     assert data._simulate(np.zeros((2, 50)), np.zeros((2, 50)), POINT) is stable

@@ -7,7 +7,15 @@ from scipy.fft import dst
 from scipy.signal import savgol_filter
 
 import greybox as gb
-from greybox.regression.smoothing import differentiate, low_pass, reach, regular, smooth, stretches, without_holes
+from greybox.regression.smoothing import (
+    differentiate,
+    low_pass,
+    reach,
+    regular,
+    smooth,
+    stretches,
+    without_holes,
+)
 
 STEP = 0.02
 TIME = np.arange(1500) * STEP
@@ -16,7 +24,9 @@ PHASE = np.array([0.3, 1.7, 4.0, 2.2])
 
 
 def truth(derivative=0):
-    waves = OMEGA**derivative * np.sin(np.multiply.outer(TIME, OMEGA) + PHASE + derivative * np.pi / 2)
+    waves = OMEGA**derivative * np.sin(
+        np.multiply.outer(TIME, OMEGA) + PHASE + derivative * np.pi / 2
+    )
     return waves @ np.array([1.0, 0.8, 0.5, 0.2])
 
 
@@ -38,7 +48,10 @@ def test_no_window_of_savitzky_and_golay_does_better(size):
     ours = [derivative_error(smooth(TIME, noisy(size, seed)).derivative) for seed in range(5)]
     windows = range(5, 151, 4)
     theirs = [
-        min(derivative_error(savgol_filter(noisy(size, seed), w, 3, deriv=1, delta=STEP)) for w in windows)
+        min(
+            derivative_error(savgol_filter(noisy(size, seed), w, 3, deriv=1, delta=STEP))
+            for w in windows
+        )
         for seed in range(5)
     ]
     assert np.mean(ours) < np.mean(theirs)
@@ -48,7 +61,8 @@ def test_no_window_of_savitzky_and_golay_does_better(size):
 def test_the_noise_is_found_again(size):
     found = smooth(TIME, noisy(size))
     assert found.noise == pytest.approx(size, rel=0.1)
-    # Generalized cross-validation: of what a cutoff removes, the square over that of the degrees of freedom removed.
+    # Generalized cross-validation: of what a cutoff removes, the square over that of the degrees of
+    # freedom removed.
     values = noisy(size)
     amplitude = dst((values - np.linspace(values[0], values[-1], 1500))[1:-1], type=1, norm="ortho")
     omega = np.pi * np.arange(1, 1499) / TIME[-1]
@@ -58,7 +72,9 @@ def test_the_noise_is_found_again(size):
         return np.sum((removed * amplitude) ** 2) / np.sum(removed) ** 2
 
     # Among many, as low as any; one between them may be better.
-    assert score(found.cutoff) <= min(map(score, np.geomspace(omega[2], omega[-1], 400))) * (1 + 1e-9)
+    assert score(found.cutoff) <= min(map(score, np.geomspace(omega[2], omega[-1], 400))) * (
+        1 + 1e-9
+    )
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
@@ -67,7 +83,9 @@ def test_a_straight_line_has_no_noise_and_its_own_slope(unit):
     assert known.cutoff == pytest.approx(np.pi * 1498 / TIME[-1])  # all passes
     assert known.noise < 1e-12 * unit
     assert_allclose(known.derivative, -0.5 * unit, rtol=1e-9)
-    assert smooth(TIME, unit * noisy(0.01)).cutoff == pytest.approx(smooth(TIME, noisy(0.01)).cutoff)
+    assert smooth(TIME, unit * noisy(0.01)).cutoff == pytest.approx(
+        smooth(TIME, noisy(0.01)).cutoff
+    )
 
 
 def test_all_that_passes_leaves_no_noise():
@@ -147,9 +165,24 @@ def test_a_missing_row_is_put_in():
 @pytest.mark.parametrize(
     ("time", "values", "cutoff", "sentence"),
     [
-        (TIME + 0.1 * STEP * (np.arange(1500) == 700), TIME, None, r"not uniform: the step at 13\.98 s is 0\.022 s"),
-        (TIME[:8], TIME[:8], None, "no stretch of 12 samples without a gap among its 8, of which 8 are finite"),
-        (TIME, np.where(np.arange(1500) % 10, np.nan, 1.0), None, "of which 150 are finite: put it on the time base"),
+        (
+            TIME + 0.1 * STEP * (np.arange(1500) == 700),
+            TIME,
+            None,
+            r"not uniform: the step at 13\.98 s is 0\.022 s",
+        ),
+        (
+            TIME[:8],
+            TIME[:8],
+            None,
+            "no stretch of 12 samples without a gap among its 8, of which 8 are finite",
+        ),
+        (
+            TIME,
+            np.where(np.arange(1500) % 10, np.nan, 1.0),
+            None,
+            "of which 150 are finite: put it on the time base",
+        ),
         (TIME, TIME, -1.0, r"cutoff -1\.0 must be a number of rad/s above 0"),
         (TIME[:1], TIME[:1], None, "1 sample has no derivative"),
     ],
@@ -188,7 +221,10 @@ def test_a_step_may_be_two_percent_off_and_from_two_and_a_half_it_is_a_gap():
     for within in (1.019, 0.981, 2.51):
         assert np.isfinite(of(within).values).all()
     for odd in (1.021, 0.979, 2.49):
-        with pytest.raises(ValueError, match=rf"the step at 1\.3 s is {0.1 * odd:.4g} s and otherwise 0\.1 s; put the"):
+        with pytest.raises(
+            ValueError,
+            match=rf"the step at 1\.3 s is {0.1 * odd:.4g} s and otherwise 0\.1 s; put the",
+        ):
             of(odd)
 
 
@@ -218,9 +254,14 @@ def test_a_cutoff_serves_all_stretches_and_is_weighed_by_both():
     def removed(cutoff):
         return 1 - 1 / (1 + (omega / cutoff) ** 8)
 
-    scores = [removed(c) ** 2 @ power / removed(c).sum() ** 2 for c in (both.cutoff, 0.97 * both.cutoff)]
+    scores = [
+        removed(c) ** 2 @ power / removed(c).sum() ** 2 for c in (both.cutoff, 0.97 * both.cutoff)
+    ]
     assert scores[0] < scores[1]
-    assert scores[0] < removed(1.03 * both.cutoff) ** 2 @ power / removed(1.03 * both.cutoff).sum() ** 2
+    assert (
+        scores[0]
+        < removed(1.03 * both.cutoff) ** 2 @ power / removed(1.03 * both.cutoff).sum() ** 2
+    )
     gone = removed(both.cutoff)
     assert both.noise == pytest.approx(np.sqrt(gone**2 @ power / gone.sum()))
 
@@ -245,7 +286,9 @@ def test_rows_that_are_missing_are_put_in_on_the_base_through_the_ends():
     assert_allclose(full["y"], [*put_in, *np.add(put_in, 9)])
     off = piece.copy()
     off[5] += 0.1 * 0.015
-    with pytest.raises(ValueError, match=r"the step at 0\.7025 s is 0\.0975 s and otherwise 0\.1 s"):
+    with pytest.raises(
+        ValueError, match=r"the step at 0\.7025 s is 0\.0975 s and otherwise 0\.1 s"
+    ):
         regular(gb.Record(np.concatenate([off, piece + 7.03]), {"y": np.arange(18.0)}))
     double = np.sort(np.append(piece, 0.1004))
     with pytest.raises(ValueError, match=r"sampling is not uniform: the step at 0\.1004 s"):
@@ -278,10 +321,17 @@ def test_holes_are_filled_within_stretches_and_not_across_gaps():
     values = truth.copy()
     values[[3, 12]] = np.nan
     assert_allclose(without_holes(time, values), truth, rtol=1e-9)
-    values[[4, 13]] = np.nan  # two in a row are a gap, between stretches of three and four known samples
+    values[[4, 13]] = (
+        np.nan
+    )  # two in a row are a gap, between stretches of three and four known samples
     filled = without_holes(time, values)
     assert np.flatnonzero(np.isnan(filled)).tolist() == [3, 4, 12, 13]
-    assert [(rows.start, rows.stop) for rows in stretches(time, filled)] == [(0, 3), (5, 9), (9, 12), (14, 18)]
+    assert [(rows.start, rows.stop) for rows in stretches(time, filled)] == [
+        (0, 3),
+        (5, 9),
+        (9, 12),
+        (14, 18),
+    ]
 
 
 def test_a_derivative_has_the_order_of_a_cubic_spline():
@@ -294,7 +344,9 @@ def test_a_derivative_has_the_order_of_a_cubic_spline():
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)
 
 
-@pytest.mark.parametrize("curve", [lambda t: np.exp(-t), lambda t: t**3 - t, np.sin], ids=["decay", "cubic", "sine"])
+@pytest.mark.parametrize(
+    "curve", [lambda t: np.exp(-t), lambda t: t**3 - t, np.sin], ids=["decay", "cubic", "sine"]
+)
 def test_of_a_smooth_curve_without_noise_all_passes(curve):
     """No cutoff above the highest of the sines is tried: there is nothing beyond."""
     known = smooth(TIME[:200], curve(TIME[:200]))

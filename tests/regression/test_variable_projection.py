@@ -69,7 +69,11 @@ def test_no_point_of_a_grid_is_better(noisy):
     data, _, found = noisy
     tau, delay = found.values[2:]
     best = cost(data, tau, delay)
-    grid = [cost(data, tau * x, delay + y) for x in (0.8, 0.95, 1, 1.05, 1.2) for y in (-0.01, -0.002, 0, 0.002, 0.01)]
+    grid = [
+        cost(data, tau * x, delay + y)
+        for x in (0.8, 0.95, 1, 1.05, 1.2)
+        for y in (-0.01, -0.002, 0, 0.002, 0.01)
+    ]
     assert min(grid) >= best * (1 - 1e-9)
     assert best < min(cost(data, x, y) for x in (0.02, 0.1, 0.3) for y in (0.0, 0.05, 0.1))
 
@@ -82,7 +86,9 @@ def test_linear_parameters_are_those_of_least_squares(noisy):
     assert_allclose(found.values[:2], np.linalg.lstsq(X, y, rcond=None)[0], rtol=1e-8)
     error = y - X @ found.values[:2]
     assert found.spread[0] == pytest.approx(np.sqrt(np.mean(error**2)))
-    assert 1 - found.r_squared[0] == pytest.approx(np.sum(error**2) / np.sum((y - y.mean()) ** 2), rel=1e-3)
+    assert 1 - found.r_squared[0] == pytest.approx(
+        np.sum(error**2) / np.sum((y - y.mean()) ** 2), rel=1e-3
+    )
 
 
 def test_a_bound_that_excludes_the_truth_is_reached_and_has_no_error():
@@ -107,7 +113,9 @@ def test_a_step_on_the_same_data_is_small_and_on_other_data_leads_to_their_estim
 
 def test_too_short_a_record_is_said():
     data, parameters = made()
-    with pytest.raises(ValueError, match=r"no stretch without a gap is long enough: .* need .* at its ends"):
+    with pytest.raises(
+        ValueError, match=r"no stretch without a gap is long enough: .* need .* at its ends"
+    ):
         project(replace(data, lateness=100.0), parameters, START)
 
 
@@ -135,7 +143,7 @@ def test_a_start_that_is_almost_as_good_as_the_minimum_is_improved_too():
     assert_allclose(again.values, found.values, atol=0.05 * errors.min())
 
 
-# --- two equations of two linear and two nonlinear unknowns in closed form --------------------------------------------
+# --- two equations of two linear and two nonlinear unknowns in closed form
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +220,9 @@ def jacobian(values):
     return made
 
 
-@pytest.mark.parametrize("options", [{}, {"tau": {"scale": "log"}}, {"w": {"bounds": (-np.inf, np.inf)}}])
+@pytest.mark.parametrize(
+    "options", [{}, {"tau": {"scale": "log"}}, {"w": {"bounds": (-np.inf, np.inf)}}]
+)
 def test_the_projection_is_the_likeliest_of_all_unknowns_at_once(options):
     """Against a search over all four by scipy with the logarithms of both sums of squares, and its slopes by hand."""
     data, (parameters, start) = decay(), declared(**options)
@@ -228,16 +238,24 @@ def test_the_projection_is_the_likeliest_of_all_unknowns_at_once(options):
     def likelihood(values):
         return sum(e.size * np.log(e @ e) for e in errors(values))
 
-    best = minimize(likelihood, found.values, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-12}).x
+    best = minimize(
+        likelihood, found.values, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-12}
+    ).x
     assert_allclose(found.values, best, rtol=1e-5)
     first, second = errors(found.values)
     assert_allclose(found.spread, [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))])
     assert found.rows == (100, 90)
     targets = np.concatenate([data.targets[0], data.targets[2]]), data.targets[1]
-    wanted = [1 - e @ e / np.sum((y - y.mean()) ** 2) for e, y in zip((first, second), targets, strict=True)]
+    wanted = [
+        1 - e @ e / np.sum((y - y.mean()) ** 2)
+        for e, y in zip((first, second), targets, strict=True)
+    ]
     assert_allclose(found.r_squared, wanted)
 
-    by_hand = [Block(k, y, 0 * y, J) for k, y, J in zip(EQUATIONS, data.targets, jacobian(found.values), strict=True)]
+    by_hand = [
+        Block(k, y, 0 * y, J)
+        for k, y, J in zip(EQUATIONS, data.targets, jacobian(found.values), strict=True)
+    ]
     full = found.search.full(found.point, found.unknowns)
     for block, exact in zip(full, by_hand, strict=True):
         assert_allclose(block.slopes, exact.slopes, rtol=1e-5, atol=1e-6)
@@ -266,11 +284,16 @@ def test_a_step_is_that_of_gauss_and_newton():
     assert np.isnan(found.covariance[0]).all()
     other = decay(seed=1)
     errors = [
-        y - b.base - b.slopes @ found.unknowns for y, b in zip(other.targets, other.blocks(found.vector), strict=True)
+        y - b.base - b.slopes @ found.unknowns
+        for y, b in zip(other.targets, other.blocks(found.vector), strict=True)
     ]
-    rows = [found.weights[k] * J[:, 1:] for k, J in zip(EQUATIONS, jacobian(found.values), strict=True)]
+    rows = [
+        found.weights[k] * J[:, 1:] for k, J in zip(EQUATIONS, jacobian(found.values), strict=True)
+    ]
     right = np.concatenate([found.weights[k] * e for k, e in zip(EQUATIONS, errors, strict=True)])
-    assert_allclose(found.step(other), [0, *np.linalg.lstsq(np.vstack(rows), right, rcond=None)[0]], rtol=1e-3)
+    assert_allclose(
+        found.step(other), [0, *np.linalg.lstsq(np.vstack(rows), right, rcond=None)[0]], rtol=1e-3
+    )
 
 
 @pytest.mark.parametrize(("high", "reached"), [(1.5, True), (4.0, False)])
@@ -297,7 +320,9 @@ def test_a_search_from_good_points_finds_what_one_from_the_start_misses():
 def test_how_much_is_missing_of_a_record_that_is_too_short():
     data, (parameters, start) = decay(), declared(tau={"start": 35.0, "bounds": (0.2, 50)})
     needed = 2 * np.log(10) / (np.sin(np.pi / 8) * 2.0) + 0.4
-    with pytest.raises(ValueError, match=f"record has 0.5 s, of which .* states need {needed:.3g} s at its ends"):
+    with pytest.raises(
+        ValueError, match=f"record has 0.5 s, of which .* states need {needed:.3g} s at its ends"
+    ):
         project(data, parameters, start)
 
 

@@ -33,7 +33,9 @@ def test_biases_and_gains_come_by_their_names():
     assert model.names[-2:] == ("position_bias", "K_velocity_position")
     assert_allclose(model.q[-2:], [0.2, 1.5])
     assert_allclose(model.p, model.q[:-2])
-    assert model.criterion == gb.PredictionError(inputs="held", biases=("position",), corrected=("velocity",))
+    assert model.criterion == gb.PredictionError(
+        inputs="held", biases=("position",), corrected=("velocity",)
+    )
     assert model.free_running() == gb.OutputError(inputs="held", biases=("position",))
 
 
@@ -42,10 +44,14 @@ def test_a_fit_gives_its_covariance_and_noise():
     model = model_at(fit)
     free = [model.names[i] for i in model.uncertain]
     assert free == [name for name, p in Spring.parameters.items() if not p.fixed]
-    assert_allclose(np.sqrt(np.diag(model.covariance))[model.uncertain], [fit.standard_error[n] for n in free])
+    assert_allclose(
+        np.sqrt(np.diag(model.covariance))[model.uncertain], [fit.standard_error[n] for n in free]
+    )
     assert_allclose(model.noise(model.part.outputs), model.part.noise)
     assert_allclose(model_at(Spring(), fit).q, model.q)
-    with pytest.raises(TypeError, match="the model is a Fit, which has an estimate of its own: leave the other out"):
+    with pytest.raises(
+        TypeError, match="the model is a Fit, which has an estimate of its own: leave the other out"
+    ):
         model_at(fit, {"stiffness": 1.0})
     with pytest.raises(TypeError, match=r"give the record by name, record=r"):
         model_at(fit, driven(8.0))
@@ -57,7 +63,8 @@ def test_a_model_with_a_parameter_that_the_fit_does_not_have_is_refused():
 
     fit = gb.fit(gb.Problem(Spring(), driven(4.0, noise=0.05)), starts=[{}], progress=False)
     with pytest.raises(
-        ValueError, match=r"the fit has no 'extra', which Heavier needs; it has .*: give the model that"
+        ValueError,
+        match=r"the fit has no 'extra', which Heavier needs; it has .*: give the model that",
     ):
         model_at(Heavier(), fit)
 
@@ -68,10 +75,30 @@ def test_a_model_with_a_parameter_that_the_fit_does_not_have_is_refused():
         (Spring, {}, TypeError, r"model is <class .*>: give an instance"),
         (Spring(), None, TypeError, r"values is None: give \{name: value\} or a Fit"),
         (Spring(), {"stiff": 1.0}, ValueError, "Spring has no parameter 'stiff'"),
-        (Spring(), {"stiffness": np.nan}, ValueError, "values gives 'stiffness' the value nan: give a finite number"),
-        (Spring(), {"stiffness": [1.0]}, ValueError, r"values gives 'stiffness' the value \[1\.0\]"),
-        (Spring(), {"stiffness": np.ones(1)}, ValueError, r"values gives 'stiffness' the value array"),
-        (Spring(), {"stiffness": np.complex128(1)}, ValueError, r"values gives 'stiffness' the value"),
+        (
+            Spring(),
+            {"stiffness": np.nan},
+            ValueError,
+            "values gives 'stiffness' the value nan: give a finite number",
+        ),
+        (
+            Spring(),
+            {"stiffness": [1.0]},
+            ValueError,
+            r"values gives 'stiffness' the value \[1\.0\]",
+        ),
+        (
+            Spring(),
+            {"stiffness": np.ones(1)},
+            ValueError,
+            r"values gives 'stiffness' the value array",
+        ),
+        (
+            Spring(),
+            {"stiffness": np.complex128(1)},
+            ValueError,
+            r"values gives 'stiffness' the value",
+        ),
     ],
 )
 def test_what_does_not_fit_together_is_refused(model, values, error, sentence):

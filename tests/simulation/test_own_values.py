@@ -58,7 +58,9 @@ def test_the_errors_of_own_values_are_those_that_repeated_records_show():
         own = gb.predict(Drag(), TRUTH, new, own=["v_bias", "theta_bias"]).own
         standardized += [(own["v_bias"][0] - 0.3) / own["v_bias"][1]]
         standardized += [(own["theta_bias"][0] - 0.015) / own["theta_bias"][1]]
-    assert 0.5 < np.sqrt(np.mean(np.square(standardized))) < 1.5  # of 10 values, half of them independent
+    assert (
+        0.5 < np.sqrt(np.mean(np.square(standardized))) < 1.5
+    )  # of 10 values, half of them independent
 
 
 def test_the_record_of_the_fit_keeps_what_was_fitted(fit):
@@ -93,7 +95,9 @@ def flown(seed, M_0, az_0):
     delta = 0.05 * np.sign(np.sin(0.9 * time + random.uniform(0, 6))) + 0.02 * np.sin(3 * time)
     made = gb.simulate(Aircraft(), {"M_0": M_0, "az_0": az_0}, gb.Record(time, {"delta": delta}))
     signals = {"delta": delta, "q": made["q"] + 0.01 * random.normal(size=600)}
-    return gb.Record(time, {**signals, "az": made["az"] + 0.3 * random.normal(size=600)}, name=f"flight {seed}")
+    return gb.Record(
+        time, {**signals, "az": made["az"] + 0.3 * random.normal(size=600)}, name=f"flight {seed}"
+    )
 
 
 def test_stated_trims_are_estimated_from_the_new_record():
@@ -107,7 +111,9 @@ def test_stated_trims_are_estimated_from_the_new_record():
         assert abs(value - truth) < 4 * error
         assert error < 0.1
     assert trimmed.fit_percent("az") > as_it_is.fit_percent("az") + 3
-    found = gb.compare(fit, fitted(Aircraft(), flown(1, 0.1, -9.8), fixed={"M_q": -3.0}), records=new, own="az_0")
+    found = gb.compare(
+        fit, fitted(Aircraft(), flown(1, 0.1, -9.8), fixed={"M_q": -3.0}), records=new, own="az_0"
+    )
     label = found.labels[0]
     assert found.value("values estimated from the records", label, "held-out") == 1
     assert any("az_0 = " in s and "estimated from flight 2 itself" in s for s in found.statements)
@@ -126,7 +132,9 @@ def test_parameters_of_every_record_of_a_fit_are_estimated_from_another():
     assert found.own["az_0"][0] == pytest.approx(-10.5, abs=4 * found.own["az_0"][1])
     # Each record of the fit is predicted with its own.
     assert gb.predict(fit, record=records[1]).own == {}
-    assert gb.predict(fit, record=records[1]).rms("az") == pytest.approx(gb.predict(fit, part=1).rms("az"))
+    assert gb.predict(fit, record=records[1]).rms("az") == pytest.approx(
+        gb.predict(fit, part=1).rms("az")
+    )
     assert gb.predict(fit, record=records[1]).rms("az") < 0.5
 
 
@@ -156,7 +164,9 @@ def test_what_the_record_does_not_determine_is_said_and_kept():
     alone = gb.predict(Integrated(), {"gain": 2.0}, record, own=["x_bias"])
     assert alone.own == {}
     assert "x_bias: not determined by ramp, the value of the fit is kept." in alone.notes
-    assert alone.rms("x") == pytest.approx(gb.predict(Integrated(), {"gain": 2.0}, record, own=()).rms("x"))
+    assert alone.rms("x") == pytest.approx(
+        gb.predict(Integrated(), {"gain": 2.0}, record, own=()).rms("x")
+    )
 
 
 def test_models_with_their_own_biases_are_compared_and_counted(fit):
@@ -164,7 +174,9 @@ def test_models_with_their_own_biases_are_compared_and_counted(fit):
     new = biased(2, -0.8, -0.02)
     found = gb.compare(fit, linear, records=new)
     assert found.value("values estimated from the records", "Drag", "held-out") == 2
-    assert [s.split(":")[0] for s in found.statements if "estimated from biased 2 itself" in s] == list(found.labels)
+    assert [
+        s.split(":")[0] for s in found.statements if "estimated from biased 2 itself" in s
+    ] == list(found.labels)
     assert "Drag predicts held-out data better than LinearDrag" in str(found)
     kept = gb.compare(fit, linear, records=new, own=())
     assert found.value("error (rms)", "Drag", "held-out", "v") < 0.7 * kept.value(
@@ -213,7 +225,9 @@ def informed(matrix, squares=100.0, numbers=100, overlap=1.0):
         ([[1.0, 1.0 - 1e-7], [1.0 - 1e-7, 1.0]], (np.inf, np.inf), ""),
     ],
 )
-def test_a_value_is_lost_where_no_sample_shows_it_or_its_error_exceeds_half_of_its_bounds(matrix, limits, lost):
+def test_a_value_is_lost_where_no_sample_shows_it_or_its_error_exceeds_half_of_its_bounds(
+    matrix, limits, lost
+):
     of = {name: (-limit, limit) for name, limit in zip("ab", limits, strict=True)}
     found = own_values._not_determined(informed(matrix), ("a", "b"), of)
     assert bool(found) == bool(lost)
@@ -234,19 +248,33 @@ def test_directions_that_are_not_seen_have_no_inverse():
 
 
 def test_errors_are_larger_by_what_is_left_over_and_by_numbers_that_were_used_twice():
-    for squares, numbers, overlap, factor in ((50.0, 100, 1.0, 1.0), (200.0, 100, 1.0, 2.0), (200.0, 100, 1.5, 3.0)):
-        assert own_values._inflation(informed(np.eye(1), squares, numbers, overlap)) == pytest.approx(factor)
+    for squares, numbers, overlap, factor in (
+        (50.0, 100, 1.0, 1.0),
+        (200.0, 100, 1.0, 2.0),
+        (200.0, 100, 1.5, 3.0),
+    ):
+        assert own_values._inflation(
+            informed(np.eye(1), squares, numbers, overlap)
+        ) == pytest.approx(factor)
         found = own_values._Found(None, None, ("a",), informed([[4.0]], squares, numbers, overlap))
         assert found.errors() == pytest.approx([np.sqrt(factor) / 2])
 
 
 @pytest.mark.parametrize(
     ("squares", "before", "follows"),
-    [(119.0, 100.0, True), (121.0, 100.0, False), (119.0, 50.0, True), (121.0, 50.0, False), (235.0, 200.0, True)],
+    [
+        (119.0, 100.0, True),
+        (121.0, 100.0, False),
+        (119.0, 50.0, True),
+        (121.0, 50.0, False),
+        (235.0, 200.0, True),
+    ],
 )
 def test_longer_windows_count_while_their_errors_grow_by_a_tenth_at_most(squares, before, follows):
     """A fifth in squares, over those of shorter ones or over the noise."""
-    longer, shorter = (own_values._Found(None, None, ("a",), informed([[4.0]], s)) for s in (squares, before))
+    longer, shorter = (
+        own_values._Found(None, None, ("a",), informed([[4.0]], s)) for s in (squares, before)
+    )
     assert longer.follows_noise_as(shorter) is follows
     nothing = own_values._Found(None, None, (), None)
     assert longer.follows_noise_as(nothing)
@@ -255,7 +283,9 @@ def test_longer_windows_count_while_their_errors_grow_by_a_tenth_at_most(squares
 
 def test_what_determines_more_values_or_the_same_better_is_taken():
     def found(*diagonal):
-        return own_values._Found(None, None, tuple("abc"[: len(diagonal)]), informed(np.diag(diagonal)))
+        return own_values._Found(
+            None, None, tuple("abc"[: len(diagonal)]), informed(np.diag(diagonal))
+        )
 
     assert found(1.0, 1.0).is_more_certain_than(found(100.0))
     assert not found(100.0).is_more_certain_than(found(1.0, 1.0))
@@ -307,7 +337,11 @@ def test_states_and_their_mean_are_eliminated_as_by_least_squares():
     used = random.uniform(size=(w, t, k)) < 0.9
     slopes[~used], residuals[~used] = 0.0, 0.0
     used[3], slopes[3], residuals[3] = False, 0.0, 0.0  # a window without a measured sample
-    states, mean, precision = random.normal(size=(w, n)), random.normal(size=n), np.array([0.5, 2.0])
+    states, mean, precision = (
+        random.normal(size=(w, n)),
+        random.normal(size=n),
+        np.array([0.5, 2.0]),
+    )
     noise = np.array([[0.5, 0.2], [0.2, 0.4]])
     initial = SimpleNamespace(states=states, mean=mean, precision=precision, noise=noise)
     made = SimpleNamespace(slopes=slopes, residuals=residuals, used=used, initial=initial)
@@ -361,7 +395,9 @@ def parabola(q):
 def test_a_step_of_the_values_is_halved_until_it_predicts_no_worse(step, limits, taken):
     q = np.array([7.0, 1.0])
     low, high = (np.array([limit]) for limit in limits)
-    moved, after, change = own_values._searched(parabola, q, parabola(q), np.array([1]), np.array([step]), (low, high))
+    moved, after, change = own_values._searched(
+        parabola, q, parabola(q), np.array([1]), np.array([step]), (low, high)
+    )
     assert_allclose(change, [taken])
     assert_allclose(moved, [7.0, 1.0 + taken])
     assert after.squares == pytest.approx((1.0 + taken - 3) ** 2)
@@ -374,9 +410,14 @@ def linear_windows(measured, slopes):
         residuals = measured - slopes @ q[1:]
         noise = np.array([[0.25]])
         initial = SimpleNamespace(
-            states=np.zeros((len(measured), 0)), mean=np.zeros(0), precision=np.zeros(0), noise=noise
+            states=np.zeros((len(measured), 0)),
+            mean=np.zeros(0),
+            precision=np.zeros(0),
+            noise=noise,
         )
-        made = SimpleNamespace(slopes=slopes, residuals=residuals, used=np.isfinite(residuals), initial=initial)
+        made = SimpleNamespace(
+            slopes=slopes, residuals=residuals, used=np.isfinite(residuals), initial=initial
+        )
         return SimpleNamespace(linearize_windows=lambda windows, places: made)
 
     return SimpleNamespace(at=at)
@@ -417,7 +458,11 @@ def test_windows_become_four_times_as_long_up_to_the_longest_stretch():
     assert [(w.lead, w.horizon, len(w)) for w in found] == [(5, 16, 6), (5, 64, 1), (5, 95, 1)]
     assert list(own_values._longer(model, found[-1], ("y",))) == []
     rows = cut(
-        gb.Record(np.arange(4.0), {"u": np.ones(4), "y": np.ones(4)}, has_time=False), ["u"], ["y"], lead=1, horizon=1
+        gb.Record(np.arange(4.0), {"u": np.ones(4), "y": np.ones(4)}, has_time=False),
+        ["u"],
+        ["y"],
+        lead=1,
+        horizon=1,
     )
     assert list(own_values._longer(model, rows, ("y",))) == []
 

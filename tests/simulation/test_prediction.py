@@ -17,7 +17,9 @@ ROWS = np.array([[2, 3, 4, 5], [8, 9, 10, 11], [14, 15, 16, 17]])
 @pytest.fixture
 def prediction():
     random = np.random.default_rng(0)
-    data = gb.Record(STEP * np.arange(20), {"u": np.zeros(20), "y": random.normal(size=20)}, {"y": "m"}, name="r")
+    data = gb.Record(
+        STEP * np.arange(20), {"u": np.zeros(20), "y": random.normal(size=20)}, {"y": "m"}, name="r"
+    )
     return Prediction(
         label="M",
         data=data,
@@ -39,7 +41,9 @@ def prediction():
 def test_residuals_and_their_growth(prediction):
     assert_allclose(prediction.residual("y"), np.tile([0.1, 0.2, 0.3, 0.4], (3, 1)))
     assert prediction.rms("y") == pytest.approx(np.sqrt(np.mean(np.square([0.1, 0.2, 0.3, 0.4]))))
-    assert [prediction.rms("y", share) for share in (0.01, 0.25, 0.5, 1.0)] == pytest.approx([0.1, 0.1, 0.2, 0.4])
+    assert [prediction.rms("y", share) for share in (0.01, 0.25, 0.5, 1.0)] == pytest.approx(
+        [0.1, 0.1, 0.2, 0.4]
+    )
     assert_allclose(prediction.ahead, [0.1, 0.2, 0.3, 0.4])
     y = prediction.data["y"][ROWS]
     wanted = 100 * (1 - np.linalg.norm(prediction.residual("y")) / np.linalg.norm(y - y.mean()))
@@ -76,14 +80,28 @@ def test_some_windows_can_be_kept(prediction):
 
 def test_it_prints_itself(prediction):
     text = str(prediction)
-    assert text.startswith("M: 3 windows of 0.4 s in r, the state of each estimated from the 0.2 s before it")
+    assert text.startswith(
+        "M: 3 windows of 0.4 s in r, the state of each estimated from the 0.2 s before it"
+    )
     header, row = text.splitlines()[2], text.splitlines()[4]
     assert header.split("  ")[-1].strip() == "standard error"
     fit = f"{prediction.fit_percent('y'):.4g}"
     assert header.split() == [
-        *("output unit fit % error (rms) after 0.1 s after 0.2 s after 0.4 s noise standard error".split()),
+        *(
+            "output unit fit % error (rms) after 0.1 s after 0.2 s after 0.4 s noise standard error".split()
+        ),
     ]
-    assert row.split() == ["y", "m", fit, f"{np.sqrt(0.075):.3g}", "0.1", "0.2", "0.4", "0.4", "0.3"]
+    assert row.split() == [
+        "y",
+        "m",
+        fit,
+        f"{np.sqrt(0.075):.3g}",
+        "0.1",
+        "0.2",
+        "0.4",
+        "0.4",
+        "0.3",
+    ]
     assert text.endswith("\n\n  a note.")
     assert repr(prediction) == "<Prediction M, 0.4 s ahead, 3 windows, y>"
 
@@ -91,7 +109,10 @@ def test_it_prints_itself(prediction):
 def test_rows_without_a_time_have_no_growth(prediction):
     data = gb.Record(np.arange(20.0), dict(prediction.data.signals), name="r", has_time=False)
     rows = replace(prediction, data=data, rows=ROWS[:, :1], notes=())
-    rows = replace(rows, **{name: getattr(rows, name)[..., :1] for name in ("predicted", "error", "trajectory")})
+    rows = replace(
+        rows,
+        **{name: getattr(rows, name)[..., :1] for name in ("predicted", "error", "trajectory")},
+    )
     lines = str(rows).splitlines()
     assert lines[0] == "M: 3 rows of r"
     assert lines[2].split() == "output unit fit % error (rms) noise standard error".split()
@@ -105,7 +126,14 @@ def test_an_output_that_was_not_predicted_is_refused(prediction):
 
 
 def test_shares_of_a_horizon():
-    assert [samples_ahead(share, 10) for share in (1e-12, 1e-6, 0.1, 0.11, 0.5, 1.0)] == [1, 1, 1, 2, 5, 10]
+    assert [samples_ahead(share, 10) for share in (1e-12, 1e-6, 0.1, 0.11, 0.5, 1.0)] == [
+        1,
+        1,
+        1,
+        2,
+        5,
+        10,
+    ]
     assert samples_ahead(0.3, 10) == 3  # 3.0000000000000004 - rounding is no sample
     assert reported_shares([20]) == [0.1, 0.25, 0.5, 1.0]
     assert reported_shares([2]) == [0.5, 1.0]

@@ -17,7 +17,15 @@ from greybox.simulation.simulate import _require_bounded, _trouble
 from greybox.simulation.simulator import WindowSimulations
 from greybox.simulation.windows import Windows
 
-TRUTH = {"a1": -2.0, "a2": 4.0, "a3": 3.0, "a4": 200.0, "C_x": 0.08, "T_rotor": 0.048, "T_delay": 0.0042}
+TRUTH = {
+    "a1": -2.0,
+    "a2": 4.0,
+    "a3": 3.0,
+    "a4": 200.0,
+    "C_x": 0.08,
+    "T_rotor": 0.048,
+    "T_delay": 0.0042,
+}
 
 
 def by_scipy(time, force, start=(0.0, 0.0), **values):
@@ -31,7 +39,14 @@ def by_scipy(time, force, start=(0.0, 0.0), **values):
         return (x[1], late(t) - p.damping * x[1] - p.stiffness * x[0] - p.hardening * x[0] ** 3)
 
     return solve_ivp(
-        derivative, (time[0], time[-1]), start, t_eval=time, rtol=1e-9, atol=1e-11, max_step=step, method="DOP853"
+        derivative,
+        (time[0], time[-1]),
+        start,
+        t_eval=time,
+        rtol=1e-9,
+        atol=1e-11,
+        max_step=step,
+        method="DOP853",
     ).y
 
 
@@ -48,10 +63,14 @@ def tilt_flight(duration=12.0, seed=1):
     )
 
 
-@pytest.mark.parametrize("values", [{}, {"delay": 0.0513}, {"hardening": 3.0, "damping": 0.2}, {"stiffness": 90.0}])
+@pytest.mark.parametrize(
+    "values", [{}, {"delay": 0.0513}, {"hardening": 3.0, "damping": 0.2}, {"stiffness": 90.0}]
+)
 def test_simulation_is_that_of_scipy(values):
     time, force = forced(8.0)
-    found = gb.simulate(Spring(), values, gb.Record(time, {"force": force}), initial={"position": 0.3})
+    found = gb.simulate(
+        Spring(), values, gb.Record(time, {"force": force}), initial={"position": 0.3}
+    )
     exact = by_scipy(time, force, start=(0.3, 0.0), **values)
     # With a delay the interpolated input is exact in its moments over a step, not at every instant.
     tolerance = 2e-4 if "delay" in values else 1e-5
@@ -66,7 +85,11 @@ def test_a_held_input_is_exact_for_a_plant_that_scipy_holds_too():
     for k, t in enumerate(time):
         states.append(x)
         x = solve_ivp(
-            lambda _, y, u=force[k]: (y[1], u - 0.8 * y[1] - 4 * y[0]), (t, t + 0.02), x, rtol=1e-10, atol=1e-12
+            lambda _, y, u=force[k]: (y[1], u - 0.8 * y[1] - 4 * y[0]),
+            (t, t + 0.02),
+            x,
+            rtol=1e-10,
+            atol=1e-12,
         ).y[:, -1]
     assert np.abs(found["position"] - np.array(states)[:, 0]).max() < 1e-7
 
@@ -89,11 +112,19 @@ def test_a_gap_and_a_missing_input_begin_a_new_simulation():
     kept = (time < 4) | (time > 5)
     force = force.copy()
     force[300:320] = np.nan  # 6 to 6.4 s
-    found = gb.simulate(Spring(), {}, gb.Record(time[kept], {"force": force[kept]}), initial={"position": [1, 2, 3]})
+    found = gb.simulate(
+        Spring(), {}, gb.Record(time[kept], {"force": force[kept]}), initial={"position": [1, 2, 3]}
+    )
     assert np.isnan(found["position"]).sum() == 20
-    begin = [0, np.flatnonzero(time[kept] > 5)[0], np.flatnonzero(np.isfinite(force[kept]) & (time[kept] >= 6.4))[0]]
+    begin = [
+        0,
+        np.flatnonzero(time[kept] > 5)[0],
+        np.flatnonzero(np.isfinite(force[kept]) & (time[kept] >= 6.4))[0],
+    ]
     assert found["position"][begin].tolist() == [1, 2, 3]
-    alone = gb.simulate(Spring(), {}, gb.Record(time[320:], {"force": force[320:]}), initial={"position": 3})
+    alone = gb.simulate(
+        Spring(), {}, gb.Record(time[320:], {"force": force[320:]}), initial={"position": 3}
+    )
     assert np.allclose(found["position"][begin[2] :], alone["position"], atol=1e-12)
 
 
@@ -117,7 +148,9 @@ def test_simulation_of_a_fit_is_its_own_answer():
 
 def fitted(seed, duration=8.0):
     record = driven(duration, noise=0.05, seed=seed)
-    return record, gb.fit(gb.Problem(Spring(), record), starts=[{"stiffness": 4.0, "damping": 0.8}], progress=False)
+    return record, gb.fit(
+        gb.Problem(Spring(), record), starts=[{"stiffness": 4.0, "damping": 0.8}], progress=False
+    )
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +211,9 @@ def test_only_the_lead_in_informs_a_prediction():
     usual = gb.predict(NonlinearTilt(), TRUTH, record, horizon=2.9, lead=1.0)
     changed = record["theta"].copy()
     changed[usual.rows[0]] = changed[usual.rows[0][::-1]]  # backward: as large, and wrong
-    later = gb.predict(NonlinearTilt(), TRUTH, record.with_signals(theta=changed), horizon=2.9, lead=1.0)
+    later = gb.predict(
+        NonlinearTilt(), TRUTH, record.with_signals(theta=changed), horizon=2.9, lead=1.0
+    )
     assert np.allclose(usual.predicted, later.predicted, atol=1e-6)
     assert later.rms("theta") > 2 * usual.rms("theta")
 
@@ -187,7 +222,10 @@ def test_missing_samples_in_a_lead_in_do_not_matter():
     record = driven(20.0, noise=0.01)
     holes = record["position"].copy()
     holes[::3] = np.nan
-    whole, less = (gb.predict(Spring(), {}, r, horizon=1.0) for r in (record, record.with_signals(position=holes)))
+    whole, less = (
+        gb.predict(Spring(), {}, r, horizon=1.0)
+        for r in (record, record.with_signals(position=holes))
+    )
     assert less.predicted.shape == whole.predicted.shape
     assert np.abs(less.predicted - whole.predicted).max() < 0.1 * np.std(record["position"])
     assert np.isnan(less.residual("position")).any()
@@ -203,14 +241,21 @@ def test_innovations_correct_the_lead_in_alone():
         process_noise={"v": 0.5},
         seed=4,
     )
-    gains = {f"K_{s}_{o}": v for s, o, v in (("v", "v", 0.9), ("theta", "theta", 0.3), ("q", "theta", 2.0))}
-    corrected = gb.predict(NonlinearTilt(), TRUTH | gains, gusty, horizon=0.3, lead=1.0, inputs="held")
+    gains = {
+        f"K_{s}_{o}": v
+        for s, o, v in (("v", "v", 0.9), ("theta", "theta", 0.3), ("q", "theta", 2.0))
+    }
+    corrected = gb.predict(
+        NonlinearTilt(), TRUTH | gains, gusty, horizon=0.3, lead=1.0, inputs="held"
+    )
     without = gb.predict(NonlinearTilt(), TRUTH, gusty, horizon=0.3, lead=1.0, inputs="held")
     assert corrected.rms("v", 0.04) < 0.7 * without.rms("v", 0.04)
     # Beyond the lead-in it is the same model.
     changed = gusty["v"].copy()
     changed[corrected.rows[-1]] = 99.0
-    later = gb.predict(NonlinearTilt(), TRUTH | gains, gusty.with_signals(v=changed), horizon=0.3, lead=1.0)
+    later = gb.predict(
+        NonlinearTilt(), TRUTH | gains, gusty.with_signals(v=changed), horizon=0.3, lead=1.0
+    )
     assert np.abs(later.predicted[:, -1]).max() < 10
 
 
@@ -256,9 +301,7 @@ def test_what_the_data_do_not_determine_is_told_where_it_matters():
     found = gb.simulate(fit)
     assert np.all(found["position_error"] > 0)
     assert np.isnan(found["warmth_error"]).mean() > 0.9
-    sentence = (
-        "the standard errors of Heated are not known where they depend on heating, which the data of the fit do not"
-    )
+    sentence = "the standard errors of Heated are not known where they depend on heating, which the data of the fit do not"
     assert sentence in found.name
     both = driven(8.0, noise=0.05).with_signals(warmth=found["warmth"])
     predicted = gb.predict(fit, record=both, horizon=1.0)
@@ -285,22 +328,55 @@ def test_answers_print_themselves():
             "no two consecutive samples",
         ),
         (lambda r: gb.simulate(Spring(), {"mass": 1.0}, r), "'mass'"),
-        (lambda r: gb.simulate(Spring(), {}, gb.Record(r.time, {"u": r["force"]})), "needs the input 'force'"),
+        (
+            lambda r: gb.simulate(Spring(), {}, gb.Record(r.time, {"u": r["force"]})),
+            "needs the input 'force'",
+        ),
         (lambda r: gb.simulate(Spring(), {}, r, initial={"place": 1.0}), "'place'"),
-        (lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": np.nan}), "the value nan: give a finite"),
-        (lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": "1 m/s"}), "the value '1 m/s': give a finite"),
-        (lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": [1.0, 2.0]}), "has 1 stretch without a gap"),
-        (lambda r: gb.simulate(Spring(), {"stiffness": [4.0, 5.0]}, r), "gives 'stiffness' the value [4.0, 5.0]"),
+        (
+            lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": np.nan}),
+            "the value nan: give a finite",
+        ),
+        (
+            lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": "1 m/s"}),
+            "the value '1 m/s': give a finite",
+        ),
+        (
+            lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": [1.0, 2.0]}),
+            "has 1 stretch without a gap",
+        ),
+        (
+            lambda r: gb.simulate(Spring(), {"stiffness": [4.0, 5.0]}, r),
+            "gives 'stiffness' the value [4.0, 5.0]",
+        ),
         (lambda r: gb.simulate(Spring(), {}, gb.Record(r.time**1.001, r.signals)), "not uniform"),
         (lambda r: gb.simulate(Spring(), {"stiffness": 4.0, "damping": -30.0}, r), "diverges at"),
-        (lambda r: gb.predict(Spring(), {}, r, horizon=0.0), "horizon is 0.0: give a length above 0"),
-        (lambda r: gb.predict(Spring(), {}, r, horizon=True), "horizon is True: give a length above 0"),
+        (
+            lambda r: gb.predict(Spring(), {}, r, horizon=0.0),
+            "horizon is 0.0: give a length above 0",
+        ),
+        (
+            lambda r: gb.predict(Spring(), {}, r, horizon=True),
+            "horizon is True: give a length above 0",
+        ),
         (lambda r: gb.predict(Spring(), {}, r, lead="1 s"), "lead is '1 s': give a length above 0"),
         (lambda r: gb.predict(Spring(), {}, r, lead=np.nan), "lead is nan: give a length above 0"),
-        (lambda r: gb.predict(Spring(), {}, r, horizon=30.0), "no room for lead=0.5 and horizon=30 s"),
-        (lambda r: gb.predict(Spring(), {}, r, horizon=1e300), "give a shorter lead or horizon, or a longer record"),
-        (lambda r: gb.predict(Spring(), {"delay": 0.3}, r, lead=0.2), "the delay of Spring is 0.3 s"),
-        (lambda r: gb.predict(Spring(), {}, gb.Record(r.time, {"force": r["force"]})), "none of the outputs"),
+        (
+            lambda r: gb.predict(Spring(), {}, r, horizon=30.0),
+            "no room for lead=0.5 and horizon=30 s",
+        ),
+        (
+            lambda r: gb.predict(Spring(), {}, r, horizon=1e300),
+            "give a shorter lead or horizon, or a longer record",
+        ),
+        (
+            lambda r: gb.predict(Spring(), {"delay": 0.3}, r, lead=0.2),
+            "the delay of Spring is 0.3 s",
+        ),
+        (
+            lambda r: gb.predict(Spring(), {}, gb.Record(r.time, {"force": r["force"]})),
+            "none of the outputs",
+        ),
         (lambda r: gb.predict(Spring(), {}, r).band("speed"), "'speed' was not predicted"),
         (lambda r: gb.predict(Spring(), {}, r).band("position", level=95), "level 95"),
     ],
@@ -326,7 +402,9 @@ def test_things_that_are_not_what_they_should_be():
     with pytest.raises(TypeError, match="give the record by name, record=r"):
         gb.predict(fit, driven())
     for part in ("0", 1, 0.0, True):
-        with pytest.raises(ValueError, match=rf"part is {part!r}: the fit has 1 part, counted from 0"):
+        with pytest.raises(
+            ValueError, match=rf"part is {part!r}: the fit has 1 part, counted from 0"
+        ):
             gb.simulate(fit, part=part)
 
 
@@ -350,7 +428,10 @@ SAID = SimpleNamespace(label="M", system=SimpleNamespace(states=("p", "q")))
 
 def made(not_finite=(), lost=()):
     """Three windows of five samples, with values lost at places (what, window, sample, number)."""
-    values = {"states": np.arange(30.0).reshape(3, 5, 2), "outputs": np.arange(15.0).reshape(3, 5, 1)}
+    values = {
+        "states": np.arange(30.0).reshape(3, 5, 2),
+        "outputs": np.arange(15.0).reshape(3, 5, 1),
+    }
     for what, *place in lost:
         values[what][tuple(place)] = np.nan
     initial = SimpleNamespace(not_finite=np.isin(np.arange(3), not_finite))
@@ -360,14 +441,26 @@ def made(not_finite=(), lost=()):
 @pytest.mark.parametrize(
     ("simulated", "lead", "told"),
     [
-        (made([1], [("states", 1, 3, 1)]), 2, "1 window of 3: q at 1.8 s, beyond its lead-in, after p = 14, q = 15"),
-        (made([1], [("states", 1, 2, 0)]), 2, "1 window of 3: p at 1.7 s, beyond its lead-in, after p = 12, q = 13"),
+        (
+            made([1], [("states", 1, 3, 1)]),
+            2,
+            "1 window of 3: q at 1.8 s, beyond its lead-in, after p = 14, q = 15",
+        ),
+        (
+            made([1], [("states", 1, 2, 0)]),
+            2,
+            "1 window of 3: p at 1.7 s, beyond its lead-in, after p = 12, q = 13",
+        ),
         (
             made([], [("outputs", 1, 1, 0), ("outputs", 2, 0, 0)]),
             2,
             "2 windows of 3: y at 1.6 s, within its lead-in, after p = 10, q = 11",
         ),
-        (made([], [("outputs", 0, 0, 0)]), 2, "1 window of 3: y at 1 s, within its lead-in, where p = 0, q = 1"),
+        (
+            made([], [("outputs", 0, 0, 0)]),
+            2,
+            "1 window of 3: y at 1 s, within its lead-in, where p = 0, q = 1",
+        ),
         (
             made([2]),
             2,
@@ -388,11 +481,20 @@ def test_what_is_not_finite_is_told_with_when_and_what_was_before(simulated, lea
     ("q", "sentence"),
     [
         ([1.0, 0.9e9, 0.99e9], ""),
-        ([1.0, 0.9e9, 1.01e9], "the simulation of M diverges at 0.2 s, after p = 6, q = 9e+08: the model is unstable"),
+        (
+            [1.0, 0.9e9, 1.01e9],
+            "the simulation of M diverges at 0.2 s, after p = 6, q = 9e+08: the model is unstable",
+        ),
         ([1.0, 1.1e6, np.nan], "the simulation of M diverges at 0.2 s, after p = 6, q = 1.1e+06: "),
         ([1.0, -1.1e6, np.nan], "the simulation of M diverges at 0.2 s, after"),
-        ([1.0, 0.9e6, np.nan], "M is not finite from 0.2 s on, q first, after p = 6, q = 9e+05: keep its formulas"),
-        ([np.nan, 1.0, 2.0], "M is not finite from 0 s on, q first, where p = 5, q = nan: keep its formulas within"),
+        (
+            [1.0, 0.9e6, np.nan],
+            "M is not finite from 0.2 s on, q first, after p = 6, q = 9e+05: keep its formulas",
+        ),
+        (
+            [np.nan, 1.0, 2.0],
+            "M is not finite from 0 s on, q first, where p = 5, q = nan: keep its formulas within",
+        ),
     ],
 )
 def test_a_simulation_diverges_where_it_grew_before(q, sentence):
@@ -407,7 +509,9 @@ def test_a_simulation_diverges_where_it_grew_before(q, sentence):
 
 def test_two_samples_are_enough_and_one_of_a_static_model():
     record = driven(1.0)
-    found = gb.simulate(Spring(), {}, record.rows(np.arange(2)), initial={"position": 1.0, "velocity": -2.0})
+    found = gb.simulate(
+        Spring(), {}, record.rows(np.arange(2)), initial={"position": 1.0, "velocity": -2.0}
+    )
     assert found["position"][1] == pytest.approx(1 - 2 * 0.02, abs=2e-3)
     assert found["velocity"].tolist()[0] == -2.0
 
@@ -425,11 +529,14 @@ def test_two_samples_are_enough_and_one_of_a_static_model():
 
 
 @pytest.mark.parametrize(
-    ("rate", "delay", "lead", "horizon"), [(50.0, 0.31, 0.62, 0.5), (50.0, 0.1, 0.5, 0.5), (16.0, 0.1, 0.625, 0.625)]
+    ("rate", "delay", "lead", "horizon"),
+    [(50.0, 0.31, 0.62, 0.5), (50.0, 0.1, 0.5, 0.5), (16.0, 0.1, 0.625, 0.625)],
 )
 def test_lengths_are_half_a_second_ten_samples_or_twice_the_delay(rate, delay, lead, horizon):
     time, force = forced(4.0, rate)
-    found = gb.predict(Spring(), {"delay": delay}, gb.Record(time, {"force": force, "position": force}))
+    found = gb.predict(
+        Spring(), {"delay": delay}, gb.Record(time, {"force": force, "position": force})
+    )
     assert (found.lead, found.horizon) == (pytest.approx(lead), pytest.approx(horizon))
 
 

@@ -45,7 +45,9 @@ class Kinked(Growth):
         return (-p.rate * abs(x.x) * x.x + u.u,)
 
 
-@pytest.mark.parametrize(("rate", "count"), [(-0.05, 1), (-3.0, 3), (3.0, 3), (-1e6, MOST_AT_FIRST)])
+@pytest.mark.parametrize(
+    ("rate", "count"), [(-0.05, 1), (-3.0, 3), (3.0, 3), (-1e6, MOST_AT_FIRST)]
+)
 def test_the_first_substeps_follow_the_poles_at_rest(rate, count):
     assert _first_substeps(model_at(Growth(), {"rate": rate}), 0.1) == count
 
@@ -87,13 +89,18 @@ def test_substeps_are_refined_to_the_tolerance(integrator, rate):
 def test_chosen_substeps_are_kept():
     time = 0.1 * np.arange(11)
     record = gb.Record(time, {"u": np.zeros(11)})
-    found = gb.simulate(Growth(), {"rate": -10.0}, record, initial={"x": 1.0}, integrator=gb.RungeKutta(1))
+    found = gb.simulate(
+        Growth(), {"rate": -10.0}, record, initial={"x": 1.0}, integrator=gb.RungeKutta(1)
+    )
     one_step = sum((-1.0) ** k / math.factorial(k) for k in range(5))
     assert_allclose(found["x"], one_step ** np.arange(11), rtol=1e-12)
 
 
 def test_diverged_is_not_finite_or_beyond_any_physical_size():
-    signals = {"a": np.array([1.0, 2 * DIVERGED, 1.0, np.nan]), "b": np.array([1.0, 1.0, -np.inf, 1.0])}
+    signals = {
+        "a": np.array([1.0, 2 * DIVERGED, 1.0, np.nan]),
+        "b": np.array([1.0, 1.0, -np.inf, 1.0]),
+    }
     assert diverged(signals).tolist() == [False, True, True, True]
 
 
@@ -113,7 +120,9 @@ class Known:
         self.rate, self.variance = rate, variance
 
     def at_estimate(self, model, **options):
-        return replace(model_at(Growth(), {"rate": self.rate}), covariance=np.array([[self.variance]]))
+        return replace(
+            model_at(Growth(), {"rate": self.rate}), covariance=np.array([[self.variance]])
+        )
 
 
 def test_errors_of_predictions_follow_the_parameters_through_the_state_that_they_imply():
@@ -141,7 +150,9 @@ def test_a_free_simulation_takes_its_fitted_initial_states_along():
     residual = random.normal(size=(2, t + 4))
     residual[0, 5], residual[1, 7:9] = np.nan, np.nan
     noise = np.array([[0.5, 0.2], [0.2, 0.4]])
-    part = SimpleNamespace(outputs=("y", "z"), noise=noise, residual=lambda name: residual["yz".index(name)])
+    part = SimpleNamespace(
+        outputs=("y", "z"), noise=noise, residual=lambda name: residual["yz".index(name)]
+    )
     model = SimpleNamespace(system=SimpleNamespace(states=("p", "q")), part=part)
     stretch = SimpleNamespace(rows=np.arange(2, 2 + t))
     outputs = ("z", "y")  # in another order than those of the fit
@@ -153,7 +164,9 @@ def test_a_free_simulation_takes_its_fitted_initial_states_along():
     X, Q = whitened[:, :n], whitened[:, n:]
     assert_allclose(found, slopes[..., n:] - slopes[..., :n] @ np.linalg.lstsq(X, Q, rcond=None)[0])
     covariance = np.linalg.inv(X.T @ X)
-    assert_allclose(variance, np.einsum("tkn,nm,tkm->tk", slopes[..., :n], covariance, slopes[..., :n]))
+    assert_allclose(
+        variance, np.einsum("tkn,nm,tkm->tk", slopes[..., :n], covariance, slopes[..., :n])
+    )
 
     one = SimpleNamespace(rows=np.arange(2, 3))  # two numbers tell two states
     assert np.isfinite(_free_run_sensitivities(model, one, slopes[:1], outputs, True)[1]).all()
@@ -176,7 +189,9 @@ def test_guesses_begin_with_what_was_measured():
     model = SimpleNamespace(system=SimpleNamespace(states=("p", "y")), part=None)
     size = (4 + 7 + 1 + 2 + 2 + 6) / 6
     for part, fitted in ((None, 0.0), (SimpleNamespace(initial={"p": np.array([1.0, 4.0])}), 2.5)):
-        guesses = _initial_guesses(SimpleNamespace(**{**vars(model), "part": part}), ("z", "y"), past)
+        guesses = _initial_guesses(
+            SimpleNamespace(**{**vars(model), "part": part}), ("z", "y"), past
+        )
         others = [0.0, fitted, size, 0.1 * size, 10 * size, -size]
         assert_allclose(guesses, [[[value, 7.0], [value, 0.0]] for value in others])
     nothing = _initial_guesses(model, ("z", "q"), np.zeros((1, 2, 2)))
@@ -213,11 +228,18 @@ def test_windows_are_linearized_along_their_simulations():
 def test_errors_that_are_not_known_are_those_of_outputs_that_depend_on_them():
     """Of three values, one with a variance, one known, one not determined."""
     nan = np.nan
-    covariance = np.array([[0.04, 0.0, 0.01, nan], [0.0, 0.0, 0.0, 0.0], [0.01, 0.0, 0.09, nan], [nan, 0, nan, nan]])
-    model = SimpleNamespace(
-        covariance=covariance, uncertain=np.array([0, 2, 3]), q=np.array([1.0, 2.0, 3.0, 4.0]), names=tuple("abcd")
+    covariance = np.array(
+        [[0.04, 0.0, 0.01, nan], [0.0, 0.0, 0.0, 0.0], [0.01, 0.0, 0.09, nan], [nan, 0, nan, nan]]
     )
-    slopes = np.array([[[1.0, -2.0, 0.0]], [[3.0, 0.5, 1e-12]], [[1.0, 1.0, -0.2]]])  # (samples, outputs, values)
+    model = SimpleNamespace(
+        covariance=covariance,
+        uncertain=np.array([0, 2, 3]),
+        q=np.array([1.0, 2.0, 3.0, 4.0]),
+        names=tuple("abcd"),
+    )
+    slopes = np.array(
+        [[[1.0, -2.0, 0.0]], [[3.0, 0.5, 1e-12]], [[1.0, 1.0, -0.2]]]
+    )  # (samples, outputs, values)
     variance = np.array([[0.5], [0.0], [0.1]])
     error, unknown = _standard_errors(slopes, variance, model)
     wanted = [0.5 + 0.04 + 4 * 0.09 - 4 * 0.01, 9 * 0.04 + 0.25 * 0.09 + 3 * 0.01, nan]
@@ -229,5 +251,8 @@ def test_errors_that_are_not_known_are_those_of_outputs_that_depend_on_them():
     _, independent = _standard_errors(slopes[:2], variance[:2], model)
     assert independent == ()
     assert (
-        _standard_errors(slopes[..., :0], -variance, SimpleNamespace(covariance=np.eye(1), uncertain=[]))[0].max() == 0
+        _standard_errors(
+            slopes[..., :0], -variance, SimpleNamespace(covariance=np.eye(1), uncertain=[])
+        )[0].max()
+        == 0
     )

@@ -37,14 +37,18 @@ class SafeTanks(Tanks):
 def tanks(model, flow, noise=0.02):
     record = gb.Record(np.arange(flow.size) / 5.0, {"flow": flow}, name="tanks")
     lower = gb.simulate(model, {}, record, initial={"upper": 2.0, "lower": 1.5})["lower"]
-    return record.with_signals(lower=lower + noise * np.random.default_rng(0).normal(size=flow.size))
+    return record.with_signals(
+        lower=lower + noise * np.random.default_rng(0).normal(size=flow.size)
+    )
 
 
 def test_lead_ins_stay_where_the_model_is_finite():
     flow = 0.6 + 0.3 * np.repeat(np.random.default_rng(1).uniform(-1, 1, 25), 20)
     record = tanks(Tanks(), flow)
     found = gb.predict(Tanks(), {}, record, horizon=2.0, lead=6.0)
-    exact = gb.simulate(Tanks(), {}, record, initial={"upper": 2.0, "lower": 1.5})["lower"][found.rows]
+    exact = gb.simulate(Tanks(), {}, record, initial={"upper": 2.0, "lower": 1.5})["lower"][
+        found.rows
+    ]
     assert np.sqrt(np.mean((found.predicted[0] - exact) ** 2)) < 0.02
     assert np.all(found.trajectory > 0)
 
@@ -53,10 +57,14 @@ def test_what_is_not_finite_is_named_with_its_place():
     flow = np.where(np.arange(300) < 150, 0.6, 0.0)
     record = tanks(SafeTanks(), flow)
     with pytest.raises(
-        ValueError, match=r"not finite in \d+ windows of 58: (upper|lower) at 3\d.\d* s, .*after upper = "
+        ValueError,
+        match=r"not finite in \d+ windows of 58: (upper|lower) at 3\d.\d* s, .*after upper = ",
     ):
         gb.predict(Tanks(), {}, record, horizon=1.0, lead=2.0, integrator=gb.RungeKutta(substeps=8))
-    with pytest.raises(ValueError, match=r"is not finite from 3\d\.?\d* s on, \w+ first, after upper = .*gb.maximum"):
+    with pytest.raises(
+        ValueError,
+        match=r"is not finite from 3\d\.?\d* s on, \w+ first, after upper = .*gb.maximum",
+    ):
         gb.simulate(Tanks(), {}, record, initial={"upper": 2.0, "lower": 1.5})
 
 
@@ -98,18 +106,27 @@ def test_a_few_windows_are_weighted_least_squares():
     H = np.einsum("tki,kl,tlj->ij", C, weight, C)
     wanted = np.linalg.solve(H, np.einsum("tki,kl,wtl->iw", C, weight, measured)).T
     assert_allclose(found.states, wanted, atol=0.02 * np.sqrt(np.diag(np.linalg.inv(H))).max())
-    assert_allclose(found.covariance, np.broadcast_to(np.linalg.inv(H), (3, STATES, STATES)), rtol=0.02, atol=1e-4)
+    assert_allclose(
+        found.covariance,
+        np.broadcast_to(np.linalg.inv(H), (3, STATES, STATES)),
+        rtol=0.02,
+        atol=1e-4,
+    )
     assert not found.not_finite.any()
 
 
 def test_many_windows_tell_their_prior_and_the_noise():
     C, truth, random = linear(400)
-    measured = np.einsum("tkn,wn->wtk", C, truth) + random.normal(size=(400, SAMPLES, OUTPUTS)) * [0.3, 0.6]
+    measured = np.einsum("tkn,wn->wtk", C, truth) + random.normal(size=(400, SAMPLES, OUTPUTS)) * [
+        0.3,
+        0.6,
+    ]
     measured[:, 2, 1] = np.nan
     found = estimated(C, measured, None)
     assert_allclose(found.mean, [5, -2, 1], atol=0.3)
     assert_allclose(1 / np.sqrt(found.precision), [1.0, 0.5, 2.0], rtol=0.15)
-    # What the states have fitted away is shared between the outputs by number, not by what each tells of the states.
+    # What the states have fitted away is shared between the outputs by number, not by what each
+    # tells of the states.
     assert_allclose(np.sqrt(np.diag(found.noise)), [0.3, 0.6], rtol=0.15)
     error = (found.states - truth) / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     assert_allclose(error.std(axis=0), 1, rtol=0.15)
@@ -118,10 +135,18 @@ def test_many_windows_tell_their_prior_and_the_noise():
 def test_one_step_errors_are_those_of_gaussian_conditioning():
     """The joint covariance of all measurements, factored: its Cholesky factor whitens them one after another."""
     C, truth, random = linear(4)
-    noise, precision, mean = np.array([0.2, 0.5]), np.array([1.0, 4.0, 0.25]), np.array([5.0, -2.0, 1.0])
-    measured = np.einsum("tkn,wn->wtk", C, truth) + random.normal(size=(4, SAMPLES, OUTPUTS)) * np.sqrt(noise)
+    noise, precision, mean = (
+        np.array([0.2, 0.5]),
+        np.array([1.0, 4.0, 0.25]),
+        np.array([5.0, -2.0, 1.0]),
+    )
+    measured = np.einsum("tkn,wn->wtk", C, truth) + random.normal(
+        size=(4, SAMPLES, OUTPUTS)
+    ) * np.sqrt(noise)
     measured[1, 3] = np.nan
-    about = random.normal(size=(4, STATES))  # the trajectory about which everything is linear does not matter
+    about = random.normal(
+        size=(4, STATES)
+    )  # the trajectory about which everything is linear does not matter
     residual = measured - np.einsum("tkn,wn->wtk", C, about)
     slopes = np.broadcast_to(C, (4, *C.shape))
     found = one_step_errors(residual, slopes, mean - about, precision, np.diag(noise))
@@ -167,7 +192,10 @@ def test_predictions_do_not_depend_on_the_unit_of_an_output(unit):
     noise = 0.1 * np.random.default_rng(1).normal(size=400)
     y = gb.simulate(Lag(), {}, record)["y"] + noise
     plain, scaled = (
-        gb.predict(Lag(), {"scale": size}, record.with_signals(y=size * y), horizon=1.0, lead=2.0).predicted[0] / size
+        gb.predict(
+            Lag(), {"scale": size}, record.with_signals(y=size * y), horizon=1.0, lead=2.0
+        ).predicted[0]
+        / size
         for size in (1.0, unit)
     )
     assert_allclose(scaled, plain, atol=1e-6 * np.std(y))
@@ -177,7 +205,11 @@ def test_a_model_without_states_has_the_mean_square_of_each_output_as_noise():
     errors = np.array([[[1.0, 4.0], [3.0, np.nan]], [[np.nan, np.nan], [2.0, np.nan]]])
     found = state_estimation.without_states(errors, None, np.ones(2))
     assert_allclose(found.noise, np.diag([14 / 3, 16.0]), rtol=1e-9)
-    assert (found.states.shape, found.covariance.shape, found.mean.shape) == ((2, 0), (2, 0, 0), (0,))
+    assert (found.states.shape, found.covariance.shape, found.mean.shape) == (
+        (2, 0),
+        (2, 0, 0),
+        (0,),
+    )
     assert not found.not_finite.any()
     known = state_estimation.without_states(errors, np.diag([0.5, 0.25]), np.ones(2))
     assert_allclose(known.noise, np.diag([0.5, 0.25]), rtol=1e-9)
@@ -210,7 +242,12 @@ def test_the_noise_is_that_of_the_residuals_less_what_the_states_have_fitted_awa
     R, posterior = np.diag([0.5, 2.0]), np.array([np.eye(2) * c for c in (0.05, 0.1, 0.02)])
     found = state_estimation._noise_of(e, S, present, posterior, R, np.full(2, 1e-3))
     fitted = (
-        sum((S[w, t, j] @ posterior[w] @ S[w, t, j]) / R[j, j] for w in range(3) for t in range(5) for j in range(2))
+        sum(
+            (S[w, t, j] @ posterior[w] @ S[w, t, j]) / R[j, j]
+            for w in range(3)
+            for t in range(5)
+            for j in range(2)
+        )
         / present.sum()
     )
     assert 0.05 < fitted < 0.9
@@ -234,7 +271,9 @@ def test_a_step_is_halved_in_the_windows_where_it_costs_more():
     x = np.zeros((4, 1))
     step = np.array([[2.0], [6.0], [-1.0], [5.0]])
     finite = np.isfinite(measured)
-    moved, e, taken = state_estimation._line_search(residual, posterior, x, residual(x), step, finite)
+    moved, e, taken = state_estimation._line_search(
+        residual, posterior, x, residual(x), step, finite
+    )
     assert_allclose(moved[:, 0], [2.0, 3.0, 0.0, 0.0])
     assert_allclose(taken, moved)
     assert_allclose(e[:3, 0, 0], [0.0, -1.0, 2.0])
@@ -245,7 +284,9 @@ def test_a_step_is_halved_in_the_windows_where_it_costs_more():
 
 def test_a_window_begins_with_the_first_guess_that_is_finite_or_where_the_others_are():
     """Of an output that is the root of its one state, in five windows."""
-    measured = np.array([[[1.0], [2.0]], [[3.0], [np.nan]], [[1.0], [1.0]], [[2.0], [2.0]], [[0.5], [0.5]]])
+    measured = np.array(
+        [[[1.0], [2.0]], [[3.0], [np.nan]], [[1.0], [1.0]], [[2.0], [2.0]], [[0.5], [0.5]]]
+    )
 
     def root(x, offset=0.0):
         with np.errstate(invalid="ignore"):
@@ -255,14 +296,20 @@ def test_a_window_begins_with_the_first_guess_that_is_finite_or_where_the_others
         with np.errstate(invalid="ignore"):
             return (0.5 / np.sqrt(x - offset))[:, None, :, None] * np.ones((1, 2, 1, 1))
 
-    guesses = [np.array([[4.0], [-1.0], [-1.0], [9.0], [-1.0]]), np.array([[1.0], [16.0], [-1.0], [1.0], [-2.0]])]
+    guesses = [
+        np.array([[4.0], [-1.0], [-1.0], [9.0], [-1.0]]),
+        np.array([[1.0], [16.0], [-1.0], [1.0], [-2.0]]),
+    ]
     guesses.append(np.array([[2.0], [2.0], [25.0], [2.0], [-3.0]]))
     lead_ins = state_estimation._LeadIns(root, slope, measured)
     x, e, S, finite = lead_ins.begin(guesses)
     begun = np.array([4.0, 16.0, 25.0, 9.0, (4 + 16 + 25 + 9) / 4])
     assert_allclose(x[:, 0], begun)
     assert finite.all()
-    assert_allclose(e[..., 0], np.where(np.isfinite(measured[..., 0]), measured[..., 0] - np.sqrt(begun)[:, None], 0.0))
+    assert_allclose(
+        e[..., 0],
+        np.where(np.isfinite(measured[..., 0]), measured[..., 0] - np.sqrt(begun)[:, None], 0.0),
+    )
     assert_allclose(S[:, 0, 0, 0], 0.5 / np.sqrt(begun))
     # Where the mean of the others is no place either, the window does not count.
     far = np.array([[0.0], [0], [0], [0], [50]])
@@ -283,7 +330,9 @@ def test_the_prior_of_many_windows_is_that_of_their_states():
     H = np.broadcast_to(np.diag([1e6, 1e6]), (w, 2, 2))
     measured = np.ones((w, 4, 1))
     information = np.einsum("wij,wj->wi", H, x)
-    mean, precision = state_estimation._prior(H, information, np.zeros(2), measured, np.eye(1), np.array([100.0]))
+    mean, precision = state_estimation._prior(
+        H, information, np.zeros(2), measured, np.eye(1), np.array([100.0])
+    )
     assert_allclose(mean, x.mean(axis=0), rtol=1e-4)
     assert_allclose(precision, (w - 1) / ((x - x.mean(axis=0)) ** 2).sum(axis=0), rtol=1e-3)
     for few, told in ((9, False), (10, True)):  # below ten their states do not determine a spread
@@ -306,6 +355,8 @@ def test_information_is_weighted_by_correlated_noise():
     precision, mean = np.array([1.0, 2.0, 0.5, 4.0]), random.normal(size=4)
     cost = state_estimation._Posterior(R, mean, precision).cost(e, x)
     prior = ((x - mean) ** 2 * precision).sum(axis=1)
-    assert_allclose(cost, [sum(e[w, t] @ weight @ e[w, t] for t in range(3)) + prior[w] for w in range(2)])
+    assert_allclose(
+        cost, [sum(e[w, t] @ weight @ e[w, t] for t in range(3)) + prior[w] for w in range(2)]
+    )
     e[1, 2, 0] = np.inf
     assert np.isinf(state_estimation._Posterior(R, mean, precision).cost(e, x)[1])

@@ -86,8 +86,14 @@ def test_seconds_have_three_digits():
     [
         ({"lead": 0.0, "horizon": 1.0}, r"lead is 0\.0: give a length above 0, in s"),
         ({"lead": 1.0, "horizon": True}, "horizon is True: give a length above 0"),
-        ({"lead": 0.05, "horizon": 1.0}, r"lead=0\.05 s is shorter than a sample of r, 0\.1 s: give several samples"),
-        ({"lead": 4.0, "horizon": 3.0}, r"no room for lead=4 and horizon=3 s .* lasts 6 s; give a shorter lead"),
+        (
+            {"lead": 0.05, "horizon": 1.0},
+            r"lead=0\.05 s is shorter than a sample of r, 0\.1 s: give several samples",
+        ),
+        (
+            {"lead": 4.0, "horizon": 3.0},
+            r"no room for lead=4 and horizon=3 s .* lasts 6 s; give a shorter lead",
+        ),
     ],
 )
 def test_lengths_that_cannot_be_are_refused(lengths, sentence):
@@ -96,7 +102,10 @@ def test_lengths_that_cannot_be_are_refused(lengths, sentence):
 
 
 def test_the_input_must_be_there():
-    with pytest.raises(ValueError, match="the record has no signal 'F', an input of the model; it has u, y: name it"):
+    with pytest.raises(
+        ValueError,
+        match="the record has no signal 'F', an input of the model; it has u, y: name it",
+    ):
         cut(record(), ["F"], ["y"], lead=1.0, horizon=1.0)
 
 
@@ -106,7 +115,8 @@ def test_the_data_of_a_window_are_those_of_its_stretch():
     found = sample_data(windows, ("u",), ("y",), np.array([0.2]))
     assert_allclose(found["step"], 0.1)
     assert_allclose(found["whole"], 2)
-    # whole samples of the delay, and the inputs before, at and after the delayed one; held before a stretch
+    # whole samples of the delay, and the inputs before, at and after the delayed one; held before a
+    # stretch
     first = np.where(windows.rows < 30, 0, 31)
     for row, shift in enumerate((-3, -2, -1)):
         assert_allclose(found["around"][row], data["u"][np.maximum(windows.rows + shift, first)])
@@ -131,19 +141,28 @@ def test_of_rows_without_a_time_each_that_has_its_inputs_and_some_output_is_a_wi
 
 
 def test_a_length_may_fall_short_of_a_sample_by_rounding_alone():
-    for lengths in ({"lead": 0.1 * (1 - 5e-7), "horizon": 0.3}, {"lead": 0.3, "horizon": 0.1 * (1 - 5e-7)}):
+    for lengths in (
+        {"lead": 0.1 * (1 - 5e-7), "horizon": 0.3},
+        {"lead": 0.3, "horizon": 0.1 * (1 - 5e-7)},
+    ):
         windows = cut(record(), ["u"], ["y"], **lengths)
         assert {windows.lead, windows.horizon} == {1, 3}
     sentence = r"lead=0\.1 s is shorter than a sample of r, 0\.1 s: give several samples, e\.g\. lead=1, or omit it\."
     with pytest.raises(ValueError, match=sentence):
         cut(record(), ["u"], ["y"], lead=0.1 * (1 - 2e-6), horizon=0.3)
     unnamed = gb.Record(0.2 * np.arange(9), {"u": np.ones(9), "y": np.ones(9)})
-    with pytest.raises(ValueError, match=r"step=0\.05 s is shorter than a sample of the record, 0\.2 s: .* step=2, or"):
+    with pytest.raises(
+        ValueError,
+        match=r"step=0\.05 s is shorter than a sample of the record, 0\.2 s: .* step=2, or",
+    ):
         cut(unnamed, ["u"], ["y"], lead=0.4, horizon=0.05, called="step")
 
 
 def test_a_window_may_take_the_whole_of_a_stretch_and_no_more():
     data = record(count=12)
     assert cut(data, ["u"], ["y"], lead=0.5, horizon=0.7).rows.tolist() == [list(range(12))]
-    with pytest.raises(ValueError, match=r"r has no room for lead=0\.5 and horizon=0\.8 s with .* lasts 1\.2 s; give"):
+    with pytest.raises(
+        ValueError,
+        match=r"r has no room for lead=0\.5 and horizon=0\.8 s with .* lasts 1\.2 s; give",
+    ):
         cut(data, ["u"], ["y"], lead=0.5, horizon=0.8)

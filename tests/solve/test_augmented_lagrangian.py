@@ -39,7 +39,9 @@ def test_the_minimum_under_constraints_is_that_of_scipy_in_any_unit_of_theirs(sc
     wanted = minimize(
         target,
         (1, 0),
-        constraints=[{"type": "ineq", "fun": lambda z, k=k: limits(z)[k] / scale} for k in range(3)],
+        constraints=[
+            {"type": "ineq", "fun": lambda z, k=k: limits(z)[k] / scale} for k in range(3)
+        ],
         method="SLSQP",
         options={"ftol": 1e-15, "maxiter": 300},
     ).x
@@ -60,7 +62,9 @@ def test_constraints_that_hold_nothing_change_nothing():
 def test_a_minimum_between_a_constraint_and_a_bound():
     """Where z0 + 2 z1 >= 3 and z1 <= 0.8: the corner (1.4, 0.8) of a cost that falls toward lower z0 and z1."""
     solver = constrained(
-        lambda z: (z[0] + 1) ** 2 + (z[1] + 5) ** 2 / 8, lambda z: (z[0] + 2 * z[1] - 3,), upper=(4, 0.8)
+        lambda z: (z[0] + 1) ** 2 + (z[1] + 5) ** 2 / 8,
+        lambda z: (z[0] + 2 * z[1] - 3,),
+        upper=(4, 0.8),
     )
     ends = searched(solver, [(3.5, 0.7), (-2, -2)])
     assert ends.at_minimum.all()
@@ -69,7 +73,9 @@ def test_a_minimum_between_a_constraint_and_a_bound():
 
 def test_searches_end_on_their_side_of_what_parts_the_box():
     """z0 z1 >= 1 leaves two parts, each with a minimum on its hyperbola; a start between them goes to the nearest."""
-    solver = constrained(lambda z: z[0] ** 2 + 4 * z[1] ** 2 + z[0], lambda z: (z[0] * z[1] - 1,), origin=(1, 2))
+    solver = constrained(
+        lambda z: z[0] ** 2 + 4 * z[1] ** 2 + z[0], lambda z: (z[0] * z[1] - 1,), origin=(1, 2)
+    )
     ends = searched(solver, [(2, 3), (3, 0.5), (-3, -1), (-0.5, -3.5), (0.2, 0.1), (-0.1, -0.3)])
     assert ends.at_minimum.all()
     sides = []
@@ -109,26 +115,35 @@ def test_the_function_that_is_minimized_is_the_augmented_lagrangian_or_has_a_bar
     def least(barrier, penalty, multiplier):
         given = np.array([[barrier], [penalty], [multiplier]])
         begin = np.array([[0.5], [0.3]])
-        found = solver._newton.minimize(begin, max_iterations=99, tolerance=1e-12, from_near=True, given=given)
+        found = solver._newton.minimize(
+            begin, max_iterations=99, tolerance=1e-12, from_near=True, given=given
+        )
         assert found.at_minimum.all()
         return found.z[:, 0]
 
     # 2 (z - 3) + λ - ρ (1 - z) = 0 where the multiplier is not exhausted.
     assert_allclose(least(0, 10, 2), [(6 - 2 + 10) / 12, 0], atol=1e-9)
     assert_allclose(least(0, 7, 0.3), [(6 - 0.3 + 7) / 9, 0], atol=1e-9)
-    # 2 (z - 3) + b / (1 - z) = 0, on the side of the constraint, with a multiplier of zero that adds nothing there.
+    # 2 (z - 3) + b / (1 - z) = 0, on the side of the constraint, with a multiplier of zero that
+    # adds nothing there.
     assert_allclose(least(0.5, 10, 0), [2 - np.sqrt(1 + 0.25), 0], atol=1e-9)
 
 
 def test_after_the_barrier_multipliers_are_those_that_it_stands_for(monkeypatch):
     """Of a search that began where constraints are met; elsewhere it begins without."""
-    solver = constrained(lambda z: (z[0] - 3) ** 2 + z[1] ** 2, lambda z: (5 * (1 - z[0]), 2 * (z[1] + 3)))
+    solver = constrained(
+        lambda z: (z[0] - 3) ** 2 + z[1] ** 2, lambda z: (5 * (1 - z[0]), 2 * (z[1] + 3))
+    )
     met = []
-    monkeypatch.setattr(solver, "_meet", lambda ends, multipliers, *limits: met.append((ends, multipliers)))
+    monkeypatch.setattr(
+        solver, "_meet", lambda ends, multipliers, *limits: met.append((ends, multipliers))
+    )
     searched(solver, [(0.2, 0.5), (0.8, -0.1)])
     ((ends, multipliers),) = met
     inside = 1 - ends.z[0]
-    assert np.all((inside > 0) & (inside < 1e-4))  # where the barrier of 1e-4 pulls as much as the slope of 4 pushes
+    assert np.all(
+        (inside > 0) & (inside < 1e-4)
+    )  # where the barrier of 1e-4 pulls as much as the slope of 4 pushes
     assert_allclose(multipliers, [1e-4 / inside, 1e-4 / (ends.z[1] + 3)])
     assert_allclose(multipliers[0], 4, rtol=0.05)
     assert np.all(ends.iterations > 2)

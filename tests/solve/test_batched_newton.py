@@ -13,7 +13,11 @@ FAR = np.full(2, 9.0)
 
 def newton(cost, lower=-FAR, upper=FAR, given=0):
     """Of a cost (z, smoothing, given) of two variables."""
-    inputs = [ca.SX.sym("z", 2), ca.SX.sym("smoothing"), *([ca.SX.sym("given", given)] if given else [])]
+    inputs = [
+        ca.SX.sym("z", 2),
+        ca.SX.sym("smoothing"),
+        *([ca.SX.sym("given", given)] if given else []),
+    ]
     return BatchedNewton(ca.Function("f", inputs, [cost(*inputs)]), lower, upper)
 
 
@@ -56,7 +60,9 @@ def test_one_step_leads_to_the_minimum_of_a_quadratic_nearby():
 def test_every_search_has_what_is_given_for_it_however_many_are_left(count):
     """Powers of unlike curvature end at unlike times; the places of the others must not change with them."""
     random = np.random.default_rng(count)
-    given = np.array([random.uniform(-3, 3, count), random.uniform(-3, 3, count), random.uniform(0, 8, count)])
+    given = np.array(
+        [random.uniform(-3, 3, count), random.uniform(-3, 3, count), random.uniform(0, 8, count)]
+    )
 
     def cost(z, smoothing, given):
         x, y = z[0] - given[0], z[1] - given[1]
@@ -72,7 +78,11 @@ def test_every_search_has_what_is_given_for_it_however_many_are_left(count):
         assert len(set(ends.iterations.tolist())) > 3
     for k in (0, count - 1):
         own = solver.minimize(
-            begin[:, k : k + 1], max_iterations=100, tolerance=1e-10, from_near=True, given=given[:, k : k + 1]
+            begin[:, k : k + 1],
+            max_iterations=100,
+            tolerance=1e-10,
+            from_near=True,
+            given=given[:, k : k + 1],
         )
         assert_allclose(own.z[:, 0], ends.z[:, k], atol=1e-8)
         assert own.iterations[0] == ends.iterations[k]
@@ -95,7 +105,9 @@ def test_a_search_from_afar_is_kept_off_its_bounds_until_the_last_level():
 
 def test_the_smoothing_of_the_last_level_is_that_of_every_solver():
     """At a minimum of |z - 1| rounded off, and another unrounded one: where it is tells the smoothing."""
-    solver = newton(lambda z, smoothing: ca.sqrt((z[0] - 1) ** 2 + smoothing) + 0.6 * z[0] + (z[1] - z[0]) ** 2)
+    solver = newton(
+        lambda z, smoothing: ca.sqrt((z[0] - 1) ** 2 + smoothing) + 0.6 * z[0] + (z[1] - z[0]) ** 2
+    )
     ends = solver.minimize(np.array([[3.0, -2.0], [0.0, 0.0]]), max_iterations=200, tolerance=1e-10)
     # The slope u / sqrt(u² + s) is -0.6 where u = -0.75 sqrt(s).
     assert_allclose(ends.z[0] - 1, -0.75 * np.sqrt(1e-8), rtol=1e-3)
@@ -109,11 +121,14 @@ def test_a_search_passes_through_the_levels_one_after_the_other():
         np.full(2, np.inf),
     )
     reached = [
-        solver.minimize(np.array([[0.9], [0.3]]), max_iterations=most, tolerance=1e-10).z[:, 0] for most in range(1, 8)
+        solver.minimize(np.array([[0.9], [0.3]]), max_iterations=most, tolerance=1e-10).z[:, 0]
+        for most in range(1, 8)
     ]
     wanted = [SMOOTHINGS[level] * np.array([0.5, 1.0]) for level in (0, 0, 1, 1, 2, 2, 3)]
     assert_allclose(reached, wanted, atol=1e-12)
-    last = solver.minimize(np.array([[0.9], [0.3]]), max_iterations=1, tolerance=1e-10, from_near=True)
+    last = solver.minimize(
+        np.array([[0.9], [0.3]]), max_iterations=1, tolerance=1e-10, from_near=True
+    )
     assert_allclose(last.z[:, 0], SMOOTHINGS[3] * np.array([0.5, 1.0]), atol=1e-12)
 
 

@@ -23,7 +23,9 @@ from greybox.solve.runs import Runs
 from greybox.solve.waves import probability_of_no_other
 
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
-NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+NOISY = gb.Problem(
+    LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
+)
 
 
 def stages(fit):
@@ -60,7 +62,9 @@ def test_a_minimum_at_a_bound_is_found_as_often_as_by_ipopt():
 def test_it_serves_every_criterion(criterion):
     problem = gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT, noise=0.03, seed=1), criterion)
     assert BatchedSolver.serves(compile_problem(problem))
-    fit, wanted = (gb.fit(problem, 20, search=search, progress=False) for search in ("batched", "multistart"))
+    fit, wanted = (
+        gb.fit(problem, 20, search=search, progress=False) for search in ("batched", "multistart")
+    )
     assert stages(fit).count("improved") >= 15
     assert fit.cost == pytest.approx(wanted.cost, rel=1e-7, abs=1e-7)
     assert fit.agreeing >= wanted.agreeing - 1
@@ -81,10 +85,14 @@ def test_precise_points_are_fitted_from_every_start(noise):
 
     def errors(factors):
         values = dict(zip(TWO_LAGS, factors * list(TWO_LAGS.values()), strict=True))
-        e = (gb.frequency_response(LagLagDelay(), values, data.omega).response - data.response) / sigma
+        e = (
+            gb.frequency_response(LagLagDelay(), values, data.omega).response - data.response
+        ) / sigma
         return np.r_[e.real, e.imag]
 
-    known = least_squares(errors, np.ones(len(TWO_LAGS)), x_scale=noise, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    known = least_squares(
+        errors, np.ones(len(TWO_LAGS)), x_scale=noise, xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
     problem = gb.Problem(LagLagDelay(), replace(data, variance=sigma**2), gb.MaximumLikelihood())
     for fit in both_searches(problem, 20):
         assert fit.agreeing >= 18
@@ -92,7 +100,10 @@ def test_precise_points_are_fitted_from_every_start(noise):
 
 
 def both_searches(problem, starts):
-    return [gb.fit(problem, starts, search=s, progress=False, profiles=False) for s in ("batched", "multistart")]
+    return [
+        gb.fit(problem, starts, search=s, progress=False, profiles=False)
+        for s in ("batched", "multistart")
+    ]
 
 
 def test_constraints_that_part_the_box_are_respected_from_every_start():
@@ -138,7 +149,9 @@ def test_derivatives_with_the_roots_held_are_those_through_the_root_finder():
     slope = nlp.program_derivatives["grad_f"](point, 1e-8)[1]
     curvature = nlp.program_derivatives["hess_lag"](point, 1e-8, 1.0, [])
     for found, exact in zip((slope, curvature), wanted(point, 1e-8), strict=True):
-        np.testing.assert_allclose(found.full(), exact.full(), rtol=1e-9, atol=1e-9 * np.abs(exact.full()).max())
+        np.testing.assert_allclose(
+            found.full(), exact.full(), rtol=1e-9, atol=1e-9 * np.abs(exact.full()).max()
+        )
 
 
 def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all(monkeypatch):
@@ -147,7 +160,9 @@ def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all(
     assert set(stages(gb.fit(NOISY, 8, progress=False))) == {"polished"}
     few = gb.fit(NOISY, progress=False)
     assert [stages(few).count(stage) for stage in ("screened", "polished")] == [192, 8]
-    assert few.cost == pytest.approx(gb.fit(NOISY, 20, search="multistart", progress=False).cost, rel=1e-7)
+    assert few.cost == pytest.approx(
+        gb.fit(NOISY, 20, search="multistart", progress=False).cost, rel=1e-7
+    )
 
 
 def test_every_end_is_a_minimum_within_the_bounds():
@@ -156,8 +171,12 @@ def test_every_end_is_a_minimum_within_the_bounds():
 
     z, smoothing = ca.SX.sym("z", 2), ca.SX.sym("smoothing")
     cost = (z[0] ** 2 - 1) ** 2 + 0.3 * z[0] + (z[1] + 2) ** 2
-    newton = BatchedNewton(ca.Function("f", [z, smoothing], [cost]), np.array([-3.0, -1.0]), np.array([3.0, 3.0]))
-    ends = newton.minimize(np.random.default_rng(0).uniform(-1, 3, (2, 200)), max_iterations=100, tolerance=1e-9)
+    newton = BatchedNewton(
+        ca.Function("f", [z, smoothing], [cost]), np.array([-3.0, -1.0]), np.array([3.0, 3.0])
+    )
+    ends = newton.minimize(
+        np.random.default_rng(0).uniform(-1, 3, (2, 200)), max_iterations=100, tolerance=1e-9
+    )
     assert ends.at_minimum.all()
     wells = [root.real for root in np.roots([4, 0, -4, 0.3]) if 12 * root.real**2 > 4]
     nearest = np.min(np.abs(ends.z[0][:, None] - wells), axis=1)
@@ -182,7 +201,9 @@ def test_searches_keep_to_bounds_of_their_own():
     )
     assert ends.at_minimum.all()
     for k in range(3, 11):
-        assert ends.z[:, k] == pytest.approx(lsq_linear(a, b, (low[:, k], high[:, k]), tol=1e-14).x, abs=1e-7)
+        assert ends.z[:, k] == pytest.approx(
+            lsq_linear(a, b, (low[:, k], high[:, k]), tol=1e-14).x, abs=1e-7
+        )
     for k in range(3):
         rest = lsq_linear(a[:, 1:], b - a[:, 0] * low[0, k], (low[1:, k], high[1:, k]), tol=1e-14).x
         assert ends.z[:, k] == pytest.approx(np.r_[low[0, k], rest], abs=1e-7)
@@ -213,7 +234,9 @@ def test_a_start_that_is_not_finite_does_not_disturb_the_others():
     import casadi as ca
 
     z, smoothing = ca.SX.sym("z"), ca.SX.sym("smoothing")
-    newton = BatchedNewton(ca.Function("f", [z, smoothing], [ca.sqrt(z) + 1 / z]), np.array([-2.0]), np.array([9.0]))
+    newton = BatchedNewton(
+        ca.Function("f", [z, smoothing], [ca.sqrt(z) + 1 / z]), np.array([-2.0]), np.array([9.0])
+    )
     ends = newton.minimize(np.array([[-1.0, 1.0, 8.0, -0.5]]), max_iterations=100, tolerance=1e-9)
     assert_array_equal(ends.at_minimum, [False, True, True, False])
     assert ends.z[0, 1:3] == pytest.approx(4 ** (1 / 3), rel=1e-8)  # where z^(-1/2) / 2 is z^-2
@@ -246,7 +269,9 @@ def test_by_default_the_promising_starts_are_run_and_the_others_kept_with_their_
     assert counts["screened"] == 192
     assert counts["improved"] + counts["polished"] == 8
     assert fit.agreeing == 8
-    assert fit.cost == pytest.approx(gb.fit(pitch_hover.problem(), 20, search="multistart").cost, rel=1e-7)
+    assert fit.cost == pytest.approx(
+        gb.fit(pitch_hover.problem(), 20, search="multistart").cost, rel=1e-7
+    )
     assert "8 of 8 converged (192 of 200 starts were screened out); 8 agree" in str(fit)
     screened = [run for run in fit.runs if run.stage == "screened"]
     assert all(not run.converged and run.iterations == 0 for run in screened)
@@ -271,9 +296,14 @@ def test_where_promising_starts_disagree_all_are_run():
     omega = np.geomspace(1, 200, 80)
     s = 1j * omega
     two = 1 + sum(0.5 * s / (s**2 / w + 2 * 0.01 * s + w) for w in (5.0, 20.0, 100.0))
-    fit = gb.fit(gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")), progress=False)
+    fit = gb.fit(
+        gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")), progress=False
+    )
     wanted = gb.fit(
-        gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")), 60, search="multistart", progress=False
+        gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")),
+        60,
+        search="multistart",
+        progress=False,
     )
     assert len(fit.minima) >= 3
     assert fit.cost <= wanted.cost * (1 + 1e-6)
@@ -285,7 +315,9 @@ def test_the_probability_of_another_minimum():
     assert probability_of_no_other(42, 1) == pytest.approx(40 / 42)
     random = np.random.default_rng(0)
     searches, found, alone = 30, 0, 0
-    for _ in range(20_000):  # numbers of minima equally likely, their regions uniform on the simplex
+    for _ in range(
+        20_000
+    ):  # numbers of minima equally likely, their regions uniform on the simplex
         number = random.integers(1, 40)
         shares = random.dirichlet(np.ones(number))
         seen = np.unique(random.choice(number, searches, p=shares)).size
@@ -323,7 +355,9 @@ def test_a_search_that_there_is_not():
 def test_the_limits_of_iterations_and_the_tolerance_are_options():
     cut = gb.fit(NOISY, 12, solver_options={"max_iter": 3}, progress=False)
     assert not cut.converged
-    loose, tight = (gb.fit(NOISY, 12, solver_options={"tol": tol}, progress=False) for tol in (1e-3, 1e-10))
+    loose, tight = (
+        gb.fit(NOISY, 12, solver_options={"tol": tol}, progress=False) for tol in (1e-3, 1e-10)
+    )
     spent = [sum(run.iterations for run in fit.runs) for fit in (loose, tight)]
     assert spent[0] < spent[1]
     assert loose.cost == pytest.approx(tight.cost, rel=1e-6)
@@ -340,13 +374,17 @@ def test_a_time_limit_cuts_between_batches(monkeypatch, clock):
     fit = gb.fit(NOISY, 320, seconds=280, progress=False)
     assert 32 <= len(fit.runs) < 320
     assert all(run.status != "time limit of the fit" for run in fit.runs)
-    assert fit.warnings[0].startswith(f"the time limit ended the search after {len(fit.runs)} of 320 starts")
+    assert fit.warnings[0].startswith(
+        f"the time limit ended the search after {len(fit.runs)} of 320 starts"
+    )
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_compiled_it_finds_the_same_and_compiles_once(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    problem = gb.Problem(Idle(), measured(Idle(), np.geomspace(0.5, 40, 4), {"K": 5.0, "T": 0.2}, noise=0.02))
+    problem = gb.Problem(
+        Idle(), measured(Idle(), np.geomspace(0.5, 40, 4), {"K": 5.0, "T": 0.2}, noise=0.02)
+    )
     fit = gb.fit(problem, 12, compile=True, progress=False)
     [library] = (tmp_path / "greybox").iterdir()
     assert stages(fit).count("improved") > 0
@@ -354,7 +392,9 @@ def test_compiled_it_finds_the_same_and_compiles_once(tmp_path, monkeypatch):
     monkeypatch.setattr("subprocess.run", None)
     assert gb.fit(problem, 12, compile=True, progress=False).estimate == fit.estimate
     assert [*(tmp_path / "greybox").iterdir()] == [library]
-    with pytest.raises(ValueError, match="compile=True is for multiple shooting, not for SingleShooting"):
+    with pytest.raises(
+        ValueError, match="compile=True is for multiple shooting, not for SingleShooting"
+    ):
         gb.fit(problem, 2, compile=True, method=gb.SingleShooting())
 
 
@@ -368,7 +408,9 @@ class Confirming(BatchedSolver):
     def run(self, x, smoothing=0.0):
         self.asked.append(float(x[0]))
         cost = self.costs[float(x[0])]
-        return Outcome(x + 0.5, "end", 10, 1.0, converged=cost is not None, cost=99.0 if cost is None else cost)
+        return Outcome(
+            x + 0.5, "end", 10, 1.0, converged=cost is not None, cost=99.0 if cost is None else cost
+        )
 
     def judged_run(self, outcome):
         return outcome

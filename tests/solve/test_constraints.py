@@ -41,14 +41,20 @@ def record(samples=300, step=0.05, a=2.0, b=3.0, noise=0.1):
     y, decay = np.zeros(samples), np.exp(-a * step)
     for k in range(samples - 1):
         y[k + 1] = decay * y[k] + b / a * (1 - decay) * u[k]
-    return gb.Record(np.arange(samples) * step, {"u": u, "y": y + noise * random.normal(size=samples)})
+    return gb.Record(
+        np.arange(samples) * step, {"u": u, "y": y + noise * random.normal(size=samples)}
+    )
 
 
 @pytest.mark.parametrize("method", METHODS, ids=repr)
 def test_a_start_that_misses_the_constraint_is_led_back_to_it(method):
     """The declared start misses b >= 1.6 a, and so does the truth: the tie b = 1.6 a has the same minimum."""
     data = record()
-    fit = gb.fit(gb.Problem(Lag(), data, HELD, constraints=[lambda p: p.b - 1.6 * p.a]), starts=3, method=method)
+    fit = gb.fit(
+        gb.Problem(Lag(), data, HELD, constraints=[lambda p: p.b - 1.6 * p.a]),
+        starts=3,
+        method=method,
+    )
     tied = gb.fit(gb.Problem(Lag(), data, HELD, tied={"b": lambda p: 1.6 * p.a}), starts=3)
     assert fit.agreeing == 3
     assert fit.estimate["b"] >= 1.6 * fit.estimate["a"] - 1e-6
@@ -61,12 +67,17 @@ def test_a_start_that_misses_the_constraint_is_led_back_to_it(method):
 def test_a_curved_constraint_is_kept(samples):
     """On the circle a² + b² = 9 the cost is minimized by hand, over the angle."""
     data = record(samples)
-    fit = gb.fit(gb.Problem(Lag(), data, HELD, constraints=[lambda p: 9 - p.a**2 - p.b**2]), starts=2)
+    fit = gb.fit(
+        gb.Problem(Lag(), data, HELD, constraints=[lambda p: 9 - p.a**2 - p.b**2]), starts=2
+    )
     angle = np.arctan2(fit.estimate["b"], fit.estimate["a"])
     assert fit.agreeing == 2
     assert np.hypot(fit.estimate["a"], fit.estimate["b"]) == pytest.approx(3, rel=1e-6)
     problem = gb.Problem(Lag(), data, HELD)
-    beside = [gb.cost(problem, {"a": 3 * np.cos(t), "b": 3 * np.sin(t)}) for t in (angle - 1e-3, angle, angle + 1e-3)]
+    beside = [
+        gb.cost(problem, {"a": 3 * np.cos(t), "b": 3 * np.sin(t)})
+        for t in (angle - 1e-3, angle, angle + 1e-3)
+    ]
     assert beside[1] <= min(beside[0], beside[2])
 
 
@@ -93,7 +104,9 @@ def test_the_nearest_point_keeps_bounds_and_constraints():
     z = ca.SX.sym("z", 2)
     constraint = 1 - z[0] - z[1]
     limits = Limits(
-        np.zeros(2), np.ones(2), ca.Function("c", [z], [constraint, ca.densify(ca.jacobian(constraint, z))])
+        np.zeros(2),
+        np.ones(2),
+        ca.Function("c", [z], [constraint, ca.densify(ca.jacobian(constraint, z))]),
     )
     assert limits.nearest(np.array([2.0, 2.0])) == pytest.approx([0.5, 0.5])
     assert limits.nearest(np.array([0.2, 0.3])) == pytest.approx([0.2, 0.3])
@@ -126,4 +139,6 @@ def test_a_step_ends_within_the_bounds_and_on_one_that_it_nearly_reaches():
     limits = Limits(np.zeros(3), np.ones(3), ca.Function("none", [z], [ca.SX(0, 1), ca.SX(0, 3)]))
     there = limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.5 + 1e-17, 0.9, 0.25]))
     assert there.tolist() == [0.0, 1.0, 0.75]
-    assert limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.4, 0.4, 0.0])) == pytest.approx([0.1, 0.9, 0.5])
+    assert limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.4, 0.4, 0.0])) == pytest.approx(
+        [0.1, 0.9, 0.5]
+    )

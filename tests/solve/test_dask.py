@@ -13,7 +13,9 @@ import greybox as gb
 from greybox.study.run_files import RunFiles
 
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
-RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+RESPONSE = gb.Problem(
+    LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
+)
 
 
 @contextmanager
@@ -37,7 +39,9 @@ WORKER = "worker --scheduler-file scheduler.json --nthreads 1 --no-dashboard --n
 
 
 @pytest.mark.filterwarnings("ignore")  # of a package that is not ours
-def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_path, capsys, monkeypatch):
+def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
+    tmp_path, capsys, monkeypatch
+):
     scheduler = "scheduler --host 127.0.0.1 --port 0 --no-dashboard --scheduler-file scheduler.json"
     with (
         processes(scheduler, WORKER, WORKER, folder=tmp_path) as (head, first, _),
@@ -51,7 +55,13 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
             assert_array_equal(one.estimate, other.estimate)
 
         status, out, _ = run(
-            capsys, "fit", "rotors", *QUICK, "--scheduler", client.scheduler_info()["address"], "--json"
+            capsys,
+            "fit",
+            "rotors",
+            *QUICK,
+            "--scheduler",
+            client.scheduler_info()["address"],
+            "--json",
         )
         assert status == 0
         assert '"starts": 8' in out
@@ -65,7 +75,9 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
             progress=lambda done, _: first.kill(),
         )
         assert len(fewer.runs) == 80
-        assert all(one.status == other.status for one, other in zip(alone.runs, fewer.runs, strict=False))
+        assert all(
+            one.status == other.status for one, other in zip(alone.runs, fewer.runs, strict=False)
+        )
 
         # The scheduler is lost in mid-study: that is said, and the study goes on without it.
         made = []
@@ -79,7 +91,10 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
 
         monkeypatch.setattr(RunFiles, "add", noted)
         member = gb.study.Member(RESPONSE, 150, name="response", search="multistart")
-        with pytest.raises(RuntimeError, match="the executor gave up its tasks: its workers or its scheduler are gone"):
+        with pytest.raises(
+            RuntimeError,
+            match="the executor gave up its tasks: its workers or its scheduler are gone",
+        ):
             gb.batch([member], tmp_path / "study", executor=client.get_executor(), progress=False)
         assert gb.study.read_study(tmp_path / "study")["response"].status == "unfinished"
         kept = len(made)

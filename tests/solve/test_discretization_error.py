@@ -44,9 +44,13 @@ def test_runs_and_minima_tell_the_same_when_substeps_were_refined():
     fit = gb.fit(problem, starts=starts, progress=False)
     count = int(fit.records[0].method.split("RK4, ")[1].split()[0])
     method = gb.MultipleShooting(integrator=gb.RungeKutta(count))
-    fixed, coarse = (gb.fit(problem, starts=starts, progress=False, method=m) for m in (method, COARSE))
+    fixed, coarse = (
+        gb.fit(problem, starts=starts, progress=False, method=m) for m in (method, COARSE)
+    )
     assert abs(fixed.cost - coarse.cost) > 0.05  # the refinement did change the cost
-    assert [fit.runs[k].cost for m in fit.minima for k in m.runs[:1]] == [m.cost for m in fit.minima]
+    assert [fit.runs[k].cost for m in fit.minima for k in m.runs[:1]] == [
+        m.cost for m in fit.minima
+    ]
     assert fit.runs[fit.minima[0].runs[0]].cost == fit.cost
     assert len(fit.minima[0].runs) == 3
     for run, other in zip(fit.runs, fixed.runs, strict=True):
@@ -82,7 +86,16 @@ def test_where_the_cap_is_reached_the_method_for_stiff_models_comes_first():
 
 
 def made_run(index, x, cost, converged=True):
-    return Run(index, np.zeros(2), np.array(x, dtype=float), cost, "converged" if converged else "x", converged, 3, 0.1)
+    return Run(
+        index,
+        np.zeros(2),
+        np.array(x, dtype=float),
+        cost,
+        "converged" if converged else "x",
+        converged,
+        3,
+        0.1,
+    )
 
 
 # A problem whose variables are those of the solver.
@@ -102,13 +115,17 @@ def test_a_step_in_standard_errors_leaves_out_what_the_data_do_not_determine():
     units = np.array([1e4, 1e-5])
     assert_allclose(_in_standard_errors(hessian * units * units[:, None], change * units), wanted)
     assert_allclose(_in_standard_errors(np.diag([4.0, 0.0]), np.array([2.0, 0.0])), [-1.0, 0.0])
-    both = _in_standard_errors(np.ones((2, 2)), np.array([2.0, 2.0]))  # of which the sum alone is determined
+    both = _in_standard_errors(
+        np.ones((2, 2)), np.array([2.0, 2.0])
+    )  # of which the sum alone is determined
     assert_allclose(both, [-2.0, -2.0])
     assert np.isinf(_in_standard_errors(hessian, np.array([np.inf, 0.0]))).all()
 
 
 def test_errors_that_finer_steps_widen_or_narrow_count():
-    assert_allclose(_widened(np.diag([4.0, 4.0, 0.0, 1.0]), np.diag([9.0, 1.0, 1.0, -1.0])), [0.5, 0.5, 0, 1])
+    assert_allclose(
+        _widened(np.diag([4.0, 4.0, 0.0, 1.0]), np.diag([9.0, 1.0, 1.0, -1.0])), [0.5, 0.5, 0, 1]
+    )
     error = DiscretizationError(np.array([0.1, -0.4]), 4, 0.05)
     assert error.largest == 0.4
     assert error.matters
@@ -146,14 +163,20 @@ def search_of(*minima):
     runs, found = [], []
     for some in minima:
         members = [made_run(len(runs) + k, (x, 1.0), cost) for k, (x, cost) in enumerate(some)]
-        found.append(Minimum(members[0].cost, members[0].estimate, tuple(run.index for run in members), len(some)))
+        found.append(
+            Minimum(
+                members[0].cost, members[0].estimate, tuple(run.index for run in members), len(some)
+            )
+        )
         runs += members
     runs.append(made_run(len(runs), (99.0, 1.0), 0.0, converged=False))
     return Multistart(tuple(runs), tuple(found), 1.0, nodes=(np.zeros((1, 1)),))
 
 
 def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():
-    search = search_of([(1.0, 10.0), (1.001, 10.0), (2.0, 10.0)], [(3.0, 12.0)], [(4.0, 15.1)], [(5.0, 30.0)])
+    search = search_of(
+        [(1.0, 10.0), (1.001, 10.0), (2.0, 10.0)], [(3.0, 12.0)], [(4.0, 15.1)], [(5.0, 30.0)]
+    )
     solver = Solver({1.0: 14.0, 2.0: 14.5, 3.0: 11.0})
     found = _followed(PLAIN, search, solver)
     assert solver.asked == [1.0, 2.0, 3.0]  # those of one end together, and none that is no rival
@@ -187,10 +210,18 @@ def test_what_is_no_rival_is_followed_where_all_that_are_end_above_it():
         ((1.0, 2.0, 3.0), [(0, 1, 2), (3,), (4,)], True),  # there is nothing else within five
     ],
 )
-def test_aliases_of_the_integrator_are_no_minima_where_there_is_another(monkeypatch, aliases, minima, is_same):
+def test_aliases_of_the_integrator_are_no_minima_where_there_is_another(
+    monkeypatch, aliases, minima, is_same
+):
     search = search_of([(1.0, 10.0), (1.001, 10.0), (2.0, 10.2)], [(3.0, 12.0)], [(4.0, 15.1)])
-    shift = {True: DiscretizationError(np.array([1.1]), 4, 0.1), False: DiscretizationError(np.array([0.9]), 4, 0.1)}
-    monkeypatch.setattr("greybox.solve.discretization_error.discretization_error", lambda _, t, fine: shift[t[0].moves])
+    shift = {
+        True: DiscretizationError(np.array([1.1]), 4, 0.1),
+        False: DiscretizationError(np.array([0.9]), 4, 0.1),
+    }
+    monkeypatch.setattr(
+        "greybox.solve.discretization_error.discretization_error",
+        lambda _, t, fine: shift[t[0].moves],
+    )
     found, same_best = _without_aliases(PLAIN, search, Solver(dict.fromkeys(aliases, 0.0)), ())
     assert same_best is is_same
     assert [m.runs for m in found.minima] == minima
@@ -206,8 +237,14 @@ def test_aliases_of_the_integrator_are_no_minima_where_there_is_another(monkeypa
 
 def test_of_two_ends_one_may_be_an_alias(monkeypatch):
     search = search_of([(1.0, 10.0)], [(2.0, 10.2)])
-    shift = {True: DiscretizationError(np.array([1.1]), 4, 0.1), False: DiscretizationError(np.array([0.9]), 4, 0.1)}
-    monkeypatch.setattr("greybox.solve.discretization_error.discretization_error", lambda _, t, fine: shift[t[0].moves])
+    shift = {
+        True: DiscretizationError(np.array([1.1]), 4, 0.1),
+        False: DiscretizationError(np.array([0.9]), 4, 0.1),
+    }
+    monkeypatch.setattr(
+        "greybox.solve.discretization_error.discretization_error",
+        lambda _, t, fine: shift[t[0].moves],
+    )
     found, same_best = _without_aliases(PLAIN, search, Solver({1.0: 0.0}), ())
     assert ([m.runs for m in found.minima], same_best) == ([(1,)], False)
     assert found.nodes[0].item() == 2.0
@@ -217,11 +254,19 @@ def test_of_two_ends_one_may_be_an_alias(monkeypatch):
 
 @pytest.mark.parametrize(
     ("moved", "is_rounding"),
-    [((1.9e-7, 0.0), True), ((2.1e-7, 0.0), False), ((0.0, -0.4e-7), True), ((0.0, -0.6e-7), False)],
+    [
+        ((1.9e-7, 0.0), True),
+        ((2.1e-7, 0.0), False),
+        ((0.0, -0.4e-7), True),
+        ((0.0, -0.6e-7), False),
+    ],
 )
 def test_what_finer_steps_change_in_the_eighth_digit_is_rounding(moved, is_rounding):
     """Of states that reach 2 and 0.5, each by itself."""
-    nodes, ends = np.array([[1.0, 0.1], [-2.0, 0.5], [0.5, -0.2]]), np.array([[3.0, 0.3], [1.0, 9.0], [0.0, 0.0]])
+    nodes, ends = (
+        np.array([[1.0, 0.1], [-2.0, 0.5], [0.5, -0.2]]),
+        np.array([[3.0, 0.3], [1.0, 9.0], [0.0, 0.0]]),
+    )
     coarse = SimpleNamespace(nodes=nodes, ends=ends)
     finer = SimpleNamespace(ends=ends + np.array([[0.0, 0.0], moved, [0.0, 0.0]]))
     assert _is_rounding(coarse, finer) is is_rounding
@@ -259,6 +304,8 @@ def test_the_shift_is_that_of_a_fit_with_twice_the_steps():
     assert error.order == 4
     assert error.accepted == nlp.strategies.negligible_shift
     same = discretization_error(
-        nlp, solver.profile(end.estimate, end.nodes).trajectories, tuple(GaussNewton(nlp)._parts.parts)
+        nlp,
+        solver.profile(end.estimate, end.nodes).trajectories,
+        tuple(GaussNewton(nlp)._parts.parts),
     )
     assert same.shift.tolist() == [0.0]

@@ -8,7 +8,13 @@ import sys
 import textwrap
 import time
 from collections import OrderedDict
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,7 +42,9 @@ from greybox.solve.outcome import Outcome
 from greybox.solve.time_limits import current_limits
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError, _single_threads
 
-RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+RESPONSE = gb.Problem(
+    LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
+)
 
 
 class Line(gb.StateSpace):
@@ -55,7 +63,10 @@ class OwnLikelihood(gb.RelativeLikelihood):
 
 
 FAR = 1e6 + np.linspace(-0.5, 0.5, 30)
-LINE = gb.Problem(Line(), gb.Record(None, {"x": FAR, "y": 3 * FAR + 0.1 * np.random.default_rng(1).normal(size=30)}))
+LINE = gb.Problem(
+    Line(),
+    gb.Record(None, {"x": FAR, "y": 3 * FAR + 0.1 * np.random.default_rng(1).normal(size=30)}),
+)
 GAIN = gb.FrequencyResponse(np.array([1.0, 2, 3]), np.array([3.0, 3.1, 2.9]) + 0j, "x", "y")
 PROBLEMS = {
     "response": (RESPONSE, None),
@@ -108,14 +119,20 @@ def lone_worker():
 def fitted(problem, executor, *, by_ipopt):
     method = gb.Collocation() if by_ipopt else None
     starts = 40 if problem is RESPONSE else 2 if by_ipopt else 4
-    return gb.fit(problem, starts, method=method, search="multistart", executor=executor, progress=False)
+    return gb.fit(
+        problem, starts, method=method, search="multistart", executor=executor, progress=False
+    )
 
 
 def require_same(fit, other):
     for run, wanted in zip(fit.runs, other.runs, strict=True):
         assert_array_equal(run.start, wanted.start)
         assert_array_equal(run.estimate, wanted.estimate)
-        assert (run.index, run.status, run.iterations) == (wanted.index, wanted.status, wanted.iterations)
+        assert (run.index, run.status, run.iterations) == (
+            wanted.index,
+            wanted.status,
+            wanted.iterations,
+        )
     assert fit.cost == other.cost
     assert fit.estimate == other.estimate
     assert fit.standard_error == other.standard_error
@@ -141,17 +158,27 @@ def test_batches_on_workers_give_the_same_runs(workers, monkeypatch):
 
 def test_time_limits_hold_on_workers(workers):
     began = time.monotonic()
-    found = gb.fit(RESPONSE, 100_000, search="multistart", seconds=0.5, executor=workers, progress=False)
+    found = gb.fit(
+        RESPONSE, 100_000, search="multistart", seconds=0.5, executor=workers, progress=False
+    )
     assert time.monotonic() - began < 30  # all of them take minutes
     assert 1 <= len(found.runs) < 100_000
     assert "the time limit ended the search after" in found.warnings[0]
-    cut = gb.fit(RESPONSE, 40, search="multistart", start_seconds=1e-9, executor=workers, progress=False)
+    cut = gb.fit(
+        RESPONSE, 40, search="multistart", start_seconds=1e-9, executor=workers, progress=False
+    )
     assert [run.status for run in cut.runs] == ["time limit of a start"] * 40
 
 
 def test_progress_counts_the_runs_in_order(workers):
     seen = []
-    gb.fit(RESPONSE, 40, search="multistart", executor=workers, progress=lambda done, count: seen.append((done, count)))
+    gb.fit(
+        RESPONSE,
+        40,
+        search="multistart",
+        executor=workers,
+        progress=lambda done, count: seen.append((done, count)),
+    )
     assert seen == [(k + 1, 40) for k in range(40)]
 
 
@@ -209,7 +236,9 @@ def test_of_a_pool_that_is_not_ours_the_loss_is_said():
 
     with (
         ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool,
-        pytest.raises(RuntimeError, match=r"failed, BrokenProcessPool: .* use greybox\.solve\.WorkerPool"),
+        pytest.raises(
+            RuntimeError, match=r"failed, BrokenProcessPool: .* use greybox\.solve\.WorkerPool"
+        ),
     ):
         outcomes(Fragile(20.0), pool)
 
@@ -222,7 +251,9 @@ def test_a_scheduler_that_is_lost_before_its_tasks_are_handed_out_is_not_waited_
         def submit(self, fn, /, *args, **kwargs):
             return Future()
 
-    with pytest.raises(RuntimeError, match="the executor gave up its tasks: its workers or its scheduler are gone"):
+    with pytest.raises(
+        RuntimeError, match="the executor gave up its tasks: its workers or its scheduler are gone"
+    ):
         gb.fit(RESPONSE, 20, search="multistart", executor=Disconnected(), progress=False)
 
 
@@ -273,7 +304,9 @@ def test_a_script_without_its_guard_is_told_what_is_missing(tmp_path):
             """
         )
     )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == 1
     assert "no worker process could begin: in a script" in done.stderr.splitlines()[-1]
 
@@ -319,7 +352,9 @@ def tasks_of(solver, count, *, seconds, memory=None, begins=None):
     def submit(function, key, payload, starts, *_):
         handed.append([int(start[0]) for start in starts])
         future = Future()
-        future.set_result([Outcome(2 * start, "solved", 1, seconds, converged=True) for start in starts])
+        future.set_result(
+            [Outcome(2 * start, "solved", 1, seconds, converged=True) for start in starts]
+        )
         return future
 
     first = [Outcome(STARTS[0], "solved", 1, seconds, converged=True)] * 4
@@ -352,16 +387,25 @@ def test_tasks_are_whole_batches_and_those_that_are_known_are_not_made_again():
     solver = Fragile(-1.0)
     solver.together = 3
     memory = Memory()
-    known = {number: Outcome(np.array([2.0 * number]), "kept", 1, 0.1, converged=True) for number in (4, 7, 8, 9)}
+    known = {
+        number: Outcome(np.array([2.0 * number]), "kept", 1, 0.1, converged=True)
+        for number in (4, 7, 8, 9)
+    }
     memory.recall = lambda number, start: known.get(number)
     tasks, handed = tasks_of(solver, 100, seconds=TASK_SECONDS / 6.5, memory=memory)
     tasks.hand_out()
     assert handed[:3] == [[1, 2, 3, 4, 5, 6], [10, 11, 12, 13, 14, 15], [16, 17, 18, 19, 20, 21]]
-    first, second, *_ = [[outcome.status for outcome in task.outcomes or ()] for task in tasks.waiting]
+    first, second, *_ = [
+        [outcome.status for outcome in task.outcomes or ()] for task in tasks.waiting
+    ]
     assert (first, second) == ([], ["kept"] * 3)
     assert tasks.is_next_done()
     assert [number for number, _, _ in tasks.next()] == [1, 2, 3, 4, 5, 6]
-    assert [(number, outcome.status) for number, _, outcome in tasks.next()] == [(7, "kept"), (8, "kept"), (9, "kept")]
+    assert [(number, outcome.status) for number, _, outcome in tasks.next()] == [
+        (7, "kept"),
+        (8, "kept"),
+        (9, "kept"),
+    ]
 
 
 def test_tasks_that_wait_hold_little_memory(monkeypatch):
@@ -386,14 +430,19 @@ def test_a_run_begins_where_it_is_told_to():
         seen.append(starts) or submit(f, key, payload, starts, *more)
     )
     made = run_all(Fragile(-1.0), enumerate(STARTS[:3]), 3, executor, begins={1: np.array([7.0])})
-    assert [(start[0], outcome.estimate[0]) for _, start, outcome in made] == [(0.0, 0.0), (1.0, 14.0), (2.0, 4.0)]
+    assert [(start[0], outcome.estimate[0]) for _, start, outcome in made] == [
+        (0.0, 0.0),
+        (1.0, 14.0),
+        (2.0, 4.0),
+    ]
     assert np.concatenate(seen).ravel().tolist() == [7.0, 2.0]
 
 
 def test_a_worker_keeps_the_last_four_solvers(monkeypatch):
     built = []
     monkeypatch.setattr(
-        "greybox.solve.executors.pickle", SimpleNamespace(loads=lambda name: built.append(name) or STILL)
+        "greybox.solve.executors.pickle",
+        SimpleNamespace(loads=lambda name: built.append(name) or STILL),
     )
     monkeypatch.setattr("greybox.solve.executors._built", SimpleNamespace(solvers=OrderedDict()))
 
@@ -437,7 +486,9 @@ def test_what_a_task_left_is_kept_and_counts_for_the_size_of_the_next():
     """Four starts took ten times the work of a task each; what workers bring takes a twentieth of one."""
     kept = []
     memory = Memory()
-    memory.keep = lambda number, start, outcome: kept.append((number, float(start[0]), float(outcome.estimate[0])))
+    memory.keep = lambda number, start, outcome: kept.append(
+        (number, float(start[0]), float(outcome.estimate[0]))
+    )
     tasks, handed = tasks_of(Fragile(-1.0), 1000, seconds=TASK_SECONDS / 20, memory=memory)
     tasks._seconds = 4 * 10 * TASK_SECONDS
     tasks.hand_out()

@@ -27,8 +27,13 @@ def test_the_minimum_of_the_paper_is_found_with_few_runs():
     stages = [run.stage for run in fit.runs]
     assert len(stages) == 400
     assert 1 <= stages.count("polished") < 80
-    at_start = [gb.cost(pitch_hover.problem(), dict(zip(fit.free, run.start, strict=True))) for run in fit.runs[:80]]
-    assert [k for k in range(80) if stages[k] == "polished"] == [np.argmin(at_start)]  # the best of the first stage
+    at_start = [
+        gb.cost(pitch_hover.problem(), dict(zip(fit.free, run.start, strict=True)))
+        for run in fit.runs[:80]
+    ]
+    assert [k for k in range(80) if stages[k] == "polished"] == [
+        np.argmin(at_start)
+    ]  # the best of the first stage
     again = gb.fit(pitch_hover.problem(), 400, search="global-search", progress=False)
     for run, same in zip(fit.runs, again.runs, strict=True):
         assert_array_equal(run.start, same.start)
@@ -54,7 +59,9 @@ def test_starts_near_a_minimum_that_was_reached_from_farther_are_turned_down():
     filters.reached(np.array([2.0, 0]), np.array([0.0, 0]), 1.0)
     assert not filters.let_pass(np.array([1.4, 0]), 0.0)  # within three quarters of the distance
     assert filters.let_pass(np.array([1.6, 0]), 4.0)
-    for _ in range(20):  # the threshold is that of the last start; the twentieth raises it by a fifth of 1 + 4
+    for _ in range(
+        20
+    ):  # the threshold is that of the last start; the twentieth raises it by a fifth of 1 + 4
         assert not filters.let_pass(np.array([9.0, 0]), 4.5)
     assert filters.let_pass(np.array([9.0, 0]), 4.9)
 
@@ -70,7 +77,9 @@ def test_a_minimum_that_claims_too_large_a_region_gives_a_fifth_of_it_back():
     filters = _Filters(threshold=5.0)
     end = np.array([100.0, 0])
     filters.reached(end + np.array([4.0, 0]), end, 1.0)
-    filters.reached(end + np.array([-2.0, 0]), end + np.array([0.05, 0]), 1.0)  # the same, from nearer
+    filters.reached(
+        end + np.array([-2.0, 0]), end + np.array([0.05, 0]), 1.0
+    )  # the same, from nearer
     assert [minimum[2] for minimum in filters.minima] == [4.0]
     filters.reached(end, end + np.array([0.2, 0]), 1.0)  # another, more than a thousandth away
     assert len(filters.minima) == 2
@@ -103,7 +112,8 @@ def test_the_reference_set_has_the_best_points_and_those_farthest_from_all_in_it
         away = [min(np.linalg.norm(drawn[k] - drawn[c]) for c in chosen) for k in range(20)]
         chosen.append(int(np.argmax(away)))
     one, other = drawn[chosen[0]], drawn[chosen[1]]
-    # Of the first pair, one beyond either point and one between them, up to half of their distance away.
+    # Of the first pair, one beyond either point and one between them, up to half of their distance
+    # away.
     for (z, value), origin, side in zip(trials[20:], (one, one, other), (-1, 1, 1), strict=True):
         share = (z - origin) @ (other - one) / ((other - one) @ (other - one))
         assert np.allclose(z, origin + share * (other - one))
@@ -113,7 +123,11 @@ def test_the_reference_set_has_the_best_points_and_those_farthest_from_all_in_it
 
 def test_the_worst_of_the_reference_set_makes_room_for_a_better_point_that_is_new():
     search = scatter(np.zeros((5, 2)))
-    search._references = [(1.0, np.array([1.0, 0])), (4.0, np.array([2.0, 0])), (9.0, np.array([3.0, 0]))]
+    search._references = [
+        (1.0, np.array([1.0, 0])),
+        (4.0, np.array([2.0, 0])),
+        (9.0, np.array([3.0, 0])),
+    ]
     assert not search._improved(0.0, np.array([1.0, 5e-7]))  # known
     assert not search._improved(9.0, np.array([0.0, 3.0]))  # no better
     assert search._improved(0.0, np.array([0.0, 0.0]))
@@ -122,11 +136,19 @@ def test_the_worst_of_the_reference_set_makes_room_for_a_better_point_that_is_ne
 
 def test_when_all_drawn_points_are_used_it_goes_on_around_the_best():
     search = scatter(np.random.default_rng(1).uniform(2, 10, (30, 2)), low=1.0, high=11.0)
-    search._references = [(9.0, np.array([9.0, 9.0])), (4.0, np.array([4.0, 4.0])), (16.0, np.array([5.0, 5.0]))]
+    search._references = [
+        (9.0, np.array([9.0, 9.0])),
+        (4.0, np.array([4.0, 4.0])),
+        (16.0, np.array([5.0, 5.0])),
+    ]
     drawn = list(islice(search._renewed(), 20))
     assert len(drawn) == len({tuple(z) for z, _ in drawn}) == 20
     list(islice(search._drawn, 10))
-    search._references = [(9.0, np.array([9.0, 9.0])), (4.0, np.array([4.0, 4.0])), (16.0, np.array([5.0, 5.0]))]
+    search._references = [
+        (9.0, np.array([9.0, 9.0])),
+        (4.0, np.array([4.0, 4.0])),
+        (16.0, np.array([5.0, 5.0])),
+    ]
     around = np.array([z for z, _ in search._renewed()])
     assert len(around) == 20
     assert np.median(around, axis=0) == pytest.approx(4.0, abs=1.0)  # a tenth of the box is one
@@ -135,11 +157,15 @@ def test_when_all_drawn_points_are_used_it_goes_on_around_the_best():
 
 
 @pytest.mark.parametrize(("count", "first"), [(50, 10), (4, 1)])
-def test_of_the_first_fifth_the_best_is_run_and_later_what_the_filters_let_pass(monkeypatch, count, first):
+def test_of_the_first_fifth_the_best_is_run_and_later_what_the_filters_let_pass(
+    monkeypatch, count, first
+):
     """Of two wells, whose ends are known; the merit is the cost at the start, and 7 more."""
     wells = np.array([[2.0, 2.0], [-3.0, -1.0]])
     monkeypatch.setattr(module, "packed", None)
-    monkeypatch.setattr(module, "merits", lambda nlp, z: 7 + ((z.T[:, None] - wells) ** 2).sum(axis=2).min(axis=1))
+    monkeypatch.setattr(
+        module, "merits", lambda nlp, z: 7 + ((z.T[:, None] - wells) ** 2).sum(axis=2).min(axis=1)
+    )
     same = SimpleNamespace(to_solver=np.asarray, to_parameters=np.asarray)
     nlp = SimpleNamespace(
         scaling=same,
@@ -186,8 +212,14 @@ def test_merits_are_costs_with_what_constraints_are_missed_by():
 
     def program(points, smoothing):
         assert smoothing == 1e-8
-        costs, limits = np.array([[1.0, np.nan, 3.0]]), np.array([[0.5, 1.0, -0.25], [-0.125, 0.0, -1.0]])
+        costs, limits = (
+            np.array([[1.0, np.nan, 3.0]]),
+            np.array([[0.5, 1.0, -0.25], [-0.125, 0.0, -1.0]]),
+        )
         return [SimpleNamespace(full=lambda v=v: v) for v in (costs + points[:1], limits)]
 
-    for nlp in (SimpleNamespace(locating=None, program=program), SimpleNamespace(locating=program, program=None)):
+    for nlp in (
+        SimpleNamespace(locating=None, program=program),
+        SimpleNamespace(locating=program, program=None),
+    ):
         assert merits(nlp, z).tolist() == [2 + 125.0, np.inf, 6 + 1250.0]

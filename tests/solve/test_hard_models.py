@@ -54,7 +54,9 @@ def test_what_the_data_hardly_determine_does_not_use_up_all_iterations():
     found = fit(tanh_chain(5, 300), [{}])
     assert found.converged
     assert max(run.iterations for run in found.runs) <= 300
-    residuals = np.concatenate([found.records[0].residual(name) for name in found.records[0].outputs])
+    residuals = np.concatenate(
+        [found.records[0].residual(name) for name in found.records[0].outputs]
+    )
     assert np.sqrt(np.mean(residuals**2)) == pytest.approx(0.01, rel=0.1)
     assert any("determine" in text for text in found.warnings)
 
@@ -84,5 +86,7 @@ def test_an_estimated_covariance_that_follows_the_parameters_does_not_slow_the_e
     assert max(run.iterations for run in found.runs) <= 40
     for name in found.free:
         for sign in (-1, 1):
-            moved = found.estimate | {name: found.estimate[name] + sign * 0.3 * found.standard_error[name]}
+            moved = found.estimate | {
+                name: found.estimate[name] + sign * 0.3 * found.standard_error[name]
+            }
             assert gb.cost(problem, moved) >= found.cost - 1e-6

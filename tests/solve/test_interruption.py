@@ -6,7 +6,13 @@ import threading
 import pytest
 
 from greybox.solve import interruption
-from greybox.solve.interruption import Response, listening, responding, stop_requested, take_interrupt
+from greybox.solve.interruption import (
+    Response,
+    listening,
+    responding,
+    stop_requested,
+    take_interrupt,
+)
 
 
 def test_at_first_it_raises(press_ctrl_c):

@@ -23,7 +23,10 @@ CRITERIA = [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()]
     ("options", "words"),
     [
         ({"max_itr": 3}, "solver_options 'max_itr' = 3 is not accepted by IPOPT"),
-        ({"max_iter": 50, "tolerance": 1e-9}, "solver_options 'tolerance' = 1e-09 is not accepted by IPOPT"),
+        (
+            {"max_iter": 50, "tolerance": 1e-9},
+            "solver_options 'tolerance' = 1e-09 is not accepted by IPOPT",
+        ),
         ({"tol": "small"}, "solver_options 'tol' = 'small' is not accepted by IPOPT"),
         ({"max_iter": -3}, "solver_options 'max_iter' = -3"),
         ({"linear_solver": "nope"}, "solver_options 'linear_solver' = 'nope'"),
@@ -49,7 +52,10 @@ def test_tolerance_reaches_the_solver():
 
 @pytest.mark.parametrize("criterion", CRITERIA, ids=repr)
 def test_a_start_whose_pole_lies_on_a_data_frequency_fails_and_never_wins(criterion):
-    fit = gb.fit(gb.Problem(Oscillator(), OSCILLATOR, criterion), starts=[{"w0": 2.0}, {"w0": 4.0}, {"w0": 3.2}])
+    fit = gb.fit(
+        gb.Problem(Oscillator(), OSCILLATOR, criterion),
+        starts=[{"w0": 2.0}, {"w0": 4.0}, {"w0": 3.2}],
+    )
     for run in fit.runs[:2]:
         assert run.status == "Invalid_Number_Detected" or (run.converged and np.isfinite(run.cost))
     assert fit.runs[2].converged
@@ -70,7 +76,9 @@ def test_failed_and_good_runs_print_nothing(capfd):
 
 
 def test_estimates_stay_inside_their_bounds_to_the_last_bit():
-    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": 0.0, "T2": 0.001}, noise=0.02, seed=3)
+    data = measured(
+        LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": 0.0, "T2": 0.001}, noise=0.02, seed=3
+    )
     fit = gb.fit(gb.Problem(LagLagDelay(), data), starts=20)
     for run in fit.runs:
         assert np.all(run.estimate >= [0, 0.001, 0.001, 0])
@@ -81,7 +89,9 @@ def test_minima_within_a_hundredth_of_the_best_are_polished_and_sorted_again(mon
     nlp = compile_problem(PROBLEM)
     costs = (1.0, 1.009, 1.011, 2.0)
     minima = tuple(Minimum(cost, np.zeros(len(nlp.free)), (k,), 1) for k, cost in enumerate(costs))
-    monkeypatch.setattr(IpoptSolver, "_polish", lambda self, m: replace(m, cost=m.cost - 0.02 * (m.cost > 1)))
+    monkeypatch.setattr(
+        IpoptSolver, "_polish", lambda self, m: replace(m, cost=m.cost - 0.02 * (m.cost > 1))
+    )
     found = IpoptSolver(nlp, {}).polished(Multistart((), minima, 0.0))
     assert [m.cost for m in found.minima] == pytest.approx([0.989, 1.0, 1.011, 2.0])
     assert [m.runs for m in found.minima] == [(1,), (0,), (2,), (3,)]
@@ -119,7 +129,9 @@ def check(equations=0):
     return StopCheck({name: ca.SX.sym(name, size) for name, size in sizes.items()})
 
 
-@pytest.mark.parametrize(("fall", "waits"), [(0.9e-6, True), (1.1e-6, False), (-1.0, True), (0.0, True)])
+@pytest.mark.parametrize(
+    ("fall", "waits"), [(0.9e-6, True), (1.1e-6, False), (-1.0, True), (0.0, True)]
+)
 @pytest.mark.parametrize("size", [3.0, -3.0])
 def test_a_run_is_stagnant_after_eighty_iterations_without_a_millionth_less(fall, waits, size):
     stop, x = check(), np.array([1.0, 2.0])
@@ -147,7 +159,11 @@ def test_with_equations_nothing_is_stagnant():
     assert stop.best is None
 
 
-SOLVED, ROUNDED, LOST = "Solve_Succeeded", "Search_Direction_Becomes_Too_Small", "Restoration_Failed"
+SOLVED, ROUNDED, LOST = (
+    "Solve_Succeeded",
+    "Search_Direction_Becomes_Too_Small",
+    "Restoration_Failed",
+)
 
 
 def stage(status, moved, iterations, begun, again=None):
@@ -164,7 +180,14 @@ def stage(status, moved, iterations, begun, again=None):
     ("first", "second", "status", "converged", "end", "iterations"),
     [
         ((SOLVED, 1.0, 5), (SOLVED, 0.5, 3), SOLVED, True, 2.5, 8),
-        ((SOLVED, 1.0, 5), (ROUNDED, 0.5, 3), ROUNDED, True, 2.5, 8),  # rounding, from a minimum that was located
+        (
+            (SOLVED, 1.0, 5),
+            (ROUNDED, 0.5, 3),
+            ROUNDED,
+            True,
+            2.5,
+            8,
+        ),  # rounding, from a minimum that was located
         ((LOST, 1.0, 5), (ROUNDED, 0.5, 3), ROUNDED, False, 2.5, 8),
         ((LOST, 1.0, 5), (SOLVED, 0.5, 3), SOLVED, True, 2.5, 8),
         ((SOLVED, 1.0, 5), (LOST, 0.5, 3), LOST, False, 2.5, 8),
@@ -172,7 +195,9 @@ def stage(status, moved, iterations, begun, again=None):
         ((SOLVED, 9.0, 5), (SOLVED, 0.5, 3), SOLVED, True, 4.0, 8),  # within the bounds
     ],
 )
-def test_the_criterion_that_locates_the_minimum_comes_before_its_own(first, second, status, converged, end, iterations):
+def test_the_criterion_that_locates_the_minimum_comes_before_its_own(
+    first, second, status, converged, end, iterations
+):
     solver, begun = object.__new__(IpoptSolver), []
     same = SimpleNamespace(to_solver=np.asarray, to_parameters=np.asarray)
     solver._nlp = SimpleNamespace(scaling=same, lower=np.zeros(1), upper=np.full(1, 4.0))
@@ -186,13 +211,18 @@ def test_the_criterion_that_locates_the_minimum_comes_before_its_own(first, seco
     assert not alone.run(np.array([1.0])).converged
 
 
-@pytest.mark.parametrize(("again", "end", "status"), [(SOLVED, 3.0, SOLVED), (LOST, 2.0, STAGNATED)])
+@pytest.mark.parametrize(
+    ("again", "end", "status"), [(SOLVED, 3.0, SOLVED), (LOST, 2.0, STAGNATED)]
+)
 def test_a_run_that_stagnates_goes_on_without_a_barrier(again, end, status):
     solver, begun = object.__new__(IpoptSolver), []
     same = SimpleNamespace(to_solver=np.asarray, to_parameters=np.asarray)
     solver._nlp = SimpleNamespace(scaling=same, lower=np.zeros(1), upper=np.full(1, 9.0))
     without = stage(again, 1.0, 7, begun)
-    solver._bounds, solver._stages = {}, [stage(STAGNATED, 1.0, 5, begun, without), stage(SOLVED, 0.5, 3, begun)]
+    solver._bounds, solver._stages = (
+        {},
+        [stage(STAGNATED, 1.0, 5, begun, without), stage(SOLVED, 0.5, 3, begun)],
+    )
     found = solver.run(np.array([1.0]))
     went_on = again == SOLVED
     assert found.iterations == 12 + 3 * went_on

@@ -36,8 +36,12 @@ def test_a_run_is_recalled_by_its_number_and_start():
     assert memory.recall(4, START.copy()) is DONE
     assert memory.recall(5, START) is None
     assert memory.recall(-2, START) is DONE
-    assert memory.recall(-2, START + 1e-9) is None  # elsewhere than a start: a neighborhood that has changed
-    with pytest.raises(KeptRunsError, match="began at other starts, from number 4 on: give the same rule and seed"):
+    assert (
+        memory.recall(-2, START + 1e-9) is None
+    )  # elsewhere than a start: a neighborhood that has changed
+    with pytest.raises(
+        KeptRunsError, match="began at other starts, from number 4 on: give the same rule and seed"
+    ):
         memory.recall(4, START + 1e-9)
     number_zero = Memory(Listed({0: (START, DONE)}))
     with pytest.raises(KeptRunsError, match="from number 0 on"):
@@ -46,7 +50,9 @@ def test_a_run_is_recalled_by_its_number_and_start():
     assert kept.looked == 1
 
 
-@pytest.mark.parametrize(("limit", "again"), [(9.0, False), (10.0, False), (11.0, True), (None, True)])
+@pytest.mark.parametrize(
+    ("limit", "again"), [(9.0, False), (10.0, False), (11.0, True), (None, True)]
+)
 def test_what_a_shorter_time_limit_cut_is_made_again(limit, again):
     memory = Memory(Listed({4: (START, replace(DONE, status=RUN_OVER, converged=False))}))
     with nullcontext() if limit is None else limited(TimeLimits(start=limit)):
@@ -56,7 +62,13 @@ def test_what_a_shorter_time_limit_cut_is_made_again(limit, again):
 def test_what_is_new_and_finished_is_kept():
     kept = Listed({4: (START, DONE)})
     memory = Memory(kept)
-    for number, status in ((4, "done"), (5, "done"), (6, INTERRUPTED), (7, SEARCH_OVER), (8, RUN_OVER)):
+    for number, status in (
+        (4, "done"),
+        (5, "done"),
+        (6, INTERRUPTED),
+        (7, SEARCH_OVER),
+        (8, RUN_OVER),
+    ):
         memory.keep(number, START, replace(DONE, status=status))
     assert [number for number, _, _ in kept.added] == [5, 8]
     nothing = Memory()

@@ -39,14 +39,18 @@ def test_a_run_that_ends_unfinished_and_lowest_goes_on_to_the_minimum():
     short = gb.fit(case.problem, starts=[start], solver_options={"max_iter": 30}, progress=False)
     assert short.converged
     assert short.runs[0].iterations > 30
-    stopped = gb.MultipleShooting(strategies=gb.solve.Strategies(max_iterations=30, continued_runs=False))
+    stopped = gb.MultipleShooting(
+        strategies=gb.solve.Strategies(max_iterations=30, continued_runs=False)
+    )
     left = gb.fit(case.problem, starts=[start, case.starts[1]], method=stopped, progress=False)
     assert [run.status for run in left.runs] == ["iterations exceeded", "converged"]
 
 
 def test_an_unfinished_run_below_the_answer_is_named():
     case = certified("Bennett5")
-    stopped = gb.MultipleShooting(strategies=gb.solve.Strategies(max_iterations=150, continued_runs=False))
+    stopped = gb.MultipleShooting(
+        strategies=gb.solve.Strategies(max_iterations=150, continued_runs=False)
+    )
     held = case.problem.with_(fixed={"b2": 40.0})
     (answer,) = gb.fit(held, starts=[{}], progress=False).runs
     fit = gb.fit(case.problem, starts=[case.starts[1]], method=stopped, progress=False)
@@ -60,7 +64,10 @@ def test_the_limits_of_iterations_and_tolerance_are_options():
     loose = gb.fit(problem, starts=start, solver_options={"tol": 1e-2}, progress=False)
     tight = gb.fit(problem, starts=start, solver_options={"tol": 1e-10}, progress=False)
     assert loose.runs[0].iterations < tight.runs[0].iterations
-    with pytest.raises(ValueError, match="'mu_strategy' is not known to the Gauss-Newton solver: give max_iter or tol"):
+    with pytest.raises(
+        ValueError,
+        match="'mu_strategy' is not known to the Gauss-Newton solver: give max_iter or tol",
+    ):
         gb.fit(problem, starts=start, solver_options={"mu_strategy": "adaptive"}, progress=False)
     with pytest.raises(ValueError, match="'max_iter' is 0: give a whole number"):
         gb.fit(problem, starts=start, solver_options={"max_iter": 0}, progress=False)
@@ -72,18 +79,28 @@ def test_initial_states_that_are_hardly_seen_hinder_nothing():
     assert found.converged
     for name, value in THRUST.items():
         assert abs(found.estimate[name] - value) < 4 * found.standard_error[name]
-    assert all(abs(float(found.records[0].initial[name][0]) - 0.7) < 0.1 for name in ("r1", "r2", "r3", "r4"))
+    assert all(
+        abs(float(found.records[0].initial[name][0]) - 0.7) < 0.1
+        for name in ("r1", "r2", "r3", "r4")
+    )
 
 
 def test_ipopt_too_begins_near_the_data_where_initial_states_are_hardly_seen():
-    # From initial states of several hundred, where steps without damping lead, it stagnates far above.
-    found = gb.fit(thrust(600), starts=[THRUST], method=gb.SingleShooting(hessian="exact"), progress=False)
+    # From initial states of several hundred, where steps without damping lead, it stagnates far
+    # above.
+    found = gb.fit(
+        thrust(600), starts=[THRUST], method=gb.SingleShooting(hessian="exact"), progress=False
+    )
     assert found.converged
-    assert all(abs(found.estimate[name] - value) < 4 * found.standard_error[name] for name, value in THRUST.items())
+    assert all(
+        abs(found.estimate[name] - value) < 4 * found.standard_error[name]
+        for name, value in THRUST.items()
+    )
 
 
 def test_an_alias_of_the_integrator_is_no_answer():
-    # 101 and 76 turn four substeps of RK4 a sample into a slow pole, with the cost and response of the true values.
+    # 101 and 76 turn four substeps of RK4 a sample into a slow pole, with the cost and response of
+    # the true values.
     starts = [{"k1": 101.0, "k2": 76.0}, {"k1": 1.0, "k2": 1.0}]
     found = gb.fit(conversion(), starts=starts, progress=False)
     assert found.estimate["k1"] == pytest.approx(0.8125, rel=1e-3)
@@ -125,7 +142,9 @@ class Searched(GaussNewton):
 
 
 def ended(x, cost, *, converged=True, status="converged"):
-    return Outcome(np.array(x, dtype=float), status if converged else "lost", 3, 0.1, converged, cost, nodes=())
+    return Outcome(
+        np.array(x, dtype=float), status if converged else "lost", 3, 0.1, converged, cost, nodes=()
+    )
 
 
 def searching(solver, *, neighbors=True, **settings):
@@ -147,7 +166,9 @@ def test_the_neighborhood_of_a_best_end_is_tried_as_long_as_it_finds_a_lower_cos
     end = ended((2.0, 1.0), 10.0)
     assert search.improved(end) is end
     most = Strategies().neighbor_iterations
-    assert solver.asked == [(point, most) for point in ((0.5, 1.0), (8.0, 1.0), (2.0, 1.0), (8.0, 1.0))]
+    assert solver.asked == [
+        (point, most) for point in ((0.5, 1.0), (8.0, 1.0), (2.0, 1.0), (8.0, 1.0))
+    ]
     assert [start.tolist() for start in search.further_starts] == [[8.0, 1.0]]
     assert [outcome.cost for outcome in search.further_outcomes] == [4.0]
     search.improved(ended((3.0, 1.0), 3.995))  # the same end again

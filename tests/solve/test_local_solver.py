@@ -38,17 +38,23 @@ def lag():
 
 
 OMEGA = np.geomspace(0.3, 30, 12)
-RESPONSE = gb.FrequencyResponse(OMEGA, 2.1 / (1 + 0.31j * OMEGA) * (1 + 0.01j), input="u", output="y")
+RESPONSE = gb.FrequencyResponse(
+    OMEGA, 2.1 / (1 + 0.31j * OMEGA) * (1 + 0.01j), input="u", output="y"
+)
 PROBLEMS = {
     "response": lambda: gb.Problem(lag(), RESPONSE, constraints=[lambda p: p.K - p.T]),
-    "record": lambda: gb.Problem(lag(), drawn(0.0), gb.OutputError(initial={"y": lambda p: 0 * p.K})),
+    "record": lambda: gb.Problem(
+        lag(), drawn(0.0), gb.OutputError(initial={"y": lambda p: 0 * p.K})
+    ),
     "predictor": lambda: gb.Problem(lag(), drawn(0.02), gb.PredictionError()),
     "both": lambda: gb.Problem(lag(), drawn(0.0)) + gb.Problem(lag(), RESPONSE),
 }
 
 
 @pytest.mark.parametrize("which", PROBLEMS)
-@pytest.mark.parametrize("method", [gb.MultipleShooting(), gb.SingleShooting()], ids=["own", "ipopt"])
+@pytest.mark.parametrize(
+    "method", [gb.MultipleShooting(), gb.SingleShooting()], ids=["own", "ipopt"]
+)
 def test_a_compiled_problem_solves_alike_where_the_model_is_not_known(which, method):
     nlp = compile_problem(PROBLEMS[which](), method)
     with pytest.raises((pickle.PicklingError, AttributeError)):

@@ -6,19 +6,31 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished, find_minima, same_cost
+from greybox.solve.minima import (
+    Minimum,
+    Multistart,
+    agreeing_runs,
+    best_unfinished,
+    find_minima,
+    same_cost,
+)
 from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
 
 
 def problem(*, is_likelihood=True, numbers=(40, 60)):
     """Whose variables are those of the solver."""
-    parts = [SimpleNamespace(is_likelihood=is_likelihood and k == 1, numbers=n) for k, n in enumerate(numbers)]
+    parts = [
+        SimpleNamespace(is_likelihood=is_likelihood and k == 1, numbers=n)
+        for k, n in enumerate(numbers)
+    ]
     return SimpleNamespace(parts=parts, scaling=SimpleNamespace(to_solver=np.asarray))
 
 
 def run_to(index, cost, x=(1.0, 2.0), status="converged", **more):
     converged = status == "converged"
-    return Run(index, np.zeros(2), np.array(x, dtype=float), cost, status, converged, 3, 0.1, **more)
+    return Run(
+        index, np.zeros(2), np.array(x, dtype=float), cost, status, converged, 3, 0.1, **more
+    )
 
 
 @pytest.mark.parametrize(
@@ -27,10 +39,16 @@ def run_to(index, cost, x=(1.0, 2.0), status="converged", **more):
         (True, 0.0, 1e-2),
         (True, -1e6, 1e-2 + 0.1),
         (False, 50.0, 5e-3),
-        (False, 0.0, 1e-4 * 5e-4 * 100),  # of costs of rounding size, what the smoothing leaves of 100 numbers
+        (
+            False,
+            0.0,
+            1e-4 * 5e-4 * 100,
+        ),  # of costs of rounding size, what the smoothing leaves of 100 numbers
     ],
 )
-def test_costs_are_the_same_within_a_hundredth_of_a_likelihood_or_what_the_smoothing_moves(is_likelihood, best, same):
+def test_costs_are_the_same_within_a_hundredth_of_a_likelihood_or_what_the_smoothing_moves(
+    is_likelihood, best, same
+):
     assert same_cost(problem(is_likelihood=is_likelihood), best) == pytest.approx(same)
 
 
@@ -43,10 +61,17 @@ def test_runs_of_the_same_cost_and_response_are_one_minimum_whatever_their_param
         for k, (cost, x) in enumerate(zip(costs, ends, strict=True))
     ]
     signatures = [response, response * [1.01, 1, 1], response, response, response, None, other]
-    for given in (signatures, np.array([np.full(3, np.nan) if s is None else s for s in signatures])):
+    for given in (
+        signatures,
+        np.array([np.full(3, np.nan) if s is None else s for s in signatures]),
+    ):
         found = find_minima(problem(), runs, given)
         assert [(m.cost, m.runs, m.variants) for m in found] == [
-            (3.0, (2, 3, 1), 2),  # two lags that swap are two; a hundredth of the response is no difference
+            (
+                3.0,
+                (2, 3, 1),
+                2,
+            ),  # two lags that swap are two; a hundredth of the response is no difference
             (3.001, (6,), 1),  # as good, and another response
             (3.02, (4,), 1),
             (5.0, (0,), 1),
@@ -65,22 +90,29 @@ def test_responses_agree_within_a_hundredth_of_the_data_or_of_themselves(off, al
 
 
 @pytest.mark.parametrize(
-    ("x", "variants"), [((1.0, 2.11), 2), ((1.0, 2.09), 1), ((-1.0, 2.0), 2), ((0.949, 2.0), 2), ((0.951, 2.0), 1)]
+    ("x", "variants"),
+    [((1.0, 2.11), 2), ((1.0, 2.09), 1), ((-1.0, 2.0), 2), ((0.949, 2.0), 2), ((0.951, 2.0), 1)],
 )
 def test_ends_more_than_a_twentieth_of_the_larger_one_apart_are_variants(x, variants):
     runs = [run_to(0, 1.0), run_to(1, 1.0, x), run_to(2, 1.0, x)]
     (found,) = find_minima(problem(), runs, [np.ones(2)] * 3)
     mirrored = [run_to(run.index, 1.0, -run.estimate) for run in runs]
-    assert found.variants == find_minima(problem(), mirrored, [np.ones(2)] * 3)[0].variants == variants
+    assert (
+        found.variants == find_minima(problem(), mirrored, [np.ones(2)] * 3)[0].variants == variants
+    )
     assert f"{variants} variant{'s' if variants > 1 else ''}" in repr(found)
 
 
 @pytest.mark.parametrize(
-    ("is_likelihood", "best", "limit"), [(True, -200.0, 0.1), (False, 8.0, 0.1 * 8 / 40), (False, -8.0, 0.1 * 8 / 40)]
+    ("is_likelihood", "best", "limit"),
+    [(True, -200.0, 0.1), (False, 8.0, 0.1 * 8 / 40), (False, -8.0, 0.1 * 8 / 40)],
 )
 def test_runs_agree_up_to_a_tenth_of_a_unit_of_log_likelihood(is_likelihood, best, limit):
     costs = [best, best + 0.99 * limit, best + 1.01 * limit, best + 0.5 * limit, best + 9 * limit]
-    runs = [run_to(10 + k, cost, status="lost" if k == 3 else "converged") for k, cost in enumerate(costs)]
+    runs = [
+        run_to(10 + k, cost, status="lost" if k == 3 else "converged")
+        for k, cost in enumerate(costs)
+    ]
     minima = [Minimum(best, np.zeros(2), (10, 14), 1), Minimum(best + 1, np.zeros(2), (12,), 1)]
     assert agreeing_runs(runs, minima, numbers=40, is_likelihood=is_likelihood) == (10, 11, 14)
     assert agreeing_runs(runs, [], numbers=40, is_likelihood=is_likelihood) == ()

@@ -29,7 +29,12 @@ CRITERIA = [
 @pytest.mark.parametrize("criterion", CRITERIA, ids=repr)
 def test_two_lags_and_a_delay_are_found_from_95_of_100_starts(criterion):
     exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
-    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, columns={"variance": 1e-4 * np.abs(exact.response) ** 2})
+    data = measured(
+        LagLagDelay(),
+        TWO_LAGS_OMEGA,
+        TWO_LAGS,
+        columns={"variance": 1e-4 * np.abs(exact.response) ** 2},
+    )
     ordered = [lambda p: p.T1 - p.T2]
     fit = gb.fit(gb.Problem(LagLagDelay(), data, criterion, constraints=ordered), starts=100)
     assert fit.agreeing >= 95
@@ -46,7 +51,9 @@ def test_tilt_is_found_from_95_of_100_starts(criterion):
 def test_every_run_is_kept_with_its_story():
     fit = gb.fit(NOISY, gb.solve.LatinHypercube(12, seed=5), search="multistart")
     assert [run.index for run in fit.runs] == list(range(12))
-    assert_array_equal([r.start for r in fit.runs], gb.solve.LatinHypercube(12, seed=5).draw(NOISY.parameters))
+    assert_array_equal(
+        [r.start for r in fit.runs], gb.solve.LatinHypercube(12, seed=5).draw(NOISY.parameters)
+    )
     for run in fit.runs:
         assert (run.status, run.stage) == ("Solve_Succeeded", "polished")
         assert run.converged
@@ -97,7 +104,9 @@ def test_a_run_that_did_not_converge_never_wins_however_cheap_it_is():
 def test_the_polish_ends_no_higher_than_the_best_run():
     fit = gb.fit(NOISY, starts=10)
     assert fit.cost <= min(run.cost for run in fit.runs)
-    assert gb.cost(NOISY, {n: fit.estimate[n] for n in fit.free}) == pytest.approx(fit.cost, rel=1e-12)
+    assert gb.cost(NOISY, {n: fit.estimate[n] for n in fit.free}) == pytest.approx(
+        fit.cost, rel=1e-12
+    )
 
 
 def test_progress_is_told_after_every_run():
@@ -146,14 +155,21 @@ def test_runs_are_told_apart_by_their_response_in_units_of_the_signals():
     """Of one cost: two at which a signal is rounding, and one with another response."""
     nlp = compile_problem(NOISY)
     x = nlp.scaling.to_parameters(np.full(len(nlp.free), 0.3))
-    signatures = [np.array([3.0, 1e-9]), np.array([3.0, -2e-9]), np.array([3.3, 0.0]), np.array([3.0, 0.1])]
+    signatures = [
+        np.array([3.0, 1e-9]),
+        np.array([3.0, -2e-9]),
+        np.array([3.3, 0.0]),
+        np.array([3.0, 0.1]),
+    ]
     runs = [Run(k, x, x, 1.0, "converged", True, 1, 0.0) for k in range(4)]
     assert [minimum.runs for minimum in find_minima(nlp, runs, signatures)] == [(0, 1), (2,), (3,)]
 
 
 def finite_below(limit, asked):
     """A solver whose model is finite where the first parameter is below a limit, or is 50."""
-    return SimpleNamespace(is_finite_at=lambda x: asked.append(float(x[0])) or bool(x[0] < limit or x[0] == 50))
+    return SimpleNamespace(
+        is_finite_at=lambda x: asked.append(float(x[0])) or bool(x[0] < limit or x[0] == 50)
+    )
 
 
 def of_logarithms():
@@ -168,15 +184,22 @@ def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_
     starts = np.array([[100.0], [64.0], [2.0], [1.0], [32.0], [50.0]])
     moved = np.array(list(_moved_to_finite(of_logarithms(), finite_below(6.0, asked), starts)))
     assert asked[:3] == [100.0, 64.0, 2.0]
-    # From 2: half of the way to 100 and to 64 is too far, a quarter is not; half of that to 32 would be 8.
-    assert moved.ravel() == pytest.approx([2 * 50**0.25, 2 * 32**0.25, 2.0, 1.0, 2 * 16**0.25, 50.0])
+    # From 2: half of the way to 100 and to 64 is too far, a quarter is not; half of that to 32
+    # would be 8.
+    assert moved.ravel() == pytest.approx(
+        [2 * 50**0.25, 2 * 32**0.25, 2.0, 1.0, 2 * 16**0.25, 50.0]
+    )
     nowhere = np.array(list(_moved_to_finite(of_logarithms(), finite_below(0.0, []), starts[:5])))
     assert_array_equal(nowhere, starts[:5])
     # Where only home is finite, a start stays after six halvings.
     asked.clear()
-    close = np.array(list(_moved_to_finite(of_logarithms(), finite_below(2.001, asked), starts[2:5:2])))
+    close = np.array(
+        list(_moved_to_finite(of_logarithms(), finite_below(2.001, asked), starts[2:5:2]))
+    )
     assert_array_equal(close, starts[2:5:2])
-    assert asked[2:] == pytest.approx([2 * 16.0**share for share in (0.5, 0.25, 0.125, 1 / 16, 1 / 32, 1 / 64)])
+    assert asked[2:] == pytest.approx(
+        [2 * 16.0**share for share in (0.5, 0.25, 0.125, 1 / 16, 1 / 32, 1 / 64)]
+    )
 
 
 def test_points_are_drawn_as_far_as_they_are_asked_for():

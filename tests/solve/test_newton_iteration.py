@@ -60,7 +60,9 @@ def after(numbers, cost=None, gradient=None, hessian=HESSIAN, barrier=0.0, toler
     cost = found if cost is None else cost
     gradient = slope if gradient is None else gradient
     # Of the Hessian the upper triangle counts.
-    numbers, of_free = iteration()[0](numbers, barrier, tolerance, cost, gradient, np.triu(hessian).ravel(order="F"))
+    numbers, of_free = iteration()[0](
+        numbers, barrier, tolerance, cost, gradient, np.triu(hessian).ravel(order="F")
+    )
     return numbers.full().ravel(), of_free.full().reshape(P, P)
 
 
@@ -105,7 +107,9 @@ def test_a_radius_grows_to_ten_at_most():
     assert numbers[RADIUS] == 10
 
 
-@pytest.mark.parametrize(("rise", "share"), [(1.0, None), (100.0, 0.1), (0.0, 0.5), (np.inf, 0.1), (np.nan, 0.1)])
+@pytest.mark.parametrize(
+    ("rise", "share"), [(1.0, None), (100.0, 0.1), (0.0, 0.5), (np.inf, 0.1), (np.nan, 0.1)]
+)
 def test_a_failed_step_is_shortened_to_the_minimum_of_the_parabola(rise, share):
     """Through both costs with the slope at the first, between a tenth and half of the step."""
     z, trial = np.zeros(2), np.array([0.3, 0.0])
@@ -125,7 +129,10 @@ def test_a_failed_step_is_shortened_to_the_minimum_of_the_parabola(rise, share):
 @pytest.mark.parametrize(("fall", "taken"), [(-0.1, False), (0.1, True)])
 def test_a_step_beyond_the_minimum_of_the_model(fall, taken):
     """Uphill it is refused; where the model rises again and the cost falls all the same it is poor."""
-    z, trial = np.zeros(2), np.array([1.1, 0.0])  # the model falls by 1.93 on the way and rises by 2.42
+    z, trial = (
+        np.zeros(2),
+        np.array([1.1, 0.0]),
+    )  # the model falls by 1.93 on the way and rises by 2.42
     before, _ = cost_of(z)
     numbers, _ = after(search(z, trial), cost=before - fall)
     assert_allclose(numbers[ROWS.z], trial if taken else z)
@@ -154,10 +161,16 @@ def test_the_barrier_and_its_derivatives():
     numbers, _ = after(begun(z, 1, lower=lower, upper=upper), barrier=barrier)
     assert numbers[COST] == pytest.approx(whole(z))
     steps = 1e-5 * np.eye(2)
-    assert_allclose(numbers[ROWS.gradient], [(whole(z + h) - whole(z - h)) / 2e-5 for h in steps], rtol=1e-7)
+    assert_allclose(
+        numbers[ROWS.gradient], [(whole(z + h) - whole(z - h)) / 2e-5 for h in steps], rtol=1e-7
+    )
     added = numbers[ROWS.hessian].reshape(P, P) - HESSIAN
     assert_allclose(added, np.diag([barrier / 1.2**2, barrier / 0.5**2]))
-    assert (numbers[LEVEL], numbers[SWITCHED], numbers[RADIUS]) == (1, 0, 1.0)  # taken over, whatever it is
+    assert (numbers[LEVEL], numbers[SWITCHED], numbers[RADIUS]) == (
+        1,
+        0,
+        1.0,
+    )  # taken over, whatever it is
 
 
 @pytest.mark.parametrize(("level", "reached"), [(0, 0.99), (LAST, 1.0)])
@@ -184,7 +197,8 @@ def test_a_variable_that_a_bound_holds_stays_and_the_others_go_on_without_it():
 
 
 @pytest.mark.parametrize(
-    ("size", "tolerance", "ends"), [(1.0, 1e-3, True), (1.0, 1e-5, False), (1e4, 1e-7, True), (1e4, 1e-9, False)]
+    ("size", "tolerance", "ends"),
+    [(1.0, 1e-3, True), (1.0, 1e-5, False), (1e4, 1e-7, True), (1e4, 1e-9, False)],
 )
 def test_a_minimum_is_where_the_slope_is_small_beside_the_cost_or_one(size, tolerance, ends):
     z = BEST + np.array([1e-4, 0.0])  # a slope of 4e-4
@@ -235,7 +249,8 @@ def test_the_step_down_a_saddle_takes_both_curvatures_as_positive():
     assert_allclose(trial, -vectors @ (vectors.T @ gradient / np.abs(values)))
     near, _ = after(begun(z, RADIUS=0.1), hessian=hessian)
     short = iteration()[1](near, values, vectors.ravel()).full().ravel()
-    # Of the model with positive curvatures the least within the radius: its gradient and the step are in line.
+    # Of the model with positive curvatures the least within the radius: its gradient and the step
+    # are in line.
     assert np.linalg.norm(short) == pytest.approx(0.1, rel=0.05)
     left = gradient + vectors @ (np.abs(values) * (vectors.T @ short))
     assert left @ short == pytest.approx(-np.linalg.norm(left) * np.linalg.norm(short))
@@ -251,7 +266,9 @@ def test_steps_of_three_variables(seed):
     numbers[rows.z] = numbers[rows.trial] = random.normal(size=3)
     numbers[rows.lower], numbers[rows.upper] = -99, 99
     numbers[[RADIUS, LEVEL, SWITCHED]] = 50, LAST - 1, 1
-    found = advanced(3, LAST, LOOSE)(numbers, 0, 1e-9, 1.0, gradient, np.triu(hessian).ravel(order="F"))
+    found = advanced(3, LAST, LOOSE)(
+        numbers, 0, 1e-9, 1.0, gradient, np.triu(hessian).ravel(order="F")
+    )
     numbers, of_free = (value.full().ravel() for value in found)
     assert_allclose(of_free.reshape(3, 3), hessian)
     assert_allclose(numbers[rows.trial], numbers[rows.z] - np.linalg.solve(hessian, gradient))
@@ -269,7 +286,9 @@ def test_steps_of_three_variables(seed):
 def test_a_curvature_of_rounding_is_none(flat, is_newton):
     """A part in 1e12 of the largest pivot, which is 100 here."""
     hessian = np.diag([100.0, flat])
-    numbers, of_free = after(begun(np.zeros(2), RADIUS=10.0), gradient=np.array([3.0, 0.0]), hessian=hessian)
+    numbers, of_free = after(
+        begun(np.zeros(2), RADIUS=10.0), gradient=np.array([3.0, 0.0]), hessian=hessian
+    )
     assert numbers[IS_NEWTON] == is_newton
     trial = numbers[ROWS.trial]
     if not is_newton:

@@ -12,13 +12,16 @@ ELSEWHERE = {("MGH10", 0), ("MGH17", 0)}
 # Takes 1400 iterations, as long as all others together; `benchmarks/nist.py` makes it.
 LONG = {("Bennett5", 0)}
 
-# Its residuals are the rounding of data with 14 digits: no errors from which to certify standard ones.
+# Its residuals are the rounding of data with 14 digits: no errors from which to certify standard
+# ones.
 ROUNDING = ("Lanczos1",)
 
 
 def digits(values, reference):
     """Return how many digits of every value are right, at least."""
-    return min(-np.log10(max(abs(values[name] / value - 1), 1e-15)) for name, value in reference.items())
+    return min(
+        -np.log10(max(abs(values[name] / value - 1), 1e-15)) for name, value in reference.items()
+    )
 
 
 @pytest.mark.parametrize("name", FORMULAS)

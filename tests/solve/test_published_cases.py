@@ -46,7 +46,12 @@ def test_too_few_substeps_are_told_from_their_shift(pendulum):
     assert discretization_error(nlp, profile.trajectories).largest > 1
     (sentence,) = discretization_warnings(nlp, profile.trajectories)
     assert "twice the steps per sample (4 instead of 2)" in sentence
-    assert refine_discretization(nlp, search, solver) == (nlp, search, solver, None)  # what the method fixes stays
+    assert refine_discretization(nlp, search, solver) == (
+        nlp,
+        search,
+        solver,
+        None,
+    )  # what the method fixes stays
 
 
 def test_the_shift_is_that_of_a_second_fit(pendulum):
@@ -54,7 +59,9 @@ def test_the_shift_is_that_of_a_second_fit(pendulum):
     for substeps in (40, 80):
         nlp, search = coarse(pendulum, substeps)
         profile = GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes)
-        found.append((search.minima[0].estimate, discretization_error(nlp, profile.trajectories).shift))
+        found.append(
+            (search.minima[0].estimate, discretization_error(nlp, profile.trajectories).shift)
+        )
     errors = np.array([0.010, 0.00032])  # of k and c at this noise
     assert np.all(np.abs((found[1][0] - found[0][0]) / errors - found[0][1]) < 0.05)
     assert np.abs(found[1][1]).max() < 0.1
@@ -65,7 +72,9 @@ def test_substeps_are_refined_until_the_truth_is_found(pendulum):
     finer, refined, solver, _ = refine_discretization(nlp, search, GaussNewton(nlp))
     profile = solver.profile(refined.minima[0].estimate, refined.nodes)
     assert discretization_error(finer, profile.trajectories).largest <= 0.1
-    assert np.all(np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032]))
+    assert np.all(
+        np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032])
+    )
 
 
 def test_an_undamped_oscillation_gets_substeps_by_its_frequency(pendulum):
@@ -97,10 +106,14 @@ class Airspeed(gb.StateSpace):
 def test_first_states_lie_where_the_model_is_finite():
     time = 0.1 * np.arange(45)
     speed = 30 + np.sin(time)
-    record = gb.Record(time, {"gamma": -0.1 + 0.02 * np.cos(time), "V": speed, "lift": np.full(45, 6.0)})
+    record = gb.Record(
+        time, {"gamma": -0.1 + 0.02 * np.cos(time), "V": speed, "lift": np.full(45, 6.0)}
+    )
     _, part, z = point(gb.Problem(Airspeed(), record), drag=0.001, lift=0.05)
     trajectory = part.initial_trajectory(z)
-    assert np.allclose(trajectory.nodes[:, 0], speed[:: part.data.segment_length])  # an output shows it
+    assert np.allclose(
+        trajectory.nodes[:, 0], speed[:: part.data.segment_length]
+    )  # an output shows it
     assert np.all(trajectory.nodes[:, 2] > 0)
     assert trajectory.finite
     assert not part.trajectory(z, np.zeros_like(trajectory.nodes)).finite
@@ -131,7 +144,9 @@ def test_a_last_segment_is_not_filled_up_with_inputs_of_zero():
 
     x = free_motion(derivative, [0, 0], time)
     noisy = x[1] + 0.002 * np.random.default_rng(0).standard_normal(203)
-    record = gb.Record(time, {"speed": np.full(203, 20.0), "steer": 0.05 * np.sin(3 * time), "r": noisy})
+    record = gb.Record(
+        time, {"speed": np.full(203, 20.0), "steer": 0.05 * np.sin(3 * time), "r": noisy}
+    )
     fit = gb.fit(gb.Problem(Bicycle(), record), starts=3, progress=False)
     assert fit.converged
     assert abs(fit.estimate["C"] - 60) < 3.5 * fit.standard_error["C"]

@@ -15,7 +15,11 @@ def made(seed, p=None, general=None, scales=0.0):
     root = random.normal(size=(p, p))
     hessian, gradient = root.T @ root + 0.01 * np.eye(p), 3 * random.normal(size=p)
     rows = np.vstack(
-        [np.eye(p), -np.eye(p), random.normal(size=(random.integers(0, 4) if general is None else general, p))]
+        [
+            np.eye(p),
+            -np.eye(p),
+            random.normal(size=(random.integers(0, 4) if general is None else general, p)),
+        ]
     )
     limits = -random.uniform(0, 1, len(rows)) * random.integers(0, 2, len(rows))
     size = 10.0 ** random.uniform(-scales, scales, p)
@@ -69,7 +73,11 @@ def test_general_constraints_as_scipy_solves_them():
             np.zeros(4),
             jac=lambda d, H=hessian, g=gradient: H @ d + g,
             method="SLSQP",
-            constraints={"type": "ineq", "fun": lambda d, A=rows, b=limits: A @ d - b, "jac": lambda d, A=rows: A},
+            constraints={
+                "type": "ineq",
+                "fun": lambda d, A=rows, b=limits: A @ d - b,
+                "jac": lambda d, A=rows: A,
+            },
             options={"ftol": 1e-14, "maxiter": 500},
         )
         step = solve_small_qp(hessian, gradient, rows, limits)
@@ -83,7 +91,9 @@ def test_without_active_limits_it_is_the_newton_step():
 
 
 def test_a_parameter_at_its_bound_stays_there_exactly():
-    step = solve_small_qp(np.diag([1.0, 1e8]), np.array([1.0, 1e4]), np.eye(2), np.array([0.0, -1e9]))
+    step = solve_small_qp(
+        np.diag([1.0, 1e8]), np.array([1.0, 1e4]), np.eye(2), np.array([0.0, -1e9])
+    )
     assert_allclose(step, [0, -1e-4], rtol=1e-9, atol=1e-14)
 
 
@@ -101,7 +111,9 @@ def test_a_flat_direction_moves_where_a_limit_needs_it():
 
 
 def test_limits_that_contradict_one_another_are_ignored():
-    step = solve_small_qp(np.eye(1), np.array([-1.0]), np.array([[1.0], [-1.0]]), np.array([2.0, 1.0]))
+    step = solve_small_qp(
+        np.eye(1), np.array([-1.0]), np.array([[1.0], [-1.0]]), np.array([2.0, 1.0])
+    )
     assert_allclose(step, [1.0])
 
 

@@ -13,7 +13,18 @@ from greybox.solve.runs import Ended, Runs
 
 LISTED = [
     Run(4, np.array([0.1, 0.2]), np.array([1.0, 2.0]), 0.5, "Solve_Succeeded", True, 7, 0.25),
-    Run(6, np.array([0.3, 0.4]), np.array([3.0, 4.0]), np.inf, "cut", False, 0, 0.5, "no response", IMPROVED),
+    Run(
+        6,
+        np.array([0.3, 0.4]),
+        np.array([3.0, 4.0]),
+        np.inf,
+        "cut",
+        False,
+        0,
+        0.5,
+        "no response",
+        IMPROVED,
+    ),
     Run(9, np.array([0.5, 0.6]), np.array([5.0, 6.0]), 1.5, SCREENED, False, 1, 0.75, "", SCREENED),
 ]
 
@@ -47,7 +58,11 @@ def test_what_ended_is_numbered_in_its_order_and_converged_where_its_cost_is_fin
     starts = np.arange(8.0).reshape(4, 2)
     ended = Ended(starts)
     for row, cost in ((3, 1.0), (1, np.inf)):
-        ended.put(row, starts[row] + 0.5, Outcome(starts[row] + 10, "end", row, 0.1, True, cost, np.full(2, row)))
+        ended.put(
+            row,
+            starts[row] + 0.5,
+            Outcome(starts[row] + 10, "end", row, 0.1, True, cost, np.full(2, row)),
+        )
     runs = ended.runs()
     assert_array_equal(runs.indices, [0, 1])
     assert_array_equal(runs.start, starts[[1, 3]] + 0.5)
@@ -58,7 +73,9 @@ def test_what_ended_is_numbered_in_its_order_and_converged_where_its_cost_is_fin
     ended.put(4, np.ones(2), Outcome(np.zeros(2), "elsewhere", 5, 0.1, True, 0.5, stage=POLISHED))
     assert_array_equal(ended.rows, [1, 3, 4])
     assert [None if s is None else s[0] for s in ended.signatures] == [None, 1, None, 3, None]
-    every = ended.among_screened(ended.runs(np.array([2.0, 3.0, 0.5])), np.array([7.0, 8.0, 9.0, 10.0]))
+    every = ended.among_screened(
+        ended.runs(np.array([2.0, 3.0, 0.5])), np.array([7.0, 8.0, 9.0, 10.0])
+    )
     assert_array_equal(every.indices, range(5))
     assert_array_equal(every.cost, [7, 2, 9, 3, 0.5])
     assert_array_equal(every.start[[0, 2]], starts[[0, 2]])
@@ -73,7 +90,11 @@ def test_a_run_takes_less_than_a_quarter_of_a_kilobyte():
     tracemalloc.start()
     ended = Ended(starts)
     for row, start in enumerate(starts):
-        ended.put(row, start, Outcome(start + row, "Solve_Succeeded", 1000 + row, 0.1 * row, True, 0.3 * row))
+        ended.put(
+            row,
+            start,
+            Outcome(start + row, "Solve_Succeeded", 1000 + row, 0.1 * row, True, 0.3 * row),
+        )
     runs = ended.runs()
     used, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()

@@ -11,7 +11,14 @@ import greybox as gb
 from greybox.solve.ipopt import PATIENCE
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.outcome import RUN_OVER, Outcome
-from greybox.solve.time_limits import TimeLimits, current_limits, is_run_over, is_search_over, limited, one_run
+from greybox.solve.time_limits import (
+    TimeLimits,
+    current_limits,
+    is_run_over,
+    is_search_over,
+    limited,
+    one_run,
+)
 
 OMEGA = np.geomspace(0.1, 10, 8)
 
@@ -73,7 +80,9 @@ def test_without_time_there_is_a_run_all_the_same(clock):
 
 
 def test_enough_time_changes_nothing():
-    limited_fit, free = (gb.fit(RECORD, 3, progress=False, **limit) for limit in ({"seconds": 1e6}, {}))
+    limited_fit, free = (
+        gb.fit(RECORD, 3, progress=False, **limit) for limit in ({"seconds": 1e6}, {})
+    )
     assert [run.cost for run in limited_fit.runs] == [run.cost for run in free.runs]
     assert limited_fit.warnings == free.warnings
 

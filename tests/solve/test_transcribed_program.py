@@ -18,10 +18,14 @@ def record(samples, seed):
     random = np.random.default_rng(seed)
     time, u = 0.1 * np.arange(samples), np.repeat(random.normal(size=samples // 10), 10)
     flown = gb.simulate(Lag(), {"a": 2.0}, gb.Record(time, {"u": u}), inputs="held")
-    return gb.Record(time, {"u": u, "x": flown["x"] + 0.05 * (1 + seed) * random.normal(size=samples)})
+    return gb.Record(
+        time, {"u": u, "x": flown["x"] + 0.05 * (1 + seed) * random.normal(size=samples)}
+    )
 
 
-@pytest.mark.parametrize("method", [gb.MultipleShooting(ipopt=True), gb.Collocation()], ids=["shooting", "collocation"])
+@pytest.mark.parametrize(
+    "method", [gb.MultipleShooting(ipopt=True), gb.Collocation()], ids=["shooting", "collocation"]
+)
 def test_records_of_different_lengths_and_weights_are_one_program(method):
     """Against the Gauss-Newton solver, whose sums are tested against their definition."""
     held = gb.OutputError(inputs="held")
@@ -55,7 +59,9 @@ def transcribed():
         ([9.0, math.inf], [SOLVED] * 2, True, 2, SOLVED),
     ],
 )
-def test_relaxations_go_on_until_the_cost_stays(monkeypatch, transcribed, costs, statuses, same_data, runs, status):
+def test_relaxations_go_on_until_the_cost_stays(
+    monkeypatch, transcribed, costs, statuses, same_data, runs, status
+):
     asked = []
 
     def solve(solution, w, bounds):
@@ -74,25 +80,38 @@ def test_relaxations_go_on_until_the_cost_stays(monkeypatch, transcribed, costs,
     assert found.converged == (status == SOLVED and math.isfinite(costs[runs - 1]))
     assert found.cost == costs[runs - 1]
     scaling = transcribed._nlp.scaling
-    assert found.estimate == pytest.approx(scaling.to_parameters(scaling.to_solver(np.array([2.0])) + 0.001 * runs))
+    assert found.estimate == pytest.approx(
+        scaling.to_parameters(scaling.to_solver(np.array([2.0])) + 0.001 * runs)
+    )
     assert (found.signature is not None) == found.converged
 
 
 def test_an_end_without_continuous_states_is_no_answer(monkeypatch, transcribed):
-    monkeypatch.setattr(transcribed, "_ipopt", SimpleNamespace(solve=lambda solution, w, bounds: (solution, SOLVED, 1)))
+    monkeypatch.setattr(
+        transcribed,
+        "_ipopt",
+        SimpleNamespace(solve=lambda solution, w, bounds: (solution, SOLVED, 1)),
+    )
     monkeypatch.setattr(transcribed, "_outcome", lambda solution, w: (5.0, w, True))
     monkeypatch.setattr(transcribed._gauss_newton, "signature", lambda x: None)
     found = transcribed.run(np.array([2.0]))
     assert (found.status, found.converged) == ("no continuous states at the estimate", False)
     monkeypatch.setattr(transcribed._gauss_newton, "smoothed", lambda z: None)
     found = transcribed.run(np.array([2.0]))
-    assert (found.status, found.converged, found.cost, found.iterations) == (NOT_FINITE, False, math.inf, 0)
+    assert (found.status, found.converged, found.cost, found.iterations) == (
+        NOT_FINITE,
+        False,
+        math.inf,
+        0,
+    )
 
 
 def test_the_cost_of_a_solution_is_the_weighted_sum_of_the_parts():
     """Each has its unknowns and weights, and all of them must have kept the samples of their delays."""
     held = gb.OutputError(inputs="held")
-    problem = gb.Problem(Lag(), record(40, 0), held, weight=2.0) + gb.Problem(Lag(), record(70, 1), held, weight=5.0)
+    problem = gb.Problem(Lag(), record(40, 0), held, weight=2.0) + gb.Problem(
+        Lag(), record(70, 1), held, weight=5.0
+    )
     nlp = compile_problem(problem, gb.MultipleShooting(ipopt=True))
     made = TranscribedProgram(nlp, GaussNewton(nlp))
     sizes = [program.unknowns.numel() for program in made._programs]
@@ -115,5 +134,7 @@ def test_the_cost_of_a_solution_is_the_weighted_sum_of_the_parts():
         assert following.tolist() == (w + 1).tolist()
         assert [z for z, _, _ in seen] == [[0.0]] * 2
         assert [unknowns.size for _, unknowns, _ in seen] == sizes
-        assert np.concatenate([unknowns for _, unknowns, _ in seen]).tolist() == solution[1:].tolist()
+        assert (
+            np.concatenate([unknowns for _, unknowns, _ in seen]).tolist() == solution[1:].tolist()
+        )
         assert [own.size for _, _, own in seen] == weights

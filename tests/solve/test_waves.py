@@ -14,12 +14,15 @@ from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, probabili
 
 def runs_to(*costs):
     return [
-        Run(k, np.zeros(1), np.zeros(1), cost, "s", bool(np.isfinite(cost)), 1, 0.1) for k, cost in enumerate(costs)
+        Run(k, np.zeros(1), np.zeros(1), cost, "s", bool(np.isfinite(cost)), 1, 0.1)
+        for k, cost in enumerate(costs)
     ]
 
 
 def nlp(*, is_likelihood, numbers=(30, 20)):
-    return SimpleNamespace(parts=[SimpleNamespace(is_likelihood=is_likelihood, numbers=n) for n in numbers])
+    return SimpleNamespace(
+        parts=[SimpleNamespace(is_likelihood=is_likelihood, numbers=n) for n in numbers]
+    )
 
 
 def test_the_promising_starts_come_first_and_the_others_in_their_order():

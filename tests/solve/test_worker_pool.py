@@ -7,7 +7,13 @@ from concurrent.futures import BrokenExecutor, Future
 
 import pytest
 
-from greybox.solve.worker_pool import TRIALS, TRIALS_AT_FIRST, NoWorkerError, WorkerLostError, WorkerPool
+from greybox.solve.worker_pool import (
+    TRIALS,
+    TRIALS_AT_FIRST,
+    NoWorkerError,
+    WorkerLostError,
+    WorkerPool,
+)
 
 
 class Workers:

@@ -58,7 +58,8 @@ def test_a_sharp_resonance_takes_the_long_windows():
     omega = [5.6, 5.8, 6.0, 6.2, 6.4]
     truth = freqz(b, a, np.array(omega) / RATE)[1]
     short, both = (
-        np.abs(spectral_response(flown, omega=omega, windows=w).response / truth - 1) for w in ([5.0], [5.0, 60.0])
+        np.abs(spectral_response(flown, omega=omega, windows=w).response / truth - 1)
+        for w in ([5.0], [5.0, 60.0])
     )
     assert short.max() > 0.3
     assert both.max() < 0.03
@@ -82,7 +83,9 @@ def test_leakage_terms_take_most_of_the_bias(monkeypatch):
 def test_default_frequencies_are_the_excited_ones():
     b, a = resonance()
     u = flown_sweep()
-    flown = record(u=u, theta=lfilter(b, a, u) + 0.02 * np.random.default_rng(0).standard_normal(u.size))
+    flown = record(
+        u=u, theta=lfilter(b, a, u) + 0.02 * np.random.default_rng(0).standard_normal(u.size)
+    )
     got = spectral_response(flown, points=25)
     windowed = spectral_response(flown, points=25, windows=[22.0, 5.0])
     assert 20 <= len(got) <= 60
@@ -122,7 +125,9 @@ def vehicle():
 
 def vehicle_response(omega):
     f, g, h = vehicle()
-    return np.array([np.linalg.solve(z * np.eye(3) - f, g + h / z)[0] for z in np.exp(1j * omega / FAST)])
+    return np.array(
+        [np.linalg.solve(z * np.eye(3) - f, g + h / z)[0] for z in np.exp(1j * omega / FAST)]
+    )
 
 
 def fly(injected, torque, seed=0):
@@ -174,8 +179,15 @@ def test_where_the_instrument_hardly_moves_the_input_there_is_no_joint_estimate(
         standardized.append(np.abs(joint.response - truth) ** 2 / joint.variance)
     assert 0.7 < np.sqrt(np.mean(np.concatenate(standardized))) < 1.4
     noise = np.random.default_rng(3).standard_normal(theta.size)
-    with pytest.raises(ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times"):
-        spectral_response(record(FAST, u=u, theta=theta, r=noise), instrument="r", omega=[3.0, 6.0], windows=windows)
+    with pytest.raises(
+        ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times"
+    ):
+        spectral_response(
+            record(FAST, u=u, theta=theta, r=noise),
+            instrument="r",
+            omega=[3.0, 6.0],
+            windows=windows,
+        )
 
 
 def test_unstable_plant_without_noise():
@@ -239,7 +251,9 @@ def test_drift_and_trim_do_not_matter():
     u = flown_sweep()
     y = lfilter(b, a, u)
     plain, moved = (
-        spectral_response(record(u=u + c, theta=y + c + 0.1 * c * np.linspace(0, 1, u.size)), omega=[3.0, 10.0])
+        spectral_response(
+            record(u=u + c, theta=y + c + 0.1 * c * np.linspace(0, 1, u.size)), omega=[3.0, 10.0]
+        )
         for c in (0.0, 5.0)
     )
     np.testing.assert_allclose(moved.response, plain.response, rtol=1e-3)
@@ -292,12 +306,15 @@ def test_dropped_points_are_told():
 
 
 @pytest.mark.parametrize(
-    ("band", "inside"), [((0.1, 5), (1, 5)), ((2, 50), (2, 20)), ((2, 5), (2, 5)), ((0.1, 50), (1, 20))]
+    ("band", "inside"),
+    [((0.1, 5), (1, 5)), ((2, 50), (2, 20)), ((2, 5), (2, 5)), ((0.1, 50), (1, 20))],
 )
 def test_of_a_band_is_left_what_the_records_resolve(band, inside):
     assert composite_windows._within(band, 1, 20) == inside
     for outside in ((0.1, 1), (20, 30)):
-        with pytest.raises(ValueError, match="lies outside of what these records resolve, 1 to 20 rad/s"):
+        with pytest.raises(
+            ValueError, match="lies outside of what these records resolve, 1 to 20 rad/s"
+        ):
             composite_windows._within(outside, 1, 20)
 
 
@@ -313,7 +330,10 @@ def test_estimates_of_several_windows_are_weighted_by_their_errors():
     smeared = (weight[1] * 0.4) ** 2 - 0.01
     assert smeared > 0
     assert found.variance == pytest.approx((weight @ [0.1, 0.05]) ** 2 + smeared)
-    assert (found.dof, found.coherence) == (pytest.approx(weight @ [10, 20]), pytest.approx(weight @ [0.9, 0.8]))
+    assert (found.dof, found.coherence) == (
+        pytest.approx(weight @ [10, 20]),
+        pytest.approx(weight @ [0.9, 0.8]),
+    )
     assert composite_windows._combined([point(weak=True), point()]).weak
     assert not composite_windows._combined([point(), point()]).weak
 
@@ -326,7 +346,9 @@ def excited_between(*bands, rest):
     omega = np.arange(1.0, 1001.0)
     inside = np.any([(omega >= low) & (omega <= high) for low, high in bands], axis=0)
     values = np.sqrt(np.where(inside, 1.0, rest) / omega)
-    return composite_windows.Lines(omega, np.array([values, values, -1j * values]), np.zeros(1000, int), 1.0, True)
+    return composite_windows.Lines(
+        omega, np.array([values, values, -1j * values]), np.zeros(1000, int), 1.0, True
+    )
 
 
 @pytest.mark.parametrize(
@@ -334,7 +356,11 @@ def excited_between(*bands, rest):
     [
         (((50, 300),), 0.0065, (50 / 1.15, 300 / 0.85)),
         (((50, 300),), 0.015, (10, 800)),  # 20 dB below the excitation ends
-        (((50, 100), (115, 300)), 0.005, (50 / 1.15, 300 / 0.85)),  # a gap no wider than what is averaged
+        (
+            ((50, 100), (115, 300)),
+            0.005,
+            (50 / 1.15, 300 / 0.85),
+        ),  # a gap no wider than what is averaged
         (((50, 100), (190, 300)), 0.005, (190 / 1.15, 300 / 0.85)),
         (((30, 100), (250, 300)), 0.005, (30 / 1.15, 100 / 0.85)),
     ],
@@ -342,7 +368,11 @@ def excited_between(*bands, rest):
 def test_a_sweep_is_excited_up_to_the_first_gap_around_its_strongest_part(bands, rest, ends):
     lines = excited_between(*bands, rest=rest)
     if len(bands) == 2:
-        strong = slice(bands[0][0] - 1, bands[0][1]) if ends[0] < 100 else slice(bands[1][0] - 1, bands[1][1])
+        strong = (
+            slice(bands[0][0] - 1, bands[0][1])
+            if ends[0] < 100
+            else slice(bands[1][0] - 1, bands[1][1])
+        )
         lines.values[2, strong] *= 1.5
     found = composite_windows._excited_band(lines, 10.0, 800.0)
     assert found == pytest.approx(ends, rel=(800 / 10) ** (1 / 199) - 1 + 0.01)
@@ -355,7 +385,10 @@ def test_noise_is_averaged_over_two_lines_on_either_side_at_least():
         lines.values[2, 7 : 7 + hole] = 0.0
         lines.values[2, 100:200] *= 2
         assert composite_windows._excited_band(lines, 3.0, 400.0)[0] == pytest.approx(low, abs=0.4)
-    with pytest.raises(ValueError, match=r"their lowest frequency, 5 rad/s, is above the highest .* allows, 5 rad/s"):
+    with pytest.raises(
+        ValueError,
+        match=r"their lowest frequency, 5 rad/s, is above the highest .* allows, 5 rad/s",
+    ):
         composite_windows._excited_band(lines, 5.0, 5.0)
 
 
@@ -363,9 +396,7 @@ def test_windows_have_eight_samples_at_least_and_fit_into_the_longest_stretch():
     stretches = [UniformStretch(np.zeros((3, n)), step, "") for n, step in ((50, 0.1), (60, 0.05))]
     assert composite_windows._window_lengths(stretches, [0.8, 5.0, 2.0]) == [5.0, 2.0, 0.8]
     for windows, said in (([0.79, 2.0], "0.79, 2"), ([2.0, 5.01], "2, 5.01"), ([], "no")):
-        sentence = (
-            f"windows of {said} s do not fit: give lengths from 0.8 to 5 s, from 8 samples to the longest stretch"
-        )
+        sentence = f"windows of {said} s do not fit: give lengths from 0.8 to 5 s, from 8 samples to the longest stretch"
         with pytest.raises(ValueError, match=sentence):
             composite_windows._window_lengths(stretches, windows)
 
@@ -374,7 +405,8 @@ def test_frequencies_have_as_many_periods_as_an_estimate_needs():
     composite_windows._check_periods(np.array([2.0, 1.0 - 1e-10]), 1.0, 6 * HZ)
     for wrong in (1.0 - 1e-8, np.nan):
         with pytest.raises(
-            ValueError, match=r"rad/s has fewer than 6 periods in the longest .* window, 37\.7 s: leave"
+            ValueError,
+            match=r"rad/s has fewer than 6 periods in the longest .* window, 37\.7 s: leave",
         ):
             composite_windows._check_periods(np.array([2.0, wrong]), 1.0, 6 * HZ)
 
@@ -388,7 +420,9 @@ def test_the_grid_reaches_from_two_periods_of_the_longest_window_to_four_tenths_
     got = spectral_response(flown, band=(1e-3, 1e4), points=12)
     assert 6 * HZ / 20 < got.omega[0] < 9 * HZ / 20
     assert 0.34 * HZ * RATE < got.omega[-1] < 0.4 * HZ * RATE
-    np.testing.assert_allclose(spectral_response(flown, windows=[4.0], band=(5.0, 50.0), points=1).omega, [5, 50])
+    np.testing.assert_allclose(
+        spectral_response(flown, windows=[4.0], band=(5.0, 50.0), points=1).omega, [5, 50]
+    )
     with pytest.raises(ValueError, match=r"overlap is -0\.1: it must be at least 0 and below 1"):
         spectral_response(flown, overlap=-0.1)
     assert len(spectral_response(flown, omega=5.0, windows=[4.0], overlap=0.0)) == 1

@@ -18,7 +18,13 @@ from greybox.spectral.frequency_points import (
 
 
 def point(response=1 + 0j, error=0.01, dof=8.0, periods=10, u=1 + 0j, **values):
-    common = {"start": 0.0, "end": 10.0, "u": u, "y": response * u, "r": complex(math.nan, math.nan)}
+    common = {
+        "start": 0.0,
+        "end": 10.0,
+        "u": u,
+        "y": response * u,
+        "r": complex(math.nan, math.nan),
+    }
     common |= {"distortion": (0.0, 0.0), "drift": (0.0, 0.0), "saturation": 0.0}
     return FrequencyPoint(5.0, response, error, dof, periods, **common | values)
 
@@ -37,7 +43,10 @@ def test_a_mean_counts_periods_and_control_power_and_its_variance_is_monte_carlo
     both = averaged([point(1 + 0j, 0.02, 4.0, 10, 2 + 0j), point(4 + 0j, 0.05, 8.0, 20)])
     assert both.response == pytest.approx(2)
     rng = np.random.default_rng(0)
-    errors = [s * (rng.standard_normal(40000) + 1j * rng.standard_normal(40000)) / math.sqrt(2) for s in (0.02, 0.05)]
+    errors = [
+        s * (rng.standard_normal(40000) + 1j * rng.standard_normal(40000)) / math.sqrt(2)
+        for s in (0.02, 0.05)
+    ]
     drawn = (2 * errors[0] + errors[1]) / 3
     assert both.standard_error == pytest.approx(np.sqrt(np.mean(np.abs(drawn) ** 2)), rel=0.02)
     assert 4 < both.dof < 12
@@ -74,7 +83,13 @@ def test_what_is_not():
 def test_a_drift_is_held_against_the_amplitude(size):
     for share, warned in ((0.98, False), (1.02, True)):
         drifting = point(u=size * 1j, drift=(0.0, -share * DRIFTING * size))
-        assert any("the trim of the output drifts" in said for said in with_findings(drifting, []).findings) == warned
+        assert (
+            any(
+                "the trim of the output drifts" in said
+                for said in with_findings(drifting, []).findings
+            )
+            == warned
+        )
 
 
 def test_the_freedom_of_a_mean_is_that_of_satterthwaite():
@@ -110,9 +125,19 @@ def test_the_freedom_of_a_mean_is_that_of_satterthwaite():
             "the control has harmonics of 11% of its sine: the response is not li",
         ),
         ("saturation", 0.02, 0.021, "the control is at its limit for 2% of the time"),
-        ("error", 0.3 * math.sqrt(5), 0.31 * math.sqrt(5), "the standard error is 31% of the response"),
+        (
+            "error",
+            0.3 * math.sqrt(5),
+            0.31 * math.sqrt(5),
+            "the standard error is 31% of the response",
+        ),
         ("periods", 2, 1, "one period only: its error is not known"),
-        ("drift", (0.599, 0.0), (0.601, 0.0), "the trim of the control drifts by 0.6 where its amplitude is 2"),
+        (
+            "drift",
+            (0.599, 0.0),
+            (0.601, 0.0),
+            "the trim of the control drifts by 0.6 where its amplitude is 2",
+        ),
     ],
 )
 def test_a_warning_begins_where_it_is_stated(values, below, at, said):
@@ -133,7 +158,9 @@ def test_unexplained_harmonics_are_an_error_of_the_gain_and_told_from_three_perc
     assert small.standard_error == pytest.approx(math.hypot(0.3, 0.15))
     assert large.standard_error == pytest.approx(0.5)
     assert (small.unexplained, small.findings) == (0.03, ("first",))
-    text = "the plant does not explain harmonics of 8% of the control's sine: it is not linear there"
+    text = (
+        "the plant does not explain harmonics of 8% of the control's sine: it is not linear there"
+    )
     assert large.findings == ("first", text)
     for nothing in (0.0, math.nan):
         assert with_unexplained(at, nothing).standard_error == 0.3
@@ -143,7 +170,13 @@ def test_unexplained_harmonics_are_an_error_of_the_gain_and_told_from_three_perc
 def test_points_are_written_and_take_other_variances():
     points = (
         point(
-            -3 + 3j, 0.095 * math.sqrt(18), periods=7, u=2j, distortion=(0.1234, 0.05), saturation=0.095, notes=("n",)
+            -3 + 3j,
+            0.095 * math.sqrt(18),
+            periods=7,
+            u=2j,
+            distortion=(0.1234, 0.05),
+            saturation=0.095,
+            notes=("n",),
         ),
         point(0j, 0.1, y=0.5j, saturation=math.nan),
     )

@@ -29,7 +29,9 @@ def flown(nonlinearity, noise=1e-3, harmonics=0.0, sensor=None):
         control = np.sin(omega * t) + harmonics * np.sin(3 * omega * t + 0.4)
         phases = 2 * np.pi * np.arange(512) / 512
         one = np.fft.rfft(nonlinearity(np.sin(phases) + harmonics * np.sin(3 * phases + 0.4))) / 256
-        response = sum((one[k] * truth(k * omega) * np.exp(1j * k * omega * t)).real for k in range(1, 20))
+        response = sum(
+            (one[k] * truth(k * omega) * np.exp(1j * k * omega * t)).real for k in range(1, 20)
+        )
         time.append(start + t)
         u.append(control)
         response = sensor(response) if sensor else response
@@ -91,21 +93,27 @@ def test_what_is_unexplained_is_beyond_the_errors_of_the_plant_and_the_noise():
     """Of 1/(jω), known from 1 to 4 rad/s: harmonics of 2 rad/s, of which the second and third lie beyond."""
     omega = np.array([1.0, 4.0])
     response = 1 / (1j * omega)
-    control, e, at = np.array([0.1, 0.2j, 0.05]), np.array([0.3, 0.2, 0.2j]), np.array([4.0, 6.0, 8.0])
+    control, e, at = (
+        np.array([0.1, 0.2j, 0.05]),
+        np.array([0.3, 0.2, 0.2j]),
+        np.array([4.0, 6.0, 8.0]),
+    )
     beside = np.full((3, 2, 2), 0.005 + 0j)
     found = harmonic_distortion.Harmonics(2.0, 0.5, control, (control + e) / (1j * at), beside)
     noise = np.abs(0.005 * 1j * at - 0.005)
     assert np.all(np.abs(e) > 3 * noise)
     allowed = np.where(at > 4, 0.5, 0.1) * np.abs(control) + 0.005 * 0.5 * at
     expected = np.sqrt(np.sum((np.abs(e) - allowed) ** 2)) / 0.8
-    assert harmonic_distortion.unexplained(omega, response, [(0.8j, found)]) == pytest.approx([expected])
+    assert harmonic_distortion.unexplained(omega, response, [(0.8j, found)]) == pytest.approx(
+        [expected]
+    )
     # Noise three times as large hides all but the first.
     hidden = np.abs(e) / 3 / np.abs(1j * at - 1)
     loud = np.abs(np.array([0.9, 1.1, 1.1]) * hidden)[:, None, None] * np.ones((3, 2, 2))
     alone = (abs(e[0]) - allowed[0]) / 0.8
-    assert harmonic_distortion.unexplained(omega, response, [(0.8, found._replace(beside=loud))]) == pytest.approx(
-        [alone]
-    )
+    assert harmonic_distortion.unexplained(
+        omega, response, [(0.8, found._replace(beside=loud))]
+    ) == pytest.approx([alone])
     for u, some in ((0.0, found), (0.8, found._replace(beside=beside[:, :, :0]))):
         assert np.isnan(harmonic_distortion.unexplained(omega, response, [(u, some)])).all()
     assert np.isnan(harmonic_distortion.unexplained(omega[:1], response[:1], [(0.8, found)])).all()
@@ -116,4 +124,6 @@ def test_a_plant_is_read_off_along_straight_lines_of_its_logarithm():
     omega = np.array([1.0, 2.0, 7.0, 9.0])
     at = np.array([1.0, 3.3, 8.0, 30.0])
     exact = 3 / (1j * at) ** 1.5
-    np.testing.assert_allclose(harmonic_distortion._read_off(omega, 3 / (1j * omega) ** 1.5, at), exact)
+    np.testing.assert_allclose(
+        harmonic_distortion._read_off(omega, 3 / (1j * omega) ** 1.5, at), exact
+    )

@@ -15,13 +15,16 @@ from greybox.spectral.uniform_stretches import UniformStretch
 
 
 @pytest.mark.parametrize(
-    ("system", "excitation", "seed"), [(EXAMPLE, "logarithmic", 1), (EXAMPLE, "cifer", 2), (MODE, "noise", 3)]
+    ("system", "excitation", "seed"),
+    [(EXAMPLE, "logarithmic", 1), (EXAMPLE, "cifer", 2), (MODE, "noise", 3)],
 )
 def test_maximum_likelihood_holds(system, excitation, seed):
     """12 records of 164 s with noise of 10 %; 200 of each kind in `benchmarks/spectral_coverage.py`."""
     z = []
     for k in range(12):
-        data = spectral_response(flown(system, excitation, np.random.default_rng([seed, k])), "u", "y")
+        data = spectral_response(
+            flown(system, excitation, np.random.default_rng([seed, k])), "u", "y"
+        )
         estimate, error = maximum_likelihood(system, data)
         z.append((estimate - system.truth) / error)
     assert np.mean(np.abs(z) < 1.96) >= 0.9
@@ -32,8 +35,12 @@ def test_variances_are_stated_and_neighbors_are_independent():
     """Over 10 records: the squared error is the stated variance, also at the mode, and neighbors have no product."""
     errors = []
     for k in range(10):
-        data = spectral_response(flown(EXAMPLE, "logarithmic", np.random.default_rng([7, k])), "u", "y")
-        e = (data.response - EXAMPLE.response(1j * data.omega, EXAMPLE.truth)) / np.sqrt(data.variance)
+        data = spectral_response(
+            flown(EXAMPLE, "logarithmic", np.random.default_rng([7, k])), "u", "y"
+        )
+        e = (data.response - EXAMPLE.response(1j * data.omega, EXAMPLE.truth)) / np.sqrt(
+            data.variance
+        )
         errors.append((data.omega, e))
     omega, together = (np.concatenate(column) for column in zip(*errors, strict=True))
     assert np.mean(np.abs(together) ** 2) == pytest.approx(1, abs=0.15)
@@ -49,7 +56,9 @@ def test_bias_is_far_below_the_noise_at_a_mode():
     truth = EXAMPLE.response(1j * np.array(omega), EXAMPLE.truth)
     z = []
     for k in range(25):
-        data = spectral_response(flown(EXAMPLE, "logarithmic", np.random.default_rng([9, k])), "u", "y", omega=omega)
+        data = spectral_response(
+            flown(EXAMPLE, "logarithmic", np.random.default_rng([9, k])), "u", "y", omega=omega
+        )
         z.append((data.response - truth) / np.sqrt(data.variance))
     assert np.all(np.abs(np.mean(z, axis=0)) < 3.2 / np.sqrt(25))
 
@@ -122,7 +131,9 @@ def random_lines(joint, seed=0, inputs=1):
     omega, stretch = np.concatenate([long, short]), np.repeat([0, 1], [40, 20])
     order = np.argsort(omega, kind="stable")
     omega, stretch = omega[order], stretch[order]
-    u, v, *others = rng.standard_normal((2 + inputs, 60)) + 1j * rng.standard_normal((2 + inputs, 60))
+    u, v, *others = rng.standard_normal((2 + inputs, 60)) + 1j * rng.standard_normal(
+        (2 + inputs, 60)
+    )
     r = u + 0.3 * others[0] if joint else u
     y = (2 + 0.01 * omega) * u + 0.1 * v
     return local_polynomials.Lines(omega, np.array([u, y, r, *others[1:]]), stretch, 1.0, not joint)
@@ -137,7 +148,8 @@ def by_matrices(lines, center, half):
     transients = [slow * (lines.stretch[rows] == k)[:, None] for k in (0, 1)]
     u, _, r, *others = lines.values[:, rows]
     regressors, instruments = (
-        np.hstack([*(c[:, None] * powers for c in (first, *others)), *transients]) for first in (u, r)
+        np.hstack([*(c[:, None] * powers for c in (first, *others)), *transients])
+        for first in (u, r)
     )
     solution = np.linalg.solve(instruments.conj().T @ regressors, instruments.conj().T)
     return rows, regressors, solution, np.eye(rows.size) - regressors @ solution
@@ -153,7 +165,9 @@ def test_a_band_is_solved_with_the_transients_of_its_stretches(joint, inputs):
     omega = np.array([15.0, 22.5])
     at = np.vander((omega - center) / half, local_polynomials.ORDER + 1, increasing=True)
     np.testing.assert_array_equal(fitted.rows, rows)
-    np.testing.assert_allclose(fitted.weights(omega) @ y, at @ (solution @ y)[: local_polynomials.ORDER + 1])
+    np.testing.assert_allclose(
+        fitted.weights(omega) @ y, at @ (solution @ y)[: local_polynomials.ORDER + 1]
+    )
     np.testing.assert_allclose(fitted.residuals(y), q @ y)
     assert fitted.trace() == pytest.approx(np.trace(q @ q.conj().T).real)
     assert fitted.number == rows.size - len(solution)
@@ -167,7 +181,9 @@ def test_what_is_left_in_narrow_bands_counts_as_often_as_they_overlap():
         rows, _, solution, q = by_matrices(lines, center, 7.0)
         u, y = lines.values[:2, rows]
         assert residual.number == rows.size - len(solution)
-        assert residual.squares == pytest.approx([np.linalg.norm(q @ y) ** 2, np.linalg.norm(q @ u) ** 2], abs=1e-9)
+        assert residual.squares == pytest.approx(
+            [np.linalg.norm(q @ y) ** 2, np.linalg.norm(q @ u) ** 2], abs=1e-9
+        )
         wide = np.zeros((rows.size, 60), dtype=complex)
         wide[:, rows] = q
         whole.append(wide)
@@ -196,14 +212,19 @@ def test_the_slope_of_noise_is_told_by_many_residuals_and_held_back_of_few():
 
     def residuals(number):
         squares = [number * np.array([c**-1.5, 2 * c**0.5]) for c in centers]
-        return [local_polynomials._Residual(c, None, s, number, None) for c, s in zip(centers, squares, strict=True)]
+        return [
+            local_polynomials._Residual(c, None, s, number, None)
+            for c, s in zip(centers, squares, strict=True)
+        ]
 
     many = local_polynomials._slopes(residuals(1e6), 30.0)
     assert many == pytest.approx([-1.5, 0.5], rel=1e-4)
     logs = np.log(centers) - np.log(centers).mean()
     for apart, more in ((30.0, 1.0), (10.0, 3.0)):  # that overlap tell less
         shrunk = logs @ logs / (logs @ logs + np.pi**2 / 6 / 4 * more)
-        assert local_polynomials._slopes(residuals(4), apart) == pytest.approx([-1.5 * shrunk, 0.5 * shrunk])
+        assert local_polynomials._slopes(residuals(4), apart) == pytest.approx(
+            [-1.5 * shrunk, 0.5 * shrunk]
+        )
 
 
 @pytest.mark.parametrize("joint", [False, True])
@@ -263,7 +284,12 @@ def test_coherence_is_the_share_that_the_instrument_explains(joint):
     [
         ((1.0, 16.0), 4, 0.0, [1, 2, 4, 8, 16]),
         ((1.0, 16.0), 4, 3.0, [1, 4, 8, 16]),
-        ((1.0, 10.0), 9, 4.0, [1, 5, 10]),  # what is left over is too narrow, and goes to the last band
+        (
+            (1.0, 10.0),
+            9,
+            4.0,
+            [1, 5, 10],
+        ),  # what is left over is too narrow, and goes to the last band
         ((1.0, 9.5), 9, 4.0, [1, 5, 9.5]),
         ((1.0, 3.0), 2, 4.0, [1, 5]),
         ((1.0, 13.0), 9, 4.0, [1, 5, 9, 13]),
@@ -277,20 +303,30 @@ def one_stretch(count=60):
     random = np.random.default_rng(3)
     u, v = random.standard_normal((2, count)) + 1j * random.standard_normal((2, count))
     omega = np.arange(1.0, count + 1)
-    return local_polynomials.Lines(omega, np.array([u, 2 * u + 0.1 * v, u]), np.zeros(count, dtype=int), 1.0, True)
+    return local_polynomials.Lines(
+        omega, np.array([u, 2 * u + 0.1 * v, u]), np.zeros(count, dtype=int), 1.0, True
+    )
 
 
 def test_the_narrowest_band_leaves_the_residuals_asked_for_wherever_its_edges_lie():
     """Three coefficients of the response and two of the transient; a band of n lines in width holds n or n + 1."""
     lines = one_stretch()
     for residuals in (1, 2, 3):
-        fitted = [local_polynomials._fit(lines, 20.0, half, residuals=residuals) for half in (2.0, 2.5, 3.0, 3.5, 4.0)]
+        fitted = [
+            local_polynomials._fit(lines, 20.0, half, residuals=residuals)
+            for half in (2.0, 2.5, 3.0, 3.5, 4.0)
+        ]
         sizes = [5, 5, 7, 7, 9]
         assert [f is not None for f in fitted] == [size - 5 >= residuals for size in sizes]
-        assert [f.number for f in fitted if f] == [size - 5 for size in sizes if size - 5 >= residuals]
+        assert [f.number for f in fitted if f] == [
+            size - 5 for size in sizes if size - 5 >= residuals
+        ]
         width, left = local_polynomials._narrowest(lines, 20.0, residuals)
         assert (width, left) == (5.0 + residuals, residuals)
-    assert local_polynomials._narrowest(lines, 20.0, 1, 0.3) == (7.0, 2)  # 2 of 7 lines for the transient
+    assert local_polynomials._narrowest(lines, 20.0, 1, 0.3) == (
+        7.0,
+        2,
+    )  # 2 of 7 lines for the transient
     with pytest.raises(ValueError, match="too short for any polynomial"):
         local_polynomials._narrowest(lines, 59.0, 3)
     with pytest.raises(ValueError, match="too short for any polynomial"):
@@ -303,7 +339,11 @@ def solution_of(lines, center, half, order, slow):
     x = (lines.omega[rows] - center) / half
     columns = [lines.values[0, rows, None] * np.vander(x, order + 1, increasing=True)]
     columns = np.hstack([*columns, np.vander(x, slow + 1, increasing=True)])
-    return rows, np.linalg.pinv(columns)[: order + 1], np.eye(rows.size) - columns @ np.linalg.pinv(columns)
+    return (
+        rows,
+        np.linalg.pinv(columns)[: order + 1],
+        np.eye(rows.size) - columns @ np.linalg.pinv(columns),
+    )
 
 
 def judged(lines, omega=20.0, half=10.0):
@@ -386,11 +426,18 @@ def test_noise_is_the_mean_of_the_neighborhood_brought_to_the_frequency_of_the_b
     assert set(np.array(asked)[:, 1]) == {3.0}
     assert dof == pytest.approx(2 * 2 * places)
     with_pole = band._replace(pole_noise=(5.0, 4.0))
-    assert local_polynomials._noise(lines._replace(same=True), with_pole, [band], widths) == (1.25, 0.0, 8.0)
-    assert local_polynomials._noise(lines, with_pole, [band], widths) == pytest.approx((1.25, 0.7, 8.0))
+    assert local_polynomials._noise(lines._replace(same=True), with_pole, [band], widths) == (
+        1.25,
+        0.0,
+        8.0,
+    )
+    assert local_polynomials._noise(lines, with_pole, [band], widths) == pytest.approx(
+        (1.25, 0.7, 8.0)
+    )
     few = band._replace(pole_noise=(5.0, 2.0))
     assert local_polynomials._noise(lines, few, [band], widths)[2] == pytest.approx(4 * places)
-    # bands that are visibly wrong do not count: the first reach has none beyond them, so that the next ones are tried
+    # bands that are visibly wrong do not count: the first reach has none beyond them, so that the
+    # next ones are tried
     asked.clear()
     assert local_polynomials._noise(lines, few, [few], widths) is not None
     assert all(abs(center - 20.0) >= 4.0 for center, _ in asked)
@@ -402,14 +449,22 @@ def test_noise_is_the_mean_of_the_neighborhood_brought_to_the_frequency_of_the_b
 def test_lines_are_transforms_of_whole_stretches_by_frequency():
     """Sums that are written out, whose squares are densities; of 12 and 8 samples, of other steps."""
     rng = np.random.default_rng(0)
-    pieces = [UniformStretch(rng.standard_normal((3, n)), step, "") for n, step in ((12, 0.05), (8, 0.04))]
+    pieces = [
+        UniformStretch(rng.standard_normal((3, n)), step, "") for n, step in ((12, 0.05), (8, 0.04))
+    ]
     found = local_polynomials.lines_of(pieces)
     rows = []
     for index, (values, step, *_) in enumerate(pieces):
         n = values.shape[1]
         for k in range(1, n // 2 + 1):
             omega = 2 * np.pi * k / (n * step)
-            rows.append((omega, index, values @ np.exp(-1j * omega * step * np.arange(n)) * np.sqrt(step / n)))
+            rows.append(
+                (
+                    omega,
+                    index,
+                    values @ np.exp(-1j * omega * step * np.arange(n)) * np.sqrt(step / n),
+                )
+            )
     rows.sort(key=lambda row: row[0])
     np.testing.assert_allclose(found.omega, [row[0] for row in rows])
     np.testing.assert_array_equal(found.stretch, [row[1] for row in rows])
@@ -436,7 +491,8 @@ def test_a_band_is_halved_as_long_as_its_halves_are_no_narrower_than_a_point_nee
     bands = [b.fitted for b in local_polynomials._halved(lines, low, high, widths)]
     edges = np.linspace(low, high, count + 1)
     np.testing.assert_allclose(
-        [(b.center, b.half) for b in bands], np.array([edges[1:] + edges[:-1], np.diff(edges)]).T / 2
+        [(b.center, b.half) for b in bands],
+        np.array([edges[1:] + edges[:-1], np.diff(edges)]).T / 2,
     )
     # Where a half leaves no residuals the whole is kept; and so it is where it holds.
     narrow = widths._replace(point=1.0)
@@ -446,7 +502,9 @@ def test_a_band_is_halved_as_long_as_its_halves_are_no_narrower_than_a_point_nee
     assert local_polynomials._halved(lines, 20.0, 26.0, widths) == []
 
 
-@pytest.mark.parametrize(("half", "wrong", "taken"), [(20.0, True, 4.0), (6.0, True, 4.0), (20.0, False, 20.0)])
+@pytest.mark.parametrize(
+    ("half", "wrong", "taken"), [(20.0, True, 4.0), (6.0, True, 4.0), (20.0, False, 20.0)]
+)
 def test_a_band_around_a_frequency_is_halved_until_its_polynomials_hold(half, wrong, taken):
     lines = quartic(one_stretch(), 23.0) if wrong else one_stretch()
     widths = local_polynomials._Widths(point=8.0, noise=6.0, residuals=1)
@@ -476,7 +534,9 @@ def test_given_frequencies_have_bands_half_way_to_their_neighbors():
     halves = [23.5, 4.0, 7.0, 4.0, 32.5]
     found = local_polynomials.points_at(lines, omega)
     for point, center, half in zip(found, omega, halves, strict=True):
-        assert point.response == pytest.approx(by_least_squares(lines, center, half, center)[0], rel=1e-9)
+        assert point.response == pytest.approx(
+            by_least_squares(lines, center, half, center)[0], rel=1e-9
+        )
     assert len(local_polynomials.points_at(lines, np.array([1.0]))) == 1
     lost = local_polynomials.points_at(lines, np.array([204.0, 207.0, 100.0]))
     assert np.isfinite([p.variance for p in lost]).tolist() == [False, False, True]
@@ -505,7 +565,9 @@ def test_an_estimate_is_that_of_its_band_less_what_a_pole_takes_off():
     rows, solution, _ = solution_of(lines, 20.0, 8.0, 2, 1)
     weights = np.vander((omega - 20.0) / 8.0, 3, increasing=True) @ solution
     wanted = 0.4 * np.sum(np.abs(weights) ** 2, axis=1) + [0.04, 0.01]
-    assert [p.response for p in found] == pytest.approx(weights @ lines.values[1, rows] - correction)
+    assert [p.response for p in found] == pytest.approx(
+        weights @ lines.values[1, rows] - correction
+    )
     assert [p.variance for p in found] == pytest.approx(wanted)
     assert [p.dof for p in found] == [10.0, 10.0]
     assert not any(p.weak for p in found)
@@ -514,7 +576,9 @@ def test_an_estimate_is_that_of_its_band_less_what_a_pole_takes_off():
         assert point.variance == pytest.approx((4 * np.finfo(float).eps * abs(point.response)) ** 2)
 
 
-def test_an_instrument_is_weak_where_the_input_it_explains_is_below_ten_times_its_noise(monkeypatch):
+def test_an_instrument_is_weak_where_the_input_it_explains_is_below_ten_times_its_noise(
+    monkeypatch,
+):
     """At the middle and the edge of a band, where the polynomials know least; on both sides of it."""
     lines = random_lines(joint=True)
     omega = np.array([20.0, 31.0])
@@ -543,7 +607,9 @@ def test_a_stretch_with_no_more_lines_than_its_transient_has_coefficients_is_lef
     omega = np.concatenate([np.arange(1.0, 41.0), [3.5], extra, [25.5]])
     stretch = np.repeat([0, 7], [40, own + 2])
     order = np.argsort(omega)
-    lines = local_polynomials.Lines(omega[order], np.ones((3, omega.size), complex), stretch[order], 1.0, True)
+    lines = local_polynomials.Lines(
+        omega[order], np.ones((3, omega.size), complex), stretch[order], 1.0, True
+    )
     rows, stretches = local_polynomials._rows(lines, 16.0, 4.0, 1)
     assert stretches == ([0, 7] if used else [0])
     wanted = [*np.arange(12.0, 21.0), *(extra if used else [])]
@@ -566,29 +632,54 @@ def test_columns_are_told_apart_up_to_a_condition_number_of_a_million(apart, sol
 @pytest.mark.parametrize(
     ("center", "half", "residuals", "wrong", "near"),
     [
-        (20.0, 4.0, 5, (), np.linspace(17, 23, 6)),  # two bands of 6 rad/s, and six places in them at least
-        (20.0, 4.0, 1, (), np.linspace(-1, 41, 24)),  # eight, up to a zero below which there is nothing
+        (
+            20.0,
+            4.0,
+            5,
+            (),
+            np.linspace(17, 23, 6),
+        ),  # two bands of 6 rad/s, and six places in them at least
+        (
+            20.0,
+            4.0,
+            1,
+            (),
+            np.linspace(-1, 41, 24),
+        ),  # eight, up to a zero below which there is nothing
         (20.0, 9.0, 5, (), np.linspace(14, 26, 6)),  # a band that is wider itself
         (5.0, 4.0, 5, (), np.linspace(3.5, 9.5, 6)),  # half a line above zero, at least
-        (20.0, 4.0, 5, ((20.0, 10.0),), np.linspace(3.5, 45.5, 24)),  # four times as far, where all is wrong
+        (
+            20.0,
+            4.0,
+            5,
+            ((20.0, 10.0),),
+            np.linspace(3.5, 45.5, 24),
+        ),  # four times as far, where all is wrong
         (20.0, 4.0, 5, ((20.0, 2.0),), np.linspace(11, 29, 12)),  # twice as far
         (20.0, 4.0, 5, ((20.0, 1.0),), np.linspace(17, 23, 6)),  # half of the places are enough
         (20.0, 4.0, 5, ((20.0, 40.0),), ()),
     ],
 )
-def test_noise_comes_from_narrow_bands_nearby_that_are_right(monkeypatch, center, half, residuals, wrong, near):
+def test_noise_comes_from_narrow_bands_nearby_that_are_right(
+    monkeypatch, center, half, residuals, wrong, near
+):
     asked = []
 
     def residual(lines, center, half, bands):
         asked.append(center)
         squares = residuals * np.array([3.0, 0.7])
-        return local_polynomials._Residual(center, 10 * len(asked) + np.arange(2), squares, residuals, np.eye(2) + 0j)
+        return local_polynomials._Residual(
+            center, 10 * len(asked) + np.arange(2), squares, residuals, np.eye(2) + 0j
+        )
 
     monkeypatch.setattr(local_polynomials, "_residual", residual)
     lines = one_stretch()
     fitted = local_polynomials._fit(lines, 20.0, 6.0)._replace(center=center, half=half)
     band = local_polynomials.Band(fitted, np.zeros(1), np.zeros(1), np.zeros(1), None)
-    others = [band._replace(fitted=fitted._replace(center=c, half=h), pole_noise=(1.0, 1.0)) for c, h in wrong]
+    others = [
+        band._replace(fitted=fitted._replace(center=c, half=h), pole_noise=(1.0, 1.0))
+        for c, h in wrong
+    ]
     widths = local_polynomials._Widths(8.0, 6.0, residuals)
     found = local_polynomials._noise(lines, band, [band, *others], widths)
     places = max(-(-24 // residuals), 6)
@@ -604,7 +695,9 @@ def test_noise_comes_from_narrow_bands_nearby_that_are_right(monkeypatch, center
     low = max(near[0], 3.5)
     wanted = right(low + near - near[0])
     np.testing.assert_allclose(asked[-len(wanted) :], wanted)
-    assert found == pytest.approx((3.0, 0.7, 2 * (residuals * len(wanted)) ** 2 / (2 * len(wanted))))
+    assert found == pytest.approx(
+        (3.0, 0.7, 2 * (residuals * len(wanted)) ** 2 / (2 * len(wanted)))
+    )
 
 
 @pytest.mark.parametrize("joint", [False, True])

@@ -30,7 +30,10 @@ def test_two_inputs_at_once():
     flown = record(p=made["p"], q=made["q"], y=y).between(200.0, 1e9)
     first, second = (periodic_response(flown, 20.0, name, "y") for name in "pq")
     assert np.abs(first.response / freqz(b, a, first.omega / RATE)[1] - 1).max() < 1e-9
-    assert np.abs(second.response / (2 * freqz([0.1], [1, -0.9], second.omega / RATE)[1]) - 1).max() < 1e-9
+    assert (
+        np.abs(second.response / (2 * freqz([0.1], [1, -0.9], second.omega / RATE)[1]) - 1).max()
+        < 1e-9
+    )
     assert not set(np.rint(first.omega * 1e6)) & set(np.rint(second.omega * 1e6))
 
 
@@ -42,7 +45,9 @@ def test_scatter_of_periods_covers():
     rng = np.random.default_rng(2)
     hits = []
     for _ in range(100):
-        flown = record(u=made["u"], theta=clean + 0.2 * rng.standard_normal(clean.size)).between(20.0, 1e9)
+        flown = record(u=made["u"], theta=clean + 0.2 * rng.standard_normal(clean.size)).between(
+            20.0, 1e9
+        )
         got = periodic_response(flown, 10.0, omega=omega)
         hits.append(covered(got, freqz(b, a, got.omega / RATE)[1]).mean())
     assert 0.935 <= np.mean(hits) <= 0.965
@@ -53,7 +58,9 @@ def test_periodic_and_windowed_estimates_agree():
     b, a = resonance()
     made = multisine(1.0, 20.0, 10.0, RATE, periods=12)
     rng = np.random.default_rng(3)
-    flown = record(u=made["u"], theta=lfilter(b, a, made["u"]) + 0.05 * rng.standard_normal(made.time.size))
+    flown = record(
+        u=made["u"], theta=lfilter(b, a, made["u"]) + 0.05 * rng.standard_normal(made.time.size)
+    )
     exact = periodic_response(flown.between(20.0, 1e9), 10.0)
     windowed = spectral_response(flown, omega=exact.omega, windows=[20.0])
     difference = np.abs(exact.response - windowed.response)
@@ -80,10 +87,16 @@ def test_lines_that_the_output_does_not_answer_are_left_out():
     lines = np.arange(2, 30)
     passed = lines[(lines < 10) | (lines > 12)]
     phase = np.random.default_rng(4).uniform(0, 2 * np.pi, 30)
-    u, y = (sum(np.sin(2 * np.pi * k / 10 * time + phase[k]) for k in some) for some in (lines, passed))
-    data = Record(time, {"u": u, "y": y + 0.3 * np.random.default_rng(5).standard_normal(time.size)})
+    u, y = (
+        sum(np.sin(2 * np.pi * k / 10 * time + phase[k]) for k in some) for some in (lines, passed)
+    )
+    data = Record(
+        time, {"u": u, "y": y + 0.3 * np.random.default_rng(5).standard_normal(time.size)}
+    )
     found = periodic_response(data, 10.0, "u", "y")
-    assert found.about["dropped"] == "3 of 28 points, of a coherence below 0.6, at 6.283 to 7.54 rad/s"
+    assert (
+        found.about["dropped"] == "3 of 28 points, of a coherence below 0.6, at 6.283 to 7.54 rad/s"
+    )
     assert len(found) == 25
     assert len(periodic_response(data, 10.0, "u", "y", omega=2 * np.pi / 10 * lines)) == 28
 
@@ -91,7 +104,10 @@ def test_lines_that_the_output_does_not_answer_are_left_out():
 @pytest.mark.parametrize(("samples", "left_out"), [(30, 0), (37, 7), (9, 9)])
 def test_the_last_whole_periods_are_kept(samples, left_out):
     """Of ten samples each, which take a hundred thousandth less than the period that is stated."""
-    values, origin = np.arange(2.0 * samples).reshape(2, samples), Stretch("x", 5.0, 5.0 + 0.1 * (samples - 1))
+    values, origin = (
+        np.arange(2.0 * samples).reshape(2, samples),
+        Stretch("x", 5.0, 5.0 + 0.1 * (samples - 1)),
+    )
     kept = whole_periods(UniformStretch(values, 0.1 * (1 - 9e-6), "a.bin", origin), 1.0)
     np.testing.assert_array_equal(kept.values, values[:, left_out:])
     assert (kept.step, kept.source) == (0.1, "a.bin")
@@ -103,7 +119,10 @@ def test_the_last_whole_periods_are_kept(samples, left_out):
 def test_a_period_is_a_whole_number_of_samples_two_at_least():
     values = np.zeros((2, 40))
     for step in (0.1 * (1 + 1.1e-5), 0.1 * (1 - 1.1e-5)):
-        with pytest.raises(ValueError, match=r"a period of 1 s is (10\.0001|9\.99989) samples: resample so that it is"):
+        with pytest.raises(
+            ValueError,
+            match=r"a period of 1 s is (10\.0001|9\.99989) samples: resample so that it is",
+        ):
             whole_periods(UniformStretch(values, step, ""), 1.0)
     with pytest.raises(ValueError, match="a period of 1 s is 1 samples"):
         whole_periods(UniformStretch(values, 1.0, ""), 1.0)
@@ -114,14 +133,19 @@ def test_three_periods_are_the_fewest_and_frequencies_are_their_multiples():
     rng = np.random.default_rng(0)
     u = np.tile(rng.standard_normal(50), 3)
     y = 3 * u + 0.1 * rng.standard_normal(150)
-    found = periodic_response(record(u=u, theta=y), 50 / RATE, omega=2 * math.pi * RATE / 50 * np.array([1, 7, 24.0]))
+    found = periodic_response(
+        record(u=u, theta=y), 50 / RATE, omega=2 * math.pi * RATE / 50 * np.array([1, 7, 24.0])
+    )
     assert len(found) == 3
     assert found.dof == pytest.approx(4)
     fundamental = 2 * math.pi * RATE / 50
     with pytest.raises(ValueError, match="fewer than three periods of"):
         periodic_response(record(u=u[:149], theta=y[:149]), 50 / RATE)
     for wrong in (0.0, -fundamental, 2.5 * fundamental, (3 + 2e-6) * fundamental):
-        with pytest.raises(ValueError, match=rf"omega = {wrong:g} rad/s is not a multiple of .* = {fundamental:g} rad"):
+        with pytest.raises(
+            ValueError,
+            match=rf"omega = {wrong:g} rad/s is not a multiple of .* = {fundamental:g} rad",
+        ):
             periodic_response(record(u=u, theta=y), 50 / RATE, omega=[2 * fundamental, wrong])
     near = periodic_response(record(u=u, theta=y), 50 / RATE, omega=[(3 + 5e-7) * fundamental])
     assert near.response == pytest.approx(

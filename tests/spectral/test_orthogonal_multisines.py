@@ -7,7 +7,12 @@ import greybox as gb
 from greybox.spectral import orthogonal_multisines, response_matrix
 
 PERIOD, RATE, PERIODS = 20.0, 25.0, 6
-POLES = {("p", "da"): (4.0, 2.0), ("p", "dr"): (1.5, 1.0), ("r", "da"): (-0.5, 3.0), ("r", "dr"): (-2.0, 1.5)}
+POLES = {
+    ("p", "da"): (4.0, 2.0),
+    ("p", "dr"): (1.5, 1.0),
+    ("r", "da"): (-0.5, 3.0),
+    ("r", "dr"): (-2.0, 1.5),
+}
 
 
 def plant(pair, omega):
@@ -17,7 +22,9 @@ def plant(pair, omega):
 
 def record(noise, coupling=0.4, seed=0):
     """Two multisines at once, each reaching the other input as well; in the steady state, by Fourier series."""
-    test = gb.experiment.multisine(1.0, 15.0, PERIOD, RATE, signals=("da", "dr"), periods=1).record()
+    test = gb.experiment.multisine(
+        1.0, 15.0, PERIOD, RATE, signals=("da", "dr"), periods=1
+    ).record()
     count = round(PERIOD * RATE)
     pure = np.array([test["da"][:count], test["dr"][:count]])
     mixed = {"da": pure[0] + coupling * pure[1], "dr": pure[1] - coupling * pure[0]}
@@ -55,7 +62,9 @@ def test_errors_have_the_right_size():
     for seed in range(12):
         for response in estimated(record(0.05, seed=seed)):
             truth = plant((response.output, response.input), response.omega)
-            ratios.append(np.mean((np.abs(response.response - truth) ** 2 / response.variance)[2:-2]))
+            ratios.append(
+                np.mean((np.abs(response.response - truth) ** 2 / response.variance)[2:-2])
+            )
     # An estimated variance of ν degrees of freedom makes this ν / (ν - 2).
     assert 0.9 < np.mean(ratios) / (10 / 8) < 1.2
 
@@ -93,13 +102,20 @@ def test_the_matrix_is_drawn():
         assert any(line.shape == drawn.shape and np.allclose(line, drawn) for line in lines)
     low, high = axes[0].get_xlim()
     assert low < min(r.omega[0] for r in found) < max(r.omega[-1] for r in found) < high
-    some = gb.plotting.response_matrix([found[0], found[3]])  # without the cross-coupling its places are empty
+    some = gb.plotting.response_matrix(
+        [found[0], found[3]]
+    )  # without the cross-coupling its places are empty
     assert [ax.axison for ax in some] == [True, False, True, False, False, True, False, True]
     with pytest.raises(ValueError, match="there is no response to draw: give at least one"):
         gb.plotting.response_matrix([])
     with pytest.raises(TypeError, match="cannot draw 3: give FrequencyResponses"):
         gb.plotting.response_matrix([found[0], 3])
-    assert [axes[k].get_title() for k in (0, 1, 4, 5)] == ["da to p", "dr to p", "da to r", "dr to r"]
+    assert [axes[k].get_title() for k in (0, 1, 4, 5)] == [
+        "da to p",
+        "dr to p",
+        "da to r",
+        "dr to r",
+    ]
 
 
 def test_excitations_may_be_of_any_unit():
@@ -116,14 +132,18 @@ def test_the_variance_is_that_of_the_jackknife():
     count, rate, periods = 40, 20.0, 5
     t = np.arange(count * periods) / rate
     lines = np.array([2, 3, 5, 8])
-    u = sum(np.sin(2 * np.pi * k / 2.0 * t + k) for k in lines) + 0.01 * random.standard_normal(t.size)
+    u = sum(np.sin(2 * np.pi * k / 2.0 * t + k) for k in lines) + 0.01 * random.standard_normal(
+        t.size
+    )
     y = 2 * u + 0.3 * random.standard_normal(t.size)
     data = gb.Record(t, {"u": u, "y": y}, {"u": "N", "y": "m"}, name="r", source="r.csv")
     (found,) = response_matrix(data, 2.0, ["u"], ["y"], name="test")
     np.testing.assert_allclose(found.omega, np.pi * lines)
     U, Y = (np.fft.rfft(x.reshape(periods, count), axis=1)[:, lines] for x in (u, y))
     np.testing.assert_allclose(found.response, Y.sum(axis=0) / U.sum(axis=0))
-    without = np.array([np.delete(Y, k, 0).sum(axis=0) / np.delete(U, k, 0).sum(axis=0) for k in range(periods)])
+    without = np.array(
+        [np.delete(Y, k, 0).sum(axis=0) / np.delete(U, k, 0).sum(axis=0) for k in range(periods)]
+    )
     scatter = np.sum(np.abs(without - without.mean(axis=0)) ** 2, axis=0)
     np.testing.assert_allclose(found.variance, (periods - 1) / periods * scatter)
     np.testing.assert_allclose(found.dof, 2 * (periods - 1))
@@ -144,7 +164,9 @@ def test_three_periods_two_lines_for_each_input_and_one_excitation_for_each():
     with pytest.raises(ValueError, match="there are 1 excitations for 2 inputs: give one for each"):
         response_matrix(data, 2.0, ["a", "b"], ["y"], excitations=["a"])
     lone = data.with_signals(b=np.sin(3 * np.pi * t))
-    with pytest.raises(ValueError, match="b has 1 line of its own, and a response between lines needs two"):
+    with pytest.raises(
+        ValueError, match="b has 1 line of its own, and a response between lines needs two"
+    ):
         response_matrix(lone, 2.0, ["a", "b"], ["y"])
 
 
@@ -170,7 +192,9 @@ def test_inputs_are_alike_from_a_condition_number_of_a_hundred_on(share, alike):
     truth = np.array([[2.0 - 1j, 0.5], [3.0, -1.0]]) / units
     outputs = (inputs.T @ truth).T
     if alike:
-        with pytest.raises(ValueError, match=r"condition number 132\) that their effects cannot be told apart"):
+        with pytest.raises(
+            ValueError, match=r"condition number 132\) that their effects cannot be told apart"
+        ):
             orthogonal_multisines._solved(inputs, outputs, between)
     else:
         np.testing.assert_allclose(orthogonal_multisines._solved(inputs, outputs, between), truth)

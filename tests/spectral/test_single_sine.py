@@ -41,7 +41,9 @@ def one_test(u, y, t, omega, **words):
 )
 @settings(max_examples=60, deadline=None)
 def test_a_noise_free_periodic_response_is_exact(seed, omega, gain, phase, periods):
-    t = irregular(seed, 5 + periods * 2 * math.pi / omega)  # its steps are random, so its length is too
+    t = irregular(
+        seed, 5 + periods * 2 * math.pi / omega
+    )  # its steps are random, so its length is too
     truth = gain * np.exp(1j * phase)
     u = sine(t, omega, 0.3 - 0.2j) + 0.1 * np.sin(2 * omega * t) + 0.02 * t - 1
     y = sine(t, omega, truth * (0.3 - 0.2j)) + 0.5 - 0.01 * t
@@ -57,7 +59,12 @@ def test_a_point_holds_amplitudes_distortion_and_drift_of_its_whole_periods():
     truth = 1.5 * np.exp(-0.4j)
     since = t - t[0]
     u = 0.5 * np.sin(omega * since) + 0.1 * np.cos(2 * omega * since) + 0.02 * since
-    y = np.imag(truth * 0.5 * np.exp(1j * omega * since)) + 0.03 * np.sin(3 * omega * since) + 0.05 * since - 1
+    y = (
+        np.imag(truth * 0.5 * np.exp(1j * omega * since))
+        + 0.03 * np.sin(3 * omega * since)
+        + 0.05 * since
+        - 1
+    )
     r = 0.4 * np.cos(omega * since)
     found = one_test(u, y, t, omega, signals={"r": r}, setpoint="r", settle=2.0)
     (point,) = found.points
@@ -107,7 +114,9 @@ def test_a_lag_has_a_negative_phase_and_a_delay_too(method):
 
 def plant():
     a = np.array([[0, 1, 0], [0, -A, K], [0, 0, -1 / TAU]])
-    discrete = signal.cont2discrete((a, np.array([[0], [0], [1 / TAU]]), np.eye(3), np.zeros((3, 1))), STEP)
+    discrete = signal.cont2discrete(
+        (a, np.array([[0], [0], [1 / TAU]]), np.eye(3), np.zeros((3, 1))), STEP
+    )
     return discrete[0], discrete[1]
 
 
@@ -149,11 +158,15 @@ def estimates(omega, periods, repeats, sd, pole, **words):
         one_test(u, y, t, omega, setpoint="r", signals={"r": r}, periods=periods, **words).response
         for u, y in zip(us, ys, strict=True)
     ]
-    return tuple(np.array([getattr(f, name)[0] for f in found]) for name in ("response", "variance", "dof"))
+    return tuple(
+        np.array([getattr(f, name)[0] for f in found]) for name in ("response", "variance", "dof")
+    )
 
 
 def coverage(error, variance, dof):
-    half = stats.t.ppf(0.975, dof) * np.sqrt(variance / 2)  # a variance is E|P̂ - P|², both components together
+    half = stats.t.ppf(0.975, dof) * np.sqrt(
+        variance / 2
+    )  # a variance is E|P̂ - P|², both components together
     return (np.mean(np.abs(error.real) < half) + np.mean(np.abs(error.imag) < half)) / 2
 
 
@@ -170,7 +183,9 @@ def test_intervals_cover_in_closed_loop(omega, periods, sd, pole):
     error = response - truth(omega)
     assert 0.92 <= coverage(error, variance, dof) <= 0.97
     assert np.all(dof == dof[0])
-    assert abs(error.mean()) < 4 * np.sqrt(np.mean(np.abs(error) ** 2) / 100) + 1e-3 * abs(truth(omega))
+    assert abs(error.mean()) < 4 * np.sqrt(np.mean(np.abs(error) ** 2) / 100) + 1e-3 * abs(
+        truth(omega)
+    )
     assert 0.9 < np.sqrt(variance.mean() / np.mean(np.abs(error) ** 2)) < 1.35
 
 
@@ -184,9 +199,14 @@ def test_intervals_cover_in_open_loop(method, periods, pole):
     u, g = np.sin(omega * t), 2 * np.exp(-0.8j)
     noise = colored(rng, (100, t.size), 0.3, pole)
     found = [
-        one_test(u, sine(t, omega, g) + v, t, omega, settle=0.1, periods=periods, method=method).response for v in noise
+        one_test(
+            u, sine(t, omega, g) + v, t, omega, settle=0.1, periods=periods, method=method
+        ).response
+        for v in noise
     ]
-    response, variance, dof = (np.array([getattr(f, n)[0] for f in found]) for n in ("response", "variance", "dof"))
+    response, variance, dof = (
+        np.array([getattr(f, n)[0] for f in found]) for n in ("response", "variance", "dof")
+    )
     assert 0.92 <= coverage(response - g, variance, dof) <= 0.98  # twice its error by chance
     if method == "quadrature":
         assert dof[0] == 2 * (periods - 1)
@@ -195,7 +215,9 @@ def test_intervals_cover_in_open_loop(method, periods, pole):
 def test_single_periods_scatter_too_much_in_closed_loop():
     response, variance, dof = estimates(8.0, 10, 100, 0.004, 0.99, method="quadrature")
     error = response - truth(8.0)
-    assert variance.mean() > 1.3 * np.mean(np.abs(error) ** 2)  # what the lines near omega put right
+    assert variance.mean() > 1.3 * np.mean(
+        np.abs(error) ** 2
+    )  # what the lines near omega put right
     assert dof[0] == 18
 
 
@@ -204,7 +226,10 @@ def test_the_direct_ratio_of_spectra_is_biased_in_closed_loop():
     t, _, us, ys = flights(omega, periods, 40, 0.02, 0.0)
     response, *_ = estimates(omega, periods, 40, 0.02, 0.0)
     wave = np.exp(-1j * omega * t)[-round(periods * 2 * math.pi / omega / STEP) :]
-    u, y = ([[part.sum() for part in np.array_split(x[-wave.size :] * wave, periods)] for x in xs] for xs in (us, ys))
+    u, y = (
+        [[part.sum() for part in np.array_split(x[-wave.size :] * wave, periods)] for x in xs]
+        for xs in (us, ys)
+    )
     u, y = np.array(u), np.array(y)
     direct = np.sum(y * u.conj(), axis=1) / np.sum(np.abs(u) ** 2, axis=1)
     bias = abs(direct.mean() / truth(omega) - 1), abs(response.mean() / truth(omega) - 1)
@@ -293,7 +318,9 @@ def test_what_cannot_be_used_is_left_out_with_the_reason():
     assert reasons[0].startswith("barely excited: the control's amplitude is")
     assert reasons[1] == "3 s are too short for 2 s of settling and 1 x 1.26 s"
     assert reasons[2:] == ["ended early", "a sweep is not a single sine"]
-    with pytest.raises(ValueError, match="no segment gives a point of the response: a sweep is not a single sine"):
+    with pytest.raises(
+        ValueError, match="no segment gives a point of the response: a sweep is not a single sine"
+    ):
         finite_frequency(record, [sweep])
     with pytest.raises(ValueError, match="no segment gives a point of the response: there is none"):
         finite_frequency(record, [])
@@ -328,7 +355,10 @@ def test_repeated_tests_of_one_frequency_are_averaged():
     for seed in range(20):
         noise = 0.3 * np.random.default_rng(seed).standard_normal(t.size)
         record = Record(t, {"u": np.sin(5 * t), "theta": sine(t, 5, 0.5 - 0.5j) + noise})
-        both, one = finite_frequency(record, parts).points[0], finite_frequency(record, parts[:1]).points[0]
+        both, one = (
+            finite_frequency(record, parts).points[0],
+            finite_frequency(record, parts[:1]).points[0],
+        )
         variances.append([both.standard_error**2, one.standard_error**2])
         assert abs(both.response - (0.5 - 0.5j)) < 4 * both.standard_error
     # White noise of deviation s leaves 4 s²/N to the amplitude of a sine over N samples.
@@ -385,7 +415,10 @@ def test_periods_scatter_about_the_response_of_all():
     u, y = (2 + 0.1 * (random.normal(size=q) + 1j * random.normal(size=q)) for _ in range(2))
     y = (0.5 - 0.3j) * u + 0.05 * (y - 2)
     x = np.array(
-        [np.concatenate([np.imag(a * np.exp(1j * omega * (t[:n] - origin))) for a in each]) for each in (u, y)]
+        [
+            np.concatenate([np.imag(a * np.exp(1j * omega * (t[:n] - origin))) for a in each])
+            for each in (u, y)
+        ]
     )
     amplitudes = np.array([u.mean(), y.mean()])
     found = single_sine._by_periods(t, x, amplitudes, omega, origin, q)
@@ -410,7 +443,9 @@ def test_the_lines_beside_a_sine_tell_leakage_and_noise(q, count):
     amplitudes, _, residual = single_sine.least_squares(t, x, omega, origin, 3)
     found = single_sine._by_lines(t, amplitudes[:, 0], residual, omega, origin, q)
     m = np.array([k for k in range(-count, count + 1) if k])
-    lines = np.array([single_sine.spectral_line(t, residual, omega * (1 + k / q), t[0]) for k in m]).T
+    lines = np.array(
+        [single_sine.spectral_line(t, residual, omega * (1 + k / q), t[0]) for k in m]
+    ).T
     at = amplitudes[:, 0] * np.exp(1j * omega * (t[0] - origin))
     left = lines[1] - found.response * lines[0]
     degree = 0 if count == 1 else 1
@@ -433,12 +468,18 @@ def test_only_sines_that_are_usable_need_one_axis():
         Segment(0.0, 19.99, kind="sweep", axis="pitch", band=(1.0, 5.0)),
     ]
     assert len(finite_frequency(record, [one, *others]).points) == 1
-    with pytest.raises(ValueError, match=r"the segments are of several axes \(pitch, roll\): choose those of one"):
+    with pytest.raises(
+        ValueError, match=r"the segments are of several axes \(pitch, roll\): choose those of one"
+    ):
         finite_frequency(record, [one, Segment(0.0, 19.99, omega=3.0, axis="pitch")])
 
 
-@pytest.mark.parametrize(("held", "flat", "saturated"), [(1, 2, False), (1, 3, True), (2, 5, False), (2, 6, True)])
-def test_a_flat_top_is_three_times_as_long_as_other_values_and_three_samples_at_least(held, flat, saturated):
+@pytest.mark.parametrize(
+    ("held", "flat", "saturated"), [(1, 2, False), (1, 3, True), (2, 5, False), (2, 6, True)]
+)
+def test_a_flat_top_is_three_times_as_long_as_other_values_and_three_samples_at_least(
+    held, flat, saturated
+):
     rising = np.repeat(np.linspace(-1, 1, 3001)[1:-1], held)
     u = np.concatenate([[-1.0], rising, np.full(flat, 1.0), rising[::-1]])
     assert _saturation(u, None) == pytest.approx(flat / u.size if saturated else 0.0)
@@ -457,7 +498,9 @@ def test_one_period_has_a_response_and_white_noise_of_its_control():
     """Amplitudes over one another, and 4 σ²/N of the residual's variance; nothing of a control that does not move."""
     t = 2 + np.arange(50) * 0.02
     residual = np.array([0.3, -0.1] * 25), np.zeros(50)
-    found = single_sine._by_lines(t, np.array([2 - 1j, 3j]), np.array(residual), 2 * math.pi, 1.3, 1)
+    found = single_sine._by_lines(
+        t, np.array([2 - 1j, 3j]), np.array(residual), 2 * math.pi, 1.3, 1
+    )
     assert found.response == pytest.approx(3j / (2 - 1j))
     assert found.control_noise == pytest.approx(math.sqrt(4 * 0.05 / 50))
     assert math.isnan(found.variance)
@@ -476,7 +519,9 @@ def test_a_control_is_excited_where_it_is_three_times_its_noise(size, used):
         (point,) = one_test(u, 2 * u, t, omega, settle=0.0).points
         assert abs(point.u) == pytest.approx(size, rel=0.02)
     else:
-        with pytest.raises(ValueError, match=r"barely excited: the control's amplitude is 1\.\d, its noise 0\.41"):
+        with pytest.raises(
+            ValueError, match=r"barely excited: the control's amplitude is 1\.\d, its noise 0\.41"
+        ):
             one_test(u, 2 * u, t, omega, settle=0.0)
 
 
@@ -487,11 +532,19 @@ def test_the_frequency_of_the_setpoint_is_used_where_its_phase_drifts_by_a_twent
     actual = omega + drift / 10
     t = np.arange(1000) / 100
     found = one_test(
-        np.sin(actual * t), np.cos(actual * t), t, omega, settle=0.0, setpoint="r", signals={"r": np.sin(actual * t)}
+        np.sin(actual * t),
+        np.cos(actual * t),
+        t,
+        omega,
+        settle=0.0,
+        setpoint="r",
+        signals={"r": np.sin(actual * t)},
     )
     assert found.points[0].omega == (pytest.approx(actual, abs=1e-5) if used else omega)
     assert found.notes == (
-        (f"{actual:g} rad/s: the setpoint runs at {actual:.5g} rad/s, which was used",) if used else ()
+        (f"{actual:g} rad/s: the setpoint runs at {actual:.5g} rad/s, which was used",)
+        if used
+        else ()
     )
 
 
@@ -500,7 +553,14 @@ def test_several_tests_of_one_flight_pool_the_power_of_their_noise():
     omega = np.array([1.0, 2.0, 4.0, 7.0, 11.0, 16.0])
     error, dof = np.array([0.02, 0.05, 0.01, 0.03, 0.06, 0.02]), np.array([8.0, 20, 8, 8, 20, 12])
     u, lasts = np.array([1, 0.5j, 2, -1, 0.3, 1 + 1j]), np.array([30.0, 20, 15, 40, 10, 12])
-    nothing = {"periods": 9, "y": 1j, "r": 1j, "distortion": (0.0, 0.0), "drift": (0.0, 0.0), "saturation": 0.0}
+    nothing = {
+        "periods": 9,
+        "y": 1j,
+        "r": 1j,
+        "distortion": (0.0, 0.0),
+        "drift": (0.0, 0.0),
+        "saturation": 0.0,
+    }
     points = [
         single_sine.FrequencyPoint(w, 1 + 1j, e, d, u=a, start=3.0, end=3.0 + s, **nothing)
         for w, e, d, a, s in zip(omega, error, dof, u, lasts, strict=True)
@@ -518,23 +578,45 @@ def test_several_tests_of_one_flight_pool_the_power_of_their_noise():
 def test_a_response_is_that_of_the_points_with_no_error_below_rounding():
     t = np.arange(0.0, 50.0, 0.01)
     u = np.sin(2 * math.pi * t)
-    record = Record(t, {"u": u, "theta": (3 - 4j).real * u}, {"u": "N", "theta": ""}, name="r", source="r.csv")
+    record = Record(
+        t, {"u": u, "theta": (3 - 4j).real * u}, {"u": "N", "theta": ""}, name="r", source="r.csv"
+    )
     found = finite_frequency(record, [Segment(0.0, 49.99, omega=2 * math.pi)])
     (point,) = found.points
     assert 2.0 <= point.start < 2.02  # settled for two seconds
     assert point.periods == 48
-    assert (found.response.name, found.response.source, dict(found.response.units)) == ("r", "r.csv", {"u": "N"})
+    assert (found.response.name, found.response.source, dict(found.response.units)) == (
+        "r",
+        "r.csv",
+        {"u": "N"},
+    )
     exact = replace(point, response=3 - 4j, standard_error=1e-15, dof=7.0)
-    response = single_sine._response((exact, replace(exact, omega=9.0, standard_error=0.1)), record, "u", "theta")
+    response = single_sine._response(
+        (exact, replace(exact, omega=9.0, standard_error=0.1)), record, "u", "theta"
+    )
     assert_allclose(response.variance, [25e-24, 0.01])
     assert_allclose(response.dof, [7, 7])
     (stretch,) = found.response.stretches
-    assert (stretch.checksum, stretch.start, stretch.end) == (record.checksum, point.start, point.end)
+    assert (stretch.checksum, stretch.start, stretch.end) == (
+        record.checksum,
+        point.start,
+        point.end,
+    )
 
 
 def test_three_harmonics_are_fitted_unless_said():
     omega = 2 * math.pi
     t = np.arange(2000) / 100
-    u = np.sin(omega * t) + 0.3 * np.sin(2 * omega * t) + 0.04 * np.cos(3 * omega * t) + 0.2 * np.sin(4 * omega * t)
-    for options, share in (({}, math.hypot(0.3, 0.04)), ({"harmonics": 4}, math.hypot(0.3, 0.04, 0.2))):
-        assert one_test(u, u, t, omega, **options).points[0].distortion == pytest.approx((share, share), rel=1e-3)
+    u = (
+        np.sin(omega * t)
+        + 0.3 * np.sin(2 * omega * t)
+        + 0.04 * np.cos(3 * omega * t)
+        + 0.2 * np.sin(4 * omega * t)
+    )
+    for options, share in (
+        ({}, math.hypot(0.3, 0.04)),
+        ({"harmonics": 4}, math.hypot(0.3, 0.04, 0.2)),
+    ):
+        assert one_test(u, u, t, omega, **options).points[0].distortion == pytest.approx(
+            (share, share), rel=1e-3
+        )

@@ -61,7 +61,9 @@ def test_a_bad_test_is_named(made, segments, about, severity):
 
 def test_gaps_and_jitter_are_named():
     time = np.arange(3000) / 50
-    time = time[(time < 20) | (time > 30)] + 0.008 * RANDOM.uniform(-1, 1, np.sum((time < 20) | (time > 30)))
+    time = time[(time < 20) | (time > 30)] + 0.008 * RANDOM.uniform(
+        -1, 1, np.sum((time < 20) | (time > 30))
+    )
     assert found(check(record(time=time), None, GOOD)) == {"gaps": "warning", "jitter": "note"}
 
 
@@ -69,7 +71,10 @@ def response(noise, coherence=None):
     omega = np.geomspace(1, 10, 12)
     size = np.ones(12)
     return gb.FrequencyResponse(
-        omega, size, variance=2 * (noise * size) ** 2, coherence=None if coherence is None else coherence * size
+        omega,
+        size,
+        variance=2 * (noise * size) ** 2,
+        coherence=None if coherence is None else coherence * size,
     )
 
 
@@ -89,7 +94,12 @@ def test_a_response_of_the_size_of_the_noise_is_refused(measured, expected):
 
 def test_the_bands_are_octaves_that_hold_every_point():
     quality = check(record(), response(0.02, 0.9), GOOD)
-    assert [(b.low, b.high) for b in quality.bands] == [(1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 16.0)]
+    assert [(b.low, b.high) for b in quality.bands] == [
+        (1.0, 2.0),
+        (2.0, 4.0),
+        (4.0, 8.0),
+        (8.0, 16.0),
+    ]
     assert quality.bands[-1].samples == pytest.approx(2 * np.pi * 50 / 10)
     assert sum(b.points for b in quality.bands) == 12
     assert quality.bands[0].coherence == pytest.approx(0.9)
@@ -121,16 +131,28 @@ def test_a_sweep_beyond_the_logging_rate_is_used_up_to_where_it_can_be():
     slow = record(rate=20.0)
     assert check(slow, None, [sweep]).usable
     measured = gb.FrequencyResponse([1.0, 10.0, 45.0], [1, 1, 1])
-    (said,) = (f for f in check(slow, measured, [sweep]).findings if f.severity == "note" and f.about == "rate")
-    assert "the sweep runs to 80 rad/s, but 20 Hz resolve 50.27 rad/s: it is used to 45 rad/s" in said.text
+    (said,) = (
+        f
+        for f in check(slow, measured, [sweep]).findings
+        if f.severity == "note" and f.about == "rate"
+    )
+    assert (
+        "the sweep runs to 80 rad/s, but 20 Hz resolve 50.27 rad/s: it is used to 45 rad/s"
+        in said.text
+    )
 
 
 def test_gaps_outside_of_the_tests_do_not_count():
     whole = record()
     broken = whole.rows(np.flatnonzero((whole.time < 30) | (whole.time > 35)))
-    tests = [Segment(0.0, 29.0, "sweep", band=(1.0, 9.0)), Segment(36.0, 60.0, "sweep", band=(1.0, 9.0))]
+    tests = [
+        Segment(0.0, 29.0, "sweep", band=(1.0, 9.0)),
+        Segment(36.0, 60.0, "sweep", band=(1.0, 9.0)),
+    ]
     assert [f for f in check(broken, None, tests).findings if f.about == "gaps"] == []
-    assert [f.value for f in check(broken, None).findings if f.about == "gaps"] == [pytest.approx(5 / 60, rel=0.02)]
+    assert [f.value for f in check(broken, None).findings if f.about == "gaps"] == [
+        pytest.approx(5 / 60, rel=0.02)
+    ]
 
 
 def levels(count):
@@ -175,10 +197,14 @@ def test_a_record_is_judged_by_the_stated_shares(made, about, severity):
     assert found(check(made, None, GOOD)).get(about) == severity
 
 
-@pytest.mark.parametrize(("periods", "severity"), [(0.95, "refusal"), (1.05, "warning"), (2.9, "warning"), (3.1, None)])
+@pytest.mark.parametrize(
+    ("periods", "severity"), [(0.95, "refusal"), (1.05, "warning"), (2.9, "warning"), (3.1, None)]
+)
 def test_a_test_is_judged_by_the_periods_of_its_lowest_frequency(periods, severity):
     segments = [sine(2 * np.pi * periods / 60), sine(1.0), sine(3.0)]
-    (length,) = [f for f in check(record(), None, segments).findings if f.about == "length"] or [None]
+    (length,) = [f for f in check(record(), None, segments).findings if f.about == "length"] or [
+        None
+    ]
     assert (length and length.severity) == severity
     if length:
         assert length.value == pytest.approx(periods)
@@ -188,11 +214,21 @@ def test_a_test_is_judged_by_the_periods_of_its_lowest_frequency(periods, severi
     ("measured", "about", "severity", "said"),
     [
         (response(0.099), "noise", None, ""),
-        (response(0.11), "noise", "warning", "half of the points have a standard deviation above 11 %: excite more"),
+        (
+            response(0.11),
+            "noise",
+            "warning",
+            "half of the points have a standard deviation above 11 %: excite more",
+        ),
         (response(0.49), "noise", "warning", "above 49 %"),
         (response(0.51), "noise", "refusal", "above 51 %"),
         (response(0.01, 0.61), "coherence", None, ""),
-        (response(0.01, 0.59), "coherence", "warning", "half of the points have a coherence below 0.59: the output is"),
+        (
+            response(0.01, 0.59),
+            "coherence",
+            "warning",
+            "half of the points have a coherence below 0.59: the output is",
+        ),
         (response(0.01, 0.21), "coherence", "warning", "below 0.21"),
         (response(0.01, 0.19), "coherence", "refusal", "below 0.19"),
     ],
@@ -204,11 +240,16 @@ def test_a_response_is_judged_by_the_stated_coherence_and_error(measured, about,
     assert all(said in f.text for f in texts)
 
 
-@pytest.mark.parametrize(("count", "places"), [(1, "1"), (5, "1, 1.23, 1.52, 1.87, 2.31"), (6, "2.31 ...")])
+@pytest.mark.parametrize(
+    ("count", "places"), [(1, "1"), (5, "1, 1.23, 1.52, 1.87, 2.31"), (6, "2.31 ...")]
+)
 def test_points_of_low_coherence_are_named(count, places):
     made = response(0.01, 0.9)
     weak = gb.FrequencyResponse(
-        made.omega, made.response, variance=made.variance, coherence=np.where(np.arange(12) < count, 0.59, 0.61)
+        made.omega,
+        made.response,
+        variance=made.variance,
+        coherence=np.where(np.arange(12) < count, 0.59, 0.61),
     )
     (text,) = [f for f in check(record(), weak, GOOD).findings if f.about == "coherence"]
     assert (text.severity, text.value) == ("warning", count)
@@ -217,18 +258,27 @@ def test_points_of_low_coherence_are_named(count, places):
 
 @pytest.mark.parametrize(("highest", "severity"), [(3.97, "warning"), (4.03, None)])
 def test_less_than_an_octave_is_told(highest, severity):
-    found = [f for f in check(record(), None, [sine(2.0), sine(highest)]).findings if f.about == "spread"]
+    found = [
+        f for f in check(record(), None, [sine(2.0), sine(highest)]).findings if f.about == "spread"
+    ]
     assert [f.severity for f in found] == ([severity] if severity else [])
-    assert all("covers 2 to 3.97 rad/s" in f.text and f.value == pytest.approx(3.97 / 2) for f in found)
+    assert all(
+        "covers 2 to 3.97 rad/s" in f.text and f.value == pytest.approx(3.97 / 2) for f in found
+    )
 
 
-@pytest.mark.parametrize(("samples", "severity"), [(10.1, None), (9.9, "warning"), (2.51, "warning"), (2.4, "refusal")])
+@pytest.mark.parametrize(
+    ("samples", "severity"), [(10.1, None), (9.9, "warning"), (2.51, "warning"), (2.4, "refusal")]
+)
 def test_samples_per_period_are_those_of_the_highest_frequency(samples, severity):
     omega = 2 * np.pi * 50 / samples
     measured = gb.FrequencyResponse([1.0, 5.0, omega], [1, 1, 1])
     found = [f for f in check(record(), measured, GOOD).findings if f.about == "rate"]
     assert [f.severity for f in found] == ([severity] if severity else [])
-    assert all(f.text.startswith(f"there are {samples:.2g} samples per period of the highest") for f in found)
+    assert all(
+        f.text.startswith(f"there are {samples:.2g} samples per period of the highest")
+        for f in found
+    )
 
 
 @pytest.mark.parametrize(("above", "notes"), [(1.0005, 0), (1.002, 1)])
@@ -240,7 +290,9 @@ def test_a_sweep_to_the_end_of_what_the_rate_resolves_is_not_cut(above, notes):
 
 def test_a_gap_among_steady_samples_is_no_jitter():
     time = np.arange(3000) / 50
-    assert found(check(record(time=time[(time < 20) | (time > 30)]), None, GOOD)) == {"gaps": "warning"}
+    assert found(check(record(time=time[(time < 20) | (time > 30)]), None, GOOD)) == {
+        "gaps": "warning"
+    }
 
 
 def test_a_control_at_its_limit_outside_of_the_tests_does_not_count():
@@ -251,7 +303,10 @@ def test_a_control_at_its_limit_outside_of_the_tests_does_not_count():
 
 
 def test_two_values_are_few_and_one_is_a_constant():
-    two, one = check(record(y=levels(2)), None, GOOD), check(record(u=lambda t: np.full(t.size, 2.5)), None, GOOD)
+    two, one = (
+        check(record(y=levels(2)), None, GOOD),
+        check(record(u=lambda t: np.full(t.size, 2.5)), None, GOOD),
+    )
     (few,) = two.findings
     text = "theta takes 2 values only: its amplitude is close to its resolution; excite more."
     assert (few.severity, few.value, few.text) == ("refusal", 2, text)
@@ -270,18 +325,28 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
     kept = (np.abs(time - 10.5) > 0.499) & (np.abs(time - 30.5) > 1.499)
     u = np.sign(np.sin(3 * time)) * np.minimum(1, np.abs(2 * np.sin(3 * time)) ** 0.5)
     noisy = gb.FrequencyResponse(
-        [1.0, 1.5, 1.9], [2, 2, 2], variance=[0.02, 0.18, 0.5], coherence=[0.9, 0.55, 0.4], input="u", output="theta"
+        [1.0, 1.5, 1.9],
+        [2, 2, 2],
+        variance=[0.02, 0.18, 0.5],
+        coherence=[0.9, 0.55, 0.4],
+        input="u",
+        output="theta",
     )
     quality = check(Record(time[kept], {"u": u[kept], "theta": np.sin(time[kept])}), noisy)
     told = {f.about: (f.severity, f.value, f.text) for f in quality.findings}
     share = 4.0 / 47.99
     assert told["gaps"][0] == "warning"
     assert told["gaps"][1] == pytest.approx(share)
-    assert told["gaps"][2] == "2 gaps, the longest 3 s, 8.3 % of the time: nothing is interpolated across them."
+    assert (
+        told["gaps"][2]
+        == "2 gaps, the longest 3 s, 8.3 % of the time: nothing is interpolated across them."
+    )
     limited = np.mean(np.abs(np.sin(3 * time[kept])) > 0.5)
     assert told["saturation"][0] == "refusal"
     assert told["saturation"][1] == pytest.approx(limited, abs=0.01)
-    assert told["saturation"][2].startswith(f"the control u is at a limit for {100 * told['saturation'][1]:.0f} % of")
+    assert told["saturation"][2].startswith(
+        f"the control u is at a limit for {100 * told['saturation'][1]:.0f} % of"
+    )
     assert told["noise"][:2] == ("warning", pytest.approx(np.sqrt(0.18 / 2) / 2))
     assert told["noise"][2].startswith("half of the points have a standard deviation above 15 %")
     assert told["length"][:2] == ("warning", pytest.approx(18 / (2 * np.pi), rel=2e-3))
@@ -294,7 +359,9 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
     assert lines[8].split() == "band rad/s points coherence error % samples per period".split()
     assert lines[10].split() == ["1", "to", "2", "3", "0.55", "15", f"{2 * np.pi * 100 / 1.9:.3g}"]
     assert repr(quality) == "<Quality not usable, 7 findings>"
-    worse = quality.with_findings(Finding("test", "note", 1.0, "a"), Finding("test", "refusal", 2.0, "b"))
+    worse = quality.with_findings(
+        Finding("test", "note", 1.0, "a"), Finding("test", "refusal", 2.0, "b")
+    )
     assert [f.text for f in worse.findings][1] == "b"
     assert [f.text for f in worse.findings][-1] == "a"
 
@@ -302,11 +369,17 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
 @pytest.mark.parametrize(
     ("segments", "told"),
     [
-        ([sine(5.0), sine(10.0), sine(60.0)], []),  # what is sampled too slowly is left out, where there is more
+        (
+            [sine(5.0), sine(10.0), sine(60.0)],
+            [],
+        ),  # what is sampled too slowly is left out, where there is more
         ([sine(51.0), sine(60.0)], [("refusal", 2 * np.pi * 20 / 60)]),
         ([sine(5.0), sine(20.0)], [("warning", 2 * np.pi)]),
         ([Segment(0.0, 60.0, "sweep", band=(0.6, 80.0))], [("warning", 2.5), ("note", 80.0)]),
-        ([Segment(0.0, 60.0, "sweep", band=(0.6, 80.0)), sine(60.0)], [("warning", 2.5), ("note", 80.0)]),
+        (
+            [Segment(0.0, 60.0, "sweep", band=(0.6, 80.0)), sine(60.0)],
+            [("warning", 2.5), ("note", 80.0)],
+        ),
         ([Segment(0.0, 60.0, "sweep", band=(0.6, 10.0)), sine(60.0)], []),
         ([Segment(0.0, 60.0, "sweep", band=(55.0, 80.0))], [("refusal", 2 * np.pi * 20 / 80)]),
     ],
@@ -316,5 +389,10 @@ def test_at_twenty_hertz_fifty_radians_a_second_are_the_highest(segments, told):
     rate = [f for f in check(record(rate=20.0), None, segments).findings if f.about == "rate"]
     assert [(f.severity, f.value) for f in rate] == [(s, pytest.approx(v)) for s, v in told]
     if told and told[-1][0] == "note":
-        assert rate[-1].text == "the sweep runs to 80 rad/s, but 20 Hz resolve 50.27 rad/s: it is used to 50.27 rad/s."
-        assert rate[0].text.startswith("there are 2.5 samples per period of the highest frequency, 50.2655 rad/s: log")
+        assert (
+            rate[-1].text
+            == "the sweep runs to 80 rad/s, but 20 Hz resolve 50.27 rad/s: it is used to 50.27 rad/s."
+        )
+        assert rate[0].text.startswith(
+            "there are 2.5 samples per period of the highest frequency, 50.2655 rad/s: log"
+        )

@@ -16,7 +16,9 @@ def record(u, y, step=STEP, hold=None):
 
 def test_integrals_are_the_analytic_ones():
     """An exponential and a ramp, which end elsewhere than they began; constants are nothing."""
-    spectrum = transient_spectrum(record(lambda t: 3 + np.exp(-t), lambda t: 0.2 * t - 7), "u", "y", (0.5, 40))
+    spectrum = transient_spectrum(
+        record(lambda t: 3 + np.exp(-t), lambda t: 0.2 * t - 7), "u", "y", (0.5, 40)
+    )
     s = 1j * spectrum.omega
     np.testing.assert_allclose(spectrum.omega, 2 * np.pi / T * np.arange(1, 51))
     np.testing.assert_allclose(spectrum.outputs["y"], -0.2 * T / s, rtol=1e-9)
@@ -43,7 +45,9 @@ def test_held_signals_are_integrated_as_held():
 
 def test_an_input_that_ends_elsewhere_is_delayed_exactly():
     """A step, whose late part is not in the manoeuvre any more."""
-    spectrum = transient_spectrum(record(lambda t: 2.0 * (t > 0.99), np.sin, hold={"u": np.inf}), "u", "y", (0.5, 100))
+    spectrum = transient_spectrum(
+        record(lambda t: 2.0 * (t > 0.99), np.sin, hold={"u": np.inf}), "u", "y", (0.5, 100)
+    )
     s = 1j * spectrum.omega
     exact = 2 * (np.exp(-s * 1.5) - 1) / s  # exp(-sT) = 1
     np.testing.assert_allclose(spectrum.delayed_input("u", 0.5), exact, atol=1e-12)
@@ -55,12 +59,18 @@ def test_errors_of_white_noise_are_independent_and_of_known_size():
     rows = []
     for _ in range(400):
         values = random.standard_normal(round(T / STEP) + 1)
-        rows.append(transient_spectrum(record(np.sin, lambda t, v=values: v), "u", "y", (0.5, 10)).outputs["y"])
+        rows.append(
+            transient_spectrum(record(np.sin, lambda t, v=values: v), "u", "y", (0.5, 10)).outputs[
+                "y"
+            ]
+        )
     rows = np.array(rows)
     covariance = rows.conj().T @ rows / len(rows) / (STEP * T)
     np.testing.assert_allclose(np.diag(covariance).real, 1, atol=5 / np.sqrt(400))
     assert np.abs(covariance - np.diag(np.diag(covariance))).max() < 5 / np.sqrt(400)
-    assert np.abs(rows.T @ rows / len(rows) / (STEP * T)).max() < 5 / np.sqrt(400)  # real and imaginary part alike
+    assert np.abs(rows.T @ rows / len(rows) / (STEP * T)).max() < 5 / np.sqrt(
+        400
+    )  # real and imaginary part alike
 
 
 @pytest.mark.parametrize(
@@ -68,7 +78,10 @@ def test_errors_of_white_noise_are_independent_and_of_known_size():
     [
         ((0.1, 0.5), r"holds no multiple of 0\.7854 rad/s"),
         ((1, 200), r"end it at 125\.7 rad/s at most"),
-        ((1, 126), r"ends at 126 rad/s and the signals are sampled at 50 Hz: end it at 125\.7 rad/s at most, 0\.4 of"),
+        (
+            (1, 126),
+            r"ends at 126 rad/s and the signals are sampled at 50 Hz: end it at 125\.7 rad/s at most, 0\.4 of",
+        ),
         ((5, 1), "the lower one first"),
     ],
 )
@@ -125,7 +138,10 @@ def test_an_input_that_lasted_for_part_of_a_step_acts_half_of_that_later():
     def pulse(t):
         return np.exp(-4 * (t - 3.0) ** 2)
 
-    plain, late = (transient_spectrum(record(pulse, np.sin, hold=h), "u", "y", (0.5, 20)) for h in ({}, {"u": 0.008}))
+    plain, late = (
+        transient_spectrum(record(pulse, np.sin, hold=h), "u", "y", (0.5, 20))
+        for h in ({}, {"u": 0.008})
+    )
     s = 1j * plain.omega
     np.testing.assert_allclose(late.inputs["u"], plain.inputs["u"] * np.exp(-0.004 * s), atol=1e-9)
     np.testing.assert_allclose(late.outputs["y"], plain.outputs["y"])

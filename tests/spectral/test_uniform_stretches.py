@@ -11,7 +11,9 @@ RAMP = 3 + 2 * TIME
 def test_stretches_are_cut_at_gaps_and_missing_samples():
     time = np.where(TIME < 1, TIME, TIME + 5)
     hole = np.where(np.arange(100) == 20, np.nan, np.sin(time))
-    stretches = uniform_stretches(Record(time, {"u": RAMP, "y": hole}, source="a.bin"), ["u", "y"], "none")
+    stretches = uniform_stretches(
+        Record(time, {"u": RAMP, "y": hole}, source="a.bin"), ["u", "y"], "none"
+    )
     assert [s.values.shape for s in stretches] == [(2, 20), (2, 29), (2, 50)]
     np.testing.assert_array_equal(stretches[2].values[0], RAMP[50:])
     assert {s.source for s in stretches} == {"a.bin"}
@@ -35,12 +37,17 @@ def test_a_time_base_may_be_off_by_a_twentieth_of_a_step(share, accepted, start)
     if accepted:
         assert len(uniform_stretches(flown, ["u"], "none")) == 1
     else:
-        with pytest.raises(ValueError, match=rf"flight is not uniformly sampled \(1.1 ms off at {start + 0.6:.2f} s\)"):
+        with pytest.raises(
+            ValueError,
+            match=rf"flight is not uniformly sampled \(1.1 ms off at {start + 0.6:.2f} s\)",
+        ):
             uniform_stretches(flown, ["u"], "none")
 
 
 def test_a_stretch_says_where_it_comes_from():
-    record = Record(10 + TIME, {"u": RAMP, "y": np.where(TIME < 0.5, np.nan, RAMP)}, {"u": "N"}, source="a.bin")
+    record = Record(
+        10 + TIME, {"u": RAMP, "y": np.where(TIME < 0.5, np.nan, RAMP)}, {"u": "N"}, source="a.bin"
+    )
     (stretch,) = uniform_stretches([record], ["u", "y"], "none")
     assert (stretch.origin.start, stretch.origin.end) == (10.5, record.time[-1])
     assert stretch.origin.checksum == record.checksum
@@ -63,9 +70,13 @@ def test_single_samples_are_no_stretch_and_constants_no_signal():
     parts = [Record(TIME, {"u": RAMP}), Record(TIME, {"u": np.ones(100)})]
     assert len(uniform_stretches(parts, ["u"], "none")) == 2
     with pytest.raises(ValueError, match="there are no samples in which u, y are all present"):
-        uniform_stretches(Record(TIME, {"u": RAMP, "y": np.full(100, np.nan)}), ["u", "y", "u"], "none")
+        uniform_stretches(
+            Record(TIME, {"u": RAMP, "y": np.full(100, np.nan)}), ["u", "y", "u"], "none"
+        )
 
 
 def test_what_is_to_be_removed_is_one_of_three():
-    with pytest.raises(ValueError, match="detrend 'cubic' is not known: use 'linear', 'constant' or 'none'"):
+    with pytest.raises(
+        ValueError, match="detrend 'cubic' is not known: use 'linear', 'constant' or 'none'"
+    ):
         uniform_stretches(Record(TIME, {"u": RAMP}), ["u"], "cubic")

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from greybox.data.record import Record
-from greybox.spectral.vibration import Vibration, peaks_of, power_density, sensors, vibration, vibration_table
+from greybox.spectral.vibration import (
+    Vibration,
+    peaks_of,
+    power_density,
+    sensors,
+    vibration,
+    vibration_table,
+)
 
 HZ = np.arange(0, 500.0)
 
@@ -23,7 +30,11 @@ def test_a_peak_stands_out_by_ten_decibels(height, found):
 
 
 def test_the_three_highest_peaks_come_the_highest_first():
-    assert peaks_of(HZ, spectrum((60, 15), (150, 30), (240, 20), (350, 25))) == (150.0, 350.0, 240.0)
+    assert peaks_of(HZ, spectrum((60, 15), (150, 30), (240, 20), (350, 25))) == (
+        150.0,
+        350.0,
+        240.0,
+    )
 
 
 def test_the_motion_of_the_vehicle_is_no_vibration():
@@ -36,7 +47,11 @@ def test_the_motion_of_the_vehicle_is_no_vibration():
 def test_the_size_of_vibration_is_that_above_the_motion():
     """Two stretches of a gyro at 1 kHz: sines of 0.3 at 50 Hz and of 0.1 at 125 Hz, beside a motion of 5 at 2 Hz."""
     time = np.concatenate([np.arange(4000) / 1000, 10 + np.arange(4000) / 1000])
-    x = 5 * np.sin(4 * np.pi * time) + 0.3 * np.sin(100 * np.pi * time) + 0.1 * np.sin(250 * np.pi * time)
+    x = (
+        5 * np.sin(4 * np.pi * time)
+        + 0.3 * np.sin(100 * np.pi * time)
+        + 0.1 * np.sin(250 * np.pi * time)
+    )
     (found,) = vibration("ISBD[gyro0]", Record(time, {"x": x}, {"x": "rad/s"}))
     assert found.rms == pytest.approx(np.sqrt((0.3**2 + 0.1**2) / 2), rel=0.02)
     assert found.peaks == pytest.approx((50, 125), abs=2)
@@ -50,7 +65,9 @@ def test_the_size_of_vibration_is_that_above_the_motion():
 
 
 def made(rate, count, signals, start=0.0):
-    return Record(start + np.arange(count) / rate, {name: np.arange(float(count)) for name in signals})
+    return Record(
+        start + np.arange(count) / rate, {name: np.arange(float(count)) for name in signals}
+    )
 
 
 def test_sensors_are_raw_batches_and_fast_imu_messages():
@@ -75,7 +92,9 @@ def test_the_density_is_the_mean_of_stretches_by_their_samples():
     """Of sines of two sizes in stretches of 960 and 240 samples, in windows of a sixth of the samples together."""
     rate, sizes = 1000.0, {960: 2.0, 240: 6.0}
     time = np.concatenate([np.arange(960) / rate, 3 + np.arange(240) / rate])
-    x = np.concatenate([a * np.sin(2 * np.pi * 100 * np.arange(n) / rate) for n, a in sizes.items()])
+    x = np.concatenate(
+        [a * np.sin(2 * np.pi * 100 * np.arange(n) / rate) for n, a in sizes.items()]
+    )
     hz, (density,) = power_density(Record(time, {"x": x}))
     assert hz[1] == pytest.approx(rate / 200)
     near = np.abs(hz - 100) < 3 * hz[1]

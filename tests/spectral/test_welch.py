@@ -14,7 +14,9 @@ def test_formula_of_bendat_and_piersol():
     rng = np.random.default_rng(0)
     u = rng.standard_normal(2000)
     values = np.array([u, u + rng.standard_normal(2000), u])
-    got = welch.estimate(welch.transforms([UniformStretch(values, 0.1, "")], 10.0, 0.0, np.array([5.0])), 0)
+    got = welch.estimate(
+        welch.transforms([UniformStretch(values, 0.1, "")], 10.0, 0.0, np.array([5.0])), 0
+    )
     assert got.dof == pytest.approx(2 * 19)
     expected = (1 - got.coherence) / (got.coherence * 19) * abs(got.response) ** 2
     assert got.variance == pytest.approx(expected)
@@ -28,7 +30,9 @@ def test_traces_are_those_of_the_matrices(order):
     left, right = rng.standard_normal((2, n, p)) + 1j * rng.standard_normal((2, n, p))
     q = np.eye(n) - left @ right.conj().T
     m = q @ c @ q.conj().T
-    np.testing.assert_allclose(welch._traces(csr_array(c), left, right), [np.trace(m).real, np.trace(m @ m).real])
+    np.testing.assert_allclose(
+        welch._traces(csr_array(c), left, right), [np.trace(m).real, np.trace(m @ m).real]
+    )
 
 
 def test_stretches_as_long_as_a_window_have_one_each():
@@ -37,7 +41,8 @@ def test_stretches_as_long_as_a_window_have_one_each():
     stretches = [UniformStretch(np.array(values), 0.1, "") for values in noisy]
     cut = UniformStretch(np.concatenate([s.values for s in stretches], axis=1), 0.1, "")
     apart, together = (
-        welch.estimate(welch.transforms(given, 10.0, 0.0, np.array([5.0])), 0) for given in (stretches, [cut])
+        welch.estimate(welch.transforms(given, 10.0, 0.0, np.array([5.0])), 0)
+        for given in (stretches, [cut])
     )
     assert apart.response == pytest.approx(together.response)
     assert apart.dof == pytest.approx(2 * 19)
@@ -109,13 +114,19 @@ def test_windows_are_transformed_at_the_time_of_the_stretch():
 
     def transform(signal, taper):
         at = np.add.outer(begins, np.arange(count))
-        return step * np.einsum("bk,k,wbk->bw", signal[at], taper, np.exp(-1j * np.multiply.outer(omega, at * step)))
+        return step * np.einsum(
+            "bk,k,wbk->bw", signal[at], taper, np.exp(-1j * np.multiply.outer(omega, at * step))
+        )
 
-    np.testing.assert_allclose([found.u, found.y, found.r], [transform(v, tapers[0]) for v in values[:3]])
+    np.testing.assert_allclose(
+        [found.u, found.y, found.r], [transform(v, tapers[0]) for v in values[:3]]
+    )
     expected = [transform(values[0], tapers[0]), transform(values[3], tapers[0])]
     expected += [transform(values[0], tapers[1]), transform(values[3], tapers[1])]
     np.testing.assert_allclose(found.regressors, expected)
-    np.testing.assert_allclose(found.instruments[::2], [transform(values[2], taper) for taper in tapers])
+    np.testing.assert_allclose(
+        found.instruments[::2], [transform(values[2], taper) for taper in tapers]
+    )
     assert found.inputs == 2
     own, next_ = step * np.sum(tapers[0] ** 2), step * np.sum(tapers[0][:20] * tapers[0][20:])
     correlation = own * np.eye(4) + next_ * (np.eye(4, k=1) + np.eye(4, k=-1))
@@ -127,7 +138,10 @@ def test_a_window_of_fewer_than_two_periods_gives_nothing():
     u = rng.standard_normal(2000)
     omega = np.array([2.0, 5.0])
     spectra = welch.transforms(
-        [UniformStretch(np.array([u, 2 * u + rng.standard_normal(2000), u]), 0.1, "")], 4.0, 0.0, omega
+        [UniformStretch(np.array([u, 2 * u + rng.standard_normal(2000), u]), 0.1, "")],
+        4.0,
+        0.0,
+        omega,
     )
     few, enough = welch.estimates(spectra, 4.0 * omega)  # 1.3 and 3.2 periods
     assert np.isnan([few.variance, few.dof]).all()
@@ -145,13 +159,16 @@ def test_windows_some_hops_apart_share_what_their_product_holds(hop, count):
 
 
 @pytest.mark.parametrize(
-    ("overlap", "samples", "begins"), [(0.8, 101, range(0, 57, 7)), (0.0, 139, (0, 33, 66, 99)), (0.5, 40, (0,))]
+    ("overlap", "samples", "begins"),
+    [(0.8, 101, range(0, 57, 7)), (0.0, 139, (0, 33, 66, 99)), (0.5, 40, (0,))],
 )
 def test_windows_hop_through_the_whole_stretch(overlap, samples, begins):
     """Of 40 samples, as many as the overlap asks for at least; the last one begins less than a hop before the end."""
     values = np.zeros((3, samples))
     count, omega = 40, np.array([2.0])
-    found = welch.transforms([UniformStretch(values + 1.0, 0.1, "")], 4.0, overlap, omega, taper=False)
+    found = welch.transforms(
+        [UniformStretch(values + 1.0, 0.1, "")], 4.0, overlap, omega, taper=False
+    )
     at = np.arange(count) * 0.1
     wanted = [0.1 * np.sum(np.exp(-2j * (at + 0.1 * begin))) for begin in begins]
     np.testing.assert_allclose(found.u[:, 0], wanted)
@@ -176,7 +193,9 @@ def spectra_of(x, y, z=None, inputs=1, c=None):
 
 
 @pytest.mark.parametrize(("factor", "weak"), [(0.98, False), (1.02, True)])
-def test_an_instrument_is_weak_where_it_explains_less_than_ten_times_the_noise_of_the_input(factor, weak):
+def test_an_instrument_is_weak_where_it_explains_less_than_ten_times_the_noise_of_the_input(
+    factor, weak
+):
     """One instrument r of n windows: |r·u|²/|r|² is what it explains, and the rest over n - 1 the noise."""
     rng = np.random.default_rng(6)
     n = 12
@@ -200,10 +219,14 @@ def test_a_variance_takes_three_degrees_of_freedom_and_none_is_below_rounding():
     exact = welch.estimate(spectra_of(x, (3 - 4j) * x[:, 0]), 0)
     assert exact.variance == pytest.approx((4 * np.finfo(float).eps * 5) ** 2)
     assert exact.coherence == pytest.approx(1)
-    nothing = welch.estimate(spectra_of(x, np.array([1.0, -x[0, 0].conj() / x[1, 0].conj(), 0.0])), 0)
+    nothing = welch.estimate(
+        spectra_of(x, np.array([1.0, -x[0, 0].conj() / x[1, 0].conj(), 0.0])), 0
+    )
     assert nothing.coherence == np.finfo(float).eps
     # As many unknowns as windows; leakage that says nothing new is left out.
-    assert np.isnan(welch.estimate(spectra_of(complexes(rng, 3, 3), complexes(rng, 3), inputs=3), 0).variance)
+    assert np.isnan(
+        welch.estimate(spectra_of(complexes(rng, 3, 3), complexes(rng, 3), inputs=3), 0).variance
+    )
     x, y = complexes(rng, 8, 1), complexes(rng, 8)
     doubled = np.hstack([x, 2 * x])
     assert welch.estimate(spectra_of(doubled, y), 0).response == pytest.approx(
@@ -216,7 +239,10 @@ def test_a_variance_takes_three_degrees_of_freedom_and_none_is_below_rounding():
 
 
 def points(*kinds):
-    known = [welch.WindowedPoint(2.0 + k * 1j, 0.1 * (k + 1), 8.0 + k, 0.5 + 0.1 * k) for k in range(len(kinds))]
+    known = [
+        welch.WindowedPoint(2.0 + k * 1j, 0.1 * (k + 1), 8.0 + k, 0.5 + 0.1 * k)
+        for k in range(len(kinds))
+    ]
     other = {"weak": welch.WindowedPoint(weak=True), "lost": welch.WindowedPoint()}
     return [other.get(kind, point) for kind, point in zip(kinds, known, strict=True)]
 
@@ -229,22 +255,37 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
         UniformStretch(np.zeros((2, 2)), 0.1, "b.bin", None, {"y": "m"}),
         UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin),
     ]
-    found = welch.response_at(omega, points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches)
+    found = welch.response_at(
+        omega, points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches
+    )
     np.testing.assert_allclose(found.omega, [1, 3])
     np.testing.assert_allclose(found.response, [2, 2 + 2j])
     np.testing.assert_allclose(found.variance, [0.1, 0.3])
     np.testing.assert_allclose(found.dof, [8, 10])
     np.testing.assert_allclose(found.coherence, [0.5, 0.7])
-    assert (found.input, found.output, found.name, found.source) == ("u", "y", "name", "a.bin, b.bin")
+    assert (found.input, found.output, found.name, found.source) == (
+        "u",
+        "y",
+        "name",
+        "a.bin, b.bin",
+    )
     assert list(found.stretches) == [origin, origin]
     assert dict(found.units) == {"u": "N"}
-    assert found.about == {"dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"}
+    assert found.about == {
+        "dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"
+    }
     one = welch.response_at(omega[:2], points("", "weak"), ("u", "y", ""), [])
-    assert one.about == {"dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"}
+    assert one.about == {
+        "dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"
+    }
     assert welch.response_at(omega[:2], points("", "lost"), ("u", "y", ""), []).about == {}
-    with pytest.raises(ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times as"):
+    with pytest.raises(
+        ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times as"
+    ):
         welch.response_at(omega[:2], points("weak", "lost"), ("u", "y", ""), [])
-    with pytest.raises(ValueError, match="no frequency has enough windows for a variance: record longer"):
+    with pytest.raises(
+        ValueError, match="no frequency has enough windows for a variance: record longer"
+    ):
         welch.response_at(omega[:2], points("lost", "lost"), ("u", "y", ""), [])
 
 
@@ -258,7 +299,10 @@ def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
     assert left.omega.tolist() == [2, 3]
     assert left.about["dropped"] == "2 of 4 points, of a coherence below 0.6, at 1 to 4 rad/s"
     left = welch.without_incoherent(response([0.9, 0.3, 0.9, 0.9], dropped="a", test="b"))
-    assert left.about == {"dropped": "a; 1 of 4 points, of a coherence below 0.6, at 2 rad/s", "test": "b"}
+    assert left.about == {
+        "dropped": "a; 1 of 4 points, of a coherence below 0.6, at 2 rad/s",
+        "test": "b",
+    }
     for same in ([0.1, 0.2, 0.3, 0.4], [0.6, 0.7, 0.8, 0.9]):
         whole = response(same)
         assert welch.without_incoherent(whole) is whole

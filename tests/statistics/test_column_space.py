@@ -12,7 +12,13 @@ def test_the_basis_projects_as_least_squares_do():
     random = np.random.default_rng(0)
     columns = random.normal(size=(12, 3))
     every = np.column_stack(
-        [1e9 * columns[:, 0], np.zeros(12), 1e-9 * columns[:, 1], columns[:, 2], columns[:, :2].sum(1)]
+        [
+            1e9 * columns[:, 0],
+            np.zeros(12),
+            1e-9 * columns[:, 1],
+            columns[:, 2],
+            columns[:, :2].sum(1),
+        ]
     )
     basis = column_basis(every)
     assert basis.shape == (12, 3)

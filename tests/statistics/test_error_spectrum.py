@@ -30,7 +30,9 @@ def test_drawn_errors_hand_on_from_output_to_output():
     for t in (0, 57):
         for lag in (0, 1, 5):
             found = drawn[:, :, t + lag].T @ drawn[:, :, t] / len(drawn)
-            assert_allclose(found, np.linalg.matrix_power(F, lag) @ covariance, atol=0.1 * covariance.max())
+            assert_allclose(
+                found, np.linalg.matrix_power(F, lag) @ covariance, atol=0.1 * covariance.max()
+            )
 
 
 @pytest.mark.parametrize("gap", [0, 60])
@@ -53,10 +55,13 @@ def test_draws_of_correlated_residuals_get_the_variances_of_the_spectrum():
     drawn = spectrum.of_draws(white)
     assert drawn.omega is spectrum.omega
     assert drawn.density is spectrum.density
-    colored = np.array([drawn.colored(white[:, random.integers(400, size=100)]) for _ in range(1000)])
+    colored = np.array(
+        [drawn.colored(white[:, random.integers(400, size=100)]) for _ in range(1000)]
+    )
     assert_allclose(colored.std(axis=(0, 2)), spectrum.deviation, rtol=0.02)
 
-    # Missing samples do not count, neither in a variance nor, since they are drawn as zeros, in a covariance.
+    # Missing samples do not count, neither in a variance nor, since they are drawn as zeros, in a
+    # covariance.
     white[0, ::2] = np.nan
     found = spectrum.of_draws(white).deviation / spectrum.deviation
     known = np.nan_to_num(white)
@@ -82,7 +87,9 @@ def test_what_is_whitened_is_colored_again():
     spectrum = spectrum_of(np.array([[0.6]]), np.eye(1))
     residuals = np.random.default_rng(3).normal(size=(1, 61))
     white = spectrum.whitened(residuals)
-    assert_allclose(spectrum.colored(np.hstack([white, white[:, ::-1]]))[:, :61], residuals, atol=1e-3)
+    assert_allclose(
+        spectrum.colored(np.hstack([white, white[:, ::-1]]))[:, :61], residuals, atol=1e-3
+    )
 
 
 def test_an_output_that_was_not_measured_has_no_whitened_residuals():

@@ -22,8 +22,12 @@ def test_measures_of_fit_are_their_formulas_on_what_both_have():
     assert metrics.rms(Y - P) == pytest.approx(np.sqrt(np.mean((y - p) ** 2)))
     fit = 100 * (1 - np.linalg.norm(y - p) / np.linalg.norm(y - y.mean()))
     assert metrics.fit_percent(Y, P) == pytest.approx(fit)
-    assert metrics.variance_accounted_for(Y, P) == pytest.approx(100 * (1 - np.var(y - p) / np.var(y)))
-    assert metrics.variance_accounted_for(Y, P + 5) == pytest.approx(metrics.variance_accounted_for(Y, P))
+    assert metrics.variance_accounted_for(Y, P) == pytest.approx(
+        100 * (1 - np.var(y - p) / np.var(y))
+    )
+    assert metrics.variance_accounted_for(Y, P + 5) == pytest.approx(
+        metrics.variance_accounted_for(Y, P)
+    )
     for measure in (metrics.fit_percent, metrics.variance_accounted_for):  # in any unit
         assert measure(1e-3 * Y, 1e-3 * P) == pytest.approx(measure(Y, P))
 
@@ -32,7 +36,9 @@ def test_measures_of_nothing_are_not_known():
     nothing = np.full(3, np.nan)
     for measure in (metrics.fit_percent, metrics.variance_accounted_for):
         assert math.isnan(measure(nothing, nothing))
-        assert math.isnan(measure(np.ones(3), np.zeros(3)))  # a constant has no variation to explain
+        assert math.isnan(
+            measure(np.ones(3), np.zeros(3))
+        )  # a constant has no variation to explain
     assert math.isnan(metrics.rms(nothing))
     assert math.isnan(metrics.theil(nothing, nothing).coefficient)
     with pytest.raises(ValueError, match="3 measured and 2 predicted values"):
@@ -69,7 +75,9 @@ def test_the_statistic_is_that_of_ljung_and_box():
     e = np.random.default_rng(1).standard_normal(300)
     tested = metrics.whiteness([e], lags=5)
     centered = e - e.mean()
-    r = np.array([centered[k:] @ centered[: e.size - k] for k in range(1, 6)]) / (centered @ centered)
+    r = np.array([centered[k:] @ centered[: e.size - k] for k in range(1, 6)]) / (
+        centered @ centered
+    )
     assert_allclose(tested.correlations, r)
     assert tested.statistic == pytest.approx(300 * 302 * np.sum(r**2 / (300 - np.arange(1, 6))))
     assert tested.dof == 5
@@ -97,7 +105,9 @@ def test_feedback_is_found_and_the_color_of_either_signal_is_not_taken_for_it():
         u = lfilter([1], [1, -0.9], rng.standard_normal(600))
         # What a model without dynamics from u would leave, besides errors of their own.
         e = lfilter([1], [1, -0.6], rng.standard_normal(600)) + lfilter([0, 0.5], [1, -0.8], u)
-        p_values.append(metrics.feedback_correlation([e[:350], e[350:]], [u[:350], u[350:]], lags=8).p_value)
+        p_values.append(
+            metrics.feedback_correlation([e[:350], e[350:]], [u[:350], u[350:]], lags=8).p_value
+        )
     assert 0.01 < np.mean(np.array(p_values) < 0.05) < 0.1
 
     rng = np.random.default_rng(0)
@@ -107,7 +117,12 @@ def test_feedback_is_found_and_the_color_of_either_signal_is_not_taken_for_it():
     assert found.p_value < 1e-6
     assert np.abs(found.correlations).argmax() == 1
     e[50:90] = np.nan
-    assert metrics.feedback_correlation([e], [command - 0.3 * np.roll(np.nan_to_num(e), 2)], lags=8).p_value < 1e-6
+    assert (
+        metrics.feedback_correlation(
+            [e], [command - 0.3 * np.roll(np.nan_to_num(e), 2)], lags=8
+        ).p_value
+        < 1e-6
+    )
     assert math.isnan(metrics.feedback_correlation([e], [np.ones(600)]).p_value)
 
 
@@ -141,7 +156,9 @@ def test_whiteness_has_its_nominal_size_and_finds_color():
     for e in holes[::2]:
         e[random.uniform(size=400) < 0.2] = np.nan
     assert 0.02 < np.mean([metrics.whiteness([e]).p_value < 0.05 for e in holes]) < 0.085
-    assert np.mean([metrics.whiteness([colored(0.3, random)]).p_value < 0.05 for _ in range(50)]) > 0.9
+    assert (
+        np.mean([metrics.whiteness([colored(0.3, random)]).p_value < 0.05 for _ in range(50)]) > 0.9
+    )
     # Two stretches tell of correlations within them alone.
     step = np.repeat([5.0, -5.0], 200)
     halves = np.split(random.normal(size=400) + 0 * step, 2)
@@ -152,12 +169,18 @@ def test_whiteness_has_its_nominal_size_and_finds_color():
 def test_correlation_with_the_input_has_its_nominal_size_and_finds_what_was_missed():
     random = np.random.default_rng(1)
     for color in (0.0, 0.7):
-        p = [metrics.input_correlation([colored(color, random)], [colored(0.9, random)]).p_value for _ in range(300)]
+        p = [
+            metrics.input_correlation([colored(color, random)], [colored(0.9, random)]).p_value
+            for _ in range(300)
+        ]
         assert 0.015 < np.mean(np.array(p) < 0.05) < 0.10, color
     missed = []
     for _ in range(100):  # 95 of 100 are expected
         u = colored(0.9, random)
-        missed.append(metrics.input_correlation([random.normal(size=400) + 0.15 * np.roll(u, 3)], [u]).p_value < 0.05)
+        missed.append(
+            metrics.input_correlation([random.normal(size=400) + 0.15 * np.roll(u, 3)], [u]).p_value
+            < 0.05
+        )
     assert np.mean(missed) > 0.9
 
 
@@ -202,10 +225,13 @@ def test_the_bound_is_that_of_99_percent_of_a_normal_distribution_and_its_crossi
     ):
         assert tested.bound == pytest.approx(norm.ppf(0.995) / math.sqrt(used), rel=2e-4)
         assert tested.outside < 3
-    periodic = np.tile([2.0, -1.0, -1.0], 100)  # r is 1 at every third lag and -1/2 beside it, less what is cut off
+    periodic = np.tile(
+        [2.0, -1.0, -1.0], 100
+    )  # r is 1 at every third lag and -1/2 beside it, less what is cut off
     assert metrics.whiteness([periodic], lags=12).outside == 12
     assert metrics.whiteness([periodic * (np.arange(300) < 60)], lags=60).outside == 60 - sum(
-        abs(1 - k / 60) * (1.0 if k % 3 == 0 else 0.5) <= 2.576 / math.sqrt(300) for k in range(1, 61)
+        abs(1 - k / 60) * (1.0 if k % 3 == 0 else 0.5) <= 2.576 / math.sqrt(300)
+        for k in range(1, 61)
     )
 
 
@@ -237,7 +263,9 @@ def test_correlations_of_white_signals_are_those_of_a_regression_and_of_products
     tested = metrics.input_correlation([e], [u], lags=4)
     assert tested.dof == 4
     assert tested.statistic == pytest.approx(296 * (1 - left @ left / (e[4:] @ e[4:])))
-    assert_allclose(tested.correlations, [e[4:] @ p / math.sqrt(e[4:] @ e[4:] * (p @ p)) for p in past.T])
+    assert_allclose(
+        tested.correlations, [e[4:] @ p / math.sqrt(e[4:] @ e[4:] * (p @ p)) for p in past.T]
+    )
 
     back = metrics.feedback_correlation([e], [u], lags=4)
     r = [u[k:] @ e[:-k] / (300 - k) / math.sqrt(np.mean(e**2) * np.mean(u**2)) for k in range(1, 5)]
@@ -250,7 +278,9 @@ def test_theils_coefficient_and_shares_are_their_formulas():
     y, p = Y[KNOWN], P[KNOWN]
     found = metrics.theil(Y, P)
     square = np.mean((y - p) ** 2)
-    assert found.coefficient == pytest.approx(np.sqrt(square) / (np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(p**2))))
+    assert found.coefficient == pytest.approx(
+        np.sqrt(square) / (np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(p**2)))
+    )
     assert found.bias == pytest.approx((y.mean() - p.mean()) ** 2 / square)
     assert found.variance == pytest.approx((y.std() - p.std()) ** 2 / square)
     apart = 2 * (1 - np.corrcoef(y, p)[0, 1]) * y.std() * p.std() / square  # Theil's third share
@@ -283,7 +313,9 @@ def test_constants_in_residuals_and_inputs_change_no_test():
     e, u = lfilter([1], [1, -0.5], random.normal(size=(2, 300)))
     for tested in (metrics.input_correlation, metrics.feedback_correlation):
         found, alone = tested([e + 7], [u - 400]), tested([e], [u])
-        assert_allclose([found.statistic, *found.correlations], [alone.statistic, *alone.correlations])
+        assert_allclose(
+            [found.statistic, *found.correlations], [alone.statistic, *alone.correlations]
+        )
     assert metrics.whiteness([e + 7]).statistic == pytest.approx(metrics.whiteness([e]).statistic)
 
 

@@ -94,8 +94,14 @@ def test_scores_of_the_sum_of_magnitudes_are_correlated_as_the_directions_of_err
         a, b = (random.standard_normal((2, 400_000, 2)) @ [1, 1j]).reshape(2, -1)
         b = rho * a + np.sqrt(1 - rho**2) * b
         seen = np.mean((a / np.abs(a) * (b / np.abs(b)).conj()).real)
-        assert gb.RelativeError().score_correlation(np.array([rho]))[0] == pytest.approx(seen, abs=0.004)
-    assert_allclose(gb.RelativeError().score_correlation(np.array([0.0, 1e-6, 1.0])), [0, np.pi / 4e6, 1], atol=1e-12)
+        assert gb.RelativeError().score_correlation(np.array([rho]))[0] == pytest.approx(
+            seen, abs=0.004
+        )
+    assert_allclose(
+        gb.RelativeError().score_correlation(np.array([0.0, 1e-6, 1.0])),
+        [0, np.pi / 4e6, 1],
+        atol=1e-12,
+    )
     assert gb.SquaredRelativeError().score_correlation(np.array([0.3])) == 0.3
 
 
@@ -154,7 +160,9 @@ def test_meat_and_scale_do_not_depend_on_units_and_without_scores_there_is_none(
 
 
 def test_the_mean_of_weighted_correlations_and_the_lengths_that_it_makes():
-    known = NeighborCorrelation(10, np.array([0.0, 0.5, 0.9]), np.array([0.2, 0.3, 0.5]), np.ones(3))
+    known = NeighborCorrelation(
+        10, np.array([0.0, 0.5, 0.9]), np.array([0.2, 0.3, 0.5]), np.ones(3)
+    )
     assert known.mean == pytest.approx(0.6)
     assert known.lengths == pytest.approx(-10 * np.log(0.6))
     assert_allclose(known.powers[2], 0.9 ** np.arange(10))
@@ -177,4 +185,7 @@ def test_two_points_that_are_alike_are_enough_and_what_is_not_finite_tells_nothi
         design_ = np.zeros((24, 1))
         design_[3] = spoiled
         assert neighbor_correlation(long, design_) is None
-        assert neighbor_correlation(np.where(np.arange(12) == 5, spoiled, long), np.zeros((24, 1))) is None
+        assert (
+            neighbor_correlation(np.where(np.arange(12) == 5, spoiled, long), np.zeros((24, 1)))
+            is None
+        )

@@ -21,7 +21,9 @@ def test_the_order_and_coefficients_of_an_autoregression_are_found():
 
 
 def test_white_residuals_stay_white():
-    orders = [len(autoregression([np.random.default_rng(k).normal(size=800)])) - 1 for k in range(40)]
+    orders = [
+        len(autoregression([np.random.default_rng(k).normal(size=800)])) - 1 for k in range(40)
+    ]
     assert np.mean(np.array(orders) > 0) < 0.1
 
 
@@ -49,7 +51,9 @@ def test_the_recursion_solves_the_equations_of_yule_and_walker():
     steps = levinson(r)
     assert len(steps) == 13
     for order, (a, variance) in enumerate(steps):
-        assert_allclose(a, np.r_[1, solve_toeplitz(r[:order], -r[1 : order + 1]) if order else []], rtol=1e-9)
+        assert_allclose(
+            a, np.r_[1, solve_toeplitz(r[:order], -r[1 : order + 1]) if order else []], rtol=1e-9
+        )
         assert_allclose(variance, a @ r[: order + 1])
 
 

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.fft import dct
-from scipy.linalg import block_diag, expm, matmul_toeplitz, solve_discrete_lyapunov, solve_toeplitz, toeplitz
+from scipy.linalg import (
+    block_diag,
+    expm,
+    matmul_toeplitz,
+    solve_discrete_lyapunov,
+    solve_toeplitz,
+    toeplitz,
+)
 from scipy.signal import lfilter
 
 from greybox.statistics.residual_spectrum import (
@@ -123,7 +130,9 @@ def test_units_of_an_output_do_not_matter():
     bread = np.einsum("kpn,kqn->pq", J, J)
     wanted = colored_information([J], [e], np.linalg.inv(bread), np.eye(2)).meat
     scaled = J / unit[:, None, None]  # R⁻¹ dy/dθ of outputs in other units
-    found = colored_information([scaled], [e * unit[:, None]], np.linalg.inv(bread), np.diag(unit**2)).meat
+    found = colored_information(
+        [scaled], [e * unit[:, None]], np.linalg.inv(bread), np.diag(unit**2)
+    ).meat
     assert_allclose(found, wanted, rtol=1e-9)
 
 
@@ -242,7 +251,9 @@ def test_a_record_that_tells_nothing_of_a_parameter_takes_nothing_from_it():
 
 def test_how_uncertain_the_size_of_slow_errors_is_is_seen_in_repeated_records():
     """White noise hides a drift of a tenth of its power, whose part in the estimates scatters by a factor of 1.7."""
-    found = [information([J], [e]) for J, e, _ in (experiment("drift", 300, seed) for seed in range(20))]
+    found = [
+        information([J], [e]) for J, e, _ in (experiment("drift", 300, seed) for seed in range(20))
+    ]
     scatter = np.var(np.log([one.taken for one in found]))
     assert 0.4 * scatter < np.mean([one.uncertainty for one in found]) < 2.5 * scatter
 
@@ -261,7 +272,9 @@ def test_the_outputs_of_the_only_record_tell_all_that_there_is_together():
         told = [made._not_excluded(i)[0] for i in range(2)]
         assert_allclose(sum(told), share * np.eye(3), atol=1e-9)
         each = [share * np.einsum("pn,qn->pq", weighted[i], slopes[i]) for i in range(2)]
-        assert_allclose([np.trace(t) for t in told], [np.trace(np.linalg.solve(information, e)) for e in each])
+        assert_allclose(
+            [np.trace(t) for t in told], [np.trace(np.linalg.solve(information, e)) for e in each]
+        )
 
 
 def test_values_of_bands_are_interpolated_between_their_mean_frequencies():
@@ -293,7 +306,10 @@ def test_what_is_hidden_is_beside_the_variances_that_are_given():
     e = colored([1, -0.7], n, seed=3)
     e = (e - e @ J[0].T @ inverse @ J[0])[None]
     sandwich, found = _Sandwich.of([J], [e], inverse, np.eye(1)), information([J], [e])
-    hidden = [sandwich.hidden(factor * found.meat, found.spectrum.density) for factor in (1.0, 0.04, 0.01, 1e6)]
+    hidden = [
+        sandwich.hidden(factor * found.meat, found.spectrum.density)
+        for factor in (1.0, 0.04, 0.01, 1e6)
+    ]
     assert hidden[1] > 1
     assert hidden[2] == pytest.approx(4 * hidden[1], rel=1e-6)
     assert hidden[3] == 1
@@ -302,7 +318,8 @@ def test_what_is_hidden_is_beside_the_variances_that_are_given():
 def pushed(n, seed):
     """Position and velocity of a mass on a spring, driven by commands and pushed by noise, under white noise.
 
-    Sensitivities by stiffness, damping and force, those by the initial states, and residuals of a fit of all of them.
+    Sensitivities by stiffness, damping and force, those by the initial states, and residuals of a
+    fit of all of them.
     """
     F = expm(0.05 * np.array([[0.0, 1.0], [-9.0, -1.2]]))
     random = np.random.default_rng([seed, n])
@@ -318,7 +335,9 @@ def pushed(n, seed):
     J, initial = np.zeros((2, 3, n)), np.zeros((2, 2, n))
     initial[:, :, 0] = np.eye(2)
     for t in range(1, n):
-        J[:, :, t] = F @ J[:, :, t - 1] + np.array([[0.0] * 3, [0.05 * force[t - 1] for force in forces]])
+        J[:, :, t] = F @ J[:, :, t - 1] + np.array(
+            [[0.0] * 3, [0.05 * force[t - 1] for force in forces]]
+        )
         initial[:, :, t] = F @ initial[:, :, t - 1]
     A = np.concatenate([J, initial], axis=1).transpose(0, 2, 1).reshape(2 * n, -1)
     weight = np.repeat([1.0, 0.2], n)  # the gusts are in the velocity most
@@ -342,7 +361,9 @@ def test_process_noise_is_found_through_the_dynamics_in_a_record_of_three_time_c
         columns = J.transpose(0, 2, 1).reshape(-1, 3)
         columns = columns - X @ (X.T @ columns)
         inverse = np.linalg.inv(columns.T @ columns)
-        weighted, moved = (c.reshape(2, 100, -1).transpose(0, 2, 1) / [[[1.0]], [[5.0]]] for c in (columns, X))
+        weighted, moved = (
+            c.reshape(2, 100, -1).transpose(0, 2, 1) / [[[1.0]], [[5.0]]] for c in (columns, X)
+        )
         for found, more in ((alone, ()), (known, ([moved], lambda jumps=jumps: jumps))):
             meat = colored_information([weighted], [residuals], inverse, noise, *more).meat
             found.append(estimate / np.sqrt(np.diag(inverse @ meat @ inverse)))
@@ -354,7 +375,13 @@ def test_no_errors_say_nothing_and_hide_nothing():
     random = np.random.default_rng(0)
     found = information([random.normal(size=(2, 3, 50))], [np.zeros((2, 50))])
     assert_allclose(found.meat, np.zeros((3, 3)))
-    assert (found.taken, found.uncertainty, found.hidden, found.corrected, found.spectrum) == (0, 0, 1, True, None)
+    assert (found.taken, found.uncertainty, found.hidden, found.corrected, found.spectrum) == (
+        0,
+        0,
+        1,
+        True,
+        None,
+    )
     assert found.correlation_times.tolist() == [0, 0]
     assert_allclose(score_covariance([random.normal(size=(2, 3, 50))], None), np.zeros((3, 3)))
 
@@ -380,11 +407,22 @@ def small(initial=False, shocks=None, others=0.0, missing=False):
     if missing:
         noise = np.diag(np.diag(NOISE))
         there[0][0, 3:5] = there[0][1, 7] = there[1][1, 2] = 0.0
-    weighted = [random.normal(size=(2, 3, n)) * t[:, None] for n, t in zip((12, 9), there, strict=True)]
-    residuals = [DEVIATION[:, None] * random.normal(size=(2, n)) * t for n, t in zip((12, 9), there, strict=True)]
+    weighted = [
+        random.normal(size=(2, 3, n)) * t[:, None] for n, t in zip((12, 9), there, strict=True)
+    ]
+    residuals = [
+        DEVIATION[:, None] * random.normal(size=(2, n)) * t
+        for n, t in zip((12, 9), there, strict=True)
+    ]
     bread = sum(np.einsum("ipn,ij,jqn->pq", W, noise, W) for W in weighted)
-    moved = [random.normal(size=(2, 2, t.shape[1])) / 9 * t[:, None] for t in there] if initial else None
-    return _Sandwich.of(weighted, residuals, np.linalg.inv(bread) / (1 + others), noise, moved, shocks)
+    moved = (
+        [random.normal(size=(2, 2, t.shape[1])) / 9 * t[:, None] for t in there]
+        if initial
+        else None
+    )
+    return _Sandwich.of(
+        weighted, residuals, np.linalg.inv(bread) / (1 + others), noise, moved, shocks
+    )
 
 
 def some_density(made):
@@ -403,7 +441,8 @@ def dense(made, density, stretch):
     n = made.residuals[stretch].shape[1]
     r = np.fft.irfft(density, made.grid.size)
     blocks = [
-        [toeplitz(r[i, j, :n], r[j, i, :n]) * made.deviation[i] * made.deviation[j] for j in (0, 1)] for i in (0, 1)
+        [toeplitz(r[i, j, :n], r[j, i, :n]) * made.deviation[i] * made.deviation[j] for j in (0, 1)]
+        for i in (0, 1)
     ]
     return np.block(blocks)
 
@@ -431,10 +470,14 @@ def lags_of(made, covariance, lag, i, j):
     total, start = 0.0, 0
     for e in made.residuals:
         n = e.shape[1]
-        block = covariance[start : start + 2 * n, start : start + 2 * n].reshape(2, n, 2, n)[i, :, j]
+        block = covariance[start : start + 2 * n, start : start + 2 * n].reshape(2, n, 2, n)[
+            i, :, j
+        ]
         total += np.trace(block, offset=-lag)
         start += 2 * n
-    return total / (np.sqrt(made.counts[i] * made.counts[j]) * made.deviation[i] * made.deviation[j])
+    return total / (
+        np.sqrt(made.counts[i] * made.counts[j]) * made.deviation[i] * made.deviation[j]
+    )
 
 
 def test_the_periodogram_has_the_autocovariances_of_the_residuals():
@@ -457,7 +500,9 @@ def test_the_periodogram_has_the_autocovariances_of_the_residuals():
 def test_what_the_estimate_takes_from_errors_is_that_of_dense_matrices():
     made = small()
     density = some_density(made)
-    wanted = sum(rows_of(W).T @ dense(made, density, s) @ rows_of(W) for s, W in enumerate(made.weighted))
+    wanted = sum(
+        rows_of(W).T @ dense(made, density, s) @ rows_of(W) for s, W in enumerate(made.weighted)
+    )
     assert_allclose(made.grid.score_covariance(made.transforms(), density), wanted)
     assert made._taken(density) == pytest.approx(np.sum(made.inverse * wanted))
 
@@ -481,7 +526,12 @@ def test_other_data_are_taken_to_have_errors_of_the_same_color():
     """White errors three times as large as the given noise: so are the estimate's, whatever tells of it."""
     made = small(others=1.5)
     density = (
-        np.repeat((3 * NOISE / np.outer(made.deviation, made.deviation))[:, :, None], len(made.grid.omega), 2) + 0j
+        np.repeat(
+            (3 * NOISE / np.outer(made.deviation, made.deviation))[:, :, None],
+            len(made.grid.omega),
+            2,
+        )
+        + 0j
     )
     lags, _ = made.taken_power(density)
     R = block_diag(*(np.kron(NOISE, np.eye(n)) for n in (12, 9)))
@@ -494,13 +544,18 @@ def test_other_data_are_taken_to_have_errors_of_the_same_color():
 
 @pytest.mark.parametrize("missing", [False, True])
 def test_expected_periodograms_are_those_of_residuals_by_dense_matrices(missing):
-    jumps = lfilter([1.0], [1, -0.8], np.eye(2)[:, :, None] * np.eye(1, 12)[0]) * [[[0.1], [0.3]], [[4.0], [1.0]]]
+    jumps = lfilter([1.0], [1, -0.8], np.eye(2)[:, :, None] * np.eye(1, 12)[0]) * [
+        [[0.1], [0.3]],
+        [[4.0], [1.0]],
+    ]
     jumps[1, 0] = np.cumsum(jumps[0, 0])
     made = small(initial=True, shocks=lambda: jumps, missing=missing)
     parts = made.noise_parts
     assert parts.density.shape[0] == 4
     for i in (0, 1):
-        assert_allclose(parts.density[i], np.diag(np.eye(2)[i])[:, :, None] * np.ones(len(made.grid.omega)))
+        assert_allclose(
+            parts.density[i], np.diag(np.eye(2)[i])[:, :, None] * np.ones(len(made.grid.omega))
+        )
     for s in (0, 1):  # through each state alone, of one unit of power for each output
         through = np.fft.rfft(jumps[:, s] / made.deviation[:, None], made.grid.size)
         power = np.einsum("ib,jb->ijb", through, through.conj())
@@ -511,7 +566,9 @@ def test_expected_periodograms_are_those_of_residuals_by_dense_matrices(missing)
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
             for lag in (0, 1, 5):
                 turned = (found[:, i, j] * made.grid.delays[lag].conj()).real
-                assert made.grid.mean(turned) == pytest.approx(lags_of(made, left, lag, i, j), abs=1e-8)
+                assert made.grid.mean(turned) == pytest.approx(
+                    lags_of(made, left, lag, i, j), abs=1e-8
+                )
 
 
 def test_process_noise_is_looked_for_where_jumps_move_an_output():
@@ -564,7 +621,12 @@ def test_slow_parts_are_exponentials_in_white_noise():
                 for lag in (0, 1, 3):
                     wound = (phi**lag + phi ** (grid.size - lag)) / (1 - phi**grid.size)
                     found = grid.mean(shapes[m, k] * np.cos(lag * grid.omega))
-                    assert found == pytest.approx(share * wound + (1 - share) * (lag == 0)), (n, k, m, lag)
+                    assert found == pytest.approx(share * wound + (1 - share) * (lag == 0)), (
+                        n,
+                        k,
+                        m,
+                        lag,
+                    )
 
 
 def test_shapes_of_the_sensitivities_are_their_power_and_its_root_of_mean_one():
@@ -588,9 +650,13 @@ def test_weights_of_frequencies_make_sums_of_squares():
         assert grid.weight @ np.abs(np.fft.rfft(x, grid.size)) ** 2 == pytest.approx(x @ x)
         ends = [*grid.starts[1:], len(grid.weight)]
         omega = np.linspace(0, np.pi, len(grid.weight))
-        for start, end, weight, mean in zip(grid.starts, ends, grid.band_weight, grid.omega, strict=True):
+        for start, end, weight, mean in zip(
+            grid.starts, ends, grid.band_weight, grid.omega, strict=True
+        ):
             assert weight == pytest.approx(grid.weight[start:end].sum())
-            assert mean == pytest.approx(np.average(omega[start:end], weights=grid.weight[start:end]))
+            assert mean == pytest.approx(
+                np.average(omega[start:end], weights=grid.weight[start:end])
+            )
             assert end - start <= 0.016 * start + 1
         assert (np.diff(grid.starts) > 0).all()
         if n == 900:
@@ -605,13 +671,17 @@ def test_fast_lengths_are_the_next_even_ones_of_few_small_factors():
 
 def of_past(r, order):
     """The covariance of samples before t at one, two ... lags, from r(l) = E e(t + l) e(t)ᵀ: (order k, order k)."""
-    return np.block([[r[m - n] if m >= n else r[n - m].T for m in range(order)] for n in range(order)])
+    return np.block(
+        [[r[m - n] if m >= n else r[n - m].T for m in range(order)] for n in range(order)]
+    )
 
 
 def test_vector_autoregressions_solve_the_equations_of_yule_and_walker():
     e = lfilter([1, 0.4], [1, -0.7, 0.3], np.random.default_rng(2).normal(size=(2, 60)))
     e[1] += 0.6 * np.roll(e[0], 2)
-    r = np.array([[[lagged([e], lag, i, j) / 60 for j in (0, 1)] for i in (0, 1)] for lag in range(6)])
+    r = np.array(
+        [[[lagged([e], lag, i, j) / 60 for j in (0, 1)] for i in (0, 1)] for lag in range(6)]
+    )
     found = list(_whittle(r))
     assert [a.shape for a, _ in found] == [(2, 2 * order) for order in range(6)]
     for order, (a, innovation) in enumerate(found):
@@ -637,7 +707,9 @@ def test_the_vector_autoregression_has_the_covariances_of_the_residuals_up_to_it
     white = np.array([[1.0, 0.0], [0.5, 2.0]]) @ random.normal(size=(2, n + 100))
     e = np.zeros((2, n + 100))
     for t in range(2, n + 100):
-        e[:, t] = np.array([[0.5, 0.2], [-0.3, 0.4]]) @ e[:, t - 1] - 0.3 * e[:, t - 2] + white[:, t]
+        e[:, t] = (
+            np.array([[0.5, 0.2], [-0.3, 0.4]]) @ e[:, t - 1] - 0.3 * e[:, t - 2] + white[:, t]
+        )
     J = random.normal(size=(2, 1, n))
     made = _Sandwich.of([J], [e[:, 100:]], 1 / np.einsum("kpn,kpn->p", J, J)[:, None], np.eye(2))
     lags = made.periodogram[0]
@@ -650,9 +722,13 @@ def test_the_vector_autoregression_has_the_covariances_of_the_residuals_up_to_it
         assert_allclose(covariance, lags[lag], atol=1e-3)
     assert_allclose(found.typical, np.log(np.einsum("iib->ib", found.density).real))
     # -2 log likelihood of the innovations, with AICc's penalty for coefficients and covariance.
-    lost = np.linalg.slogdet(of_past(lags, order + 1))[1] - np.linalg.slogdet(of_past(lags, order))[1]
+    lost = (
+        np.linalg.slogdet(of_past(lags, order + 1))[1] - np.linalg.slogdet(of_past(lags, order))[1]
+    )
     unknowns = 4 * order + 3
-    assert found.score == pytest.approx(n * lost + 2 * unknowns * 2 * n / (2 * n - unknowns - 1), rel=1e-6)
+    assert found.score == pytest.approx(
+        n * lost + 2 * unknowns * 2 * n / (2 * n - unknowns - 1), rel=1e-6
+    )
 
 
 def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
@@ -668,7 +744,9 @@ def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
         response = sum(c * np.exp(-1j * k * made.grid.omega) for k, c in enumerate(a))
         spectra.append(variance / np.abs(response) ** 2)
         unknowns = order + 1
-        scores.append(n * np.log(variance) + 2 * unknowns + 2 * unknowns * (unknowns + 1) / (n - unknowns - 1))
+        scores.append(
+            n * np.log(variance) + 2 * unknowns + 2 * unknowns * (unknowns + 1) / (n - unknowns - 1)
+        )
     weight = np.exp(-0.5 * np.array(scores))
     evidence = -2 * np.log(weight.sum())
     weight /= weight.sum()
@@ -679,14 +757,19 @@ def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
     taken = np.array([made._taken(one[None, None] + 0j) for one in spectra])
     assert found.taken == pytest.approx(weight @ taken, rel=2e-3)
     between = weight @ (np.log(taken) - weight @ np.log(taken)) ** 2
-    assert found.uncertainty == pytest.approx(between + weight @ (2 * (np.array(orders) + 1) / n), rel=5e-3)
+    assert found.uncertainty == pytest.approx(
+        between + weight @ (2 * (np.array(orders) + 1) / n), rel=5e-3
+    )
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_spectra_that_are_not_excluded_are_those_of_the_restricted_likelihood_by_dense_matrices(beside):
+def test_spectra_that_are_not_excluded_are_those_of_the_restricted_likelihood_by_dense_matrices(
+    beside,
+):
     """Errors whose cosine transform has the variances of a spectrum: its likelihood without what a fit took.
 
-    Another output, `beside` it, tells of the parameters as if its errors were white and of the given noise.
+    Another output, `beside` it, tells of the parameters as if its errors were white and of the
+    given noise.
     """
     n = 48
     random = np.random.default_rng(4)
@@ -706,7 +789,10 @@ def test_spectra_that_are_not_excluded_are_those_of_the_restricted_likelihood_by
     turn = dct(np.eye(n), axis=0, norm="ortho")
     band = np.arange(n) * made.grid.size // (2 * n)
     scores, wanted = [], []
-    for shape in (np.ones(len(made.grid.omega)), *(s for family in made.families[0] for s in family.shapes)):
+    for shape in (
+        np.ones(len(made.grid.omega)),
+        *(s for family in made.families[0] for s in family.shapes),
+    ):
         sigma = turn.T @ np.diag(shape[band]) @ turn * size**2
         solved = np.linalg.solve(sigma, A)
         information = A.T @ solved + B.T @ B / other
@@ -715,7 +801,9 @@ def test_spectra_that_are_not_excluded_are_those_of_the_restricted_likelihood_by
         squares = first @ np.linalg.solve(sigma, first) + (second @ second - e[1] @ e[1]) / other
         left = n - np.trace(told)
         scale = squares / left
-        scores.append(left * np.log(scale) + np.linalg.slogdet(sigma)[1] + np.linalg.slogdet(information)[1])
+        scores.append(
+            left * np.log(scale) + np.linalg.slogdet(sigma)[1] + np.linalg.slogdet(information)[1]
+        )
         wanted.append(made.root.T @ A.T @ sigma @ A @ made.root * scale / noise**2)
     scores, wanted = np.array(scores), np.array(wanted)
     order = np.argsort(scores)
@@ -741,7 +829,10 @@ def test_correlation_times_are_the_time_constants_of_exponentials():
     grid = _Grid.of(1000)
     found = grid.correlation_times(
         np.array(
-            [(1 - p**2) / np.abs(1 - p * np.exp(-1j * grid.omega)) ** 2 for p in np.exp(-1 / np.array([4.0, 25.0]))]
+            [
+                (1 - p**2) / np.abs(1 - p * np.exp(-1j * grid.omega)) ** 2
+                for p in np.exp(-1 / np.array([4.0, 25.0]))
+            ]
         )
     )
     assert_allclose(found, [4.0, 25.0], atol=1)
@@ -766,10 +857,16 @@ def test_outputs_that_are_not_measured_are_left_out_and_have_no_correlation_time
     found = colored_information([J], [e], inverse, noise)
     alone = colored_information([J[[0, 2]]], [e[[0, 2]]], inverse, noise[np.ix_([0, 2], [0, 2])])
     assert_allclose(found.meat, alone.meat)
-    assert found.taken == pytest.approx(np.trace(np.linalg.solve(np.linalg.inv(inverse), found.meat)))
-    assert_allclose(found.correlation_times, [alone.correlation_times[0], 0, alone.correlation_times[1]])
+    assert found.taken == pytest.approx(
+        np.trace(np.linalg.solve(np.linalg.inv(inverse), found.meat))
+    )
+    assert_allclose(
+        found.correlation_times, [alone.correlation_times[0], 0, alone.correlation_times[1]]
+    )
     assert alone.correlation_times.min() > 0
-    assert_allclose(found.spectrum.deviation, [np.sqrt(np.mean(e[0] ** 2)), 1, np.sqrt(np.mean(e[2] ** 2))])
+    assert_allclose(
+        found.spectrum.deviation, [np.sqrt(np.mean(e[0] ** 2)), 1, np.sqrt(np.mean(e[2] ** 2))]
+    )
     assert not found.spectrum.density[1].any()
     assert_allclose(found.spectrum.density[0, 2], alone.spectrum.density[0, 1])
 
@@ -786,7 +883,10 @@ def test_limits_of_outputs_of_which_each_tells_of_one_parameter_combine_as_indep
     (one, e), (other, f) = slow_and_its_parameter(1), slow_and_its_parameter(2)
     inverse = np.diag([1 / (one[0] @ one[0]), 1 / (other[0] @ other[0])])
     both = _Sandwich.of(
-        [np.array([[one[0], 0 * one[0]], [0 * other[0], other[0]]])], [np.array([e, f])], inverse, np.eye(2)
+        [np.array([[one[0], 0 * one[0]], [0 * other[0], other[0]]])],
+        [np.array([e, f])],
+        inverse,
+        np.eye(2),
     )
     density, meats, hidden = None, [], []
     for i, (J, left) in enumerate(((one, e), (other, f))):
@@ -797,11 +897,15 @@ def test_limits_of_outputs_of_which_each_tells_of_one_parameter_combine_as_indep
         hidden.append(alone.hidden(np.array([[meats[i]]]), density))
         assert hidden[i] > 1.5
         # Of what other data tell three fourths, nothing is hidden.
-        quarter = _Sandwich.of([J[None]], [left[None]], inverse[i : i + 1, i : i + 1] / 4, np.eye(1))
+        quarter = _Sandwich.of(
+            [J[None]], [left[None]], inverse[i : i + 1, i : i + 1] / 4, np.eye(1)
+        )
         told, spectra = quarter._not_excluded(0)
         assert told[0, 0] == pytest.approx(0.25)
         wanted = (0.75 + spectra.max()) / (0.75 + 0.25 * 1.3)
-        assert quarter.hidden(np.array([[1.3 * 4 / inverse[i, i] * 0.25]]), density) == pytest.approx(wanted)
+        assert quarter.hidden(
+            np.array([[1.3 * 4 / inverse[i, i] * 0.25]]), density
+        ) == pytest.approx(wanted)
     found = both.hidden(np.diag(meats), density)
     assert np.log(found) == pytest.approx(np.hypot(*np.log(hidden)) / 2)
 
@@ -812,7 +916,9 @@ def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_say
     density = some_density(made)
     one = _Evidence(density, np.zeros((2, len(made.grid.omega))), 7.5, 3.0, 0.2)
     judged = nothing._judged_on_residuals(one, made.periodogram[1])
-    assert judged.score == pytest.approx(7.5 + 21 * 2)  # of every number, the mean of its square over its variance
+    assert judged.score == pytest.approx(
+        7.5 + 21 * 2
+    )  # of every number, the mean of its square over its variance
     assert judged.density is density
     lags, banded = nothing.taken_power(density)
     assert not lags.any()
@@ -830,7 +936,9 @@ def test_outputs_apart_add_what_they_take_and_its_variance():
     assert_allclose(found.density[:, :, 3], [[2, 0], [0, 5]])
     assert_allclose(found.typical[:, 3], [0.5, 1.5])
     assert (found.score, found.taken) == (17, 3.5)
-    assert found.uncertainty == pytest.approx((0.2 * 3**2 + 0.7 * 0.5**2) / 3.5**2)  # of the logarithm of the sum
+    assert found.uncertainty == pytest.approx(
+        (0.2 * 3**2 + 0.7 * 0.5**2) / 3.5**2
+    )  # of the logarithm of the sum
 
 
 def test_spectra_are_averaged_by_their_evidence():
@@ -875,7 +983,10 @@ def test_process_noise_is_judged_by_the_variances_of_its_parts():
     parts = made.noise_parts
     found, variances = made._process_noise(parts), made._variances
     assert variances.variance.shape == (4,)
-    assert_allclose(found.density, sum(v * part for v, part in zip(variances.variance, parts.density, strict=True)))
+    assert_allclose(
+        found.density,
+        sum(v * part for v, part in zip(variances.variance, parts.density, strict=True)),
+    )
     assert_allclose(found.typical, np.log([found.density[i, i].real for i in (0, 1)]))
     assert found.taken == pytest.approx(made._taken(found.density))
     assert found.score == pytest.approx(variances.score + 8 + 2 * 4 * 5 / (120 - 5))
@@ -895,7 +1006,9 @@ def test_the_most_process_noise_that_residuals_do_not_exclude_is_the_largest_bel
 
     def score(variance):
         expected = np.tensordot(variance, parts.of_residuals, 1)
-        return whittle_score(expected, made.periodogram[1].transpose(2, 0, 1), 60 * made.grid.band_weight)
+        return whittle_score(
+            expected, made.periodogram[1].transpose(2, 0, 1), 60 * made.grid.band_weight
+        )
 
     for likely in (white, made._process_noise(parts).density):
         limit = min(variances.score, made._score(likely)) + 3.84
@@ -906,10 +1019,14 @@ def test_the_most_process_noise_that_residuals_do_not_exclude_is_the_largest_bel
         place = np.argmin(np.abs(np.log(every / total)))
         assert every[place] == pytest.approx(total, rel=1e-9)
         assert total > 1.2 * variances.variance[2:].sum()
-        above, at = (score(np.concatenate([own, each * shares / shares.sum()])) for each in every[[place + 1, place]])
+        above, at = (
+            score(np.concatenate([own, each * shares / shares.sum()]))
+            for each in every[[place + 1, place]]
+        )
         assert at < limit <= above
     assert made._score(white) > limit + 5  # what has no process noise is less likely
-    # One parameter, of which the data tell alone: its variance is the sum of what the spectrum makes of its score.
+    # One parameter, of which the data tell alone: its variance is the sum of what the spectrum
+    # makes of its score.
     meat = np.array([[1e-3]])
     wanted = made.grid.score_covariance(made.transforms(), worst)[0, 0]
     plain = resonant()
@@ -942,5 +1059,7 @@ def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_
 def test_frequencies_without_power_do_not_make_a_spectrum_infinitely_unlikely():
     J, e = slow_and_its_parameter(0)
     silent = np.fft.irfft(np.fft.rfft(J[0]) * (np.arange(76) < 9), 150)
-    made = _Sandwich.of([silent[None, None]], [e[None]], np.array([[1 / (silent @ silent)]]), np.eye(1))
+    made = _Sandwich.of(
+        [silent[None, None]], [e[None]], np.array([[1 / (silent @ silent)]]), np.eye(1)
+    )
     assert all(np.isfinite(family.logarithm).all() for family in made.families[0])

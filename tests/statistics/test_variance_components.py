@@ -13,7 +13,9 @@ TRUTH = np.array([0.4, 0.9, 0.3])
 def parts(bands):
     """White noise of two outputs, and one that reaches both through a resonance; (c, b, k, k)."""
     omega = np.linspace(0, np.pi, bands)
-    through = np.array([1 / (0.3**2 - omega**2 + 0.05j * omega), 1j * omega / (0.3**2 - omega**2 + 0.05j * omega)])
+    through = np.array(
+        [1 / (0.3**2 - omega**2 + 0.05j * omega), 1j * omega / (0.3**2 - omega**2 + 0.05j * omega)]
+    )
     resonance = np.einsum("ib,jb->bij", through, through.conj())
     resonance /= np.einsum("bii->b", resonance).real.mean() / 2
     white = np.eye(2)[:, None, :, None] * np.eye(2)[:, None, None, :] * np.ones((2, bands, 1, 1))
@@ -22,13 +24,17 @@ def parts(bands):
 
 def drawn(spectrum, random):
     root = np.linalg.cholesky(spectrum)
-    z = (random.normal(size=(*root.shape[:2], 1)) + 1j * random.normal(size=(*root.shape[:2], 1))) / np.sqrt(2)
+    z = (
+        random.normal(size=(*root.shape[:2], 1)) + 1j * random.normal(size=(*root.shape[:2], 1))
+    ) / np.sqrt(2)
     return (root @ z) @ (root @ z).conj().transpose(0, 2, 1)
 
 
 def test_the_expected_periodogram_has_the_variances_that_made_it():
     expected = parts(200)
-    found = variance_components(expected, np.tensordot(TRUTH, expected, 1), np.full(200, 2.0), sensors=2)
+    found = variance_components(
+        expected, np.tensordot(TRUTH, expected, 1), np.full(200, 2.0), sensors=2
+    )
     assert_allclose(found.variance, TRUTH, rtol=2e-3)
 
 
@@ -49,9 +55,14 @@ def test_the_minimum_is_that_of_another_minimizer():
 def test_the_covariance_is_that_of_repeated_periodograms():
     expected, random = parts(60), np.random.default_rng(1)
     spectrum = np.tensordot(TRUTH, expected, 1)
-    every = [variance_components(expected, drawn(spectrum, random), np.full(60, 2.0), sensors=2) for _ in range(150)]
+    every = [
+        variance_components(expected, drawn(spectrum, random), np.full(60, 2.0), sensors=2)
+        for _ in range(150)
+    ]
     logs = np.log([one.variance for one in every])
-    assert_allclose(np.mean([one.covariance for one in every], axis=0).diagonal(), logs.var(axis=0), rtol=0.35)
+    assert_allclose(
+        np.mean([one.covariance for one in every], axis=0).diagonal(), logs.var(axis=0), rtol=0.35
+    )
 
 
 def test_a_part_that_is_not_there_has_no_variance():
@@ -88,7 +99,13 @@ def test_the_covariance_is_twice_the_inverse_of_the_information_by_differences()
 
     at, h = np.log(found.variance), 1e-3 * np.eye(3)
     curvature = np.array(
-        [[score(at + a + b) - score(at + a - b) - score(at - a + b) + score(at - a - b) for a in h] for b in h]
+        [
+            [
+                score(at + a + b) - score(at + a - b) - score(at - a + b) + score(at - a - b)
+                for a in h
+            ]
+            for b in h
+        ]
     ) / (4e-6)
     assert_allclose(found.covariance, 2 * np.linalg.inv(curvature), rtol=5e-3)
     assert found.score == pytest.approx(score(at))
@@ -108,7 +125,9 @@ def test_a_periodogram_far_from_the_beginning_is_reached():
     """By variances of a hundredth and of thirty times those at the beginning."""
     expected = parts(200)
     truth = np.array([0.007, 20.0, 9.0])
-    found = variance_components(expected, np.tensordot(truth, expected, 1), np.full(200, 2.0), sensors=2)
+    found = variance_components(
+        expected, np.tensordot(truth, expected, 1), np.full(200, 2.0), sensors=2
+    )
     assert_allclose(found.variance, truth, rtol=0.02)
 
 

@@ -19,8 +19,12 @@ from greybox.estimate.fit import fingerprint, fit_keeping
 from greybox.study.run_files import NAME, RunFiles, count_runs
 from greybox.study.study_folder import locked
 
-RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
-OTHER = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=3))
+RESPONSE = gb.Problem(
+    LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
+)
+OTHER = gb.Problem(
+    LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=3)
+)
 
 
 def members(starts=12):
@@ -36,7 +40,11 @@ def require_same(fit, other):
     for run, wanted in zip(fit.runs, other.runs, strict=True):
         assert_array_equal(run.start, wanted.start)
         assert_array_equal(run.estimate, wanted.estimate)
-        assert (run.status, run.iterations, run.cost) == (wanted.status, wanted.iterations, wanted.cost)
+        assert (run.status, run.iterations, run.cost) == (
+            wanted.status,
+            wanted.iterations,
+            wanted.cost,
+        )
     assert fit.cost == other.cost
     assert fit.estimate == other.estimate
     assert fit.standard_error == other.standard_error
@@ -62,7 +70,10 @@ def test_members_are_the_fits_that_gb_fit_makes(tmp_path):
     assert [member.status for member in study.members] == ["done"] * 3
     for member, stated in zip(study.members, members(), strict=True):
         require_same(
-            member.fit, gb.fit(stated.problem, stated.starts, stated.seed, search=stated.search, progress=False)
+            member.fit,
+            gb.fit(
+                stated.problem, stated.starts, stated.seed, search=stated.search, progress=False
+            ),
         )
     assert study["record"].fit.parts[0].data.checksum == lag_problem().data.checksum
     assert "other seed  done" in str(study)
@@ -101,23 +112,33 @@ def test_a_member_that_fails_does_not_stop_the_rest(tmp_path):
     assert [member.status for member in study.members] == ["failed", "done"]
     assert "none" in study["bad"].error
     assert f"bad: {study['bad'].error}" in str(study)
-    mended = gb.batch([gb.study.Member(RESPONSE, 5, name="bad"), *members()[:1]], tmp_path, progress=False)
+    mended = gb.batch(
+        [gb.study.Member(RESPONSE, 5, name="bad"), *members()[:1]], tmp_path, progress=False
+    )
     assert [member.status for member in mended.members] == ["done", "done"]
 
 
 def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_path):
     gb.batch(members()[:1], tmp_path, progress=False)
     files = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    with pytest.raises(ValueError, match="has the answer to another problem than that of 'response'"):
+    with pytest.raises(
+        ValueError, match="has the answer to another problem than that of 'response'"
+    ):
         gb.batch([gb.study.Member(OTHER, 12, name="response")], tmp_path, progress=False)
     (tmp_path / "members/001-response/answer.json").unlink()
     with pytest.raises(ValueError, match="was made for another problem, with other options"):
         gb.batch([gb.study.Member(OTHER, 12, name="response")], tmp_path, progress=False)
-    with pytest.raises(ValueError, match="began at other starts, from number 0 on: give the same rule and seed"):
+    with pytest.raises(
+        ValueError, match="began at other starts, from number 0 on: give the same rule and seed"
+    ):
         gb.batch(
-            [gb.study.Member(RESPONSE, 12, seed=5, name="response", search="multistart")], tmp_path, progress=False
+            [gb.study.Member(RESPONSE, 12, seed=5, name="response", search="multistart")],
+            tmp_path,
+            progress=False,
         )
-    (tmp_path / "members/001-response/answer.json").write_bytes(files[tmp_path / "members/001-response/answer.json"])
+    (tmp_path / "members/001-response/answer.json").write_bytes(
+        files[tmp_path / "members/001-response/answer.json"]
+    )
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == files
 
 
@@ -142,7 +163,9 @@ def test_a_damaged_file_is_named(tmp_path, monkeypatch):
     (tmp_path / "study.json").write_text('{"format": "greybox study", "layout": 9, "members": []}')
     with pytest.raises(ValueError, match="has layout 9 and this version reads up to 1"):
         gb.study.read_study(tmp_path)
-    escaping = '{"format": "greybox study", "layout": 1, "members": [{"name": "a", "folder": "../../a"}]}'
+    escaping = (
+        '{"format": "greybox study", "layout": 1, "members": [{"name": "a", "folder": "../../a"}]}'
+    )
     (tmp_path / "study.json").write_text(escaping)
     with pytest.raises(ValueError, match=r"study\.json is damaged"):
         gb.study.read_study(tmp_path)
@@ -172,7 +195,7 @@ def test_runs_are_files_of_a_binary_number_of_them_or_one_of_all_that_end_togeth
     assert count_runs(folder) == 21
 
 
-# --- processes that are killed ----------------------------------------------------------------------------------------
+# --- processes that are killed
 
 SCRIPT = """
 import sys, time
@@ -222,7 +245,10 @@ def test_a_batch_that_was_killed_goes_on_and_none_joins_it_while_it_is_at_work(t
     study = gb.batch(members(40), folder, progress=False)
     for member, stated in zip(study.members, members(40), strict=True):
         require_same(
-            member.fit, gb.fit(stated.problem, stated.starts, stated.seed, search=stated.search, progress=False)
+            member.fit,
+            gb.fit(
+                stated.problem, stated.starts, stated.seed, search=stated.search, progress=False
+            ),
         )
 
 
@@ -236,7 +262,11 @@ def test_a_lock_that_is_let_go_in_a_moment_is_waited_for(tmp_path):
 
 def kept(folder):
     """How many runs are on disk."""
-    return sum(count_runs(own) for own in (folder / "members").iterdir()) if (folder / "members").exists() else 0
+    return (
+        sum(count_runs(own) for own in (folder / "members").iterdir())
+        if (folder / "members").exists()
+        else 0
+    )
 
 
 def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
@@ -252,25 +282,36 @@ def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
     monkeypatch.setattr(display, "begin", begin)
     with pytest.raises(KeyboardInterrupt) as stopped:
         gb.batch(members(), tmp_path, progress=False)
-    assert [member.status for member in stopped.value.study.members] == ["done", "done", "unfinished"]
+    assert [member.status for member in stopped.value.study.members] == [
+        "done",
+        "done",
+        "unfinished",
+    ]
     assert stopped.value.study["other seed"].runs == 5
     monkeypatch.undo()
     study = gb.batch(members(), tmp_path, progress=False)
-    require_same(study["other seed"].fit, gb.fit(RESPONSE, 12, 1, search="multistart", progress=False))
+    require_same(
+        study["other seed"].fit, gb.fit(RESPONSE, 12, 1, search="multistart", progress=False)
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of the size of files are those of Unix")
 def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
     from full_disk import limited_files
 
-    with limited_files(8000), pytest.raises(OSError, match=r"cannot be written \(File too large\): free space"):
+    with (
+        limited_files(8000),
+        pytest.raises(OSError, match=r"cannot be written \(File too large\): free space"),
+    ):
         gb.batch(members(), tmp_path, progress=False)
     study = gb.batch(members(), tmp_path, progress=False)
     require_same(study["response"].fit, gb.fit(RESPONSE, 12, search="multistart", progress=False))
 
 
 @pytest.mark.parametrize(
-    "problem", [lag_problem(), lag_problem() + lag_problem(1), RESPONSE], ids=["record", "two", "response"]
+    "problem",
+    [lag_problem(), lag_problem() + lag_problem(1), RESPONSE],
+    ids=["record", "two", "response"],
 )
 def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
     found = {}

@@ -84,18 +84,29 @@ def test_a_replicate_is_the_fit_to_its_data(criterion):
     n, c = len(data), len(nlp.constants)
     for k in (7,):
         table = draws.replicate(k)[c + 1 :].reshape(6, n)
-        drawn = gb.FrequencyResponse(table[0], table[1] + 1j * table[2], input=data.input, output=data.output)
+        drawn = gb.FrequencyResponse(
+            table[0], table[1] + 1j * table[2], input=data.input, output=data.output
+        )
         again = gb.fit(problem.with_(data=drawn), starts=[fit.estimate], progress=False)
         values = {**again.estimate, **again.derived}
-        assert_allclose([found[name][k] for name in nlp.free], [values[name] for name in nlp.free], rtol=2e-3)
+        assert_allclose(
+            [found[name][k] for name in nlp.free], [values[name] for name in nlp.free], rtol=2e-3
+        )
 
 
 def test_replicates_follow_from_the_seed_alone(lag):
     alone = gb.bootstrap(lag, replicates=200, seed=4, progress=False)
     with ThreadPoolExecutor(2) as two:
-        assert_array_equal(gb.bootstrap(lag, replicates=200, seed=4, executor=two, progress=False).values, alone.values)
-    assert_array_equal(gb.bootstrap(lag, replicates=140, seed=4, progress=False).values[:128], alone.values[:128])
-    assert not np.array_equal(gb.bootstrap(lag, replicates=10, seed=5, progress=False).values, alone.values[:10])
+        assert_array_equal(
+            gb.bootstrap(lag, replicates=200, seed=4, executor=two, progress=False).values,
+            alone.values,
+        )
+    assert_array_equal(
+        gb.bootstrap(lag, replicates=140, seed=4, progress=False).values[:128], alone.values[:128]
+    )
+    assert not np.array_equal(
+        gb.bootstrap(lag, replicates=10, seed=5, progress=False).values, alone.values[:10]
+    )
 
 
 def test_what_was_interrupted_goes_on(lag, tmp_path):
@@ -139,24 +150,36 @@ def test_errors_of_constants_from_an_earlier_fit_are_drawn(lag):
 
 
 def test_errors_that_are_correlated_in_time_are_drawn_so():
-    # Of a mean of n errors of an AR(1) the standard error is larger by √((1 + φ) / (1 - φ)) than of white ones.
+    # Of a mean of n errors of an AR(1) the standard error is larger by √((1 + φ) / (1 - φ)) than of
+    # white ones.
     n, fade = 2000, 0.7
     errors = lfilter([1], [1, -fade], np.random.default_rng(1).normal(size=n + 200))[200:]
     record = gb.Record(np.arange(n) / 10, {"u": np.ones(n), "y": 2.0 + 0.1 * errors})
     fit = gb.fit(gb.Problem(Ramp(), record), starts=[{}], progress=False)
     blocks = gb.bootstrap(fit, replicates=40, progress=False)
     white_error = 0.1 * np.std(errors) / np.sqrt(n)
-    assert_allclose(blocks.standard_error["K"], white_error * np.sqrt((1 + fade) / (1 - fade)), rtol=0.3)
+    assert_allclose(
+        blocks.standard_error["K"], white_error * np.sqrt((1 + fade) / (1 - fade)), rtol=0.3
+    )
     assert blocks.about == "residuals drawn with their correlation in time"
-    assert gb.bootstrap(fit, replicates=2, block=9, progress=False).about.endswith("in time, in blocks of 9 samples")
-    assert_allclose(gb.bootstrap(fit, "parametric", 40, progress=False).standard_error["K"], white_error, rtol=0.3)
+    assert gb.bootstrap(fit, replicates=2, block=9, progress=False).about.endswith(
+        "in time, in blocks of 9 samples"
+    )
+    assert_allclose(
+        gb.bootstrap(fit, "parametric", 40, progress=False).standard_error["K"],
+        white_error,
+        rtol=0.3,
+    )
 
 
 def test_whole_parts_are_drawn_where_they_differ_by_more_than_their_noise():
-    # Every response has a gain of its own: the mean of ten has the error of the gains, which no residual shows.
+    # Every response has a gain of its own: the mean of ten has the error of the gains, which no
+    # residual shows.
     random = np.random.default_rng(5)
     gains = 1 + 0.1 * random.normal(size=10)
-    data = [measured(Gain(), OMEGA, {"K": gain}, noise=0.01, seed=k) for k, gain in enumerate(gains)]
+    data = [
+        measured(Gain(), OMEGA, {"K": gain}, noise=0.01, seed=k) for k, gain in enumerate(gains)
+    ]
     problem = sum(gb.Problem(Gain(), one, gb.SquaredRelativeError()) for one in data)
     fit = gb.fit(problem, starts=6, progress=False)
     found = gb.bootstrap(fit, "parts", 400, progress=False)
@@ -179,7 +202,9 @@ def test_what_cannot_be_drawn_is_refused(lag):
         gb.bootstrap(lag, "parts")
     with pytest.raises(ValueError, match="replicates is 1"):
         gb.bootstrap(lag, replicates=1)
-    exact = gb.fit(gb.Problem(Lag(), measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3})), starts=8, progress=False)
+    exact = gb.fit(
+        gb.Problem(Lag(), measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3})), starts=8, progress=False
+    )
     with pytest.raises(ValueError, match="fitted exactly"):
         gb.bootstrap(exact)
 
@@ -197,7 +222,15 @@ def test_an_estimate_beyond_all_replicates_has_no_interval(lag):
 
 def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):
     gb.save(pitch, tmp_path / "pitch.h5")
-    words = ["bootstrap", str(tmp_path / "pitch.h5"), "--replicates", "150", "--resampling", "parametric", "--json"]
+    words = [
+        "bootstrap",
+        str(tmp_path / "pitch.h5"),
+        "--replicates",
+        "150",
+        "--resampling",
+        "parametric",
+        "--json",
+    ]
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out)
     expected = gb.bootstrap(pitch, "parametric", 150, progress=False)
@@ -217,12 +250,33 @@ def test_many_failed_replicates_are_told_and_few_are_not():
 def replicates():
     """Two quantities of 40 replicates, two of which failed; the first is held by its bounds, 0 and 10."""
     random = np.random.default_rng(0)
-    values = np.column_stack([np.clip(random.normal(2.0, 2.0, 40), 1e-9, 10 * (1 - 2e-5)), random.normal(size=40)])
+    values = np.column_stack(
+        [np.clip(random.normal(2.0, 2.0, 40), 1e-9, 10 * (1 - 2e-5)), random.normal(size=40)]
+    )
     values[[3, 7]] = np.nan
-    given = {"resampling": "points", "about": "points drawn", "seed": 3, "names": ("a", "b"), "units": ("s", "")}
-    given |= {"estimate": np.array([1.8, 0.1]), "given_error": np.array([0.5, np.nan]), "left_out": np.zeros((0, 2))}
-    given |= {"statuses": tuple("stagnated" if k in (3, 7) else "" for k in range(40)), "dof": np.array([5.0, np.inf])}
-    return Bootstrap("made", values=values, bounds=np.array([[1e-9, 10.0], [-np.inf, np.inf]]), seconds=1.25, **given)
+    given = {
+        "resampling": "points",
+        "about": "points drawn",
+        "seed": 3,
+        "names": ("a", "b"),
+        "units": ("s", ""),
+    }
+    given |= {
+        "estimate": np.array([1.8, 0.1]),
+        "given_error": np.array([0.5, np.nan]),
+        "left_out": np.zeros((0, 2)),
+    }
+    given |= {
+        "statuses": tuple("stagnated" if k in (3, 7) else "" for k in range(40)),
+        "dof": np.array([5.0, np.inf]),
+    }
+    return Bootstrap(
+        "made",
+        values=values,
+        bounds=np.array([[1e-9, 10.0], [-np.inf, np.inf]]),
+        seconds=1.25,
+        **given,
+    )
 
 
 def test_errors_and_biases_are_those_of_the_replicates_that_did_not_fail(replicates):
@@ -237,7 +291,9 @@ def test_errors_and_biases_are_those_of_the_replicates_that_did_not_fail(replica
     alone = replace(replicates, values=replicates.values[:1])
     assert np.isnan([*alone.standard_error.values()]).all()
     two = replace(replicates, values=replicates.values[:2])
-    assert two.standard_error["b"] == pytest.approx(abs(np.diff(replicates.values[:2, 1])[0]) / np.sqrt(2))
+    assert two.standard_error["b"] == pytest.approx(
+        abs(np.diff(replicates.values[:2, 1])[0]) / np.sqrt(2)
+    )
 
 
 def test_an_interval_is_open_where_replicates_reach_the_bound(replicates):
@@ -247,13 +303,19 @@ def test_an_interval_is_open_where_replicates_reach_the_bound(replicates):
     wide = replicates.interval(0.95, "percentile")
     assert wide["a"][0] == -math.inf
     assert wide["a"][1] < 10
-    held = replace(replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 0.5e-4)], [-np.inf, np.inf]]))
+    held = replace(
+        replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 0.5e-4)], [-np.inf, np.inf]])
+    )
     assert held.interval(0.9999999, "percentile")["a"] == (-math.inf, math.inf)
-    apart = replace(replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 3e-4)], [-np.inf, np.inf]]))
+    apart = replace(
+        replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 3e-4)], [-np.inf, np.inf]])
+    )
     assert apart.interval(0.9999999, "percentile")["a"][1] == pytest.approx(done[:, 0].max())
 
 
-@pytest.mark.parametrize(("stretched", "said"), [(1.0, False), (2.4, False), (2.6, True), (1 / 2.6, True)])
+@pytest.mark.parametrize(
+    ("stretched", "said"), [(1.0, False), (2.4, False), (2.6, True), (1 / 2.6, True)]
+)
 def test_intervals_that_reach_farther_to_one_side_are_told(replicates, stretched, said):
     even = np.linspace(-1, 1, 1001)
     values = np.column_stack([np.where(even > 0, stretched * even, even), even])
@@ -281,13 +343,21 @@ def test_a_bootstrap_is_printed_with_its_numbers(replicates):
     assert [float(x) for x in row[2:5]] == [float(f"{error:.3g}"), 0.333, float(f"{bias:.2g}")]
     said = replicates.summary(0.8)
     assert (said["level"], said["statuses"], said["replicates"]) == (0.8, {"stagnated": 2}, 40)
-    assert said["quantities"]["b"]["percentile"] == pytest.approx(replicates.interval(0.8, "percentile")["b"])
+    assert said["quantities"]["b"]["percentile"] == pytest.approx(
+        replicates.interval(0.8, "percentile")["b"]
+    )
     assert said["quantities"]["b"]["fit_standard_error"] is None
 
 
 @pytest.mark.parametrize(
     ("ends", "text"),
-    [(None, "-"), ((None, None), "open"), ((None, 2.5), "below 2.5"), ((1.5, None), "above 1.5"), ((1, 2), "1 to 2")],
+    [
+        (None, "-"),
+        ((None, None), "open"),
+        ((None, 2.5), "below 2.5"),
+        ((1.5, None), "above 1.5"),
+        ((1, 2), "1 to 2"),
+    ],
 )
 def test_an_interval_is_said(ends, text):
     assert interval_text(ends) == text
@@ -296,19 +366,27 @@ def test_an_interval_is_said(ends, text):
 @pytest.mark.parametrize(("failed", "told"), [(50, False), (51, True)])
 def test_a_twentieth_of_the_replicates_may_fail(failed, told):
     said = [*_warnings(("stagnated",) * failed + ("",) * (1000 - failed), math.inf)]
-    assert [text.startswith(f"{failed} of 1000 replicates failed (") for text in said] == [True] * told
+    assert [text.startswith(f"{failed} of 1000 replicates failed (") for text in said] == [
+        True
+    ] * told
 
 
-@pytest.mark.parametrize(("count", "dof", "make"), [(161, math.inf, None), (159, math.inf, 200), (300, 3.0, 5500)])
+@pytest.mark.parametrize(
+    ("count", "dof", "make"), [(161, math.inf, None), (159, math.inf, 200), (300, 3.0, 5500)]
+)
 def test_four_replicates_lie_beyond_each_end(count, dof, make):
     """Of 2.5 % of them, or of what normal replicates leave beyond Student's t of the degrees of freedom."""
     said = [text for text in _warnings(("",) * count, dof) if "beyond each end" in text]
-    assert [text.endswith(f"make {make} instead of {count}.") for text in said] == [True] * (make is not None)
+    assert [text.endswith(f"make {make} instead of {count}.") for text in said] == [True] * (
+        make is not None
+    )
     if make:
         share = norm.sf(student.ppf(0.975, dof))
         assert make - 100 < 4 / share <= make
         few = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
-        assert said[0].startswith(f"{few}{100 * share:.2g} % of the replicates lie beyond each end of a 95 % interval")
+        assert said[0].startswith(
+            f"{few}{100 * share:.2g} % of the replicates lie beyond each end of a 95 % interval"
+        )
 
 
 @pytest.mark.parametrize(
@@ -323,14 +401,39 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
         ({}, {"seed": -1}, ValueError, "seed is -1: give a whole number of at least 0"),
         ({}, {"seed": True}, ValueError, "seed is True: give"),
         ({}, {"seed": 1.0}, ValueError, "seed is 1.0: give"),
-        ({}, {"replicates": True}, ValueError, "replicates is True: give a whole number of at least 2"),
+        (
+            {},
+            {"replicates": True},
+            ValueError,
+            "replicates is True: give a whole number of at least 2",
+        ),
         ({}, {"replicates": 2.0}, ValueError, "replicates is 2.0: give"),
         ({}, {"executor": ThreadPoolExecutor}, TypeError, "give an instance such as"),
         ({"spectra": ("one",)}, {}, ValueError, "'made' has manoeuvres, which are not drawn yet"),
-        ({"parts": (SimpleNamespace(is_prior=True),)}, {}, ValueError, "'made' has a prior, which is not drawn"),
-        ({"records": ("one",), "responses": ("one",)}, {}, ValueError, "'made' has records and responses"),
-        ({}, {"resampling": "sites"}, ValueError, "resampling is 'sites': give one of 'residuals', 'points', 'param"),
-        ({"records": ("one",)}, {"resampling": "points"}, ValueError, "'points' is not for records: give one of 'bl"),
+        (
+            {"parts": (SimpleNamespace(is_prior=True),)},
+            {},
+            ValueError,
+            "'made' has a prior, which is not drawn",
+        ),
+        (
+            {"records": ("one",), "responses": ("one",)},
+            {},
+            ValueError,
+            "'made' has records and responses",
+        ),
+        (
+            {},
+            {"resampling": "sites"},
+            ValueError,
+            "resampling is 'sites': give one of 'residuals', 'points', 'param",
+        ),
+        (
+            {"records": ("one",)},
+            {"resampling": "points"},
+            ValueError,
+            "'points' is not for records: give one of 'bl",
+        ),
         (
             {"parts": (SimpleNamespace(is_prior=False),) * 2},
             {"resampling": "parts"},
@@ -340,7 +443,14 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
     ],
 )
 def test_what_cannot_be_repeated_is_said(change, options, error, sentence):
-    known = {"name": "made", "converged": True, "status": "converged", "records": (), "responses": (), "spectra": ()}
+    known = {
+        "name": "made",
+        "converged": True,
+        "status": "converged",
+        "records": (),
+        "responses": (),
+        "spectra": (),
+    }
     fit = SimpleNamespace(**known | {"parts": (SimpleNamespace(is_prior=False),)} | change)
     with pytest.raises(error, match=sentence):
         gb.bootstrap(fit, **options)
@@ -351,7 +461,10 @@ def test_of_three_parts_and_more_whole_parts_are_drawn_and_by_default_what_suits
     fit = SimpleNamespace(name="made", spectra=(), parts=parts, records=parts, responses=())
     assert _resampling(fit, "parts") == "parts"
     assert _resampling(fit, None) == "blocks"
-    assert _resampling(SimpleNamespace(**vars(fit) | {"records": (), "responses": parts}), None) == "parametric"
+    assert (
+        _resampling(SimpleNamespace(**vars(fit) | {"records": (), "responses": parts}), None)
+        == "parametric"
+    )
 
 
 @pytest.mark.parametrize("level", [0, 1, 95])
@@ -368,7 +481,13 @@ def test_what_has_no_replicates_is_named(replicates):
 
 def test_parts_that_share_no_parameter_are_not_drawn():
     data = [measured(Gain(), OMEGA, {"K": 1.0}, noise=0.01, seed=k) for k in range(3)]
-    own = (gb.Problem(Gain(), one, gb.SquaredRelativeError(), rename={"K": f"K_{k}"}) for k, one in enumerate(data))
+    own = (
+        gb.Problem(Gain(), one, gb.SquaredRelativeError(), rename={"K": f"K_{k}"})
+        for k, one in enumerate(data)
+    )
     fit = gb.fit(sum(own), starts=1, progress=False, profiles=False)
-    with pytest.raises(ValueError, match=r"the parts of .* share no parameter, so that none is left to draw them for"):
+    with pytest.raises(
+        ValueError,
+        match=r"the parts of .* share no parameter, so that none is left to draw them for",
+    ):
         gb.bootstrap(fit, "parts", 2, progress=False)

@@ -15,7 +15,10 @@ OMEGA = TWO_LAGS_OMEGA[::3]
 
 def points(seed, model=None, values=TWO_LAGS, omega=OMEGA):
     random = np.random.default_rng(seed)
-    columns = {"variance": random.uniform(0.01, 0.1, len(omega)), "dof": random.uniform(4, 20, len(omega))}
+    columns = {
+        "variance": random.uniform(0.01, 0.1, len(omega)),
+        "dof": random.uniform(4, 20, len(omega)),
+    }
     columns["coherence"] = random.uniform(0.5, 0.95, len(omega))
     return measured(model or LagLagDelay(), omega, values, noise=0.1, seed=seed, columns=columns)
 
@@ -48,7 +51,10 @@ def test_the_cost_for_data_that_are_given_is_that_of_a_problem_with_them(criteri
     numbers = given(np.array([0.07]), np.array([1.0, 2.0]), [data_table(other), data_table(fewer)])
     found = float(program(nlp.scaling.to_solver(x), 0.0, numbers)[0])
     wanted = sum(
-        weight * gb.cost(gb.Problem(model, data, criterion), {k: values.get(v, 0.07) for k, v in names.items()})
+        weight
+        * gb.cost(
+            gb.Problem(model, data, criterion), {k: values.get(v, 0.07) for k, v in names.items()}
+        )
         for model, data, weight, names in (
             (LagLagDelay(), other, 1.0, {"K": "K", "T1": "T1", "T2": "T2", "tau": "tau"}),
             (Lag(), fewer, 4.0, {"K": "gain", "T": "T"}),
@@ -58,7 +64,9 @@ def test_the_cost_for_data_that_are_given_is_that_of_a_problem_with_them(criteri
 
 
 def test_limits_come_along():
-    nlp = compile_problem(gb.Problem(LagLagDelay(), points(1), constraints=[lambda p: p.T1 - 2 * p.T2]))
+    nlp = compile_problem(
+        gb.Problem(LagLagDelay(), points(1), constraints=[lambda p: p.T1 - 2 * p.T2])
+    )
     program = open_program(nlp, formulas_of_frequency(nlp), [len(OMEGA)])
     z = nlp.scaling.to_solver(np.array([4.0, 0.5, 0.1, 0.05]))
     numbers = given(np.zeros(0), np.ones(1), [data_table(points(1))])
@@ -79,11 +87,17 @@ def test_what_has_no_formula_of_one_frequency_stays_at_its_own():
     other = gb.FrequencyResponse(omega, 1.1 * data.response, "u", "theta")
     table = data_table(other)
     table[0] = 99.0
-    found = float(program(nlp.scaling.to_solver(x), 0.0, given(nlp.constant_values, np.ones(1), [table]))[0])
+    found = float(
+        program(nlp.scaling.to_solver(x), 0.0, given(nlp.constant_values, np.ones(1), [table]))[0]
+    )
     values = dict(zip(nlp.names, nlp.all_values(x), strict=True))
     assert found == pytest.approx(gb.cost(problem.with_(data=other), values), rel=1e-9)
 
 
 def test_a_table_has_nan_for_what_the_data_do_not_have():
-    table = data_table(gb.FrequencyResponse([1.0, 2.0], [3 + 4j, 5j], "u", "y", coherence=[0.5, 0.9]))
-    np.testing.assert_array_equal(table, [[1, 2], [3, 0], [4, 5], [0.5, 0.9], [np.nan] * 2, [np.nan] * 2])
+    table = data_table(
+        gb.FrequencyResponse([1.0, 2.0], [3 + 4j, 5j], "u", "y", coherence=[0.5, 0.9])
+    )
+    np.testing.assert_array_equal(
+        table, [[1, 2], [3, 0], [4, 5], [0.5, 0.9], [np.nan] * 2, [np.nan] * 2]
+    )

@@ -46,7 +46,9 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
     """The coefficient of half a cosine under errors of an AR(1): blocks of residuals made its error 0.72 of that."""
     n, fade = 300, 0.8
     t, random = np.arange(n), np.random.default_rng(8)
-    there = {"none": t < n, "a third": abs(t - 120) > 50, "at random": random.random(n) < 0.7}[missing]
+    there = {"none": t < n, "a third": abs(t - 120) > 50, "at random": random.random(n) < 0.7}[
+        missing
+    ]
     u = np.cos(np.pi * t / n)
     row = np.where(there, u, 0.0) / np.sum(u[there] ** 2)
     expected = np.sqrt(row @ (fade ** abs(t - t[:, None]) / (1 - fade**2)) @ row)
@@ -75,11 +77,17 @@ def test_missing_samples_stay_missing_and_do_not_count():
 
 def test_every_sample_is_left_out_once_where_pieces_cross_from_record_to_record_too():
     """Two samples a piece, of records of 13 and 27."""
-    records = [gb.Record(np.arange(n) / 10, {"u": np.ones(n), "y": np.arange(n) % 3.0}) for n in (13, 27)]
+    records = [
+        gb.Record(np.arange(n) / 10, {"u": np.ones(n), "y": np.arange(n) % 3.0}) for n in (13, 27)
+    ]
     nlp = compile_problem(gb.several(Ramp(), records))
-    trajectories = tuple(part.initial_trajectory(nlp.scaling.to_solver(np.array([2.0]))) for part in nlp.parts)
+    trajectories = tuple(
+        part.initial_trajectory(nlp.scaling.to_solver(np.array([2.0]))) for part in nlp.parts
+    )
     draws = record_draws(nlp, trajectories, (None, None), "residuals", 0, 1)
-    left_out = np.array([np.concatenate([np.isnan(v).ravel() for (v,) in draws.without(k)]) for k in range(PIECES)])
+    left_out = np.array(
+        [np.concatenate([np.isnan(v).ravel() for (v,) in draws.without(k)]) for k in range(PIECES)]
+    )
     assert left_out.shape == (20, 40)
     assert left_out.sum(axis=0).tolist() == [1] * 40
     assert left_out.sum(axis=1).tolist() == [2] * 20
@@ -100,8 +108,14 @@ def test_records_that_are_drawn_twice_count_twice():
     records, nlp, start, trajectories = levels()
     draws = record_draws(nlp, trajectories, (None,) * 5, "parts", 0, 1)
     number = next(k for k in range(100) if sorted(draws.counts(k)) == [0, 0, 1, 2, 2])
-    found = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories)).run(np.array([float(number)]))
-    drawn = [record for record, count in zip(records, draws.counts(number), strict=True) for _ in range(int(count))]
+    found = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories)).run(
+        np.array([float(number)])
+    )
+    drawn = [
+        record
+        for record, count in zip(records, draws.counts(number), strict=True)
+        for _ in range(int(count))
+    ]
     fit = gb.fit(gb.several(Ramp(), drawn), starts=[{}], progress=False)
     assert_allclose(found.estimate, fit.estimate["K"], rtol=1e-6)
 
@@ -111,7 +125,9 @@ def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_b
     draws = record_draws(nlp, trajectories, (None,) * 5, "parametric", 0, 1)
     here = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories))
     there = pickle.loads(pickle.dumps(here))
-    assert_allclose(there.run(np.array([3.0])).estimate, here.run(np.array([3.0])).estimate, rtol=1e-12)
+    assert_allclose(
+        there.run(np.array([3.0])).estimate, here.run(np.array([3.0])).estimate, rtol=1e-12
+    )
 
 
 def test_a_block_is_no_longer_than_the_record():
@@ -150,10 +166,16 @@ def pair_draws(drawn, block=1, missing=(), noise="full"):
     y, z = 2 * u + errors[0], 6 * u + errors[1]
     y[list(missing)] = np.nan
     nlp = compile_problem(
-        gb.Problem(Pair(), gb.Record(np.arange(30) / 10, {"u": u, "y": y, "z": z}), gb.OutputError(noise=noise))
+        gb.Problem(
+            Pair(),
+            gb.Record(np.arange(30) / 10, {"u": u, "y": y, "z": z}),
+            gb.OutputError(noise=noise),
+        )
     )
     trajectory = nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(np.array([2.0])))
-    return record_draws(nlp, (trajectory,), (None,), drawn, 5, block), np.array([y - 2 * u, z - 6 * u])
+    return record_draws(nlp, (trajectory,), (None,), drawn, 5, block), np.array(
+        [y - 2 * u, z - 6 * u]
+    )
 
 
 def test_errors_of_two_outputs_are_drawn_together():
@@ -161,7 +183,11 @@ def test_errors_of_two_outputs_are_drawn_together():
     draws, errors = pair_draws("parametric")
     covariance = errors @ errors.T / 30 * 60 / 59
     assert_allclose(draws.roots[0] @ draws.roots[0].T, covariance, rtol=1e-9)
-    assert_allclose(draws.residuals[0], np.sqrt(60 / 59) * (errors - errors.mean(axis=1, keepdims=True)), rtol=1e-9)
+    assert_allclose(
+        draws.residuals[0],
+        np.sqrt(60 / 59) * (errors - errors.mean(axis=1, keepdims=True)),
+        rtol=1e-9,
+    )
     drawn = np.array([draws.outputs(k)[0][0] - draws.stretches[0][0].fitted for k in range(150)])
     found = np.einsum("rkn,rln->kl", drawn, drawn) / (150 * 30)
     assert_allclose(found, covariance, rtol=0.1)

@@ -28,7 +28,8 @@ def test_intervals_are_those_of_scipy():
 
 
 def test_few_degrees_of_freedom_widen_to_students_t():
-    # Normal replicates of deviation 1 about the estimate, which are what a bootstrap of a mean gives.
+    # Normal replicates of deviation 1 about the estimate, which are what a bootstrap of a mean
+    # gives.
     values = norm.ppf((np.arange(100_000) + 0.5) / 100_000)
     for found in (percentile_interval(values, 0.95, 5), bca_interval(values, 0.0, 0.0, 0.95, 5)):
         assert_allclose(found, np.array([-1, 1]) * student.ppf(0.975, 5), rtol=2e-3)
@@ -86,7 +87,9 @@ def test_without_replicates_there_is_no_interval():
         assert np.isnan(found).all()
 
 
-@pytest.mark.parametrize(("count", "size", "length"), [(12, 5, 4), (13, 30, 4), (3, 30, 7), (4, 4, 1)])
+@pytest.mark.parametrize(
+    ("count", "size", "length"), [(12, 5, 4), (13, 30, 4), (3, 30, 7), (4, 4, 1)]
+)
 def test_blocks_are_as_many_as_needed(count, size, length):
     places = drawn_blocks(np.random.default_rng(1), count, size, length)
     assert len(places) == count

@@ -15,8 +15,13 @@ from greybox.study.response_replicates import ResponseDraws, response_draws, res
 
 def draws(drawn, *, parts=1, points=3, unknowns=4):
     """Draws of parts of so many points each, without noise; frequencies 1, 2, ... tell the points apart."""
-    tables = tuple(np.array([1.0 + np.arange(points), np.ones(points), np.zeros(points)]) for _ in range(parts))
-    shape = {"responses": (np.ones(points, complex),) * parts, "errors": (np.zeros(points, complex),) * parts}
+    tables = tuple(
+        np.array([1.0 + np.arange(points), np.ones(points), np.zeros(points)]) for _ in range(parts)
+    )
+    shape = {
+        "responses": (np.ones(points, complex),) * parts,
+        "errors": (np.zeros(points, complex),) * parts,
+    }
     sizes, deviations, unknown = (np.ones(points),) * parts, (0.0,) * parts, (None,) * parts
     none = {"constants": np.zeros(0), "root": np.zeros((0, 0))}
     return ResponseDraws(
@@ -88,7 +93,11 @@ def test_parametric_errors_are_normal_or_of_student_and_what_points_have_in_comm
 
 
 def test_residuals_are_drawn_with_their_magnitudes_at_any_angle():
-    made = replace(draws("residuals"), errors=(np.array([0.1, 0.2j, -0.3]),), sizes=(np.array([1.0, 10.0, 100.0]),))
+    made = replace(
+        draws("residuals"),
+        errors=(np.array([0.1, 0.2j, -0.3]),),
+        sizes=(np.array([1.0, 10.0, 100.0]),),
+    )
     errors = (measured_points([made.replicate(k) for k in range(600)]) - 1) / made.sizes[0]
     magnitudes, counts = np.unique(np.abs(errors).round(9), return_counts=True)
     assert magnitudes.tolist() == [0.1, 0.2, 0.3]
@@ -143,9 +152,14 @@ def test_residuals_of_several_parts_have_leverages_in_one_fit():
     slopes, left = [], []
     for data in sets:
         model = gain / (lag * 1j * data.omega + 1)
-        rows = np.transpose([model / gain, -1j * data.omega * model**2 / gain]) / np.abs(model)[:, None]
+        rows = (
+            np.transpose([model / gain, -1j * data.omega * model**2 / gain])
+            / np.abs(model)[:, None]
+        )
         left.append((data.response - model) / np.abs(model))
-        slopes.append(rows / np.sqrt(np.mean(np.abs(left[-1]) ** 2)))  # each in units of its own residuals
+        slopes.append(
+            rows / np.sqrt(np.mean(np.abs(left[-1]) ** 2))
+        )  # each in units of its own residuals
     stacked = np.vstack([np.vstack([rows.real, rows.imag]) for rows in slopes])
     each = np.diag(stacked @ np.linalg.pinv(stacked))
     found = each[:10].reshape(2, 5).mean(axis=0), each[10:].reshape(2, 4).mean(axis=0)
@@ -193,7 +207,9 @@ def test_a_covariance_of_constants_has_its_root():
 
 
 def test_data_that_are_fitted_exactly_have_no_errors_to_draw():
-    with pytest.raises(ValueError, match="is fitted exactly, so that the size of its errors is not known"):
+    with pytest.raises(
+        ValueError, match="is fitted exactly, so that the size of its errors is not known"
+    ):
         lag_draws(0.0, gb.SquaredRelativeError())
 
 
@@ -201,7 +217,11 @@ def test_a_replicate_is_refitted_as_its_data_would_be():
     """And so is what is left without a point, by Newton's method for all at once."""
     made, *_ = lag_draws(0.05, gb.SquaredRelativeError())
     nlp = compile_problem(
-        gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, made.responses[0], "u", "y"), gb.SquaredRelativeError())
+        gb.Problem(
+            Lag(),
+            gb.FrequencyResponse(OMEGA, made.responses[0], "u", "y"),
+            gb.SquaredRelativeError(),
+        )
     )
     runner = response_replicates(nlp, made, np.array([2.0, 0.5]))
     assert runner.left_out == 5
@@ -210,9 +230,16 @@ def test_a_replicate_is_refitted_as_its_data_would_be():
     table = made.replicate(7)[1:].reshape(6, 5)
     drawn = gb.FrequencyResponse(OMEGA, table[1] + 1j * table[2], "u", "y")
     keep = np.arange(5) != 1
-    without = gb.FrequencyResponse(OMEGA[keep], made.tables[0][1, keep] + 1j * made.tables[0][2, keep], "u", "y")
+    without = gb.FrequencyResponse(
+        OMEGA[keep], made.tables[0][1, keep] + 1j * made.tables[0][2, keep], "u", "y"
+    )
     for outcome, data in zip(outcomes, (drawn, without), strict=True):
-        fit = gb.fit(gb.Problem(Lag(), data, gb.SquaredRelativeError()), starts=[{}], progress=False, profiles=False)
+        fit = gb.fit(
+            gb.Problem(Lag(), data, gb.SquaredRelativeError()),
+            starts=[{}],
+            progress=False,
+            profiles=False,
+        )
         assert outcome.converged
         assert outcome.estimate == pytest.approx([fit.estimate["K"], fit.estimate["T"]], rel=1e-5)
 
@@ -231,14 +258,18 @@ def test_errors_of_neighbors_in_frequency_are_correlated_along_and_across_the_re
         deviations=(0.3,),
         neighbors=((0.8, 2.5),),
     )
-    errors = (measured_points([made.replicate(k) for k in range(2000)], 4) - response) / made.sizes[0]
+    errors = (measured_points([made.replicate(k) for k in range(2000)], 4) - response) / made.sizes[
+        0
+    ]
     turned = errors * np.exp(-1j * np.angle(response))
     wanted = 2.5 * 0.09 * 0.8 ** np.abs(table[0] - table[0][:, None])
     for component in (turned.real, turned.imag):
         assert component.T @ component / 2000 == pytest.approx(wanted, abs=0.025)
     assert turned.real.T @ turned.imag / 2000 == pytest.approx(np.zeros((4, 4)), abs=0.025)
     plain = replace(made, neighbors=(None,))
-    errors = (measured_points([plain.replicate(k) for k in range(2000)], 4) - response) / made.sizes[0]
+    errors = (
+        measured_points([plain.replicate(k) for k in range(2000)], 4) - response
+    ) / made.sizes[0]
     assert errors.real.T @ errors.real / 2000 == pytest.approx(0.09 * np.eye(4), abs=0.012)
 
 
@@ -248,7 +279,11 @@ def two_parts():
     sets = []
     for points in (slice(0, 5), slice(1, 5)):
         noise = 0.05 * (random.normal(size=5) + 1j * random.normal(size=5))
-        sets.append(gb.FrequencyResponse(OMEGA[points], (model * (1 + noise))[points], "u", "y", name=f"of {points}"))
+        sets.append(
+            gb.FrequencyResponse(
+                OMEGA[points], (model * (1 + noise))[points], "u", "y", name=f"of {points}"
+            )
+        )
     return sets
 
 
@@ -280,12 +315,17 @@ def test_each_point_of_each_part_is_left_out_once(monkeypatch, by_ipopt):
     outcomes = runner.run_together(np.array([[-1.0 - 6], [3.0], [-1.0 - 2]]))
     keep = np.arange(5)
     first = gb.FrequencyResponse(OMEGA[keep != 2], sets[0].response[keep != 2], "u", "y")
-    second = gb.FrequencyResponse(sets[1].omega[keep[:4] != 1], sets[1].response[keep[:4] != 1], "u", "y")
+    second = gb.FrequencyResponse(
+        sets[1].omega[keep[:4] != 1], sets[1].response[keep[:4] != 1], "u", "y"
+    )
     values = made.replicate(3)
     tables = values[2:32].reshape(6, 5), values[32:].reshape(6, 4)
     # Points that are drawn twice lie beside one another, which changes nothing.
     apart = [t[0] * (1 + 1e-9 * np.arange(t.shape[1])) for t in tables]
-    drawn = [gb.FrequencyResponse(w, t[1] + 1j * t[2], "u", "y") for w, t in zip(apart, tables, strict=True)]
+    drawn = [
+        gb.FrequencyResponse(w, t[1] + 1j * t[2], "u", "y")
+        for w, t in zip(apart, tables, strict=True)
+    ]
     for outcome, wanted in zip(outcomes, ([sets[0], second], drawn, [first, sets[1]]), strict=True):
         assert outcome.converged
         assert outcome.iterations > 0
@@ -330,5 +370,9 @@ def test_a_replicate_of_too_few_points_has_no_estimate():
     runner, made, _ = runner_of("points", two_parts())
     runner._draws = replace(made, unknowns=18)
     (outcome,) = runner.run_together(np.array([[5.0]]))
-    assert (outcome.status, outcome.converged, outcome.iterations) == ("too few distinct points", False, 0)
+    assert (outcome.status, outcome.converged, outcome.iterations) == (
+        "too few distinct points",
+        False,
+        0,
+    )
     assert np.isnan(outcome.estimate).all()

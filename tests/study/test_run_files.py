@@ -15,7 +15,9 @@ from greybox.study.run_files import UNWRITTEN, RunFiles, _Columns, _fill, count_
 START = np.array([0.5, 0.25])
 NODES = (np.arange(6.0).reshape(2, 3), np.ones((1, 1)))
 PLAIN = Outcome(np.array([1.0, 2.0]), "Solve_Succeeded", 3, 0.5, True, stage=IMPROVED)
-WHOLE = Outcome(np.array([3.0, 4.0]), "stagnated", 9, 1.5, False, 2.5, np.array([1.0, 2.0, 3.0]), NODES)
+WHOLE = Outcome(
+    np.array([3.0, 4.0]), "stagnated", 9, 1.5, False, 2.5, np.array([1.0, 2.0, 3.0]), NODES
+)
 
 
 def kept(folder, *batches):
@@ -40,7 +42,9 @@ def require_same(found, wanted):
         assert_array_equal(array, other)
 
 
-@pytest.mark.parametrize(("first", "second"), [(PLAIN, WHOLE), (WHOLE, PLAIN), (WHOLE, WHOLE), (PLAIN, PLAIN)])
+@pytest.mark.parametrize(
+    ("first", "second"), [(PLAIN, WHOLE), (WHOLE, PLAIN), (WHOLE, WHOLE), (PLAIN, PLAIN)]
+)
 def test_merged_files_hold_what_each_of_them_held(tmp_path, first, second):
     files = kept(tmp_path, [(7, first)], [(-1, second)])
     assert files.count == 2

@@ -50,22 +50,46 @@ def test_a_member_is_done_failed_or_unfinished_by_what_its_folder_holds(tmp_path
     ]
     assert study["broken"] is study.members[1]
     assert [study.count(status) for status in ("done", "failed", "unfinished")] == [1, 1, 1]
-    with pytest.raises(KeyError, match="the study has no member 'other'; it has fast, broken, waiting"):
+    with pytest.raises(
+        KeyError, match="the study has no member 'other'; it has fast, broken, waiting"
+    ):
         study["other"]
     with pytest.raises(FileNotFoundError):
         study["waiting"].fit  # noqa: B018
 
 
 def test_members_with_the_same_quantities_are_compared_in_one_table(tmp_path):
-    other = ANSWER | {"standard_error": {"K": 0.3}, "estimate": {"K": 3.0}, "cost": None, "warnings": []}
+    other = ANSWER | {
+        "standard_error": {"K": 0.3},
+        "estimate": {"K": 3.0},
+        "cost": None,
+        "warnings": [],
+    }
     study_of(
-        tmp_path, fast=ANSWER, slow=ANSWER | {"cost": 2.5}, alone=other, broken={"error": "no start"}, waiting=None
+        tmp_path,
+        fast=ANSWER,
+        slow=ANSWER | {"cost": 2.5},
+        alone=other,
+        broken={"error": "no start"},
+        waiting=None,
     )
     text = str(read_study(tmp_path))
     title, overview, first, second, failed = text.split("\n\n")
     assert title.endswith("5 members: 3 done, 1 failed, 1 unfinished")
     rows = {line.split()[0]: line.split() for line in overview.splitlines()}
-    assert rows["fast"] == ["fast", "done", "relative", "error", "exact", "20", "18", "17", "2", "1.25", "2"]
+    assert rows["fast"] == [
+        "fast",
+        "done",
+        "relative",
+        "error",
+        "exact",
+        "20",
+        "18",
+        "17",
+        "2",
+        "1.25",
+        "2",
+    ]
     assert rows["slow"][-2:] == ["2.5", "2"]
     assert rows["alone"][-2:] == ["-", "0"]
     assert rows["broken"] == ["broken", "failed", "0"]
@@ -116,7 +140,10 @@ def test_folders_are_numbered_named_after_their_members_and_kept(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"format": "other"}, "is not the index of a study: give a folder that greybox batch wrote"),
+        (
+            {"format": "other"},
+            "is not the index of a study: give a folder that greybox batch wrote",
+        ),
         ({"layout": "1"}, "is not the index of a study"),
         ({"layout": 2}, "has layout 2 and this version reads up to 1: update greybox"),
         ({"members": {}}, "is damaged: restore it"),
@@ -130,7 +157,11 @@ def test_folders_are_numbered_named_after_their_members_and_kept(tmp_path):
     ],
 )
 def test_an_index_that_is_none_is_refused(tmp_path, change, said):
-    index = {"format": "greybox study", "layout": 1, "members": [{"name": "a", "folder": "0001-a.b_c"}]} | change
+    index = {
+        "format": "greybox study",
+        "layout": 1,
+        "members": [{"name": "a", "folder": "0001-a.b_c"}],
+    } | change
     (tmp_path / "study.json").write_text(json.dumps(index))
     with pytest.raises(ValueError, match=said):
         read_index(tmp_path)
@@ -148,7 +179,9 @@ def test_a_file_that_is_no_object_is_damaged(tmp_path):
 def test_progress_counts_what_is_done_and_what_failed():
     """Of three members: shares of a member at hand add up to less than it."""
     said = []
-    bar = SimpleNamespace(total=3, n=0.0, set_description_str=lambda text, refresh: said.append(text))
+    bar = SimpleNamespace(
+        total=3, n=0.0, set_description_str=lambda text, refresh: said.append(text)
+    )
 
     def update(by):
         bar.n += by

@@ -35,7 +35,9 @@ def test_a_folder_without_runs_is_removed(tmp_path):
     assert [*tmp_path.iterdir()] == []
 
 
-def test_a_disk_that_is_full_does_not_end_a_fit_and_is_told_until_there_is_space(tmp_path, monkeypatch):
+def test_a_disk_that_is_full_does_not_end_a_fit_and_is_told_until_there_is_space(
+    tmp_path, monkeypatch
+):
     with kept_beside(tmp_path / "fit.h5") as kept:
         assert kept.trouble == ""
         with monkeypatch.context() as full:
@@ -55,7 +57,11 @@ def test_a_folder_that_cannot_be_made_is_said_with_the_reason(tmp_path):
 
 def test_a_folder_is_written_to_by_one_at_a_time(tmp_path, monkeypatch):
     monkeypatch.setattr("greybox.study.study_folder.PATIENCE", 0.01)
-    with locked(tmp_path), pytest.raises(BlockingIOError, match="another process is at work in"), locked(tmp_path):
+    with (
+        locked(tmp_path),
+        pytest.raises(BlockingIOError, match="another process is at work in"),
+        locked(tmp_path),
+    ):
         pass
     with locked(tmp_path):
         pass

@@ -56,7 +56,9 @@ def external_numbers(name):
         shape = file["covariance/values"].shape
         del file["covariance/values"]
         size = 8 * shape[0] * shape[1]
-        file.create_dataset("covariance/values", shape=shape, dtype="f8", external=[(name, 0, size)])
+        file.create_dataset(
+            "covariance/values", shape=shape, dtype="f8", external=[(name, 0, size)]
+        )
 
     return change
 
@@ -65,7 +67,11 @@ def compressed_zeros(file):
     """1 GB of zeros in a file of 1 MB."""
     del file["covariance/values"]
     made = file.create_dataset(
-        "covariance/values", shape=(16000, 8000), dtype="f8", chunks=(4000, 4000), compression="gzip"
+        "covariance/values",
+        shape=(16000, 8000),
+        dtype="f8",
+        chunks=(4000, 4000),
+        compression="gzip",
     )
     made[:4000, :4000] = 0
     _, chunk = made.id.read_direct_chunk((0, 0))
@@ -77,10 +83,14 @@ def compressed_zeros(file):
 def inflated_chunk(file):
     """A chunk that holds far more than its size says."""
     del file["covariance/values"]
-    made = file.create_dataset("covariance/values", shape=(4, 4), dtype="f8", chunks=(4, 4), compression="gzip")
+    made = file.create_dataset(
+        "covariance/values", shape=(4, 4), dtype="f8", chunks=(4, 4), compression="gzip"
+    )
     packed = zlib.compressobj(1)
     zeros = bytes(2**24)
-    made.id.write_direct_chunk((0, 0), b"".join(packed.compress(zeros) for _ in range(20)) + packed.flush())
+    made.id.write_direct_chunk(
+        (0, 0), b"".join(packed.compress(zeros) for _ in range(20)) + packed.flush()
+    )
 
 
 def many_parts(link):
@@ -120,14 +130,18 @@ ARRAY = "covariance/values"
 CRAFTED = {
     "external link": linked(ARRAY, h5py.ExternalLink("other.h5", "x")),
     "external link to a group": linked("parts", h5py.ExternalLink("other.h5", "/")),
-    "external text": replaced("warnings", shape=(1,), dtype="S64", external=[("secret.txt", 0, 64)]),
+    "external text": replaced(
+        "warnings", shape=(1,), dtype="S64", external=[("secret.txt", 0, 64)]
+    ),
     "external numbers": external_numbers("secret.txt"),
     "external pipe": external_numbers("pipe"),
     "virtual dataset": virtual,
     "8 TB declared": replaced(ARRAY, shape=(10**6, 10**6), dtype="f8", chunks=(1000, 1000)),
     "4 GB declared": replaced(ARRAY, shape=(23_000, 23_000), dtype="f8", chunks=(1000, 1000)),
     "4 GB never written": replaced(ARRAY, shape=(23_000, 23_000), dtype="f8"),
-    "a chunk of 2 GB": replaced("runs/cost", shape=(1,), maxshape=(None,), dtype="f8", chunks=(2**28,)),
+    "a chunk of 2 GB": replaced(
+        "runs/cost", shape=(1,), maxshape=(None,), dtype="f8", chunks=(2**28,)
+    ),
     "1 GB of zeros": compressed_zeros,
     "a chunk that inflates": inflated_chunk,
     "soft link to itself": linked("covariance", h5py.SoftLink("/covariance")),
@@ -154,12 +168,18 @@ CRAFTED = {
     "bytes for a name": attributes(name=np.void(b"abc")),
     "a layout below zero": attributes(layout=-1),
     "no finite cost": attributes(cost=float("nan"), seconds=float("inf")),
-    "two equal names": lambda file: file["quantities/name"].__setitem__(0, file["quantities/name"][1]),
+    "two equal names": lambda file: file["quantities/name"].__setitem__(
+        0, file["quantities/name"][1]
+    ),
     "a minimum that is not there": written("runs/minimum", 99),
     "a minimum far away": written("runs/minimum", 2**40),
     "complex numbers": replaced(ARRAY, data=np.ones((4, 4)) * 1j),
-    "references": lambda file: replaced(ARRAY, data=np.array([file.ref] * 4, dtype=h5py.ref_dtype))(file),
-    "records for numbers": replaced(ARRAY, data=np.array([(1, b"a")], dtype=[("a", "f8"), ("b", "S1")])),
+    "references": lambda file: replaced(ARRAY, data=np.array([file.ref] * 4, dtype=h5py.ref_dtype))(
+        file
+    ),
+    "records for numbers": replaced(
+        ARRAY, data=np.array([(1, b"a")], dtype=[("a", "f8"), ("b", "S1")])
+    ),
     "another shape": replaced(ARRAY, data=np.ones((1, 1))),
     "another rank": replaced("quantities/value", data=np.ones((3, 2, 2))),
     "a group for numbers": lambda file: (file.__delitem__(ARRAY), file.create_group(ARRAY)),

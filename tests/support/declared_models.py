@@ -62,7 +62,12 @@ def measured(model, omega, values=None, noise=0.0, seed=0, name="made", columns=
     random = np.random.default_rng(seed)
     error = noise * (random.normal(size=len(exact)) + 1j * random.normal(size=len(exact)))
     return gb.FrequencyResponse(
-        exact.omega, exact.response * (1 + error), input=exact.input, output=exact.output, name=name, **(columns or {})
+        exact.omega,
+        exact.response * (1 + error),
+        input=exact.input,
+        output=exact.output,
+        name=name,
+        **(columns or {}),
     )
 
 

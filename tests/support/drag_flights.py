@@ -55,7 +55,12 @@ def flight(values, seed, duration=30.0, noise=0.05, color=0.0, amplitude=0.1):
     theta = amplitude * sum(np.sin(w * time + random.uniform(0, 6)) for w in (0.3, 0.7, 1.3, 2.9))
     clean = gb.simulate(Drag(), values, gb.Record(time, {"theta": theta}))["v"]
     error = lfilter([np.sqrt(1 - color**2)], [1, -color], noise * random.normal(size=time.size))
-    return gb.Record(time, {"theta": theta, "v": clean + error}, {"theta": "rad", "v": "m/s"}, name=f"flight {seed}")
+    return gb.Record(
+        time,
+        {"theta": theta, "v": clean + error},
+        {"theta": "rad", "v": "m/s"},
+        name=f"flight {seed}",
+    )
 
 
 def fitted(model, record, **options):

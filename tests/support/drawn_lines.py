@@ -5,11 +5,19 @@ TRUTH = {"a1": -14.61, "a2": 2.97, "a3": 8.47, "a4": 295.5, "T_delay": 0.04}
 
 
 def points(axes):
-    return [line for line in axes.get_lines() if line.get_linestyle() == "None" and line.get_label()[0] != "_"]
+    return [
+        line
+        for line in axes.get_lines()
+        if line.get_linestyle() == "None" and line.get_label()[0] != "_"
+    ]
 
 
 def curves(axes):
-    return [line for line in axes.get_lines() if line.get_linestyle() != "None" and line.get_label()[0] != "_"]
+    return [
+        line
+        for line in axes.get_lines()
+        if line.get_linestyle() != "None" and line.get_label()[0] != "_"
+    ]
 
 
 def numbers(axes):

@@ -15,7 +15,10 @@ from greybox.modeling.pade_delay import delay_order
 
 def shipped_models():
     """Every model class in greybox.models, by its name."""
-    modules = [importlib.import_module(f"greybox.models.{m.name}") for m in pkgutil.iter_modules(gb.models.__path__)]
+    modules = [
+        importlib.import_module(f"greybox.models.{m.name}")
+        for m in pkgutil.iter_modules(gb.models.__path__)
+    ]
     classes = [
         found
         for module in modules
@@ -30,7 +33,11 @@ def random_values(model, random):
     values = {}
     for name, parameter in model.parameters.items():
         box = np.array(parameter.box)
-        values[name] = float(np.exp(random.uniform(*np.log(box))) if parameter.scale == "log" else random.uniform(*box))
+        values[name] = float(
+            np.exp(random.uniform(*np.log(box)))
+            if parameter.scale == "log"
+            else random.uniform(*box)
+        )
     return values
 
 
@@ -56,7 +63,9 @@ def numeric_jacobian(function, x, step=1e-5):
     for k, size in enumerate(np.maximum(np.abs(x), 1e-2)):
         h = np.zeros_like(x)
         h[k] = step * size
-        difference = 8 * (function(x + h) - function(x - h)) - (function(x + 2 * h) - function(x - 2 * h))
+        difference = 8 * (function(x + h) - function(x - h)) - (
+            function(x + 2 * h) - function(x - 2 * h)
+        )
         columns.append(difference / (12 * h[k]))
     return np.stack(columns, axis=-1)
 

@@ -1,6 +1,7 @@
 """Problems of records that were hard to solve at some time, with the truth where there is one.
 
-Every function returns a problem; what the solver does to it is held by tests and measured by `benchmarks/ablation.py`.
+Every function returns a problem; what the solver does to it is held by tests and measured by
+`benchmarks/ablation.py`.
 """
 
 import numpy as np
@@ -40,7 +41,7 @@ def levels(random, n, hold, low, high):
     return np.repeat(random.uniform(low, high, size=-(-n // hold)), hold)[:n]
 
 
-# --- roots of levels that a start drains ------------------------------------------------------------------------------
+# --- roots of levels that a start drains
 
 
 class Tanks(gb.StateSpace):
@@ -78,14 +79,17 @@ def tanks(model=Tanks):
 
     def derivative(x, V):
         through = 0.019 * np.sqrt(19.62 * max(x[0], 0))
-        return [(0.0035 * V - through) / 0.5, (through - 0.0136 * np.sqrt(19.62 * max(x[1], 0))) / 0.25]
+        return [
+            (0.0035 * V - through) / 0.5,
+            (through - 0.0136 * np.sqrt(19.62 * max(x[1], 0))) / 0.25,
+        ]
 
     x = simulated(derivative, [0.2, 0.3], time, [V])
     record = gb.Record(time, {"V": V, "h2": x[1] + 0.003 * random.normal(size=n)})
     return gb.Problem(model(), record, HELD)
 
 
-# --- a reactor that ignites -------------------------------------------------------------------------------------------
+# --- a reactor that ignites
 
 
 class Reactor(gb.StateSpace):
@@ -118,11 +122,15 @@ def reactor():
 
     C, T = simulated(derivative, [0.8, 330.0], time, [Tc])
     assert np.ptp(T) > 100
-    signals = {"Tc": Tc, "C": C + 0.005 * random.normal(size=n), "T": T + 0.3 * random.normal(size=n)}
+    signals = {
+        "Tc": Tc,
+        "C": C + 0.005 * random.normal(size=n),
+        "T": T + 0.3 * random.normal(size=n),
+    }
     return gb.Problem(Reactor(), gb.Record(time, signals), HELD)
 
 
-# --- states that no output shows --------------------------------------------------------------------------------------
+# --- states that no output shows
 
 
 class Chain(gb.StateSpace):
@@ -135,7 +143,10 @@ class Chain(gb.StateSpace):
 
     def derivative(self, x, u, p):
         v = [getattr(x, name) for name in self.states]
-        return (p.b * u.u - p.k * v[0] - p.d * v[0] ** 3, *(p.k * (v[i - 1] - v[i]) for i in range(1, 6)))
+        return (
+            p.b * u.u - p.k * v[0] - p.d * v[0] ** 3,
+            *(p.k * (v[i - 1] - v[i]) for i in range(1, 6)),
+        )
 
     def output(self, x, u, p):
         return (x.x2, x.x5)
@@ -176,7 +187,7 @@ def unseen():
     return gb.Problem(Unseen(), record, HELD)
 
 
-# --- a limit that the level reaches at times --------------------------------------------------------------------------
+# --- a limit that the level reaches at times
 
 
 class Overflow(gb.StateSpace):
@@ -211,7 +222,7 @@ def overflow():
     return gb.Problem(Overflow(), gb.Record(0.1 * np.arange(n), {"u": u, "y": y}), HELD)
 
 
-# --- residuals that are far from noise --------------------------------------------------------------------------------
+# --- residuals that are far from noise
 
 
 class TooSimple(gb.StateSpace):
@@ -232,17 +243,21 @@ class TooSimple(gb.StateSpace):
 def too_simple(noise="diagonal"):
     random, n = np.random.default_rng(0), 300
     time, u = 0.1 * np.arange(n), levels(random, n, 15, -1, 1)
-    x = simulated(lambda x, u: [u - 0.4 * x[0], 2.0 * x[0] - 3.0 * x[1] + x[1] ** 2], [0, 0], time, [u])
+    x = simulated(
+        lambda x, u: [u - 0.4 * x[0], 2.0 * x[0] - 3.0 * x[1] + x[1] ** 2], [0, 0], time, [u]
+    )
     record = gb.Record(time, {"u": u, "x": x[0] + 0.01 * random.normal(size=n), "y": x[1]})
     return gb.Problem(TooSimple(), record, gb.OutputError(inputs="held", noise=noise))
 
 
-# --- free motions, sampled sparsely -----------------------------------------------------------------------------------
+# --- free motions, sampled sparsely
 
 
 def free_motion(derivative, first, time):
     """Return states (n, samples) by SciPy, which shares nothing with the code under test."""
-    return solve_ivp(derivative, (time[0], time[-1]), first, t_eval=time, rtol=1e-10, atol=1e-12, max_step=0.1).y
+    return solve_ivp(
+        derivative, (time[0], time[-1]), first, t_eval=time, rtol=1e-10, atol=1e-12, max_step=0.1
+    ).y
 
 
 class LotkaVolterra(gb.StateSpace):
@@ -267,7 +282,11 @@ LOTKA_VOLTERRA = {"a": 0.55, "b": 0.028, "c": 0.84, "d": 0.026}
 
 def lotka_volterra():
     time = np.arange(21.0)
-    x = free_motion(lambda t, x: [0.55 * x[0] - 0.028 * x[0] * x[1], 0.026 * x[0] * x[1] - 0.84 * x[1]], [33, 6], time)
+    x = free_motion(
+        lambda t, x: [0.55 * x[0] - 0.028 * x[0] * x[1], 0.026 * x[0] * x[1] - 0.84 * x[1]],
+        [33, 6],
+        time,
+    )
     x = x + 2 * np.random.default_rng(0).standard_normal(x.shape)
     return gb.Problem(LotkaVolterra(), gb.Record(time, {"H": x[0], "L": x[1]}))
 
@@ -317,13 +336,15 @@ LORENZ = {"s": 10.0, "r": 28.0, "b": 8 / 3}
 def lorenz():
     time = 0.05 * np.arange(200)
     x = free_motion(
-        lambda t, x: [10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]], [-8, 7, 27], time
+        lambda t, x: [10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]],
+        [-8, 7, 27],
+        time,
     )
     noise = 0.5 * np.random.default_rng(0).standard_normal((2, 200))
     return gb.Problem(Lorenz(), gb.Record(time, {"x": x[0] + noise[0], "z": x[2] + noise[1]}))
 
 
-# --- integration ------------------------------------------------------------------------------------------------------
+# --- integration
 
 
 class Swing(gb.StateSpace):
@@ -384,11 +405,15 @@ class Conversion(gb.StateSpace):
 
 def conversion():
     t, k1, k2 = np.arange(11.0), 0.8, 0.6
-    y = k1 / (k1 + k2) * (1 - np.exp(-(k1 + k2) * t)) + 0.02 * np.random.default_rng(0).normal(size=11)
-    return gb.Problem(Conversion(), gb.Record(t, {"y": y}), gb.OutputError(initial={"A": 1.0, "B": 0.0}))
+    y = k1 / (k1 + k2) * (1 - np.exp(-(k1 + k2) * t)) + 0.02 * np.random.default_rng(0).normal(
+        size=11
+    )
+    return gb.Problem(
+        Conversion(), gb.Record(t, {"y": y}), gb.OutputError(initial={"A": 1.0, "B": 0.0})
+    )
 
 
-# --- poorly identifiable ----------------------------------------------------------------------------------------------
+# --- poorly identifiable
 
 
 class Thrust(gb.StateSpace):
@@ -414,11 +439,16 @@ THRUST = {"K0": 0.021, "K1": -0.0104, "K2": 0.1196, "T_m": 0.073}
 def thrust(n=1500):
     random = np.random.default_rng(3)
     base = np.repeat(0.5 + 0.1 * random.normal(size=n // 100), 100)
-    commands = {f"u{i}": np.clip(base + np.repeat(0.02 * random.normal(size=n // 20), 20), 0, 1) for i in (1, 2, 3, 4)}
+    commands = {
+        f"u{i}": np.clip(base + np.repeat(0.02 * random.normal(size=n // 20), 20), 0, 1)
+        for i in (1, 2, 3, 4)
+    }
     record = gb.Record(0.001 * np.arange(n), commands)
     initial = {f"r{i}": float(commands[f"u{i}"][0]) for i in (1, 2, 3, 4)}
     flown = gb.simulate(Thrust(), THRUST, record, inputs="held", initial=initial)
-    return gb.Problem(Thrust(), record.with_signals(F=flown["F"] + 0.02 * random.normal(size=n)), HELD)
+    return gb.Problem(
+        Thrust(), record.with_signals(F=flown["F"] + 0.02 * random.normal(size=n)), HELD
+    )
 
 
 def tanh_chain(states=12, n=1000):
@@ -446,7 +476,9 @@ def tanh_chain(states=12, n=1000):
         "inputs": tuple(f"u{i // 4}" for i in drives),
         "outputs": tuple(f"y{k}" for k in range(len(outputs))),
         "derivative": derivative,
-        "output": lambda self, x, u, p: tuple(p[f"g{k}"] * x[f"x{i}"] for k, i in enumerate(outputs)),
+        "output": lambda self, x, u, p: tuple(
+            p[f"g{k}"] * x[f"x{i}"] for k, i in enumerate(outputs)
+        ),
         **{name: gb.Parameter(1.5, bounds=(0.1, 10)) for name in truth},
     }
     model = type("TanhChain", (gb.StateSpace,), body)()
@@ -457,7 +489,7 @@ def tanh_chain(states=12, n=1000):
     return gb.Problem(model, record.with_signals(**noisy), HELD)
 
 
-# --- delays and long records ------------------------------------------------------------------------------------------
+# --- delays and long records
 
 
 class Direct(Lag):
@@ -489,7 +521,7 @@ def long_spring():
     return gb.Problem(Spring(), record, HELD, free=("d",))
 
 
-# --- flights of the unstable tilt plant -------------------------------------------------------------------------------
+# --- flights of the unstable tilt plant
 
 
 class BlindTilt(NonlinearTilt):
@@ -555,12 +587,17 @@ class Pushed(gb.StateSpace):
 def pushed(n=3000):
     """A predictor with an unknown constant force."""
     truth = {name: SPRING[name] for name in ("k", "c", "b")}
-    options = {"rate": 20.0, "noise": {"x": 0.02, "v": 0.06}, "process_noise": {"v": 1.0}, "initial": {"w": 2.0}}
+    options = {
+        "rate": 20.0,
+        "noise": {"x": 0.02, "v": 0.06},
+        "process_noise": {"v": 1.0},
+        "initial": {"w": 2.0},
+    }
     data = gb.virtual_flight(Pushed(), truth, excitation={"F": steps(n, 4)}, **options)
     return gb.Problem(Pushed(), data, gb.PredictionError(corrected=("x", "v"), inputs="held"))
 
 
-# --- NIST's nonlinear regressions -------------------------------------------------------------------------------------
+# --- NIST's nonlinear regressions
 
 
 class Bennett5(gb.StateSpace):
@@ -632,6 +669,8 @@ def nist(model, table, **initial):
     """A problem from a table (n, 2) of y and x: of x as input, or of time where the model has none."""
     y, x = table.T
     if model.inputs:
-        return gb.Problem(model(), gb.Record(np.arange(len(x), dtype=float), {"x": x, "y": y}), HELD)
+        return gb.Problem(
+            model(), gb.Record(np.arange(len(x), dtype=float), {"x": x, "y": y}), HELD
+        )
     known = {state: (lambda p, name=name: p[name]) for state, name in initial.items()}
     return gb.Problem(model(), gb.Record(x, {"y": y}), gb.OutputError(initial=known))

@@ -30,7 +30,9 @@ def forced(duration, rate=50.0, seed=0):
     """Time, and a force of a few sines."""
     time = np.arange(round(duration * rate)) / rate
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, 5)
-    return time, sum(np.sin(w * time + f) for w, f in zip((0.7, 1.3, 2.2, 3.9, 6.0), phases, strict=True))
+    return time, sum(
+        np.sin(w * time + f) for w, f in zip((0.7, 1.3, 2.2, 3.9, 6.0), phases, strict=True)
+    )
 
 
 def driven(duration=20.0, noise=0.0, seed=0, **values):
@@ -39,4 +41,6 @@ def driven(duration=20.0, noise=0.0, seed=0, **values):
     p = Spring().values(values)
     x = lsim(([[0, 1], [-p.stiffness, -p.damping]], [[0], [1]], [[1, 0]], 0), force, time)[1]
     error = np.random.default_rng([seed, 1]).normal(size=time.size)
-    return gb.Record(time, {"force": force, "position": x + noise * error}, {"position": "m"}, name="spring")
+    return gb.Record(
+        time, {"force": force, "position": x + noise * error}, {"position": "m"}, name="spring"
+    )

@@ -20,7 +20,9 @@ class Huber(gb.Criterion):
     def cost(self, model: Any, data: Any, smoothing: Any = 0.0) -> Any:
         error = (model - data.response) / np.abs(data.response)
         size = gb.sqrt(error.re**2 + error.im**2 + smoothing)
-        values = gb.where(size <= self.threshold, size**2 / 2, self.threshold * (size - self.threshold / 2))
+        values = gb.where(
+            size <= self.threshold, size**2 / 2, self.threshold * (size - self.threshold / 2)
+        )
         return np.sum(values) if isinstance(values, np.ndarray) else ca.sum1(values)
 
     def jacobian(self, model: Any, sensitivity: Any, data: Any) -> Any:
@@ -29,4 +31,6 @@ class Huber(gb.Criterion):
 
     def spread(self, model: Any, data: Any, correction: float) -> Any:
         error = np.abs((model - data.response) / data.response)
-        return 1.0, np.full(2 * len(data), np.mean(np.minimum(error, self.threshold) ** 2) / 2 * correction**2)
+        return 1.0, np.full(
+            2 * len(data), np.mean(np.minimum(error, self.threshold) ** 2) / 2 * correction**2
+        )

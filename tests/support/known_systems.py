@@ -32,7 +32,9 @@ def _lag(s, p):
 
 
 def _notch(s, p):
-    return p[0] * (s**2 + 2 * p[1] * p[2] * s + p[2] ** 2) / (s**2 + 2 * p[3] * p[4] * s + p[4] ** 2)
+    return (
+        p[0] * (s**2 + 2 * p[1] * p[2] * s + p[2] ** 2) / (s**2 + 2 * p[3] * p[4] * s + p[4] ** 2)
+    )
 
 
 EXAMPLE = System(_second_order, np.array([0.4, 0.1, 0.9, 2.0, 0.2]))
@@ -50,10 +52,14 @@ def excitation(kind, time, rng):
         return np.sin(HZ * 0.02 * duration / rise * np.expm1(rise * time / duration))
     if kind == "linear":
         return np.sin(HZ * (0.05 * time + 1.95 * time**2 / 2 / duration))
-    if kind == "cifer":  # Tischler and Remple, 2nd ed., equation (5.5): 3 s of trim and 5 s of fading at either end
+    if (
+        kind == "cifer"
+    ):  # Tischler and Remple, 2nd ed., equation (5.5): 3 s of trim and 5 s of fading at either end
         inside = np.clip(time - 3, 0, duration - 6)
         span = duration - 6
-        phase = HZ * 0.02 * inside + 0.0187 * HZ * 1.98 * (span / 4 * np.expm1(4 * inside / span) - inside)
+        phase = HZ * 0.02 * inside + 0.0187 * HZ * 1.98 * (
+            span / 4 * np.expm1(4 * inside / span) - inside
+        )
         return np.sin(phase) * np.minimum(1, inside / 5) * np.minimum(1, (span - inside) / 5)
     filtered = sosfilt(
         butter(4, [0.05, 1.5], "bandpass", fs=1 / (time[1] - time[0]), output="sos"),
@@ -68,9 +74,13 @@ def flown(system, kind, rng, *, noise=0.1, pole=0.0, duration=164.0, rate=32.0):
     u = excitation(kind, time, rng)
     size = 1 << math.ceil(math.log2(time.size + 200 * rate))
     omega = HZ * np.fft.rfftfreq(size, 1 / rate)
-    y = np.fft.irfft(np.fft.rfft(u, size) * system.response(1j * np.maximum(omega, 1e-9), system.truth), size)
+    y = np.fft.irfft(
+        np.fft.rfft(u, size) * system.response(1j * np.maximum(omega, 1e-9), system.truth), size
+    )
     y = y[: time.size]
-    errors = lfilter([math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(time.size + 500))[500:]
+    errors = lfilter([math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(time.size + 500))[
+        500:
+    ]
     return Record(time, {"u": u, "y": y + noise * y.std() * errors})
 
 
@@ -82,6 +92,8 @@ def maximum_likelihood(system: System, data: FrequencyResponse):
         e = (system.response(1j * data.omega, p) - data.response) / deviation
         return np.concatenate([e.real, e.imag])
 
-    found = least_squares(residuals, system.truth, x_scale=np.abs(system.truth), xtol=1e-10, ftol=1e-10)
+    found = least_squares(
+        residuals, system.truth, x_scale=np.abs(system.truth), xtol=1e-10, ftol=1e-10
+    )
     ratio = max(2 * found.cost / (2 * len(data) - found.x.size), 1.0)
     return found.x, np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * ratio)

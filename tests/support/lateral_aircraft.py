@@ -34,7 +34,13 @@ class Lateral(gb.StateSpace):
         return (x.beta, x.p, x.r, x.phi, 40 / gb.g * (p.Y_beta * x.beta + p.Y_rudder * u.rudder))
 
 
-LATERAL = dict(zip(Lateral.parameters, (-0.3, -12.0, -3.5, 1.2, 4.5, -0.25, -0.7, 22.0, -5.5, 0.06), strict=True))
+LATERAL = dict(
+    zip(
+        Lateral.parameters,
+        (-0.3, -12.0, -3.5, 1.2, 4.5, -0.25, -0.7, 22.0, -5.5, 0.06),
+        strict=True,
+    )
+)
 
 
 def discretized(A, B, intensity, step):
@@ -60,7 +66,9 @@ def disturbed(model, truth, inputs, step, process, sensors, seed):
         x = F @ x + G @ u + root @ random.normal(size=n)
     size = np.array([sensors[name] for name in model.outputs])
     outputs = np.transpose(rows) + size[:, None] * random.normal(size=(len(size), inputs.shape[1]))
-    signals = dict(zip(model.inputs, inputs, strict=True)) | dict(zip(model.outputs, outputs, strict=True))
+    signals = dict(zip(model.inputs, inputs, strict=True)) | dict(
+        zip(model.outputs, outputs, strict=True)
+    )
     return gb.Record(np.arange(inputs.shape[1]) * step, signals)
 
 
@@ -68,5 +76,8 @@ def doublets(count, samples, size, seed):
     """Return random doublets (count, samples) of twelve samples each."""
     random = np.random.default_rng([seed, 7])
     return np.array(
-        [size * np.repeat(random.choice([-1, 0, 1], samples // 12 + 1), 12)[:samples] for _ in range(count)]
+        [
+            size * np.repeat(random.choice([-1, 0, 1], samples // 12 + 1), 12)[:samples]
+            for _ in range(count)
+        ]
     )

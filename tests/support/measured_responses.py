@@ -15,7 +15,9 @@ EXTRAS = {
 
 
 def measured(**words):
-    return gb.FrequencyResponse(**{"omega": OMEGA, "response": RESPONSE, "input": "u", "output": "theta"} | words)
+    return gb.FrequencyResponse(
+        **{"omega": OMEGA, "response": RESPONSE, "input": "u", "output": "theta"} | words
+    )
 
 
 def columns(response):

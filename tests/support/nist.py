@@ -84,8 +84,12 @@ def certified(name):
     lines = (FOLDER / f"{name}.dat").read_text(encoding="ascii").splitlines()
     rows = [line.split() for line in lines if re.match(r"\s+b\d+ =", line)]
     table = {row[0]: [float(value) for value in row[2:6]] for row in rows}
-    squares = next(float(line.split()[-1]) for line in lines if line.startswith("Residual Sum of Squares"))
-    data = np.array([[float(value) for value in line.split()] for line in lines[60:] if line.strip()]).T
+    squares = next(
+        float(line.split()[-1]) for line in lines if line.startswith("Residual Sum of Squares")
+    )
+    data = np.array(
+        [[float(value) for value in line.split()] for line in lines[60:] if line.strip()]
+    ).T
     y, inputs = data[0], data[1:]
     if name == "Nelson":
         y = np.log(y)
@@ -98,7 +102,10 @@ def certified(name):
         "outputs": ("y",),
         "output": lambda self, x, u, p: (formula(p, *(u[key] for key in signals)),),
         # Default starts are drawn between zero and the first of theirs.
-        **{key: gb.Parameter(start, starts=(min(start, 0), max(start, 0))) for key, (start, *_) in table.items()},
+        **{
+            key: gb.Parameter(start, starts=(min(start, 0), max(start, 0)))
+            for key, (start, *_) in table.items()
+        },
     }
     model = type(name, (gb.StateSpace,), body)
     record = gb.Record(None, {**signals, "y": y}, name=name)

@@ -32,9 +32,13 @@ def lag(name="lag", seed=0):
     time = 0.05 * np.arange(200)
     u = np.sin(2 * time)
     y = gb.simulate(Polynomial(1, 0), {"b0": 2.0, "a0": 3.0}, Record(time, {"u": u}))["y"]
-    record = Record(time, {"u": u, "y": y + 0.01 * rng.normal(size=200)}, {"y": "rad"}, name="flight")
+    record = Record(
+        time, {"u": u, "y": y + 0.01 * rng.normal(size=200)}, {"y": "rad"}, name="flight"
+    )
     model = Polynomial(1, 0)
-    both = gb.Problem(model, response, gb.MaximumLikelihood(), name=name) + gb.Problem(model, record)
+    both = gb.Problem(model, response, gb.MaximumLikelihood(), name=name) + gb.Problem(
+        model, record
+    )
     return gb.fit(both, starts=3, seed=0, progress=False)
 
 
@@ -44,8 +48,12 @@ def crafted(fit):
     texts = dict.fromkeys(("name", "rule", "condition", "delay", "label", "equation"), MARKUP)
     model = {"class": f"{MARKUP}:{MARKUP}", "arguments": [], "keywords": {}}
     parts = (
-        replace(response, **texts, model=model, data=replace(response.data, name=MARKUP, source=MARKUP)),
-        replace(record, **texts, model=model, data=replace(record.data, name=MARKUP, source=MARKUP)),
+        replace(
+            response, **texts, model=model, data=replace(response.data, name=MARKUP, source=MARKUP)
+        ),
+        replace(
+            record, **texts, model=model, data=replace(record.data, name=MARKUP, source=MARKUP)
+        ),
     )
     return replace(
         fit,

@@ -25,7 +25,11 @@ def planted(kind: str, seed: int) -> Planted:
     random = np.random.default_rng(seed)
     if kind == "bias":
         return _confounded_biases(random)
-    truth = {"w": random.uniform(2, 8), "z": random.uniform(0.2, 0.7), "T": random.uniform(0.05, 0.5)}
+    truth = {
+        "w": random.uniform(2, 8),
+        "z": random.uniform(0.2, 0.7),
+        "T": random.uniform(0.05, 0.5),
+    }
     k, m, n = random.uniform(0.5, 5, 3)
     gain, powers = {
         "product": (lambda p: p.k * p.m, {"k": 1, "m": 1}),
@@ -62,12 +66,17 @@ def planted(kind: str, seed: int) -> Planted:
     model = type("Random", (Random,), {"__doc__": Random.__doc__, **declared})()
     exact = gb.frequency_response(model, parameters, OMEGA).response
     errors = random.normal(size=(2, OMEGA.size)) * 0.02 / np.sqrt(2)
-    data = gb.FrequencyResponse(OMEGA, exact * (1 + errors[0] + 1j * errors[1]), input="u", output="y")
+    data = gb.FrequencyResponse(
+        OMEGA, exact * (1 + errors[0] + 1j * errors[1]), input="u", output="y"
+    )
     value = float(gain(type("P", (), parameters)))
     if kind == "dead":
         return Planted(gb.Problem(model, data, gb.SquaredRelativeError()), frozenset({"m"}))
     return Planted(
-        gb.Problem(model, data, gb.SquaredRelativeError()), frozenset(powers), frozenset(powers.items()), value
+        gb.Problem(model, data, gb.SquaredRelativeError()),
+        frozenset(powers),
+        frozenset(powers.items()),
+        value,
     )
 
 

@@ -13,7 +13,8 @@ TABLE = Path(__file__).parents[2] / "problems" / "data" / "table_3_1.csv"
 OMEGA = np.geomspace(0.5, 20, 14)
 
 
-# gain, c of the zero (s + c), time constants, quadratics (c1, c0): (3.18), (3.19), (3.20) as printed
+# gain, c of the zero (s + c), time constants, quadratics (c1, c0): (3.18), (3.19), (3.20) as
+# printed
 ROLL = Factored(58.65, (0.304,), (), 0, (0.050, 0.193), (), ((-3.44, 13.8),))
 
 
@@ -45,7 +46,9 @@ def simulated(numerator, denominator, omega=OMEGA, noise=0.0, seed=0):
     s = 1j * omega
     random = np.random.default_rng(seed)
     error = noise * (random.normal(size=len(s)) + 1j * random.normal(size=len(s))) / np.sqrt(2)
-    return gb.FrequencyResponse(omega, np.polyval(numerator, s) / np.polyval(denominator, s) * (1 + error))
+    return gb.FrequencyResponse(
+        omega, np.polyval(numerator, s) / np.polyval(denominator, s) * (1 + error)
+    )
 
 
 ROOTS = [-1.0, -2.5, -6.0, -12.0, 0.7, 4.0, 9.0, -1.5 + 2j, -0.5 + 7j, 2 + 3j, 0.2 + 10j]
@@ -53,5 +56,7 @@ ROOTS = [-1.0, -2.5, -6.0, -12.0, 0.7, 4.0, 9.0, -1.5 + 2j, -0.5 + 7j, 2 + 3j, 0
 
 def polynomial(roots):
     return np.atleast_1d(
-        np.poly([r for root in roots for r in ({root, np.conj(root)} if np.imag(root) else {root})]).real
+        np.poly(
+            [r for root in roots for r in ({root, np.conj(root)} if np.imag(root) else {root})]
+        ).real
     )

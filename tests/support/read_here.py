@@ -20,8 +20,12 @@ def read_here(kind, path, *wanted):
         raise ValueError(f"{path} is not read: {reason}.") from None
     except Exception as problem:
         said = f"{type(problem).__name__}: {problem}"
-        raise ValueError(f"{path} is damaged or of another format ({said:.160}): export or copy it again.") from None
+        raise ValueError(
+            f"{path} is damaged or of another format ({said:.160}): export or copy it again."
+        ) from None
     arrays = [np.array(values, dtype="<f8", order="C") for values in found.arrays]
     for values in arrays:
         values.setflags(write=False)
-    return json.loads(json.dumps({"items": found.items, "findings": found.findings, "about": found.about})), arrays
+    return json.loads(
+        json.dumps({"items": found.items, "findings": found.findings, "about": found.about})
+    ), arrays

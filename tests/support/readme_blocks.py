@@ -21,7 +21,10 @@ def refitted(name):
 
 def problems_table(refitted):
     """One row per problem: published and refitted values side by side."""
-    lines = ["| problem | what it is | published | refitted | cost, published | cost, refitted |", "| --- " * 6 + "|"]
+    lines = [
+        "| problem | what it is | published | refitted | cost, published | cost, refitted |",
+        "| --- " * 6 + "|",
+    ]
     for name in shipped("problems"):
         module = shipped_module("problems", name)
         fit = refitted(name)
@@ -30,7 +33,9 @@ def problems_table(refitted):
         about = (module.__doc__ or "").partition("\n")[0]
         cost = f"{published['cost']:.4f}" if published else ""
         old = _values(published.get("values", {}), published.get("source", ""))
-        lines.append(f"| `{name}` | {about} | {old} | {_values(values)} | {cost} | {fit.cost:.4f} |")
+        lines.append(
+            f"| `{name}` | {about} | {old} | {_values(values)} | {cost} | {fit.cost:.4f} |"
+        )
     return "\n".join(lines)
 
 
@@ -57,21 +62,34 @@ def draw_picture(path):
     """Draw what `greybox fit pitch_hover --plot` draws, smaller, and write the texts of its axes into the file."""
     problem, settings = find_problem("pitch_hover")
     figure = gb.plot(gb.fit(problem, **settings, progress=False))
-    texts = [text for ax in figure.axes for text in (ax.get_title(), ax.get_xlabel(), ax.get_ylabel()) if text]
+    texts = [
+        text
+        for ax in figure.axes
+        for text in (ax.get_title(), ax.get_xlabel(), ax.get_ylabel())
+        if text
+    ]
     figure.savefig(path, dpi=100, metadata={"Description": "; ".join(texts)})
 
 
 def written(text, refitted=refitted):
     """Return the text with its tables made anew; the fits of the shipped problems are those of ``refitted(name)``."""
-    tables = {"problems": problems_table(refitted), "least squares": least_squares_table(), "models": models_table()}
+    tables = {
+        "problems": problems_table(refitted),
+        "least squares": least_squares_table(),
+        "models": models_table(),
+    }
     for title, table in tables.items():
         pattern = rf"(<!-- {title} -->\n).*?(<!-- end -->)"
-        text = re.sub(pattern, lambda m, table=table: f"{m[1]}{table}\n{m[2]}", text, flags=re.DOTALL)
+        text = re.sub(
+            pattern, lambda m, table=table: f"{m[1]}{table}\n{m[2]}", text, flags=re.DOTALL
+        )
     return text
 
 
 def _values(values, source=""):
-    return (f"{source} " if source else "") + ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+    return (f"{source} " if source else "") + ", ".join(
+        f"{name} {value:.4g}" for name, value in values.items()
+    )
 
 
 if __name__ == "__main__":

@@ -55,7 +55,9 @@ class TrapezoidalRule(ImplicitIntegrator):
     def stages(self) -> int:
         return 1
 
-    def equations(self, system: Any, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+    def equations(
+        self, system: Any, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any
+    ) -> Any:
         slopes = system.derivative(x, u, p) + system.derivative(stages, u + slope * h, p)
         return stages - x - h / 2 * slopes
 
@@ -75,12 +77,16 @@ class Trapezoidal(gb.Transcription):
 
     def transcribe(self, step: Any, data: Any, q: Any, rows: Any) -> Transcribed:
         n = step.function.size1_in(0)
-        x, parameters, row = (ca.SX.sym(name, step.measurement.numel_in(k)) for k, name in enumerate("xqd"))
+        x, parameters, row = (
+            ca.SX.sym(name, step.measurement.numel_in(k)) for k, name in enumerate("xqd")
+        )
         following = ca.SX.sym("following", n)
         corrected, mean, change, residual, _ = step.measurement(x, parameters, row)
         p = parameters[: len(step.system.parameters)]
         h = row[row.numel() - 1]
-        error = self.scheme.equations(step.system, corrected, following, mean - change / 2, change / h, p, h)
+        error = self.scheme.equations(
+            step.system, corrected, following, mean - change / 2, change / h, p, h
+        )
         residuals = ca.Function("residuals", [x, parameters, row], [residual])
         equations = ca.Function("equations", [x, following, parameters, row], [error])
 
@@ -112,7 +118,9 @@ class Halton(gb.Starts):
     def draw(self, parameters):
         from scipy.stats import qmc
 
-        shares = qmc.Halton(len(parameters), rng=np.random.default_rng(self.seed)).random(self.number)
+        shares = qmc.Halton(len(parameters), rng=np.random.default_rng(self.seed)).random(
+            self.number
+        )
         return np.column_stack([p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())])
 
     def __str__(self) -> str:
@@ -150,7 +158,12 @@ TRUTH = {"k": 9.0, "c": 1.0, "b": 2.0}
 def record(wind=0.0):
     """A flight of the mass under its controller."""
     reference = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 30), 20)
-    options = {"controller": Hold(rate=20.0), "noise": {"x": 0.02, "v": 0.06}, "process_noise": {"v": wind}, "seed": 1}
+    options = {
+        "controller": Hold(rate=20.0),
+        "noise": {"x": 0.02, "v": 0.06},
+        "process_noise": {"v": wind},
+        "seed": 1,
+    }
     return gb.virtual_flight(Spring(), TRUTH, {"reference": reference}, **options)
 
 
@@ -170,7 +183,9 @@ def response():
     exact = gb.frequency_response(Spring(), TRUTH, omega, output="x").response
     noise = 0.02 * np.random.default_rng(0).normal(size=(2, 15))
     return gb.Problem(
-        Spring(), gb.FrequencyResponse(omega, exact * (1 + noise[0] + 1j * noise[1]), "F", "x"), Huber(0.1)
+        Spring(),
+        gb.FrequencyResponse(omega, exact * (1 + noise[0] + 1j * noise[1]), "F", "x"),
+        Huber(0.1),
     )
 
 

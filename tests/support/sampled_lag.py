@@ -32,4 +32,6 @@ def lag_record(seed=0, samples=200, K=2.0, T=0.3):
 
 
 def lag_problem(seed=0, samples=200, **criterion):
-    return gb.Problem(SampledLag(), lag_record(seed, samples), gb.OutputError(inputs="held", **criterion))
+    return gb.Problem(
+        SampledLag(), lag_record(seed, samples), gb.OutputError(inputs="held", **criterion)
+    )

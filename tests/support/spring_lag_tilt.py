@@ -51,7 +51,15 @@ class Lag(gb.TransferFunction):
         return p.K / (p.T * s + 1) * gb.exp(-s * p.d)
 
 
-TILT = {"a1": -2.0, "a2": 4.0, "a3": 3.0, "a4": 200.0, "C_x": 0.08, "T_rotor": 0.048, "T_delay": 0.0137}
+TILT = {
+    "a1": -2.0,
+    "a2": 4.0,
+    "a3": 3.0,
+    "a4": 200.0,
+    "C_x": 0.08,
+    "T_rotor": 0.048,
+    "T_delay": 0.0137,
+}
 SPRING = {"k": 9.0, "c": 1.2, "b": 4.0}
 LAG = {"K": 3.0, "T": 0.2}
 
@@ -62,7 +70,10 @@ def fit(problem, starts=ONE, **options):
 
 def deviations(found, truth):
     """Errors of the estimate in standard errors."""
-    return {name: (found.estimate[name] - value) / found.standard_error[name] for name, value in truth.items()}
+    return {
+        name: (found.estimate[name] - value) / found.standard_error[name]
+        for name, value in truth.items()
+    }
 
 
 def assert_true(found, truth, most=3.5):
@@ -72,19 +83,27 @@ def assert_true(found, truth, most=3.5):
 
 
 def steps(n, seed=0, hold=8, channel=0):
-    return np.repeat(np.random.default_rng([seed, channel, 77]).normal(size=n // hold + 1), hold)[:n]
+    return np.repeat(np.random.default_rng([seed, channel, 77]).normal(size=n // hold + 1), hold)[
+        :n
+    ]
 
 
 def spring(n=300, rate=20.0, seed=0, noise=0.05, values=SPRING, force=None, **options):
     """A record of the spring with held forces, and white noise on both outputs."""
     force = steps(n, seed) if force is None else force
     sigma = {"x": noise, "v": 3 * noise}
-    return gb.virtual_flight(Spring(), values, excitation={"F": force}, rate=rate, noise=sigma, seed=seed, **options)
+    return gb.virtual_flight(
+        Spring(), values, excitation={"F": force}, rate=rate, noise=sigma, seed=seed, **options
+    )
 
 
 def lag(delay, held, n=400, step=0.05, noise=0.0, seed=0, fine=100):
     """A record of the lag, exact: linear between points of a fine grid, on which the delay falls."""
-    u = steps(n, seed, hold=3) if held else lfilter([1], [1, -0.6], np.random.default_rng(seed).normal(size=n))
+    u = (
+        steps(n, seed, hold=3)
+        if held
+        else lfilter([1], [1, -0.6], np.random.default_rng(seed).normal(size=n))
+    )
     time = np.arange(n) * step
     late = np.arange((n - 1) * fine + 1) / fine - delay / step  # in samples
     if held:
@@ -95,7 +114,11 @@ def lag(delay, held, n=400, step=0.05, noise=0.0, seed=0, fine=100):
         y = np.concatenate([[0.0], lfilter([1 - decay], [1, -decay], drive)])
     else:
         drive = np.interp(late, np.arange(n), u)
-        y = lsim(([[-1 / LAG["T"]]], [[1 / LAG["T"]]], [[LAG["K"]]], 0), drive, late * step - late[0] * step)[1]
+        y = lsim(
+            ([[-1 / LAG["T"]]], [[1 / LAG["T"]]], [[LAG["K"]]], 0),
+            drive,
+            late * step - late[0] * step,
+        )[1]
     error = noise * np.random.default_rng([seed, 1]).normal(size=n)
     return gb.Record(time, {"u": u, "y": y[::fine] + error})
 
@@ -108,5 +131,10 @@ def tilt_flight(seconds=60, seed=0):
     noise = {"v": 0.05, "q": 0.02, "theta": 0.005}
     controller = AttitudeController(rate=100.0)
     return gb.virtual_flight(
-        FullTilt(), TILT, excitation={"reference": reference}, controller=controller, noise=noise, seed=seed
+        FullTilt(),
+        TILT,
+        excitation={"reference": reference},
+        controller=controller,
+        noise=noise,
+        seed=seed,
     )

@@ -14,7 +14,16 @@ from scipy.signal import cont2discrete
 from greybox.logs.readers.dataflash_index import FORMAT_TO_STRUCT
 
 FMT_FORMAT = ("BBnNZ", "Type,Length,Name,Format,Columns")
-UNITS = {"s": "s", "d": "deg", "k": "deg/s", "h": "degheading", "n": "m/s", "o": "m/s/s", "#": "instance", "-": ""}
+UNITS = {
+    "s": "s",
+    "d": "deg",
+    "k": "deg/s",
+    "h": "degheading",
+    "n": "m/s",
+    "o": "m/s/s",
+    "#": "instance",
+    "-": "",
+}
 MULTIPLIERS = {"-": 0.0, "?": 1.0, "0": 1.0, "B": 1e-2, "F": 1e-6}
 
 
@@ -54,7 +63,11 @@ class Log:
         for letter, value in zip(letters, values, strict=True):
             multiplier = FORMAT_TO_STRUCT[letter][1]
             raw.append(
-                value.encode() if isinstance(value, str) else value if not multiplier else round(value / multiplier)
+                value.encode()
+                if isinstance(value, str)
+                else value
+                if not multiplier
+                else round(value / multiplier)
             )
             said.append(f"{value:.7f}" if multiplier else str(value))
         self.parts.append(struct.pack("<BBB", 0xA3, 0x95, kind) + struct.pack(body, *raw))
@@ -104,7 +117,9 @@ def flight(seconds=4.0, rate=100.0, start=10.0, lanes=2, seed=0):
         if i % 4 == 0:
             for lane in range(lanes):
                 log.add("IMU", at + 200, lane, 0.1 + lane, rng.normal(), -0.2)
-    log.add("MODE", first + round(seconds * 1e6), 25, 25, 1).add("EV", first + round(seconds * 1e6), 11)
+    log.add("MODE", first + round(seconds * 1e6), 25, 25, 1).add(
+        "EV", first + round(seconds * 1e6), 11
+    )
     return log
 
 
@@ -129,7 +144,9 @@ def imu_batches(batches=4, sequence=None):
         at = round((start + 0.6) * 1e6)
         made.add("ISBH", at, number, kind, 0, 900, BATCH, round(start * 1e6), BATCH_RATE)
         for k in sequence or range(BATCH // 32):
-            made.add("ISBD", at + k, number, k, *(row[32 * k : 32 * k + 32].tobytes() for row in raw))
+            made.add(
+                "ISBD", at + k, number, k, *(row[32 * k : 32 * k + 32].tobytes() for row in raw)
+            )
         made.add("ATT", at + 100, 0.0, 1.0)
     return made
 
@@ -162,11 +179,31 @@ def radio(seconds=4.0, boot=1_700_000_000_000_000):
         t = 1.0 + i / 50
         angle = float(np.float32(0.1 * np.sin(0.2 * i)))
         jitter = 0.02 + 0.015 * (i % 3)
-        send(t, 1, 1, mavlink.MAVLink_attitude_message(round(t * 1000), 0.01, angle, 1.5, 0.0, 0.25, 0.0), jitter)
+        send(
+            t,
+            1,
+            1,
+            mavlink.MAVLink_attitude_message(round(t * 1000), 0.01, angle, 1.5, 0.0, 0.25, 0.0),
+            jitter,
+        )
         if i % 5 == 0:
             send(t, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5))
-            send(t, 1, 1, mavlink.MAVLink_servo_output_raw_message(round(t * 1e6), 0, *range(1100, 1900, 100)))
-            send(t, 1, 100, mavlink.MAVLink_attitude_message(round(t * 1000) - 500, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+            send(
+                t,
+                1,
+                1,
+                mavlink.MAVLink_servo_output_raw_message(
+                    round(t * 1e6), 0, *range(1100, 1900, 100)
+                ),
+            )
+            send(
+                t,
+                1,
+                100,
+                mavlink.MAVLink_attitude_message(
+                    round(t * 1000) - 500, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                ),
+            )
     return sorted(packets, key=lambda packet: packet[0])
 
 
@@ -174,7 +211,12 @@ def table(rows=400, separator=",", comma=False):
     """A CSV table with units in its header."""
     lines = [separator.join(("time [s]", "pitch [deg]", "u ()", "note"))]
     for i in range(rows):
-        cells = [f"{0.01 * i:.3f}", f"{np.sin(0.1 * i):.6f}", f"{np.cos(0.3 * i):.5f}" if i % 50 else "", "ok"]
+        cells = [
+            f"{0.01 * i:.3f}",
+            f"{np.sin(0.1 * i):.6f}",
+            f"{np.cos(0.3 * i):.5f}" if i % 50 else "",
+            "ok",
+        ]
         lines.append(separator.join(cell.replace(".", ",") if comma else cell for cell in cells))
     return ("# made for a test\n" + "\n".join(lines) + "\n").encode()
 
@@ -203,7 +245,9 @@ def matlab(**options):
         "inner": {"t": t, "q": t**2},
     }
     savemat(
-        buffer, {"t": t, "u": np.cos(t), "xy": np.stack([t, t], axis=1), "att": attitude, "cell": [1, "a"]}, **options
+        buffer,
+        {"t": t, "u": np.cos(t), "xy": np.stack([t, t], axis=1), "att": attitude, "cell": [1, "a"]},
+        **options,
     )
     return buffer.getvalue()
 
@@ -236,7 +280,12 @@ def ulog(seconds=2.0, rate=100):
     key("I", b"char[10] ver_hw", b"PX4_FMU_V5")
     key("P", b"float MC_PITCH_P", struct.pack("<f", 6.5))
     key("P", b"int32_t CBRK_IO", struct.pack("<i", 4))
-    topics = (b"vehicle_attitude", 0), (b"sensor_accel", 0), (b"sensor_accel", 1), (b"vehicle_status", 0)
+    topics = (
+        (b"vehicle_attitude", 0),
+        (b"sensor_accel", 0),
+        (b"sensor_accel", 1),
+        (b"vehicle_status", 0),
+    )
     for number, (name, instance) in enumerate(topics):
         put("A", struct.pack("<BH", instance, number) + name)
     for i in range(round(seconds * rate)):
@@ -259,7 +308,9 @@ def px4_flight():
     """
     rate, omega = 125, (2.0, 3.5, 6.0, 10.0, 17.0)
     plant = np.array([[0.0, 1.0, 0.0], [0.0, -2.0, 60.0], [0.0, 0.0, -20.0]])
-    a, b, *_ = cont2discrete((plant, np.array([[0.0], [0.0], [20.0]]), np.eye(3), np.zeros((3, 1))), 1 / rate)
+    a, b, *_ = cont2discrete(
+        (plant, np.array([[0.0], [0.0], [20.0]]), np.eye(3), np.zeros((3, 1))), 1 / rate
+    )
     setpoint = []
     for w in omega:
         t = np.arange(round(max(7 * 2 * np.pi / w, 10) * rate)) / rate
@@ -298,7 +349,12 @@ def samples():
     cut = Path(__file__).parents[1] / "data" / "sitl_sweep_cut.BIN"
     log, packets = flight(seconds=2.0), radio()
     return {
-        ".bin": [log.binary, cut.read_bytes(), flight(seconds=0.2).binary, imu_batches(batches=2).binary],
+        ".bin": [
+            log.binary,
+            cut.read_bytes(),
+            flight(seconds=0.2).binary,
+            imu_batches(batches=2).binary,
+        ],
         ".log": [log.text.encode()],
         ".tlog": [tlog(packets), tlog(packets, first=True)],
         ".csv": [table(), table(separator=";", comma=True)],

@@ -32,7 +32,9 @@ def test_a_quadratic_truth_is_told_on_records_that_were_held_out(quadratic):
         assert fits[1] > fits[0] + 0.5
         assert found.value("  white (p)", "QuadraticDrag", place, "v") > 0.01
         assert found.value("  white (p)", "LinearDrag", place, "v") < 0.001
-        assert found.value("one step ahead: error over noise", "QuadraticDrag", place, "v") == pytest.approx(1, abs=0.1)
+        assert found.value(
+            "one step ahead: error over noise", "QuadraticDrag", place, "v"
+        ) == pytest.approx(1, abs=0.1)
     assert found.value("AIC less the least", "QuadraticDrag") == 0
 
 
@@ -49,14 +51,17 @@ def test_a_linear_truth_is_not_taken_for_a_quadratic_one():
 
 
 def test_slow_flight_does_not_determine_the_quadratic_term():
-    record, other = (flight({"a5": 0.3, "C_x": 0.05}, seed, noise=0.1, amplitude=0.004) for seed in (5, 6))
+    record, other = (
+        flight({"a5": 0.3, "C_x": 0.05}, seed, noise=0.1, amplitude=0.004) for seed in (5, 6)
+    )
     found = gb.compare(fitted(Drag(), record), fitted(LinearDrag(), record), records=other)
     (said,) = [s for s in found.statements if s.startswith("C_x")]
     assert "determined by these data" not in said
 
 
 def test_a_comparison_does_not_contradict_the_nested_test():
-    # A term of three to six standard errors: Vuong's test, which takes no account of nesting, found no difference.
+    # A term of three to six standard errors: Vuong's test, which takes no account of nesting, found
+    # no difference.
     significant = 0
     for seed in range(60, 63):
         record = flight({"a5": 0.2, "C_x": 0.05}, seed, duration=15.0, noise=0.25)
@@ -76,7 +81,10 @@ def test_too_few_held_out_windows_take_nothing_from_what_the_fits_show(quadratic
     right, wrong, other = quadratic
     found = gb.compare(right, wrong, records=other.between(0, 2.5))
     (said,) = [s for s in found.statements if s.startswith("C_x")]
-    assert "2 windows cannot show whether QuadraticDrag or LinearDrag predicts held-out data better" in str(found)
+    assert (
+        "2 windows cannot show whether QuadraticDrag or LinearDrag predicts held-out data better"
+        in str(found)
+    )
     assert said.endswith("(QuadraticDrag): determined by these data.")
     assert "as well" not in str(found)
 
@@ -112,13 +120,19 @@ def test_the_table_is_plain(quadratic):
 def test_a_record_that_a_fit_has_seen_is_told(quadratic):
     right, wrong, _ = quadratic
     found = gb.compare(right, wrong, records=right.parts[0].data)
-    assert "warning: flight 1 is not held out: QuadraticDrag was fitted to samples of it." in found.statements
+    assert (
+        "warning: flight 1 is not held out: QuadraticDrag was fitted to samples of it."
+        in found.statements
+    )
 
 
 def test_other_data_are_refused_and_judged_by_records_alone(quadratic):
     right, _, other = quadratic
     elsewhere = fitted(LinearDrag(), other)
-    with pytest.raises(ValueError, match=r"LinearDrag was fitted to other data than QuadraticDrag \('flight 2', .*\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"LinearDrag was fitted to other data than QuadraticDrag \('flight 2', .*\)",
+    ):
         gb.compare(right, elsewhere)
     # A stretch of one log has the checksum of the whole log.
     half = fitted(LinearDrag(), right.parts[0].data.between(0, 10))
@@ -127,7 +141,9 @@ def test_other_data_are_refused_and_judged_by_records_alone(quadratic):
     found = gb.compare(right, elsewhere, records=flight(QUADRATIC, 7))
     assert "their costs are not compared" in found.data
     assert found.value("AIC", "LinearDrag") is None
-    assert found.value("fit", "QuadraticDrag", "held-out", "v") > found.value("fit", "LinearDrag", "held-out", "v")
+    assert found.value("fit", "QuadraticDrag", "held-out", "v") > found.value(
+        "fit", "LinearDrag", "held-out", "v"
+    )
 
 
 @pytest.mark.parametrize(
@@ -135,16 +151,56 @@ def test_other_data_are_refused_and_judged_by_records_alone(quadratic):
     [
         (lambda a, b, r: gb.compare(a), ValueError, "there is 1 fit to compare"),
         (lambda a, b, r: gb.compare(a, r), TypeError, "give fits"),
-        (lambda a, b, r: gb.compare(a, b, labels=("x", "x")), ValueError, "give a list of 2 different texts"),
-        (lambda a, b, r: gb.compare(a, b, labels="ab"), ValueError, "labels is 'ab': give a list of 2"),
-        (lambda a, b, r: gb.compare(a, b, labels=("x", 3)), ValueError, "labels is ('x', 3): give a list of 2"),
-        (lambda a, b, r: gb.compare(a, b, window="x"), ValueError, "window is 'x': give a length above 0, in s"),
-        (lambda a, b, r: gb.compare(a, b, window=-1.0), ValueError, "window is -1.0: give a length above 0"),
-        (lambda a, b, r: gb.compare(a, b, lead=np.inf), ValueError, "lead is inf: give a length above 0"),
-        (lambda a, b, r: gb.compare(a, b, window=100.0), ValueError, "no room for lead=0.5 and window=100 s"),
-        (lambda a, b, r: gb.compare(a, b, records="r.csv"), TypeError, "records is 'r.csv': give a Record or a list"),
-        (lambda a, b, r: gb.compare(a, b, records=[r, a]), TypeError, "give a Record or a list of them"),
-        (lambda a, b, r: gb.compare(a, b, records=gb.Record(r.time, {"theta": r["theta"]})), ValueError, "no output"),
+        (
+            lambda a, b, r: gb.compare(a, b, labels=("x", "x")),
+            ValueError,
+            "give a list of 2 different texts",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, labels="ab"),
+            ValueError,
+            "labels is 'ab': give a list of 2",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, labels=("x", 3)),
+            ValueError,
+            "labels is ('x', 3): give a list of 2",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, window="x"),
+            ValueError,
+            "window is 'x': give a length above 0, in s",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, window=-1.0),
+            ValueError,
+            "window is -1.0: give a length above 0",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, lead=np.inf),
+            ValueError,
+            "lead is inf: give a length above 0",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, window=100.0),
+            ValueError,
+            "no room for lead=0.5 and window=100 s",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, records="r.csv"),
+            TypeError,
+            "records is 'r.csv': give a Record or a list",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, records=[r, a]),
+            TypeError,
+            "give a Record or a list of them",
+        ),
+        (
+            lambda a, b, r: gb.compare(a, b, records=gb.Record(r.time, {"theta": r["theta"]})),
+            ValueError,
+            "no output",
+        ),
         (
             lambda a, b, r: gb.compare(a, b, records=gb.Record(r.time, {"v": r["v"]})),
             ValueError,

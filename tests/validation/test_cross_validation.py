@@ -101,7 +101,9 @@ def rows_of(data, k, of):
 
 def least_squares(blocks):
     A, b = np.vstack([A for A, _ in blocks]), np.concatenate([b for _, b in blocks])
-    return np.linalg.lstsq(np.vstack([A.real, A.imag]), np.concatenate([b.real, b.imag]), rcond=None)[0]
+    return np.linalg.lstsq(
+        np.vstack([A.real, A.imag]), np.concatenate([b.real, b.imag]), rcond=None
+    )[0]
 
 
 def test_points_are_predicted_by_the_fit_to_the_other_folds(shared):
@@ -114,7 +116,9 @@ def test_points_are_predicted_by_the_fit_to_the_other_folds(shared):
     predicted, own = cross_validation._frequencies_left_out(fit, problem, folds)
     assert own == 0
     for fold in folds:
-        kept = [rows_of(d.where(~out), k, 3) for k, (d, out) in enumerate(zip(data, fold, strict=True))]
+        kept = [
+            rows_of(d.where(~out), k, 3) for k, (d, out) in enumerate(zip(data, fold, strict=True))
+        ]
         found = least_squares(kept)
         for k, (values, out) in enumerate(zip(predicted, fold, strict=True)):
             expected = found[0] / (1j * OMEGA + 1) + found[1 + k]
@@ -135,7 +139,9 @@ def test_a_response_is_predicted_by_the_others_and_what_is_its_own_by_itself(sha
 
 @pytest.mark.parametrize("folds", [1, 7, 2.0, True, "axes"])
 def test_folds_are_two_to_the_number_of_frequencies(shared, folds):
-    with pytest.raises(ValueError, match=r"folds is .*: give a number from 2 to 6, the number of frequencies"):
+    with pytest.raises(
+        ValueError, match=r"folds is .*: give a number from 2 to 6, the number of frequencies"
+    ):
         cross_validation._folds(shared[0], folds)
     assert len(cross_validation._folds(shared[0], 6)) == 6
 
@@ -148,22 +154,35 @@ def test_responses_that_cannot_be_left_out_are_told(shared):
         cross_validation._parts_left_out(one, alone, "it")
     apart = alone + problem.parts[1].with_(rename={"c": "c1", "K": "K1"})
     with pytest.raises(ValueError, match="of it shares no free parameter with the other parts"):
-        cross_validation._parts_left_out(gb.fit(apart, [{}], progress=False, profiles=False), apart, "it")
-    few = gb.FrequencyResponse(OMEGA[:1], problem.parts[1].response.response[:1], input="u", output="y")
+        cross_validation._parts_left_out(
+            gb.fit(apart, [{}], progress=False, profiles=False), apart, "it"
+        )
+    few = gb.FrequencyResponse(
+        OMEGA[:1], problem.parts[1].response.response[:1], input="u", output="y"
+    )
     lonely = alone + problem.parts[1].with_(data=few, fixed={"c": 1.0}, rename={})
-    with pytest.raises(ValueError, match="folds is 3: one of them leaves no point of a response; give more folds"):
+    with pytest.raises(
+        ValueError, match="folds is 3: one of them leaves no point of a response; give more folds"
+    ):
         cross_validation._folds(gb.fit(lonely, [{}], progress=False, profiles=False), 3)
 
 
 def test_amplitudes_of_single_frequencies_are_those_of_the_points_that_are_kept(shared):
     kept = np.array([True, False, True])
     sine = gb.modeling.Sine("u", np.array([1.0, 2.0, 3.0]))
-    assert cross_validation._sine(SimpleNamespace(amplitude=sine), kept).amplitude.tolist() == [1.0, 3.0]
+    assert cross_validation._sine(SimpleNamespace(amplitude=sine), kept).amplitude.tolist() == [
+        1.0,
+        3.0,
+    ]
     one = gb.modeling.Sine("u", 2.0)
     assert cross_validation._sine(SimpleNamespace(amplitude=one), kept) is one
     assert cross_validation._sine(SimpleNamespace(amplitude=None), kept) is None
 
 
 def test_records_are_held_out_otherwise():
-    with pytest.raises(ValueError, match="folds are for frequency responses alone: hold records out by records="):
-        cross_validation.cross_validation([SimpleNamespace(responses=(), parts=("a record",))], ("a",), 3)
+    with pytest.raises(
+        ValueError, match="folds are for frequency responses alone: hold records out by records="
+    ):
+        cross_validation.cross_validation(
+            [SimpleNamespace(responses=(), parts=("a record",))], ("a",), 3
+        )

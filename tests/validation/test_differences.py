@@ -14,14 +14,19 @@ def test_each_is_welch_and_all_are_holm():
     omega = np.geomspace(0.1, 10, 12)
     fits = [
         gb.fit(gb.Problem(Lag(), measured(Lag(), omega, values, noise=noise, seed=seed)), starts=2)
-        for values, noise, seed in (({"K": 2.0, "T": 0.5}, 0.02, 1), ({"K": 2.0, "T": 0.6}, 0.06, 2))
+        for values, noise, seed in (
+            ({"K": 2.0, "T": 0.5}, 0.02, 1),
+            ({"K": 2.0, "T": 0.6}, 0.06, 2),
+        )
     ]
     found = gb.validation.differences(*fits, ["K", "T", "bandwidth"], labels=("a", "b"))
     quantities = [{q.name: q for q in fit.quantities} for fit in fits]
     raw = []
     for name in ("K", "T", "bandwidth"):
         a, b = (q[name] for q in quantities)
-        sizes = [(q.value - q.bias, q.standard_error * np.sqrt(q.dof + 1), q.dof + 1) for q in (a, b)]
+        sizes = [
+            (q.value - q.bias, q.standard_error * np.sqrt(q.dof + 1), q.dof + 1) for q in (a, b)
+        ]
         raw.append(ttest_ind_from_stats(*sizes[0], *sizes[1], equal_var=False).pvalue)
         assert found[name].p_value == pytest.approx(raw[-1], rel=1e-9)
     by_size = sorted(raw)
@@ -41,7 +46,9 @@ def test_each_is_welch_and_all_are_holm():
 
 def test_the_paper_finds_that_a1_and_a3_change_with_the_angle_of_flight():
     """Section 4.2: "The parameters a1 and a3 of (4.23) change significantly when the tilt angle is not near zero"."""
-    roll, pitch, moving = (gb.fit(m.problem(), starts=4) for m in (roll_hover, pitch_hover, pitch_5deg))
+    roll, pitch, moving = (
+        gb.fit(m.problem(), starts=4) for m in (roll_hover, pitch_hover, pitch_5deg)
+    )
     angle = gb.validation.differences(pitch, moving)
     assert {q.name for q in angle.quantities if q.differs} >= {"a1", "a3"}
     axis = gb.validation.differences(roll, pitch)
@@ -50,7 +57,9 @@ def test_the_paper_finds_that_a1_and_a3_change_with_the_angle_of_flight():
 
 
 def test_holms_p_values_grow_with_the_raw_ones_and_end_at_one():
-    assert _holm([0.04, np.nan, 0.01, 0.03, 0.5]) == pytest.approx([0.09, np.nan, 0.04, 0.09, 0.5], nan_ok=True)
+    assert _holm([0.04, np.nan, 0.01, 0.03, 0.5]) == pytest.approx(
+        [0.09, np.nan, 0.04, 0.09, 0.5], nan_ok=True
+    )
     assert _holm([0.4, 0.6]) == pytest.approx([0.8, 0.8])
     assert _holm([0.7, 0.6]) == [1.0, 1.0]
     assert _holm([0.9]) == [0.9]
@@ -101,5 +110,8 @@ def test_the_fit_that_lacks_a_parameter_is_named():
         with pytest.raises(ValueError, match=f"{label} has no parameter '{name}'"):
             gb.validation.differences(*fits, [name], labels=("first", "second"))
     assert [q.name for q in gb.validation.differences(*fits).quantities] == ["T"]
-    assert gb.validation.differences(*fits, labels=("first", "second")).labels == ("first", "second")
+    assert gb.validation.differences(*fits, labels=("first", "second")).labels == (
+        "first",
+        "second",
+    )
     assert gb.validation.differences(*fits, labels=("same", "same")).labels == ("Lag 1", "Lag 2")

@@ -48,8 +48,14 @@ class LateRoom(Room):
 def days(hours=400, noise=0.1, seed=0):
     time, random = 3600.0 * np.arange(hours), np.random.default_rng(seed)
     outside = lfilter([0.3], [1, -0.95], random.normal(size=hours))
-    inside = gb.simulate(Room(), {"tau": 4e4, "gain": 1.0}, gb.Record(time, {"outside": outside}))["inside"]
-    return gb.Record(time, {"outside": outside, "inside": inside + noise * random.normal(size=hours)}, name="house")
+    inside = gb.simulate(Room(), {"tau": 4e4, "gain": 1.0}, gb.Record(time, {"outside": outside}))[
+        "inside"
+    ]
+    return gb.Record(
+        time,
+        {"outside": outside, "inside": inside + noise * random.normal(size=hours)},
+        name="house",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,28 +69,45 @@ def test_windows_follow_the_sample_time_and_one_model_is_as_good_as_itself(rooms
     record, one, other = rooms
     found = gb.compare(one, other, records=days(300, seed=1))
     text = str(found)
-    assert "identification data: 39 windows of 36000 s (10 samples), each from 36000 s before it" in text
+    assert (
+        "identification data: 39 windows of 36000 s (10 samples), each from 36000 s before it"
+        in text
+    )
     prediction = found.predictions["identification"][0][0]
     assert prediction.ahead.tolist() == [3600.0 * k for k in range(1, 11)]
-    told = [row.measure.strip() for row in found.rows if row.data == "identification" and "ahead" in row.measure]
+    told = [
+        row.measure.strip()
+        for row in found.rows
+        if row.data == "identification" and "ahead" in row.measure
+    ]
     assert told[:4] == ["3600 s ahead", "10800 s ahead", "18000 s ahead", "36000 s ahead"]
     at_three = np.sqrt(np.nanmean(prediction.residual("inside")[:, 2] ** 2))
-    assert found.value("  10800 s ahead", "Room", "identification", "inside") == pytest.approx(at_three)
+    assert found.value("  10800 s ahead", "Room", "identification", "inside") == pytest.approx(
+        at_three
+    )
     for data in ("their own data", "held-out data"):
         assert f"Room and RoomLog predict {data} equally well" in text
     assert "Room and RoomLog fit the data equally well" in text
     single = gb.predict(one, record=record, horizon=3600.0, lead=7200.0)
-    assert "windows of 3600 s in house, the state of each estimated from the 7200 s before it" in str(single)
+    assert (
+        "windows of 3600 s in house, the state of each estimated from the 7200 s before it"
+        in str(single)
+    )
     assert str(single).count("after ") == 1
     assert gb.predict(one, record=record).horizon == 36000.0
     # A small difference in every window is one all the same.
     worse = fitted(Room(), record, fixed={"gain": one.estimate["gain"] + 0.05})
-    assert "Room 1 predicts its own data better than Room 2" in str(gb.compare(one, worse, labels=["Room 1", "Room 2"]))
+    assert "Room 1 predicts its own data better than Room 2" in str(
+        gb.compare(one, worse, labels=["Room 1", "Room 2"])
+    )
 
 
 def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
     record, one, other = rooms
-    with pytest.raises(ValueError, match=r"window=1 s is shorter than a sample of house, 3600 s: give several samples"):
+    with pytest.raises(
+        ValueError,
+        match=r"window=1 s is shorter than a sample of house, 3600 s: give several samples",
+    ):
         gb.compare(one, other, window=1.0)
     with pytest.raises(ValueError, match=r"lead=0.5 s is shorter than a sample"):
         gb.predict(one, record=record, lead=0.5)
@@ -97,7 +120,12 @@ def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
         assert gb.predict(flights[0], record=slow, horizon=1.0).rows.shape[1] == 12
     few = gb.compare(*flights[:2], window=10.0)
     assert "2 windows cannot show whether" in str(few)
-    mixed = gb.compare(*flights[:2], window=1.0, lead=1.0, records=[flights[2], flights[2].rows(np.arange(0, 600, 3))])
+    mixed = gb.compare(
+        *flights[:2],
+        window=1.0,
+        lead=1.0,
+        records=[flights[2], flights[2].rows(np.arange(0, 600, 3))],
+    )
     assert "held-out data: 56 windows of 1 to 1.05 s, each from 1 to 1.05 s before it" in str(mixed)
 
 
@@ -107,13 +135,22 @@ def test_criteria_in_time_are_compared_by_their_likelihoods(rooms):
     found = gb.compare(one, other, labels=["output", "prediction"])
     assert found.value("cost: negative log-likelihood", "output") == one.cost
     assert found.value("cost: negative log-likelihood", "prediction") == other.cost
-    assert found.value("AIC", "prediction") == pytest.approx(2 * other.cost + 2 * (3 + 2))  # a state, a variance
+    assert found.value("AIC", "prediction") == pytest.approx(
+        2 * other.cost + 2 * (3 + 2)
+    )  # a state, a variance
     late = fitted(LateRoom(), record)
     found = gb.compare(one, late)
     assert found.value("cost", "Room") is None
     assert found.value("fit", "LateRoom", "identification", "inside") > 0
-    (said,) = [s for s in found.statements if s.startswith("Costs, AIC and BIC are not compared: Room was fitted to")]
-    assert "400 numbers of 'house' and LateRoom to 394 (the longest delay that the bounds allow" in said
+    (said,) = [
+        s
+        for s in found.statements
+        if s.startswith("Costs, AIC and BIC are not compared: Room was fitted to")
+    ]
+    assert (
+        "400 numbers of 'house' and LateRoom to 394 (the longest delay that the bounds allow"
+        in said
+    )
 
 
 class Tank(gb.StateSpace):
@@ -141,7 +178,9 @@ def test_windows_without_a_finite_value_are_left_out_and_counted():
     flow = 0.8 + 0.4 * np.sin(time)
     records = []
     for seed, given in enumerate((flow, np.where((time > 10) & (time < 18), 0.0, flow))):
-        level = gb.simulate(SafeTank(), {"k": 0.6}, gb.Record(time, {"flow": given}), initial={"level": 2.0})["level"]
+        level = gb.simulate(
+            SafeTank(), {"k": 0.6}, gb.Record(time, {"flow": given}), initial={"level": 2.0}
+        )["level"]
         level = level + 0.01 * np.random.default_rng(seed).normal(size=time.size)
         records.append(gb.Record(time, {"flow": given, "level": level}, name=f"tank {seed}"))
     fits = [fitted(model, records[0]) for model in (Tank(), SafeTank())]
@@ -150,24 +189,38 @@ def test_windows_without_a_finite_value_are_left_out_and_counted():
     assert 15 < found.windows["held-out"] < 29
     count = 29 - found.windows["held-out"]
     (said,) = [
-        s for s in found.statements if s.startswith(f"warning: {count} windows of 29 in tank 1 left out for all models")
+        s
+        for s in found.statements
+        if s.startswith(f"warning: {count} windows of 29 in tank 1 left out for all models")
     ]
     assert "(Tank is not finite in " in said
     assert "Tank and SafeTank predict held-out data equally well" in str(found)
     with pytest.raises(
-        ValueError, match=r"no comparison is possible where .* of .* in tank 1 are not finite \(Tank is"
+        ValueError,
+        match=r"no comparison is possible where .* of .* in tank 1 are not finite \(Tank is",
     ):
         gb.compare(*fits, records=records[1].between(9, 20))
 
 
 def test_records_of_the_same_data_are_put_together_by_their_signals():
     time = np.arange(5.0)
-    one = gb.Record(time, {"u": time, "y": 2 * time}, {"u": "N", "y": "m"}, name="one", hold={"u": 1.0})
+    one = gb.Record(
+        time, {"u": time, "y": 2 * time}, {"u": "N", "y": "m"}, name="one", hold={"u": 1.0}
+    )
     two = gb.Record(time, {"u": 0 * time, "v": 3 * time}, {"v": "m/s"}, name="two", hold={"v": 0.0})
     three = gb.Record(time, {"w": 4 * time}, {"w": "rad"}, name="three")
     found = held_out._with_all_signals([one, two, three])
-    assert {name: values[1] for name, values in found.signals.items()} == {"u": 1.0, "y": 2.0, "v": 3.0, "w": 4.0}
-    assert {name: unit for name, unit in found.units.items() if name != "u"} == {"y": "m", "v": "m/s", "w": "rad"}
+    assert {name: values[1] for name, values in found.signals.items()} == {
+        "u": 1.0,
+        "y": 2.0,
+        "v": 3.0,
+        "w": 4.0,
+    }
+    assert {name: unit for name, unit in found.units.items() if name != "u"} == {
+        "y": "m",
+        "v": "m/s",
+        "w": "rad",
+    }
     assert (found.name, dict(found.hold)) == ("one", {"u": 1.0, "v": 0.0})
     assert held_out._with_all_signals([one, one.with_signals()]) is one
 
@@ -195,7 +248,10 @@ def test_windows_in_which_one_is_not_finite_are_left_out_of_all():
     predictions, notes = held_out._where_all_are_finite(none, ("a", "b"))
     assert predictions == [none[0][0], none[1][0]]
     assert notes == []
-    some = [made("a", [False, True, False, False, False]), made("b", [False, False, False, False, True], "b overflows")]
+    some = [
+        made("a", [False, True, False, False, False]),
+        made("b", [False, False, False, False, True], "b overflows"),
+    ]
     predictions, (note,) = held_out._where_all_are_finite(some, ("a", "b"))
     assert predictions == [("a", [0, 2, 3]), ("b", [0, 2, 3])]
     assert note == (
@@ -203,7 +259,10 @@ def test_windows_in_which_one_is_not_finite_are_left_out_of_all():
         "(b overflows)."
     )
     for lost, said in ((2, "2 windows of 4 in log are"), (1, "1 window of 2 in log is")):
-        half = [made("one", [True] * lost + [False] * lost, "overflows"), made("two", [False] * 2 * lost)]
+        half = [
+            made("one", [True] * lost + [False] * lost, "overflows"),
+            made("two", [False] * 2 * lost),
+        ]
         with pytest.raises(ValueError, match=rf"{said} not finite \(one: overflows\)"):
             held_out._where_all_are_finite(half, ("one", "two"))
 
@@ -213,10 +272,14 @@ def test_lengths_are_those_that_delays_and_samples_ask_for():
     rows = gb.Record(np.arange(4.0), {"u": np.zeros(4)}, has_time=False)
 
     def fit(delay):
-        return SimpleNamespace(at_estimate=lambda **_: SimpleNamespace(delays=np.array([0.1, delay])), records=())
+        return SimpleNamespace(
+            at_estimate=lambda **_: SimpleNamespace(delays=np.array([0.1, delay])), records=()
+        )
 
     assert held_out.window_lengths([fit(0.0)], [record, rows], None, None) == (1.0, 0.5)
-    assert held_out.window_lengths([fit(0.0), fit(0.4)], [record], None, None) == pytest.approx((1.0, 0.8))
+    assert held_out.window_lengths([fit(0.0), fit(0.4)], [record], None, None) == pytest.approx(
+        (1.0, 0.8)
+    )
     assert held_out.window_lengths([fit(0.4)], [record], 3.0, 0.2) == (3.0, 0.2)
     assert np.isnan(held_out.window_lengths([fit(0.4)], [rows], None, None)).all()
 
@@ -230,7 +293,9 @@ def test_values_of_the_records_own_are_those_that_some_model_has():
     assert held_out.require_own(fits, None) is None
     assert held_out.require_own(fits, "a") == ("a",)
     assert held_out.require_own(fits, ["c", "y_bias", "u_bias"]) == ("c", "y_bias", "u_bias")
-    with pytest.raises(ValueError, match="own names 'd', which no fit has; they have a, b, c, and a bias of any"):
+    with pytest.raises(
+        ValueError, match="own names 'd', which no fit has; they have a, b, c, and a bias of any"
+    ):
         held_out.require_own(fits, ["a", "d"])
     assert held_out._own(fits[0].at_estimate(), ("c", "a", "y_bias")) == ("a", "y_bias")
     assert held_out._own(fits[0].at_estimate(), None) is None
@@ -242,7 +307,9 @@ def test_outputs_are_those_of_all_models_that_the_record_has():
 
     record = gb.Record(np.arange(3.0), {"v": np.zeros(3), "q": np.zeros(3)}, name="log")
     assert held_out._shared_outputs([model("v", "q", "w"), model("w", "v")], record) == ("v",)
-    with pytest.raises(ValueError, match=r"log has no output that all fits have \(w\); it has v, q"):
+    with pytest.raises(
+        ValueError, match=r"log has no output that all fits have \(w\); it has v, q"
+    ):
         held_out._shared_outputs([model("w", "q"), model("v", "w")], record)
     with pytest.raises(ValueError, match=r"that all fits have \(none\)"):
         held_out._shared_outputs([model("q"), model("v")], record)
@@ -251,7 +318,10 @@ def test_outputs_are_those_of_all_models_that_the_record_has():
 def test_a_record_that_one_of_the_fits_has_seen_is_named():
     log = gb.Record(np.arange(10.0), {"v": np.arange(10.0)}, name="log")
     other = gb.Record(np.arange(10.0), {"v": np.ones(10)}, name="other")
-    fits = [SimpleNamespace(records=[SimpleNamespace(data=d) for d in data]) for data in ((other,), (other, log))]
+    fits = [
+        SimpleNamespace(records=[SimpleNamespace(data=d) for d in data])
+        for data in ((other,), (other, log))
+    ]
     assert held_out.not_held_out(fits, ("a", "b"), [log]) == [
         "warning: log is not held out: b was fitted to samples of it."
     ]

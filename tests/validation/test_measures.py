@@ -23,9 +23,15 @@ def test_the_measures_are_those_of_the_predictions(quadratic):
     found = gb.compare(right, wrong, records=other, window=2.0, lead=1.0)
     alone = gb.predict(wrong, record=other, horizon=2.0, lead=1.0)
     assert found.windows == {"identification": 14, "held-out": 14}
-    assert found.value("error (rms)", "LinearDrag", "held-out", "v") == pytest.approx(alone.rms("v"), rel=1e-6)
-    assert found.value("  1 s ahead", "LinearDrag", "held-out", "v") == pytest.approx(alone.rms("v", 0.5), rel=1e-6)
-    assert found.value("fit", "LinearDrag", "held-out", "v") == pytest.approx(alone.fit_percent("v"), rel=1e-6)
+    assert found.value("error (rms)", "LinearDrag", "held-out", "v") == pytest.approx(
+        alone.rms("v"), rel=1e-6
+    )
+    assert found.value("  1 s ahead", "LinearDrag", "held-out", "v") == pytest.approx(
+        alone.rms("v", 0.5), rel=1e-6
+    )
+    assert found.value("fit", "LinearDrag", "held-out", "v") == pytest.approx(
+        alone.fit_percent("v"), rel=1e-6
+    )
     first, second = (p[0] for p in found.predictions["held-out"])
     assert np.array_equal(first.rows, second.rows)
 
@@ -38,7 +44,9 @@ def test_aic_and_bic_are_those_of_the_likelihood(quadratic):
     logarithm = -0.5 * n * (np.log(2 * np.pi * variance) + 1)
     k = 1 + 1 + 1  # C_x, the initial state, the variance
     assert found.value("AIC", "QuadraticDrag") == pytest.approx(2 * k - 2 * logarithm, rel=1e-6)
-    assert found.value("BIC", "QuadraticDrag") == pytest.approx(k * np.log(n) - 2 * logarithm, rel=1e-6)
+    assert found.value("BIC", "QuadraticDrag") == pytest.approx(
+        k * np.log(n) - 2 * logarithm, rel=1e-6
+    )
 
 
 def test_errors_one_step_ahead_are_cut_where_the_record_has_gaps(quadratic):
@@ -57,7 +65,8 @@ def test_errors_one_step_ahead_are_cut_where_the_record_has_gaps(quadratic):
 def test_gains_of_an_output_count_in_the_test_of_its_whiteness():
     record = flight(QUADRATIC, 1, duration=15.0)
     output, prediction = (
-        fitted(QuadraticDrag(), record, criterion=c) for c in (gb.OutputError(), gb.PredictionError())
+        fitted(QuadraticDrag(), record, criterion=c)
+        for c in (gb.OutputError(), gb.PredictionError())
     )
     found = gb.compare(output, prediction, labels=("output", "prediction"))
     for label, fit, gains in zip(found.labels, (output, prediction), (0, 1), strict=True):
@@ -66,7 +75,9 @@ def test_gains_of_an_output_count_in_the_test_of_its_whiteness():
         along[made.rows.ravel()] = made.one_step[0].ravel()
         test = whiteness([along], fitted=gains)
         assert test.dof == LAGS - gains
-        assert found.value("  white (p)", label, "identification", "v") == pytest.approx(test.p_value)
+        assert found.value("  white (p)", label, "identification", "v") == pytest.approx(
+            test.p_value
+        )
         assert sum(o == "v" for _, o in fit.records[0].gains) == gains
 
 
@@ -88,11 +99,15 @@ def test_criteria_of_information_are_their_formulas_and_count_from_the_least():
 
 def test_the_size_of_relative_residuals_is_that_of_all_points_of_all_responses_in_percent():
     parts = [
-        SimpleNamespace(response=np.array(fitted), data=SimpleNamespace(response=np.array(measured)))
+        SimpleNamespace(
+            response=np.array(fitted), data=SimpleNamespace(response=np.array(measured))
+        )
         for fitted, measured in (([1.1, 2.0j], [1.0, 2.0]), ([3.0], [4.0]))
     ]
     squares = [0.1**2, abs(1j - 1) ** 2, 0.25**2]
-    assert _relative_rms(SimpleNamespace(responses=parts)) == pytest.approx(100 * np.sqrt(np.mean(squares)))
+    assert _relative_rms(SimpleNamespace(responses=parts)) == pytest.approx(
+        100 * np.sqrt(np.mean(squares))
+    )
 
 
 def test_signals_that_keep_one_value_are_no_inputs():
@@ -109,7 +124,9 @@ def test_every_input_is_held_against_the_errors_one_step_ahead(quadratic):
     along = np.full(len(record), np.nan)
     along[made.rows.ravel()] = made.one_step[0].ravel()
     test = input_correlation([along], [record["theta"]])
-    assert found.value("  not correlated with theta (p)", "a", "held-out", "v") == pytest.approx(test.p_value)
+    assert found.value("  not correlated with theta (p)", "a", "held-out", "v") == pytest.approx(
+        test.p_value
+    )
     assert found.value("  lags of theta beyond 99 %", "a", "held-out", "v") == test.outside
     measures = {row.measure for row in found.rows}
     assert not any("still" in measure or "with v " in measure for measure in measures)

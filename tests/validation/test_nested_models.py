@@ -11,7 +11,13 @@ from scipy.stats import chi2, f
 
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
-from greybox.validation.nested_models import NestedTest, _likelihood_ratio, _p_value, cost_scale, ratio_test
+from greybox.validation.nested_models import (
+    NestedTest,
+    _likelihood_ratio,
+    _p_value,
+    cost_scale,
+    ratio_test,
+)
 
 
 def test_a_nested_test_says_what_is_needed():
@@ -23,7 +29,9 @@ def test_a_nested_test_says_what_is_needed():
     assert str(found).startswith("C_x is needed: LinearDrag is rejected by the test against Drag")
     held = gb.validation.nested_test(fitted(Drag(), record, fixed={"C_x": 0.05}), large)
     assert held.p_value > 0.01
-    assert str(held).startswith("C_x is not needed: Drag with C_x fixed explains the data as well as Drag (F(1, ")
+    assert str(held).startswith(
+        "C_x is not needed: Drag with C_x fixed explains the data as well as Drag (F(1, "
+    )
     # Of a term that changes little the scaled ratio is the squared t-value.
     record = flight({"a5": 0.2, "C_x": 0.03}, 8, noise=0.6)
     small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
@@ -63,7 +71,10 @@ def test_a_fit_of_one_model_is_called_by_what_it_holds_and_one_of_another_model_
     record = drags[1].records[0].data
     held = fitted(Drag(), record, fixed={"C_x": 0.0})
     assert gb.validation.nested_test(held, drags[1]).small == "Drag with C_x fixed"
-    assert gb.validation.nested_test(fitted(QuadraticDrag(), record), drags[1]).small == "QuadraticDrag"
+    assert (
+        gb.validation.nested_test(fitted(QuadraticDrag(), record), drags[1]).small
+        == "QuadraticDrag"
+    )
     assert gb.validation.nested_test(*drags).small == "LinearDrag"
 
 
@@ -77,7 +88,9 @@ def test_without_a_ratio_the_estimates_are_held_against_their_errors(drags):
     assert str(found).endswith("; Wald test with the standard errors of the fit).")
     held = fitted(Drag(), large.records[0].data, fixed={"C_x": 0.04})
     t = (large.estimate["C_x"] - 0.04) / large.standard_error["C_x"]
-    assert gb.validation.nested_test(held, replace(large, white=None)).statistic == pytest.approx(t**2)
+    assert gb.validation.nested_test(held, replace(large, white=None)).statistic == pytest.approx(
+        t**2
+    )
 
 
 def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_directions(drags):
@@ -91,13 +104,17 @@ def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_dir
     assert found.p_value == pytest.approx(f.sf(found.statistic, 1, large.dof))
     assert (found.small, found.large, found.terms) == ("limit", "structure", ("C_x",))
     # Two parameters gone share the ratio.
-    twice = ratio_test(SimpleNamespace(free=(), cost=small.cost), large, ("a5", "C_x"), ("limit", "structure"))
+    twice = ratio_test(
+        SimpleNamespace(free=(), cost=small.cost), large, ("a5", "C_x"), ("limit", "structure")
+    )
     assert (twice.statistic, twice.dof) == (pytest.approx(found.statistic / 2), (2, large.dof))
     assert twice.p_value == pytest.approx(f.sf(twice.statistic, 2, large.dof))
     worse = ratio_test(replace(small, cost=large.cost - 1), large, ("C_x",), ("limit", "structure"))
     assert (worse.statistic, worse.p_value) == (0.0, 1.0)
     assert np.isnan(cost_scale(replace(large, white=None)))
-    with pytest.raises(ValueError, match="the data leave structure no degrees of freedom: nothing can be tested"):
+    with pytest.raises(
+        ValueError, match="the data leave structure no degrees of freedom: nothing can be tested"
+    ):
         ratio_test(small, replace(large, dof=0.0), ("C_x",), ("limit", "structure"))
 
 
@@ -113,21 +130,47 @@ def test_on_a_bound_half_of_the_statistic_has_one_degree_less():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({}, "(F(2, 30) = 1.5, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are correlated in time)."),
-        ({"dof": (2, np.inf)}, "(chi2(2) = 3, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are"),
-        ({"scaled_for": "residuals beyond the given variance", "scale": 1.0}, "p = 0.24; likelihood ratio 6)."),
-        ({"scaled_for": "the size of the errors"}, "; twice the difference of the costs 6, divided by 2 for the size"),
-        ({"p_value": 0.049}, "a, b are needed: small is rejected by the test against large (F(2, 30) = 1.5, p = 0.049"),
+        (
+            {},
+            "(F(2, 30) = 1.5, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are correlated in time).",
+        ),
+        (
+            {"dof": (2, np.inf)},
+            "(chi2(2) = 3, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are",
+        ),
+        (
+            {"scaled_for": "residuals beyond the given variance", "scale": 1.0},
+            "p = 0.24; likelihood ratio 6).",
+        ),
+        (
+            {"scaled_for": "the size of the errors"},
+            "; twice the difference of the costs 6, divided by 2 for the size",
+        ),
+        (
+            {"p_value": 0.049},
+            "a, b are needed: small is rejected by the test against large (F(2, 30) = 1.5, p = 0.049",
+        ),
         (
             {"p_value": 0.051},
             "a, b are not needed: small explains the data as well as large (F(2, 30) = 1.5, p = 0.051",
         ),
-        ({"terms": ("a",)}, "a is not needed: small explains the data as well as large (F(2, 30) = 1.5, "),
+        (
+            {"terms": ("a",)},
+            "a is not needed: small explains the data as well as large (F(2, 30) = 1.5, ",
+        ),
     ],
 )
 def test_what_is_said_of_a_test(given, words):
-    numbers = {"likelihood_ratio": 6.0, "scale": 2.0, "statistic": 1.5, "dof": (2, 30.0), "p_value": 0.24}
-    assert words in str(NestedTest(**{"small": "small", "large": "large", "terms": ("a", "b"), **numbers, **given}))
+    numbers = {
+        "likelihood_ratio": 6.0,
+        "scale": 2.0,
+        "statistic": 1.5,
+        "dof": (2, 30.0),
+        "p_value": 0.24,
+    }
+    assert words in str(
+        NestedTest(**{"small": "small", "large": "large", "terms": ("a", "b"), **numbers, **given})
+    )
 
 
 def test_a_term_that_ended_at_another_bound_or_is_not_determined_is_told(drags):
@@ -136,7 +179,9 @@ def test_a_term_that_ended_at_another_bound_or_is_not_determined_is_told(drags):
     stuck = replace(large, quantities=(a5, replace(c, at_bound=True), *large.quantities[2:]))
     with pytest.raises(ValueError, match="C_x of Drag ended at a bound: widen it before testing"):
         gb.validation.nested_test(small, stuck)
-    with pytest.raises(ValueError, match="the data do not determine C_x of Drag: nothing can be tested"):
+    with pytest.raises(
+        ValueError, match="the data do not determine C_x of Drag: nothing can be tested"
+    ):
         gb.validation.nested_test(small, replace(large, dof=0.0))
     # A cost that is larger by what solvers leave is none.
     assert gb.validation.nested_test(small, replace(large, cost=small.cost + 0.009)).p_value == 1.0
@@ -177,8 +222,12 @@ def test_a_value_on_a_bound_has_half_of_the_distribution_at_one_degree_less():
     assert stuck.p_value > 0.5
 
 
-def test_of_responses_the_ratio_of_squared_errors_is_the_f_test_and_others_agree_with_it(monkeypatch):
-    monkeypatch.setattr(ResponsePart, "neighbors", lambda *_: None)  # the F test is that of independent errors
+def test_of_responses_the_ratio_of_squared_errors_is_the_f_test_and_others_agree_with_it(
+    monkeypatch,
+):
+    monkeypatch.setattr(
+        ResponsePart, "neighbors", lambda *_: None
+    )  # the F test is that of independent errors
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
     tested = {}
     for criterion in (gb.SquaredRelativeError(), gb.RelativeError()):
@@ -190,12 +239,16 @@ def test_of_responses_the_ratio_of_squared_errors_is_the_f_test_and_others_agree
             statistic = (small.cost - large.cost) / (large.cost / large.dof)
             # Up to what noise of 2 % makes of a relative criterion.
             assert tested[criterion.name].statistic == pytest.approx(statistic, rel=5e-3)
-            assert tested[criterion.name].p_value == pytest.approx(f.sf(statistic, 1, large.dof), rel=2e-2)
+            assert tested[criterion.name].p_value == pytest.approx(
+                f.sf(statistic, 1, large.dof), rel=2e-2
+            )
             # The cost is quadratic: the root of the ratio is the distance in standard errors.
             assert statistic == pytest.approx(2.5**2, rel=0.15)
     assert tested["relative-error"].p_value < 0.05
     compared = gb.compare(small, large, labels=("held", "free"))
-    assert compared.statements[0].startswith("free contains held, and tau is needed: held is rejected")
+    assert compared.statements[0].startswith(
+        "free contains held, and tau is needed: held is rejected"
+    )
     (said,) = [s for s in compared.statements if s.startswith("tau")]
     assert said.endswith("(free): determined by these data.")
 
@@ -221,7 +274,9 @@ def test_a_worse_fit_of_the_larger_model_is_told():
     with pytest.raises(ValueError, match="Drag costs more than LinearDrag, which it contains"):
         gb.validation.nested_test(small, replace(large, cost=small.cost + 1))
     said = gb.compare(small, replace(large, cost=small.cost + 1)).statements[0]
-    assert said.startswith("It cannot be told which of LinearDrag and Drag fits the data better: Drag costs more")
+    assert said.startswith(
+        "It cannot be told which of LinearDrag and Drag fits the data better: Drag costs more"
+    )
 
 
 def quick(problem):
@@ -233,7 +288,8 @@ def test_of_two_terms_the_ratio_is_divided_by_the_mean_scale(monkeypatch):
     monkeypatch.setattr(ResponsePart, "neighbors", lambda *_: None)  # as above
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
     both = [
-        gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError(), fixed=f) for f in ({"T2": 0.19, "tau": 0.06}, {})
+        gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError(), fixed=f)
+        for f in ({"T2": 0.19, "tau": 0.06}, {})
     ]
     small, large = map(quick, both)
     found = gb.validation.nested_test(small, large)
@@ -247,11 +303,14 @@ def test_of_two_terms_the_ratio_is_divided_by_the_mean_scale(monkeypatch):
 
 
 def test_of_other_data_nothing_is_tested():
-    data = [measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02, seed=seed) for seed in (0, 1)]
+    data = [
+        measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02, seed=seed) for seed in (0, 1)
+    ]
     both = zip(data, ({"tau": 0.06}, {}), strict=True)
     small, large = (quick(gb.Problem(LagLagDelay(), d, fixed=fixed)) for d, fixed in both)
     with pytest.raises(
-        ValueError, match=r"was fitted to other data than .*: a nested test needs fits of the same data\.$"
+        ValueError,
+        match=r"was fitted to other data than .*: a nested test needs fits of the same data\.$",
     ):
         gb.validation.nested_test(small, large)
     time = np.arange(80) / 20
@@ -267,5 +326,8 @@ def test_a_ratio_below_zero_by_what_solvers_leave_is_none(cost, most):
     for share in (-0.9, 5.0):
         ratio = _likelihood_ratio(SimpleNamespace(cost=cost + share * most / 2), large, ("a", "b"))
         assert ratio == pytest.approx(share * most, rel=1e-3)
-    with pytest.raises(ValueError, match="b costs more than a, which it contains: its fit has not found the minimum"):
+    with pytest.raises(
+        ValueError,
+        match="b costs more than a, which it contains: its fit has not found the minimum",
+    ):
         _likelihood_ratio(SimpleNamespace(cost=cost - 1.1 * most / 2), large, ("a", "b"))

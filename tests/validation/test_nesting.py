@@ -136,7 +136,12 @@ def test_biases_and_gains_of_a_criterion_are_terms_that_are_zero(record):
     found = place(record, Drag(), Drag(), criterion=(output, gb.PredictionError()))
     assert found.terms == ("K_v_v",)
     assert found.point[-1] == 0.0
-    assert place(record, LinearDrag(), Drag(), criterion=(output, gb.OutputError(biases=["theta"]))).dof == 2
+    assert (
+        place(
+            record, LinearDrag(), Drag(), criterion=(output, gb.OutputError(biases=["theta"]))
+        ).dof
+        == 2
+    )
     with pytest.raises(NotNestedError, match="differ in their noise") as caught:
         place(record, LinearDrag(), Drag(), criterion=(output, gb.OutputError(noise={"v": 0.1})))
     assert caught.value.undecided
@@ -152,7 +157,9 @@ def test_names_alone_do_not_make_models_nested(record):
     assert not caught.value.undecided
     with pytest.raises(NotNestedError, match="large holds a5 fixed and small has a5 free"):
         place(record, LinearDrag(), QuadraticDrag())
-    with pytest.raises(NotNestedError, match=r"C_x = 0, as in small, is outside the bounds \(0.01, 2\) of large"):
+    with pytest.raises(
+        NotNestedError, match=r"C_x = 0, as in small, is outside the bounds \(0.01, 2\) of large"
+    ):
         place(record, LinearDrag(), PositiveDrag())
     with pytest.raises(NotNestedError, match="every free parameter of large is free in small"):
         place(record, LinearDrag(), LinearDrag())
@@ -173,7 +180,9 @@ def test_states_are_met_by_their_names(record):
 
 
 def test_a_term_without_effect_where_another_is_zero_is_told(record):
-    with pytest.raises(NotNestedError, match="v_s of large has no effect where c is as in small") as caught:
+    with pytest.raises(
+        NotNestedError, match="v_s of large has no effect where c is as in small"
+    ) as caught:
         place(record, LinearDrag(), SaturatingDrag())
     assert caught.value.undecided
     with pytest.raises(NotNestedError, match="v_s of large has no effect where c is as in small"):
@@ -183,7 +192,10 @@ def test_a_term_without_effect_where_another_is_zero_is_told(record):
 
 def test_a_parameter_of_every_record_is_one_of_all_where_they_are_equal(record):
     records = [record, flight({"a5": 0.2, "C_x": 0.05}, 9, duration=12.0)]
-    one, own = (gb.fit(gb.several(Drag(), records, own=names), starts=1, progress=False) for names in ((), ("C_x",)))
+    one, own = (
+        gb.fit(gb.several(Drag(), records, own=names), starts=1, progress=False)
+        for names in ((), ("C_x",))
+    )
     found = nesting(one, own, NAMES)
     assert found.terms == ("C_x_1", "C_x_2")
     assert found.dof == 1
@@ -218,7 +230,9 @@ def test_responses_that_meet_at_one_frequency_are_not_the_same():
     assert data.omega[0] == 1.0
     large = gb.fit(gb.Problem(LagLagDelay(), data), starts=[TWO_LAGS], progress=False)
     with pytest.raises(NotNestedError):
-        nesting(gb.fit(gb.Problem(EqualAtOneFrequency(), data), starts=1, progress=False), large, NAMES)
+        nesting(
+            gb.fit(gb.Problem(EqualAtOneFrequency(), data), starts=1, progress=False), large, NAMES
+        )
 
 
 def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tmp_path):
@@ -229,7 +243,9 @@ def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tm
         ("lagged", LaggedDrag(), {}),
     ):
         gb.save(fitted_once(record, model, **options), tmp_path / f"{name}.h5")
-    linear, drag, held, lagged = (gb.load(tmp_path / f"{name}.h5") for name in ("linear", "drag", "held", "lagged"))
+    linear, drag, held, lagged = (
+        gb.load(tmp_path / f"{name}.h5") for name in ("linear", "drag", "held", "lagged")
+    )
     assert nesting(held, drag, NAMES).point[1] == 0.04
     with pytest.raises(NotNestedError, match="their models are not available") as caught:
         nesting(linear, drag, NAMES)
@@ -237,7 +253,9 @@ def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tm
     with pytest.raises(NotNestedError) as caught:
         nesting(drag, lagged, NAMES)
     assert not caught.value.undecided
-    linear, drag = (gb.load(tmp_path / f"{name}.h5", models=[LinearDrag, Drag]) for name in ("linear", "drag"))
+    linear, drag = (
+        gb.load(tmp_path / f"{name}.h5", models=[LinearDrag, Drag]) for name in ("linear", "drag")
+    )
     assert nesting(linear, drag, NAMES).terms == ("C_x",)
 
 
@@ -245,13 +263,18 @@ def test_gains_that_are_free_are_no_gains_that_follow_from_process_noise():
     free = SimpleNamespace(gains=("K_x_y",), driven=(), biases=())
     follow = SimpleNamespace(gains=("K_x_y",), driven=("x",), biases=())
     for pair in ((free, follow), (follow, free)):
-        with pytest.raises(NotNestedError, match="the gains of a and b are free in one and follow from process noise"):
+        with pytest.raises(
+            NotNestedError,
+            match="the gains of a and b are free in one and follow from process noise",
+        ):
             _require_fewer_terms(*pair, ("a", "b"))
     _require_fewer_terms(free, free, ("a", "b"))
 
 
 def test_a_free_parameter_without_any_effect_leaves_every_direction():
-    slope = np.array([[1.0, 0.0], [0.0, 0.0]])  # of two parameters by two free ones, of which the second does nothing
+    slope = np.array(
+        [[1.0, 0.0], [0.0, 0.0]]
+    )  # of two parameters by two free ones, of which the second does nothing
     directions = _left_null_space(slope, np.ones(2))
     np.testing.assert_allclose(np.abs(directions), [[0.0], [1.0]], atol=1e-12)
 
@@ -328,7 +351,12 @@ def test_vectors_are_the_same_up_to_rounding_of_what_cancels():
 
 def test_a_value_on_a_bound_is_not_beyond_it():
     quantity = SimpleNamespace(bounds=(-2.0, 4.0))
-    for value, beyond, on in ((-2.0, False, True), (4.0, False, True), (0.0, False, False), (4.1, True, False)):
+    for value, beyond, on in (
+        (-2.0, False, True),
+        (4.0, False, True),
+        (0.0, False, False),
+        (4.1, True, False),
+    ):
         assert (_beyond(quantity, value), _on_bound(quantity, value)) == (beyond, on)
         assert _beyond(SimpleNamespace(bounds=(-4.0, 2.0)), -value) == beyond
     assert not _beyond(quantity, 4.0 * (1 + 1e-10))
@@ -368,13 +396,17 @@ def test_draws_lie_about_the_smaller_estimate_within_its_bounds():
     assert values["one"].max() == 1.1
     assert set(values["three"]) == {5.0}
     for name in ("two", "zero"):
-        assert np.std(values[name]) == pytest.approx(PARAMETER_SPREAD * (abs(estimate[name]) or 1), rel=0.3)
+        assert np.std(values[name]) == pytest.approx(
+            PARAMETER_SPREAD * (abs(estimate[name]) or 1), rel=0.3
+        )
         assert np.mean(values[name]) == pytest.approx(estimate[name], abs=np.std(values[name]) / 2)
 
 
 def test_three_points_are_compared_as_well():
     data = measured(LagLagDelay(), [0.5, 2.0, 8.0], TWO_LAGS, noise=0.02)
-    large = gb.fit(gb.Problem(LagLag(), data), starts=[{"K": 5.0, "T1": 1.0, "T2": 0.1}], progress=False)
+    large = gb.fit(
+        gb.Problem(LagLag(), data), starts=[{"K": 5.0, "T1": 1.0, "T2": 0.1}], progress=False
+    )
     small = gb.fit(gb.Problem(Lag(), data), starts=[{"K": 5.0, "T": 1.0}], progress=False)
     with pytest.raises(NotNestedError):
         nesting(small, large, NAMES)
@@ -391,7 +423,10 @@ def test_values_that_remove_terms_are_zero_or_one_in_any_combination_of_four():
     four = dict(zip("abcd", (1.0, 0.0, 0.0, 1.0), strict=True))
     assert _neutral(agreeing((1, 0, 0, 1)), {}, [*"abcd"], large) == (four, ())
     assert _neutral(agreeing((1, 0, 0, 1, 0)), {}, [*"abcde"], large) is None
-    assert _neutral(agreeing((1, 1, 1, 1, 1)), {}, [*"abcde"], large) == (dict.fromkeys("abcde", 1.0), ())
+    assert _neutral(agreeing((1, 1, 1, 1, 1)), {}, [*"abcde"], large) == (
+        dict.fromkeys("abcde", 1.0),
+        (),
+    )
     assert _neutral(agreeing((0.5,)), {}, ["a"], large) is None
     assert _neutral(agreeing((0.3,)), {}, ["a"], large) is None  # its own estimate removes nothing
 
@@ -404,7 +439,12 @@ def test_a_term_that_leaves_the_others_any_value_is_found_with_them():
 
 def test_a_parameter_is_idle_where_nothing_moves_with_it():
     """It is moved to its estimate, or by a tenth where it is there already; all parts have to be the same."""
-    for value, estimate, moved in ((2.0, 5.0, 5.0), (2.0, 2.001, 2.2), (-3.0, -3.0, -2.7), (0.0, 0.0, 0.1)):
+    for value, estimate, moved in (
+        (2.0, 5.0, 5.0),
+        (2.0, 2.001, 2.2),
+        (-3.0, -3.0, -2.7),
+        (0.0, 0.0, 0.1),
+    ):
         for parts in ([True, True], [True, False], [False, True]):
             seen = []
 
@@ -446,7 +486,9 @@ def test_what_has_no_effect_is_said(idle, rest, said):
 @pytest.fixture(scope="module")
 def response_fit():
     data = measured(Lag(), [0.5, 2.0, 8.0], {"K": 2.0, "T": 0.3}, noise=0.02)
-    return gb.fit(gb.Problem(Lag(), data), starts=[{"K": 2.0, "T": 0.3}], progress=False, profiles=False)
+    return gb.fit(
+        gb.Problem(Lag(), data), starts=[{"K": 2.0, "T": 0.3}], progress=False, profiles=False
+    )
 
 
 @pytest.mark.parametrize(
@@ -460,7 +502,11 @@ def response_fit():
 )
 def test_other_assumptions_make_other_models(response_fit, change, said):
     with pytest.raises(NotNestedError, match=said) as caught:
-        nesting(response_fit, replace(response_fit, parts=(replace(response_fit.parts[0], **change),)), NAMES)
+        nesting(
+            response_fit,
+            replace(response_fit, parts=(replace(response_fit.parts[0], **change),)),
+            NAMES,
+        )
     assert not caught.value.undecided
 
 
@@ -495,7 +541,9 @@ def test_the_smaller_model_has_its_place_and_the_directions_that_leave_it():
     np.testing.assert_allclose(inside @ found.directions, 0.0, atol=1e-12)
     assert np.linalg.matrix_rank(found.directions) == 2
     assert (found.terms, found.on_bound) == (("b", "c"), ("c",))
-    assert found.initial_states == 3 + 1 - 1  # those of the two fits, and s, which the smaller one estimates apart
+    assert (
+        found.initial_states == 3 + 1 - 1
+    )  # those of the two fits, and s, which the smaller one estimates apart
     assert found.dof == 5
     assert embedding(bounds=(0.4, 9.0)).on_bound == ()
     assert embedding(nuisances=(4, 3)).initial_states == 0
@@ -504,8 +552,16 @@ def test_the_smaller_model_has_its_place_and_the_directions_that_leave_it():
 @pytest.mark.parametrize(
     ("options", "said", "undecided"),
     [
-        ({"value": 0.4}, r"c = 0\.4, as in small, is outside the bounds \(0\.5, 9\) of large", False),
-        ({"covariance": np.full((2, 2), np.nan)}, "the data do not determine what small ties to others", True),
+        (
+            {"value": 0.4},
+            r"c = 0\.4, as in small, is outside the bounds \(0\.5, 9\) of large",
+            False,
+        ),
+        (
+            {"covariance": np.full((2, 2), np.nan)},
+            "the data do not determine what small ties to others",
+            True,
+        ),
         ({"nuisances": (5, 3)}, "large has 1 initial state less than small", False),
         ({"nuisances": (7, 3)}, "large has 3 initial states less than small", False),
     ],

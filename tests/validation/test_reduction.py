@@ -23,21 +23,32 @@ def yaw():
 
 def test_the_yaw_of_the_paper_has_three_parameters(yaw):
     """The limit by hand: (a3/a2)(s + a4)/(s + a4 + a1/a2) behind integrator, rotor and delay."""
-    assert str(yaw).startswith("yaw hover: 3 parameters instead of 4, cost 0.8083 against 0.8045: a2 → ∞")
+    assert str(yaw).startswith(
+        "yaw hover: 3 parameters instead of 4, cost 0.8083 against 0.8045: a2 → ∞"
+    )
     assert yaw.test.p_value > 0.5
     assert yaw.comparison.supported == "the reduced one"
     data = yaw_hover.data()
     s = 1j * data.omega
     e = yaw.fit.estimate
     zero = s + e["a4"]
-    by_hand = e["a3_tilde_per_a2"] * zero / (zero + e["a1_tilde_per_a2"]) / s / (0.048 * s + 1) * np.exp(-0.0042 * s)
+    by_hand = (
+        e["a3_tilde_per_a2"]
+        * zero
+        / (zero + e["a1_tilde_per_a2"])
+        / s
+        / (0.048 * s + 1)
+        * np.exp(-0.0042 * s)
+    )
     np.testing.assert_allclose(yaw.fit.responses[0].response, by_hand, rtol=2e-8)
     assert np.sum(np.abs(by_hand / data.response - 1)) == pytest.approx(yaw.fit.cost, rel=1e-6)
     # The ratios are those that the full fit determines, with its errors.
     ratios = {c.formula: c for c in yaw.large.identifiability.combinations}
     for formula, name in (("a3_tilde/a2", "a3_tilde_per_a2"), ("a1_tilde/a2", "a1_tilde_per_a2")):
         assert e[name] == pytest.approx(ratios[formula].value, abs=ratios[formula].standard_error)
-        assert yaw.fit.standard_error[name] == pytest.approx(ratios[formula].standard_error, rel=0.3)
+        assert yaw.fit.standard_error[name] == pytest.approx(
+            ratios[formula].standard_error, rel=0.3
+        )
     units = {q.name: q.unit for q in yaw.fit.quantities}
     assert units["a3_tilde_per_a2"] == "1/s"
 
@@ -118,7 +129,9 @@ def test_limits_by_powers_and_to_zero():
 def test_what_cannot_be_reduced_is_told(yaw):
     with pytest.raises(ValueError, match="has other unknowns than the fit"):
         gb.reduce(yaw.large, problem=pitch_hover.problem())
-    tied = gb.fit(gb.Problem(YawAngle(), yaw_hover.data(), tied={"a4": lambda p: 0.01 * p.a2}), starts=2)
+    tied = gb.fit(
+        gb.Problem(YawAngle(), yaw_hover.data(), tied={"a4": lambda p: 0.01 * p.a2}), starts=2
+    )
     with pytest.raises(ValueError, match="has ties"):
         gb.reduce(tied)
     known = gb.fit(gb.Problem(YawAngle(), yaw_hover.data(), prior={"a4": (5.6, 0.2)}), starts=2)
@@ -164,7 +177,9 @@ def flown(model, values):
     time = np.arange(120) / 10
     u = np.sin(time) + np.sin(2.7 * time)
     y = gb.simulate(model, values, gb.Record(time, {"u": u}))["y"]
-    return gb.Record(time, {"u": u, "y": y + 0.02 * np.random.default_rng(0).normal(size=time.size)})
+    return gb.Record(
+        time, {"u": u, "y": y + 0.02 * np.random.default_rng(0).normal(size=time.size)}
+    )
 
 
 def test_a_product_of_gains_in_time_is_one_parameter(tmp_path):
@@ -174,11 +189,15 @@ def test_a_product_of_gains_in_time_is_one_parameter(tmp_path):
     large = gb.fit(gb.Problem(TwoGains(), record, criterion), starts=[values], progress=False)
     found = gb.reduce(large, starts=1)
     by_hand = gb.fit(
-        gb.Problem(TwoGains(), record, criterion, fixed={"M": 1.0}), starts=[{"K": 3.0, "a": 1.0}], progress=False
+        gb.Problem(TwoGains(), record, criterion, fixed={"M": 1.0}),
+        starts=[{"K": 3.0, "a": 1.0}],
+        progress=False,
     )
     assert [str(one) for one in found.taken] in (["K → ∞, M·K kept"], ["K → 0, M·K kept"])
     assert found.fit.estimate["M_times_K"] == pytest.approx(by_hand.estimate["K"], rel=1e-5)
-    assert found.fit.standard_error["M_times_K"] == pytest.approx(by_hand.standard_error["K"], rel=1e-3)
+    assert found.fit.standard_error["M_times_K"] == pytest.approx(
+        by_hand.standard_error["K"], rel=1e-3
+    )
     assert found.fit.cost == pytest.approx(by_hand.cost, abs=1e-4)
     assert "for residuals that are correlated in time" in str(found.test)
     gb.save(found.fit, tmp_path / "gains.h5")
@@ -204,7 +223,9 @@ def test_an_ode_is_reduced_by_its_responses_and_its_stiff_limit_in_time_is_told(
 def test_a_delay_goes_to_zero_alone():
     assert at_limit(FastLag(), "tau", 0.01, "zero").delays == {}
     assert at_limit(FastLag(), "w", 1.0, "infinity").delays == {"u": "tau"}
-    with pytest.raises(ValueError, match="tau delays an input of FastLag: a delay can go to zero alone"):
+    with pytest.raises(
+        ValueError, match="tau delays an input of FastLag: a delay can go to zero alone"
+    ):
         at_limit(FastLag(), "tau", 0.01, "infinity")
 
 
@@ -222,9 +243,13 @@ class Braked(gb.StateSpace):
 
 
 def test_the_fastest_pole_is_that_about_the_first_initial_state():
-    assert reduction._fastest(Braked(), {"k": 2.0}, {"x": np.array([3.0, 9.0])}) == pytest.approx(12.0)
+    assert reduction._fastest(Braked(), {"k": 2.0}, {"x": np.array([3.0, 9.0])}) == pytest.approx(
+        12.0
+    )
     assert reduction._fastest(Braked(), {"k": 2.0}, {}) == 0.0
-    assert reduction._fastest(FastLag(), {"a": 1.0, "w": 500.0, "tau": 0.0}, {}) == pytest.approx(500.0)
+    assert reduction._fastest(FastLag(), {"a": 1.0, "w": 500.0, "tau": 0.0}, {}) == pytest.approx(
+        500.0
+    )
     assert reduction._fastest(Braked(), {"k": np.inf}, {"x": np.array([3.0])}) == np.inf
 
 
@@ -239,7 +264,9 @@ def lag_problem(omega=(0.05, 10.0), **options):
     values = {"K_1": 6.0, "T_1": 2.0}
     s = 1j * np.asarray(omega)
     data = gb.FrequencyResponse(omega, 6.0 / (2.0 * s + 1), input="u", output="y")
-    return gb.Problem(Lag(), data, rename={"K": "K_1", "T": "T_1"}, **options), fitted_values(**values)
+    return gb.Problem(Lag(), data, rename={"K": "K_1", "T": "T_1"}, **options), fitted_values(
+        **values
+    )
 
 
 def test_a_part_at_a_limit_has_the_names_outside():
@@ -253,7 +280,9 @@ def test_a_part_at_a_limit_has_the_names_outside():
     assert reduction._part_at_limit(problem, Candidate({"a": 1, "b": 1}, "zero"), fit) is problem
     assert reduction._part_at_limit(problem, Candidate({"a": 1, "K_1": 1}, "zero"), fit) is None
     same = gb.Problem(Lag(), problem.response)
-    made = reduction._part_at_limit(same, Candidate({"T": 1, "K": 1}, "infinity"), fitted_values(K=6.0, T=2.0))
+    made = reduction._part_at_limit(
+        same, Candidate({"T": 1, "K": 1}, "infinity"), fitted_values(K=6.0, T=2.0)
+    )
     assert list(made.parameters) == ["K_per_T"]
 
 
@@ -269,7 +298,9 @@ def test_a_bias_of_a_sensor_has_no_limit():
 
 
 def has_limit(problem, powers, end, fit):
-    return reduction._has_limit(reduction._part_at_limit(problem, Candidate(powers, end), fit), problem, fit)
+    return reduction._has_limit(
+        reduction._part_at_limit(problem, Candidate(powers, end), fit), problem, fit
+    )
 
 
 def test_a_limit_is_told_from_none():
@@ -318,10 +349,26 @@ def test_open_are_those_without_a_small_error_and_those_at_a_bound():
     assert [(dict(c.powers), c.end) for c in found] == [
         ({"badly": 1, "unknown": -1}, "infinity"),
         ({"badly": 1, "unknown": -1}, "zero"),
-        *[({name: 1}, end) for name in ("badly", "unknown", "bound") for end in ("zero", "infinity")],
+        *[
+            ({name: 1}, end)
+            for name in ("badly", "unknown", "bound")
+            for end in ("zero", "infinity")
+        ],
     ]
-    said = "a → ∞, b/a² and c·a³ kept", "a → 0, b/a² and c·a³ kept", "a → ∞", "a = 0", "a → 0, b·a^4 kept"
-    powers = {"a": 1, "b": 2, "c": -3}, {"a": 1, "b": 2, "c": -3}, {"a": 1}, {"a": 1}, {"a": 1, "b": -4}
+    said = (
+        "a → ∞, b/a² and c·a³ kept",
+        "a → 0, b/a² and c·a³ kept",
+        "a → ∞",
+        "a = 0",
+        "a → 0, b·a^4 kept",
+    )
+    powers = (
+        {"a": 1, "b": 2, "c": -3},
+        {"a": 1, "b": 2, "c": -3},
+        {"a": 1},
+        {"a": 1},
+        {"a": 1, "b": -4},
+    )
     ends = "infinity", "zero", "infinity", "zero", "zero"
     assert tuple(str(Candidate(p, end)) for p, end in zip(powers, ends, strict=True)) == said
 
@@ -331,7 +378,9 @@ def test_a_basis_of_what_leaves_products_alone_is_complete():
     random = np.random.default_rng(0)
     for rows, width in ((1, 1), (1, 3), (2, 4), (3, 4), (4, 3), (3, 6)):
         matrix = random.integers(-2, 3, size=(rows, width))
-        basis = np.array(reduction._null_space(matrix.tolist(), width), dtype=float).reshape(-1, width)
+        basis = np.array(reduction._null_space(matrix.tolist(), width), dtype=float).reshape(
+            -1, width
+        )
         assert len(basis) == np.linalg.matrix_rank(basis) == width - np.linalg.matrix_rank(matrix)
         np.testing.assert_allclose(basis @ matrix.T, np.zeros((len(basis), rows)), atol=1e-12)
 
@@ -341,7 +390,10 @@ def test_a_basis_of_what_leaves_products_alone_is_complete():
     [
         ([], r"not reduced; no parameter with an error above \d+ % has an end"),
         (["rejected"], r"not reduced; the data reject every limit at 5 %\."),
-        (["stiff"], r"not reduced; the equations are too stiff in time for w → ∞: write those of the limit\."),
+        (
+            ["stiff"],
+            r"not reduced; the equations are too stiff in time for w → ∞: write those of the limit\.",
+        ),
         (
             ["rejected", "stiff"],
             r"the data reject every other limit at 5 %, and the equations are too stiff in time for w → ∞: write",
@@ -351,8 +403,12 @@ def test_a_basis_of_what_leaves_products_alone_is_complete():
 )
 def test_why_nothing_was_reduced_is_said(tried, said):
     kinds = {
-        "rejected": Tried(Candidate({"a": 1}, "zero"), SimpleNamespace(cost=3.0), SimpleNamespace(p_value=0.01)),
-        "stiff": Tried(Candidate({"w": 1}, "infinity"), None, None, why_not=reduction.STIFF_IN_TIME),
+        "rejected": Tried(
+            Candidate({"a": 1}, "zero"), SimpleNamespace(cost=3.0), SimpleNamespace(p_value=0.01)
+        ),
+        "stiff": Tried(
+            Candidate({"w": 1}, "infinity"), None, None, why_not=reduction.STIFF_IN_TIME
+        ),
         "failed": Tried(Candidate({"b": 1}, "infinity"), None, None),
     }
     fit = SimpleNamespace(name="f", free=("a", "b", "w"), cost=2.0)
@@ -360,9 +416,13 @@ def test_why_nothing_was_reduced_is_said(tried, said):
     assert re.search(said, str(found))
     assert repr(found) == "<Reduction f, not reduced>"
     taken = tuple(replace(one, taken=True) for one in found.tried[:2])
-    shown = "; ".join({"rejected": "a = 0", "stiff": "w → ∞", "failed": "b → ∞"}[name] for name in tried[:2])
+    shown = "; ".join(
+        {"rejected": "a = 0", "stiff": "w → ∞", "failed": "b → ∞"}[name] for name in tried[:2]
+    )
     assert not taken or repr(replace(found, tried=taken)) == f"<Reduction f, {shown}>"
-    rows = {line.split()[0]: line for line in str(found).splitlines()[2:] if "→" in line or "=" in line}
+    rows = {
+        line.split()[0]: line for line in str(found).splitlines()[2:] if "→" in line or "=" in line
+    }
     assert ("rejected" in tried) == any(line.endswith("rejected") for line in rows.values())
     assert "failed" not in tried or rows["b"].split()[-2:] == ["-", "-"]
 
@@ -380,5 +440,7 @@ def test_what_the_problem_frees_stays_free_unless_it_is_gone():
 
 def test_a_fit_without_an_estimate_is_not_reduced():
     lost = SimpleNamespace(name="lost", converged=False, status="no start converged")
-    with pytest.raises(ValueError, match="the fit 'lost' has no estimate to reduce: no start converged"):
+    with pytest.raises(
+        ValueError, match="the fit 'lost' has no estimate to reduce: no start converged"
+    ):
         gb.validation.reduce(lost)

@@ -30,25 +30,42 @@ def data():
 
 @pytest.fixture(scope="module")
 def compared(data):
-    fits = (fitted(Lag(), data), fitted(LagLagDelay(), data, SQUARED), fitted(Second(), data, gb.MagnitudePhase()))
+    fits = (
+        fitted(Lag(), data),
+        fitted(LagLagDelay(), data, SQUARED),
+        fitted(Second(), data, gb.MagnitudePhase()),
+    )
     return fits, gb.compare(*fits, folds=5)
 
 
 def test_fits_by_different_criteria_have_the_information_criteria_of_one_likelihood(data, compared):
     fits, found = compared
 
-    def log_likelihood(x):  # of circular normal errors of the relative variance v, as of a textbook, without constants
-        model = x[0] / ((1 + 1j * x[1] * data.omega) * (1 + 1j * x[2] * data.omega)) * np.exp(-1j * x[3] * data.omega)
+    def log_likelihood(
+        x,
+    ):  # of circular normal errors of the relative variance v, as of a textbook, without constants
+        model = (
+            x[0]
+            / ((1 + 1j * x[1] * data.omega) * (1 + 1j * x[2] * data.omega))
+            * np.exp(-1j * x[3] * data.omega)
+        )
         relative = np.abs(data.response / model - 1) ** 2
         v = relative.mean()
         return -np.sum(np.log(v * np.abs(model / data.response) ** 2) + relative / v)
 
     start = [fits[1].estimate[name] for name in ("K", "T1", "T2", "tau")]
-    best = minimize(lambda x: -log_likelihood(x), start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-9})
+    best = minimize(
+        lambda x: -log_likelihood(x),
+        start,
+        method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-9},
+    )
     k, n = 5, 60  # parameters and the variance; real numbers
     name = "LagLagDelay"
     assert found.value("AIC", name) == pytest.approx(2 * k + 2 * best.fun, abs=1e-4)
-    assert found.value("AICc", name) == pytest.approx(2 * k + 2 * best.fun + 2 * k * (k + 1) / (n - k - 1), abs=1e-4)
+    assert found.value("AICc", name) == pytest.approx(
+        2 * k + 2 * best.fun + 2 * k * (k + 1) / (n - k - 1), abs=1e-4
+    )
     assert found.value("BIC", name) == pytest.approx(k * np.log(n) + 2 * best.fun, abs=1e-4)
     assert found.value("relative residual (rms)", name) == pytest.approx(
         100 * np.sqrt(np.mean(np.abs(fits[1].responses[0].response / data.response - 1) ** 2))
@@ -57,7 +74,11 @@ def test_fits_by_different_criteria_have_the_information_criteria_of_one_likelih
         assert found.value(f"cost: {fit.criterion}", label) == pytest.approx(fit.cost)
     (said,) = [s for s in found.statements if s.startswith("Costs are not compared")]
     assert "they are of different criteria" in said
-    (said,) = [s for s in found.statements if s.startswith("AIC, AICc and BIC are those of RelativeLikelihood")]
+    (said,) = [
+        s
+        for s in found.statements
+        if s.startswith("AIC, AICc and BIC are those of RelativeLikelihood")
+    ]
     assert "sum of relative errors, (4.26)" in said
 
 
@@ -67,7 +88,10 @@ def test_the_verdict_names_the_true_structure(compared):
     assert found.verdict.startswith("LagLagDelay (4 free) is supported")
     assert "no test finds that Second explains more" in found.verdict
     assert found.verdict in str(found)
-    assert any(s.startswith("LagLagDelay fits the data better than Lag (AIC differs by 39") for s in found.statements)
+    assert any(
+        s.startswith("LagLagDelay fits the data better than Lag (AIC differs by 39")
+        for s in found.statements
+    )
     assert len(str(found).splitlines()) < 60  # a page
 
 
@@ -79,22 +103,34 @@ def test_left_out_frequencies_are_predicted_as_by_hand(data, compared):
         refit = gb.fit(gb.Problem(Lag(), data.where(~out)), starts=[fits[0].estimate])
         error = np.abs(refit.response(data.omega[out]).response / data.response[out] - 1)
         total, squares = total + error.sum(), squares + np.sum(error**2)
-    assert found.value("sum of relative errors", "Lag", "frequencies") == pytest.approx(total, rel=1e-6)
+    assert found.value("sum of relative errors", "Lag", "frequencies") == pytest.approx(
+        total, rel=1e-6
+    )
     rms = 100 * np.sqrt(squares / 30)
     assert found.value("relative error (rms)", "Lag", "frequencies") == pytest.approx(rms, rel=1e-6)
-    assert any(s.startswith("LagLagDelay predicts left-out frequencies better than Lag") for s in found.statements)
-    assert any(s.startswith("It cannot be told which of LagLagDelay and Second predicts") for s in found.statements)
+    assert any(
+        s.startswith("LagLagDelay predicts left-out frequencies better than Lag")
+        for s in found.statements
+    )
+    assert any(
+        s.startswith("It cannot be told which of LagLagDelay and Second predicts")
+        for s in found.statements
+    )
 
 
 def test_a_response_is_left_out_and_predicted_by_the_others():
     """Two axes with one lag and gains of their own: the lag comes from the other axis, the gain from the axis."""
     omega = np.geomspace(0.1, 10, 12)
     roll, pitch = (
-        measured(Lag(), omega, {"K": gain, "T": 0.5}, noise=0.02, seed=seed) for gain, seed in ((2.0, 1), (3.0, 2))
+        measured(Lag(), omega, {"K": gain, "T": 0.5}, noise=0.02, seed=seed)
+        for gain, seed in ((2.0, 1), (3.0, 2))
     )
     shared = gb.Problem(Lag(), roll) + gb.Problem(Lag(), pitch, rename={"K": "K_pitch"})
     other = shared.with_(fixed={"T": 0.4})
-    fits = [gb.fit(problem, starts=4) for problem in (shared, gb.Problem(Lag(), roll) + gb.Problem(Lag(), pitch))]
+    fits = [
+        gb.fit(problem, starts=4)
+        for problem in (shared, gb.Problem(Lag(), roll) + gb.Problem(Lag(), pitch))
+    ]
     found = gb.compare(*fits, labels=("own gains", "one gain"), folds="parts")
     assert found.value("values estimated from what is left out", "own gains", "parts") == 2
     assert found.value("relative error (rms)", "own gains", "parts") < 4
@@ -121,4 +157,6 @@ def test_given_variances_make_the_likelihood():
     assert found.value("AIC", "Lag") == pytest.approx(2 * likelihood.cost + 4)
     relative = fitted(Lag(), likely)
     found = gb.compare(likelihood, relative, labels=("likelihood", "relative"))
-    assert found.value("AIC", "relative") == pytest.approx(found.value("AIC", "likelihood"), abs=1e-5)
+    assert found.value("AIC", "relative") == pytest.approx(
+        found.value("AIC", "likelihood"), abs=1e-5
+    )

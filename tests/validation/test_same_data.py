@@ -20,18 +20,26 @@ from greybox.validation.same_data import (
     why_not_comparable,
 )
 
-DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02, columns={"variance": np.full(30, 1e-4)})
+DATA = measured(
+    LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02, columns={"variance": np.full(30, 1e-4)}
+)
 
 
 @pytest.fixture(scope="module")
 def fits():
-    return {threshold: gb.fit(gb.Problem(Lag(), DATA, Huber(threshold)), starts=4) for threshold in (1.0, 2.0)}
+    return {
+        threshold: gb.fit(gb.Problem(Lag(), DATA, Huber(threshold)), starts=4)
+        for threshold in (1.0, 2.0)
+    }
 
 
 def test_criteria_of_a_user_are_the_same_when_their_settings_are(fits, tmp_path):
     other = gb.fit(gb.Problem(LagLagDelay(), DATA, Huber(1.0)), starts=10)
     assert other.criterion == "huber"
-    same, different = gb.compare(fits[1.0], other), gb.compare(fits[2.0], other, labels=("two", "one"))
+    same, different = (
+        gb.compare(fits[1.0], other),
+        gb.compare(fits[2.0], other, labels=("two", "one")),
+    )
     assert same.value("cost: huber", "Lag") == fits[1.0].cost
     assert different.value("cost", "two") is None
     said = "they are of different criteria (huber (threshold = 2.0); huber (threshold = 1.0))"
@@ -54,7 +62,10 @@ def test_likelihoods_are_those_of_weight_one():
 
 def test_labels_tell_fits_of_one_model_apart(fits):
     one, two = fits[1.0], fits[2.0]
-    assert labels_of([one, gb.fit(gb.Problem(LagLagDelay(), DATA), starts=3)]) == ("Lag", "LagLagDelay")
+    assert labels_of([one, gb.fit(gb.Problem(LagLagDelay(), DATA), starts=3)]) == (
+        "Lag",
+        "LagLagDelay",
+    )
     assert labels_of([one, replace(two, name="second")]) == ("Lag (made)", "Lag (second)")
     assert labels_of([one, two]) == ("Lag 1", "Lag 2")
 
@@ -62,12 +73,18 @@ def test_labels_tell_fits_of_one_model_apart(fits):
 def test_other_data_and_other_weights_are_told(fits):
     one, two = fits[1.0], fits[2.0]
     assert data_difference([one, two], ("a", "b")) == ""
-    elsewhere = replace(two, parts=(replace(two.parts[0], data=measured(Lag(), TWO_LAGS_OMEGA, name="else")),))
-    assert data_difference([one, elsewhere], ("a", "b")).startswith("b was fitted to other data than a ('else', ")
+    elsewhere = replace(
+        two, parts=(replace(two.parts[0], data=measured(Lag(), TWO_LAGS_OMEGA, name="else")),)
+    )
+    assert data_difference([one, elsewhere], ("a", "b")).startswith(
+        "b was fitted to other data than a ('else', "
+    )
     twice = replace(two, parts=two.parts * 2)
     assert data_difference([one, twice], ("a", "b")) == "b was fitted to 2 sets of data and a to 1"
     heavy = replace(one, parts=(replace(one.parts[0], weight=3.0),))
-    assert why_not_comparable([one, heavy], ("a", "b")) == "their data are weighted differently (1; 3)"
+    assert (
+        why_not_comparable([one, heavy], ("a", "b")) == "their data are weighted differently (1; 3)"
+    )
     assert why_not_comparable([one, one], ("a", "b")) == ""
     assert count_numbers(one.parts[0]) == 60
 
@@ -94,10 +111,14 @@ def test_numbers_of_data_and_outputs_are_counted_in_each_kind(fits):
     spectrum = FittedSpectrum.__new__(FittedSpectrum)
     vars(spectrum).update(data=np.zeros(7), outputs=("p", "r", "beta"))
     assert count_numbers(spectrum) == 2 * 7 * 3
-    assert shared_data([fits[1.0]]) == f"the same for all: made ({part.data.checksum[:8]}), 60 numbers"
+    assert (
+        shared_data([fits[1.0]]) == f"the same for all: made ({part.data.checksum[:8]}), 60 numbers"
+    )
     fewer = replace(fits[2.0], parts=(replace(part, data=part.data.where(np.arange(30) < 29)),))
     assert other_samples([fits[1.0], fits[2.0]], ("a", "b")) == ""
     assert other_samples([fits[1.0], fewer], ("a", "b")).startswith(
         "a was fitted to 60 numbers of 'made' and b to 58 ("
     )
-    assert why_not_comparable([fits[1.0], fewer], ("a", "b")).startswith("a was fitted to 60 numbers of 'made' and b ")
+    assert why_not_comparable([fits[1.0], fewer], ("a", "b")).startswith(
+        "a was fitted to 60 numbers of 'made' and b "
+    )

@@ -51,7 +51,10 @@ class TwoOutputs:
 
 def test_a_missing_output_leaves_out_a_sample_only_where_outputs_are_correlated():
     part = TwoOutputs([[1.0, 0.3], [0.3, 0.5]])
-    expected = [multivariate_normal.logpdf(e, cov=part.noise) if np.isfinite(e).all() else np.nan for e in part.e.T]
+    expected = [
+        multivariate_normal.logpdf(e, cov=part.noise) if np.isfinite(e).all() else np.nan
+        for e in part.e.T
+    ]
     assert significance._log_likelihoods(part) == pytest.approx(expected, nan_ok=True)
     part = TwoOutputs([[1.0, 0.0], [0.0, 0.5]])
     alone = norm.logpdf(part.e, scale=np.sqrt(np.diag(part.noise))[:, None])
@@ -69,8 +72,12 @@ def test_squares_of_windows_are_those_of_the_residuals(fits):
 
 def test_the_winner_does_not_depend_on_the_order(fits):
     predictions: Predictions = tuple((gb.predict(fit),) for fit in fits)
-    better, sentence = significance._errors_window_by_window(("wrong", "right"), predictions, (0, 1), "held-out")
-    back, same = significance._errors_window_by_window(("wrong", "right"), predictions, (1, 0), "held-out")
+    better, sentence = significance._errors_window_by_window(
+        ("wrong", "right"), predictions, (0, 1), "held-out"
+    )
+    back, same = significance._errors_window_by_window(
+        ("wrong", "right"), predictions, (1, 0), "held-out"
+    )
     assert (better, back) == (-1, 1)
     assert sentence == same
     assert sentence.startswith("right predicts held-out data better than wrong, in ")
@@ -78,17 +85,25 @@ def test_the_winner_does_not_depend_on_the_order(fits):
 
 def test_too_few_windows_are_no_verdict_and_equal_ones_a_tie(fits):
     few = tuple((gb.predict(fit, horizon=7.0),) for fit in fits)
-    better, sentence = significance._errors_window_by_window(("a", "b"), few, (0, 1), "identification")
+    better, sentence = significance._errors_window_by_window(
+        ("a", "b"), few, (0, 1), "identification"
+    )
     assert (better, sentence[:33]) == (None, "2 windows cannot show whether a o")
     same = tuple((gb.predict(fits[1]),) for _ in range(2))
-    better, sentence = significance._errors_window_by_window(("a", "b"), same, (0, 1), "identification")
+    better, sentence = significance._errors_window_by_window(
+        ("a", "b"), same, (0, 1), "identification"
+    )
     assert better == 0
-    assert sentence.startswith("a and b predict their own data equally well: their mean squared errors differ by 0 %")
+    assert sentence.startswith(
+        "a and b predict their own data equally well: their mean squared errors differ by 0 %"
+    )
 
 
 def shifted(prediction, errors):
     """The same prediction with these errors (w,) throughout every window."""
-    return replace(prediction, predicted=prediction.measured("v")[None] - np.asarray(errors)[None, :, None])
+    return replace(
+        prediction, predicted=prediction.measured("v")[None] - np.asarray(errors)[None, :, None]
+    )
 
 
 def test_no_difference_found_is_a_tie_only_where_its_interval_is_narrow(fits):
@@ -109,7 +124,9 @@ def test_no_difference_found_is_a_tie_only_where_its_interval_is_narrow(fits):
         pair = ((shifted(made, sizes),), (shifted(made, other),))
         difference = other**2 - sizes**2
         assert ttest_1samp(difference, 0).pvalue > 0.05
-        better, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "held-out")
+        better, sentence = significance._errors_window_by_window(
+            ("a", "b"), pair, (0, 1), "held-out"
+        )
         assert better == expected
         assert said in sentence
 
@@ -122,12 +139,18 @@ def test_few_windows_have_the_p_value_of_students_t(fits):
     p = ttest_1samp(worse**2 - errors**2, 0).pvalue
     better, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "held-out")
     assert better == 1
-    assert sentence == f"a predicts held-out data better than b, in 100 % of {len(made)} windows ({p_text(p)})."
+    assert (
+        sentence
+        == f"a predicts held-out data better than b, in 100 % of {len(made)} windows ({p_text(p)})."
+    )
 
 
 def test_one_model_fitted_twice_fits_equally_well(fits):
     found = significance._likelihoods_sample_by_sample((fits[1], fits[1]), ("a", "b"), (0, 1))
-    assert found == (0, "a and b fit the data equally well (AIC differs by 0; below 2 neither is preferred).")
+    assert found == (
+        0,
+        "a and b fit the data equally well (AIC differs by 0; below 2 neither is preferred).",
+    )
 
 
 class Spring(gb.StateSpace):
@@ -155,9 +178,13 @@ def test_vuongs_test_of_correlated_outputs_is_that_of_their_joint_density():
     time = np.arange(400) / 20
     random = np.random.default_rng(4)
     force = 2 * np.sign(np.sin(0.9 * time))
-    clean = gb.simulate(Spring(), {"stiffness": 4.0, "damping": 0.6}, gb.Record(time, {"force": force}))
+    clean = gb.simulate(
+        Spring(), {"stiffness": 4.0, "damping": 0.6}, gb.Record(time, {"force": force})
+    )
     error = 0.1 * random.multivariate_normal([0, 0], [[1.0, 0.7], [0.7, 1.0]], size=time.size).T
-    record = gb.Record(time, {"force": force, "x": clean["x"] + error[0], "v": clean["v"] + error[1]})
+    record = gb.Record(
+        time, {"force": force, "x": clean["x"] + error[0], "v": clean["v"] + error[1]}
+    )
     full = gb.OutputError(noise="full")
     fits = [fitted(model, record, criterion=full) for model in (Spring(), DrySpring())]
     densities = []
@@ -190,11 +217,23 @@ def test_a_term_is_judged_against_zero_and_by_the_models_without_it():
     ("estimation", "held_out", "said"),
     [
         ((1, 1), (None, 1), "determined by these data."),
-        ((1, 1), (None, -1), "determined by these data, but b, without it, predicts held-out data better."),
+        (
+            (1, 1),
+            (None, -1),
+            "determined by these data, but b, without it, predicts held-out data better.",
+        ),
         ((-1, 0), (1, 1), "not zero, but a, without it, explains the data better."),
-        ((1, None), (1, 1), "not zero, but it cannot be told whether b, without it, explains the data as well."),
+        (
+            (1, None),
+            (1, 1),
+            "not zero, but it cannot be told whether b, without it, explains the data as well.",
+        ),
         ((1, 0), (1, 1), "not zero, but b, without it, explains the data as well."),
-        (None, (1, None), "not zero, but it cannot be told whether b, without it, predicts held-out data as well."),
+        (
+            None,
+            (1, None),
+            "not zero, but it cannot be told whether b, without it, predicts held-out data as well.",
+        ),
         (None, (-1, 1), "not zero, but a, without it, predicts held-out data better."),
         (None, (1, 1), "determined by these data."),
     ],
@@ -203,16 +242,32 @@ def test_held_out_evidence_stands_beside_that_of_the_fits(estimation, held_out, 
     def evidence(verdicts):
         return {(2, i): significance.Evidence(v, "said") for i, v in enumerate(verdicts or ())}
 
-    found = {"estimation": evidence(estimation), "identification": {}, "held-out": evidence(held_out)}
+    found = {
+        "estimation": evidence(estimation),
+        "identification": {},
+        "held-out": evidence(held_out),
+    }
     assert significance._by_evidence(("a", "b", "c"), 2, (0, 1), found, "zero") == said
 
 
 @pytest.mark.parametrize(
     ("aic", "better", "said"),
     [
-        (1.9, 0, "a and b fit the data equally well (AIC differs by 1.9; below 2 neither is preferred)."),
-        (2.1, None, "It cannot be told which of a and b fits the data better (AIC differs by 2.1; from 10 on one "),
-        (9.9, None, "It cannot be told which of a and b fits the data better (AIC differs by 9.9; from 10 on one "),
+        (
+            1.9,
+            0,
+            "a and b fit the data equally well (AIC differs by 1.9; below 2 neither is preferred).",
+        ),
+        (
+            2.1,
+            None,
+            "It cannot be told which of a and b fits the data better (AIC differs by 2.1; from 10 on one ",
+        ),
+        (
+            9.9,
+            None,
+            "It cannot be told which of a and b fits the data better (AIC differs by 9.9; from 10 on one ",
+        ),
         (10.1, 1, "a fits the data better than b (AIC differs by 10.1)."),
         (-10.1, -1, "b fits the data better than a (AIC differs by 10.1)."),
     ],
@@ -226,26 +281,40 @@ def test_support_by_aic_is_that_of_burnham_and_anderson(aic, better, said):
 @pytest.mark.parametrize(("t", "p_values", "not_found"), [
     (1.99, (), True), (2.01, (), False), (9.0, (0.051,), True), (0.1, (0.049,), False), (9.0, (0.01, 0.2), True),
 ])  # fmt: skip
-def test_a_term_is_found_beyond_two_errors_or_by_its_own_test_where_there_is_one(t, p_values, not_found):
+def test_a_term_is_found_beyond_two_errors_or_by_its_own_test_where_there_is_one(
+    t, p_values, not_found
+):
     def nested(p, terms):
         return NestedTest("b", "a", terms, 4.0, 1.0, 4.0, (1, 50.0), p)
 
-    tests = {(0, k + 1): significance.Evidence(1, "said", nested(p, ("C",))) for k, p in enumerate(p_values)}
-    tests[0, 5] = significance.Evidence(1, "said", nested(0.9, ("C", "D")))  # of two terms: says nothing of one
+    tests = {
+        (0, k + 1): significance.Evidence(1, "said", nested(p, ("C",)))
+        for k, p in enumerate(p_values)
+    }
+    tests[0, 5] = significance.Evidence(
+        1, "said", nested(0.9, ("C", "D"))
+    )  # of two terms: says nothing of one
     without = [*range(1, len(p_values) + 1), 5]
     assert significance._not_found("C", t, 0, without, {"estimation": tests}) is not_found
 
 
-def test_differences_below_a_thousandth_are_a_tie_and_their_percentage_is_that_of_the_mean_squares(fits):
+def test_differences_below_a_thousandth_are_a_tie_and_their_percentage_is_that_of_the_mean_squares(
+    fits,
+):
     """The second predicts a little worse in every window: significant, and no matter below 0.1 %."""
     made = gb.predict(fits[1], horizon=2.0)
     errors = np.linspace(1.0, 2.0, len(made))
     for more, better in ((0.0009, 0), (0.0011, 1)):
         pair = ((shifted(made, errors),), (shifted(made, errors * np.sqrt(1 + more)),))
-        found, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "held-out")
+        found, sentence = significance._errors_window_by_window(
+            ("a", "b"), pair, (0, 1), "held-out"
+        )
         assert found == better
         if not better:
-            assert f"differ by {100 * more / (1 + more):.2g} % ({len(made)} windows), and below 0.1 %" in sentence
+            assert (
+                f"differ by {100 * more / (1 + more):.2g} % ({len(made)} windows), and below 0.1 %"
+                in sentence
+            )
 
 
 def test_three_windows_are_tested_by_students_t(fits):
@@ -254,9 +323,14 @@ def test_three_windows_are_tested_by_students_t(fits):
     errors, worse = np.array([1.0, 1.1, 1.2]), np.array([1.5, 1.45, 1.7])
     pair = ((shifted(made, errors),), (shifted(made, worse),))
     p = ttest_1samp(worse**2 - errors**2, 0).pvalue
-    better, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "identification")
+    better, sentence = significance._errors_window_by_window(
+        ("a", "b"), pair, (0, 1), "identification"
+    )
     assert 0.01 < p < 0.05
-    assert (better, sentence) == (1, f"a predicts its own data better than b, in 100 % of 3 windows ({p_text(p)}).")
+    assert (better, sentence) == (
+        1,
+        f"a predicts its own data better than b, in 100 % of 3 windows ({p_text(p)}).",
+    )
 
 
 def test_values_from_the_record_itself_make_its_errors_smaller_by_their_share(fits):
@@ -296,8 +370,12 @@ def test_samples_that_one_of_two_predictions_lacks_count_in_neither(fits):
         assert found == pytest.approx(np.nanmean(e**2, axis=1) / noise)
 
 
-@pytest.mark.parametrize(("errors", "verdict"), [(1.9, "not distinguishable"), (2.1, "distinguishable")])
-def test_a_term_is_told_from_the_value_at_which_others_hold_it_beyond_two_errors(fits, errors, verdict):
+@pytest.mark.parametrize(
+    ("errors", "verdict"), [(1.9, "not distinguishable"), (2.1, "distinguishable")]
+)
+def test_a_term_is_told_from_the_value_at_which_others_hold_it_beyond_two_errors(
+    fits, errors, verdict
+):
     fit = fits[1]
     (name,) = fit.free
     held = fit.estimate[name] + errors * fit.standard_error[name]
@@ -308,7 +386,9 @@ def test_a_term_is_told_from_the_value_at_which_others_hold_it_beyond_two_errors
 
 
 @pytest.mark.parametrize("more", [0, 3])
-def test_the_difference_of_aic_is_that_of_the_likelihoods_and_of_the_numbers_that_were_estimated(more):
+def test_the_difference_of_aic_is_that_of_the_likelihoods_and_of_the_numbers_that_were_estimated(
+    more,
+):
     """Of residuals that two models share but for a little, where Vuong's test finds nothing."""
     random = np.random.default_rng(5)
     e = random.normal(size=(2, 200))
@@ -317,13 +397,20 @@ def test_the_difference_of_aic_is_that_of_the_likelihoods_and_of_the_numbers_tha
     def fit(residuals, free):
         data = SimpleNamespace(independent_pieces=[slice(None)])
         noise = np.array([[np.mean(residuals**2)]])
-        part = SimpleNamespace(outputs=("y",), noise=noise, data=data, nuisances=1, residual=lambda _: residuals)
+        part = SimpleNamespace(
+            outputs=("y",), noise=noise, data=data, nuisances=1, residual=lambda _: residuals
+        )
         return SimpleNamespace(records=[part], parts=[part], free=("p",) * free)
 
     logs = [-100 * (np.log(2 * np.pi * np.mean(r**2)) + 1) for r in e]
     aic = 2 * (2 + more - logs[0]) - 2 * (2 - logs[1])
     assert abs(aic) > 2
-    _, sentence = significance._likelihoods_sample_by_sample((fit(e[0], 1 + more), fit(e[1], 1)), ("a", "b"), (0, 1))
+    _, sentence = significance._likelihoods_sample_by_sample(
+        (fit(e[0], 1 + more), fit(e[1], 1)), ("a", "b"), (0, 1)
+    )
     assert f"AIC differs by {number(abs(aic), 2)})" in sentence
     close = (fit(e[0], 1), fit(e[0], 3))
-    assert "AIC differs by 4)" in significance._likelihoods_sample_by_sample(close, ("a", "b"), (0, 1))[1]
+    assert (
+        "AIC differs by 4)"
+        in significance._likelihoods_sample_by_sample(close, ("a", "b"), (0, 1))[1]
+    )

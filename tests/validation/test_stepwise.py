@@ -78,7 +78,10 @@ def test_the_terms_of_the_truth_are_chosen_and_tested_as_in_regression(selection
 
 def test_terms_are_tried_without_once_there_are_two(selection):
     _, found = selection
-    tried = {step: [t.term for t in found.trials if (t.step, t.change) == (step, "remove")] for step in (1, 2)}
+    tried = {
+        step: [t.term for t in found.trials if (t.step, t.change) == (step, "remove")]
+        for step in (1, 2)
+    }
     assert tried == {1: [], 2: list(found.terms)}
 
 
@@ -103,7 +106,9 @@ def test_a_term_that_another_one_replaces_is_removed():
 
 
 def test_noise_brings_in_no_term():
-    assert [gb.stepwise(problem({}, seed=seed), ["c1", "c9"], starts=1).terms for seed in range(1, 5)] == [()] * 4
+    assert [
+        gb.stepwise(problem({}, seed=seed), ["c1", "c9"], starts=1).terms for seed in range(1, 5)
+    ] == [()] * 4
     found = gb.stepwise(problem({}, seed=1), ["c9"], starts=1)
     assert found.verdict.startswith("None of 1 candidate is supported")
     assert found.fit is found.without
@@ -130,7 +135,9 @@ def test_mistakes_are_told():
 def test_candidates_are_free_or_at_the_values_where_they_are_absent():
     """Whether they are declared fixed, freed by the problem, or fixed by it; others stay as they are."""
     made = problem({}).with_(fixed={"c3": 1.0}, free=["c1"], rename={"c9": "c9_b"})
-    some = with_terms(made, frozenset({"c3", "c3b"}), {"c1": 0.5, "c3": 0.0, "c3b": 0.0, "c9_b": -1.0})
+    some = with_terms(
+        made, frozenset({"c3", "c3b"}), {"c1": 0.5, "c3": 0.0, "c3b": 0.0, "c9_b": -1.0}
+    )
     assert some.fixed_values == {"c1": 0.5, "c9": -1.0}
     assert {name for name, p in some.parameters.items() if not p.fixed} == {"K", "c3", "c3b"}
     none = with_terms(made, frozenset(), {"c9_b": 3.0})
@@ -139,7 +146,11 @@ def test_candidates_are_free_or_at_the_values_where_they_are_absent():
 
 
 def test_a_difference_of_aic_has_a_direction():
-    assert [_more(x) for x in (1.234, -1.234, 0.004)] == ["AIC 1.23 more", "AIC 1.23 less", "the same AIC"]
+    assert [_more(x) for x in (1.234, -1.234, 0.004)] == [
+        "AIC 1.23 more",
+        "AIC 1.23 less",
+        "the same AIC",
+    ]
 
 
 def test_what_is_correlated_with_a_chosen_term_is_said(selection):

@@ -1,8 +1,9 @@
 """How the states of a record become unknowns of an optimization: one method a file, interchangeable on one problem.
 
-`method` says what a transcription is; `multiple_shooting` is the default, `single_shooting` and `collocation` are
-solved by IPOPT. The integrator that a method's equations amount to is its `scheme`; new ones are written in
-`greybox.modeling.integrators`, or, where they are implicit, `greybox.modeling.implicit_integrators`.
+`method` says what a transcription is; `multiple_shooting` is the default, `single_shooting` and
+`collocation` are solved by IPOPT. The integrator that a method's equations amount to is its
+`scheme`; new ones are written in `greybox.modeling.integrators`, or, where they are implicit,
+`greybox.modeling.implicit_integrators`.
 """
 
 from greybox.compiled.transcription.collocation import Collocation as Collocation

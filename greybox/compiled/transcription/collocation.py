@@ -19,8 +19,8 @@ MOST_POINTS = 9
 class Collocation(Transcription):
     """Radau points between every two samples: no simulation, so neither stiff nor unstable models trouble it.
 
-    Source: Betts (2010), Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, 2nd ed.,
-    chapter 5; Hairer and Wanner, Solving ODEs II, IV.5.
+    Source: Betts (2010), Practical Methods for Optimal Control and Estimation Using Nonlinear
+    Programming, 2nd ed., chapter 5; Hairer and Wanner, Solving ODEs II, IV.5.
 
     Parameters
     ----------
@@ -37,7 +37,9 @@ class Collocation(Transcription):
         """Check the options."""
         super().__post_init__()
         if not isinstance(self.degree, int) or not 1 <= self.degree <= MOST_POINTS:
-            raise ValueError(f"degree {self.degree!r} must be a whole number from 1 to {MOST_POINTS}.")
+            raise ValueError(
+                f"degree {self.degree!r} must be a whole number from 1 to {MOST_POINTS}."
+            )
 
     @property
     def scheme(self) -> ImplicitIntegrator:
@@ -72,7 +74,9 @@ class Collocation(Transcription):
         stages = ca.SX.sym("stages", n, scheme.stages)
         corrected, mean, change, residual, _ = step.measurement(x, q, d)
         p, h = q[: len(step.system.parameters)], d[d.numel() - 1]
-        equations = scheme.equations(step.system, corrected, stages, mean - change / 2, change / h, p, h)
+        equations = scheme.equations(
+            step.system, corrected, stages, mean - change / 2, change / h, p, h
+        )
         end = scheme.end(corrected, stages)
         return (
             ca.Function("equations", [x, ca.vec(stages), q, d], [ca.vec(equations), end]),

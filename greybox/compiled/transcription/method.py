@@ -31,7 +31,8 @@ class Transcribed:
     initial : casadi.MX
         (n, stretches), the states at the first samples.
     start : function
-        Returns the unknowns for states (n, samples) in the order of the samples, padding of segments included.
+        Returns the unknowns for states (n, samples) in the order of the samples, padding of
+        segments included.
     """
 
     unknowns: ca.MX
@@ -45,15 +46,15 @@ class Transcribed:
 class Transcription(ABC):
     """A way to treat the states of records while parameters are estimated.
 
-    The same solution must follow from two descriptions: `transcribe` gives the unknowns and equations that a solver
-    sees, `scheme` the step from sample to sample that they amount to. Costs, residuals, standard errors and the check
-    of the discretization come from the second.
+    The same solution must follow from two descriptions: `transcribe` gives the unknowns and
+    equations that a solver sees, `scheme` the step from sample to sample that they amount to.
+    Costs, residuals, standard errors and the check of the discretization come from the second.
 
     Parameters
     ----------
     segment : int, optional
-        Samples between the nodes of multiple shooting, which every method starts from; by default chosen from the
-        growth of the unstable poles, between 5 and 10.
+        Samples between the nodes of multiple shooting, which every method starts from; by default
+        chosen from the growth of the unstable poles, between 5 and 10.
     hessian : "gauss-newton" or "exact"
         Of the problem that IPOPT solves.
     """
@@ -68,9 +69,13 @@ class Transcription(ABC):
     def __post_init__(self) -> None:
         """Check the options."""
         if self.segment is not None and (not isinstance(self.segment, int) or self.segment < 1):
-            raise ValueError(f"segment {self.segment!r} must be a whole number of samples, at least 1, or None.")
+            raise ValueError(
+                f"segment {self.segment!r} must be a whole number of samples, at least 1, or None."
+            )
         if self.hessian not in ("gauss-newton", "exact"):
-            raise ValueError(f"hessian {self.hessian!r} is not known: use 'gauss-newton' or 'exact'.")
+            raise ValueError(
+                f"hessian {self.hessian!r} is not known: use 'gauss-newton' or 'exact'."
+            )
 
     @property
     def by_ipopt(self) -> bool:
@@ -89,7 +94,9 @@ class Transcription(ABC):
     def described(self, segment_length: int, substeps: int) -> str:
         """Return the method in words, with what was chosen."""
         segments = f"{counted(segment_length, 'sample')} per segment"
-        return f"{self.label}, {segments}, {self.scheme.name}, {counted(substeps, 'step')} per sample"
+        return (
+            f"{self.label}, {segments}, {self.scheme.name}, {counted(substeps, 'step')} per sample"
+        )
 
     def finer(self, substeps: int) -> str:
         """Return the option of `fit` that integrates with so many steps per sample, for a warning."""
@@ -101,7 +108,9 @@ class Transcription(ABC):
         usual = type(self)()
         chosen = (f.name for f in fields(self) if f.name != "strategies")
         shown = (
-            f"{k}={getattr(changed, k)!r}" for k in chosen if k in changes or getattr(self, k) != getattr(usual, k)
+            f"{k}={getattr(changed, k)!r}"
+            for k in chosen
+            if k in changes or getattr(self, k) != getattr(usual, k)
         )
         return f"method={type(self).__name__}({', '.join(shown)})"
 

@@ -17,8 +17,8 @@ from greybox.modeling.integrators import Integrator, RungeKutta
 class MultipleShooting(Transcription):
     """Segments of a few samples, Gauss-Newton steps with their nodes eliminated; the default method.
 
-    Source: Bock, Kostina, Schlöder (2007), Numerical methods for parameter estimation in nonlinear differential
-    algebraic equations, GAMM-Mitteilungen 30.
+    Source: Bock, Kostina, Schlöder (2007), Numerical methods for parameter estimation in nonlinear
+    differential algebraic equations, GAMM-Mitteilungen 30.
 
     Parameters
     ----------
@@ -45,7 +45,9 @@ class MultipleShooting(Transcription):
         super().__post_init__()
         checked_integrator(self.integrator)
         if not isinstance(self.strategies, Strategies):
-            raise TypeError(f"strategies is {self.strategies!r:.60}: give gb.solve.Strategies(...).")
+            raise TypeError(
+                f"strategies is {self.strategies!r:.60}: give gb.solve.Strategies(...)."
+            )
 
     @property
     def by_ipopt(self) -> bool:

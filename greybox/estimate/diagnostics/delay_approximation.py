@@ -12,7 +12,8 @@ from greybox.modeling.pade_delay import delay_order
 # Degrees of phase over the fitted band: as much as noise of 1.7 % in each component makes.
 PHASE_LIMIT = 1.0
 
-# Frequencies between the lowest and the highest of the data, at which the error is looked for besides these.
+# Frequencies between the lowest and the highest of the data, at which the error is looked for
+# besides these.
 GRID = 200
 
 

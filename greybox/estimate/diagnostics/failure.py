@@ -13,12 +13,14 @@ from greybox.solve.minima import Multistart, best_unfinished
 from greybox.solve.outcome import CUT_SHORT, Run
 from greybox.solve.transcribed_program import TranscribedProgram
 
-# Standard errors that a minimum along one parameter alone must be away for the cost to count as falling there: a tenth
-# is what "converged" allows.
+# Standard errors that a minimum along one parameter alone must be away for the cost to count as
+# falling there: a tenth is what "converged" allows.
 STEEP = 0.1
 
 # IPOPT's steps are not damped along initial states and parameters that the outputs hardly show.
-UNDAMPED = ", or leave out method: the steps of the default one are damped where the data determine little"
+UNDAMPED = (
+    ", or leave out method: the steps of the default one are damped where the data determine little"
+)
 
 # Parameters named in a sentence, the steepest first.
 NAMED = 4
@@ -63,7 +65,9 @@ def _cure(run: Run) -> str:
         return "give it more time"
     if "iterations" in status or "relaxations" in status:
         return "give it more iterations, solver_options={'max_iter': ...}"
-    return "start elsewhere, narrow the start boxes, or fix parameters that the data do not determine"
+    return (
+        "start elsewhere, narrow the start boxes, or fix parameters that the data do not determine"
+    )
 
 
 def _end(search: Multistart, solver: LocalSolver, run: Run) -> Profile | None:

@@ -1,14 +1,15 @@
 """Whether the errors of a response or of a manoeuvre are correlated along frequency.
 
-Errors of neighboring points are not independent where these are closer than the resolution of the transform that they
-come from, nor where the model leaves a part of the response out. The residuals show both: of independent errors,
-neighbors have no product on average but for what the fitted parameters take away. Standard errors of responses account
-for it (`greybox.statistics.neighbor_correlation`), those of manoeuvres do not.
+Errors of neighboring points are not independent where these are closer than the resolution of the
+transform that they come from, nor where the model leaves a part of the response out. The residuals
+show both: of independent errors, neighbors have no product on average but for what the fitted
+parameters take away. Standard errors of responses account for it
+(`greybox.statistics.neighbor_correlation`), those of manoeuvres do not.
 
-With z the residuals over their size, real and imaginary parts below each other, the correlation of neighbors is
-r = zᵀWz / zᵀz. Of normal errors with the parameters taken away, z = Me, r is independent of zᵀz and has the mean
-tr MW / k and the variance 2 (tr (MW)² - (tr MW)² / k) / (k (k + 2)), k = tr M (Durbin and Watson (1950), Biometrika
-37, who hold a beta distribution against it).
+With z the residuals over their size, real and imaginary parts below each other, the correlation of
+neighbors is r = zᵀWz / zᵀz. Of normal errors with the parameters taken away, z = Me, r is
+independent of zᵀz and has the mean tr MW / k and the variance 2 (tr (MW)² - (tr MW)² / k) / (k (k +
+2)), k = tr M (Durbin and Watson (1950), Biometrika 37, who hold a beta distribution against it).
 """
 
 from collections.abc import Iterator
@@ -28,11 +29,13 @@ Array = NDArray[np.float64]
 # Of fits with independent errors, the share that is warned.
 SIZE = 0.01
 
-# Fewest residuals, beyond the parameters: with fewer the beta distribution is not a good approximation.
+# Fewest residuals, beyond the parameters: with fewer the beta distribution is not a good
+# approximation.
 LEAST_LEFT = 4
 
-# Correlation lengths of the points below which standard errors are called rough: of 12 points with a correlation of
-# 0.8, two and a half lengths, intervals of 95 % hold in 86 to 93 % of fits, of 24 in 91 to 98.
+# Correlation lengths of the points below which standard errors are called rough: of 12 points with
+# a correlation of 0.8, two and a half lengths, intervals of 95 % hold in 86 to 93 % of fits, of 24
+# in 91 to 98.
 FEWEST_LENGTHS = 8.0
 
 # Of the largest measured magnitude: points below, which may be zero, have no relative error.
@@ -93,7 +96,9 @@ def chance_of_more(r: float, mean: float, variance: float) -> float:
     return float(betaincc(middle * total, (1 - middle) * total, (1 + r) / 2))
 
 
-def lag_one_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> tuple[float, float, float] | None:
+def lag_one_correlation(
+    residuals: NDArray[np.complex128], jacobian: Array
+) -> tuple[float, float, float] | None:
     """Return the correlation of neighbors, and its mean and variance if the errors are independent.
 
     Parameters
@@ -131,14 +136,18 @@ def lag_one_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> t
     return r, float(trace / k), float(2 * (trace_of_square - trace**2 / k) / (k * (k + 2)))
 
 
-def _of_spectrum(nlp: Nlp, part: TransientPart, x: Array) -> Iterator[tuple[str, tuple[NDArray[np.complex128], Array]]]:
+def _of_spectrum(
+    nlp: Nlp, part: TransientPart, x: Array
+) -> Iterator[tuple[str, tuple[NDArray[np.complex128], Array]]]:
     """Return the errors of every output of a manoeuvre, (n,), and their derivatives by what was fitted, (2n, ...)."""
     for name, errors, jacobian in part.errors_by_output(nlp.scaling.to_solver(x)):
         where = f" of {part.problem.name!r}" if len(nlp.parts) > 1 else ""
         yield f"errors of {name}{where}", (errors, np.vstack([jacobian.real, jacobian.imag]))
 
 
-def _residuals(part: ResponsePart, values: Array, free: int) -> tuple[NDArray[np.complex128], Array]:
+def _residuals(
+    part: ResponsePart, values: Array, free: int
+) -> tuple[NDArray[np.complex128], Array]:
     """Return the residuals over their sizes by frequency, (n,), and their derivatives, (2n, free)."""
     data = part.data
     order = np.argsort(data.omega)

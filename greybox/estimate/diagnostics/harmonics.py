@@ -1,11 +1,11 @@
 """Whether the harmonics of a sine test are enough for the noise, and whether the sine has one motion.
 
-Too few harmonics shift the response of a nonlinear model, and the parameters with it, without a trace in the residuals.
-The shift follows to first order from the change of the response at the estimate, in units of the standard errors; what
-is far below them does not matter.
+Too few harmonics shift the response of a nonlinear model, and the parameters with it, without a
+trace in the residuals. The shift follows to first order from the change of the response at the
+estimate, in units of the standard errors; what is far below them does not matter.
 
-Several motions under one sine have several responses, of which a fit evaluates one. They are sought at the estimate,
-at the frequencies at which the response differs most from the linear one.
+Several motions under one sine have several responses, of which a fit evaluates one. They are sought
+at the estimate, at the frequencies at which the response differs most from the linear one.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,8 @@ from greybox.modeling.sine import MOST_HARMONICS
 
 Array = NDArray[np.float64]
 
-# Shift of a parameter, in standard errors, that does not matter: it adds 0.5 % to the root mean square error.
+# Shift of a parameter, in standard errors, that does not matter: it adds 0.5 % to the root mean
+# square error.
 SMALL_SHIFT = 0.1
 ROUNDING = 1e-7  # change of the response, relative, that no measurement shows
 
@@ -82,7 +83,9 @@ def too_few_harmonics(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[TooFew
         more = min(2 * sine.harmonics + 3, MOST_HARMONICS)
         few, many = (_response(problem, values, harmonics) for harmonics in (sine.harmonics, more))
         change = float(np.abs(many / few - 1).max())
-        if not np.isfinite(change) or change < ROUNDING:  # with NaN, no motion is found: nothing can be said
+        if (
+            not np.isfinite(change) or change < ROUNDING
+        ):  # with NaN, no motion is found: nothing can be said
             continue
 
         information = part.information(nlp.names, everything, (), None, nlp.scaling.slope(x))
@@ -98,7 +101,9 @@ def _several_motions(problem: Problem, values: dict[str, float]) -> Iterator[str
     local = dict(problem.local_values(values))
     few = _response(problem, values, problem.amplitude.harmonics)
     try:
-        linear = frequency_response(problem.model, local, omega, **_signals(problem), delay=problem.delay).response
+        linear = frequency_response(
+            problem.model, local, omega, **_signals(problem), delay=problem.delay
+        ).response
     except ValueError:
         linear = np.zeros(omega.size)
     with np.errstate(all="ignore"):
@@ -108,7 +113,9 @@ def _several_motions(problem: Problem, values: dict[str, float]) -> Iterator[str
     if not searched.size:
         return
     sine = problem.amplitude.between(omega, omega[searched])
-    motions = periodic_motions(problem.model, local, omega[searched], sine, **_signals(problem), delay=problem.delay)
+    motions = periodic_motions(
+        problem.model, local, omega[searched], sine, **_signals(problem), delay=problem.delay
+    )
     yield from motions.several[:1]
 
 
@@ -117,7 +124,9 @@ def _signals(problem: Problem) -> dict[str, Any]:
     return {"input": data.input, "output": data.output, "at": problem.at}
 
 
-def _response(problem: Problem, values: dict[str, float], harmonics: int | None) -> NDArray[np.complex128]:
+def _response(
+    problem: Problem, values: dict[str, float], harmonics: int | None
+) -> NDArray[np.complex128]:
     response, _ = directly_found(
         problem.model,
         dict(problem.local_values(values)),
@@ -130,7 +139,10 @@ def _response(problem: Problem, values: dict[str, float], harmonics: int | None)
 
 
 def _shift(
-    information: Information, few: NDArray[np.complex128], many: NDArray[np.complex128], inverse: Array
+    information: Information,
+    few: NDArray[np.complex128],
+    many: NDArray[np.complex128],
+    inverse: Array,
 ) -> Array:
     """Return the Newton step (p,) of the unknowns to first order in the change of the response."""
     problem = information.part.problem

@@ -69,14 +69,17 @@ def _table(nlp: Nlp, combinations: Sequence[Combination]) -> str:
     return (
         f"the data determine {counted(len(rows), 'combination')} of parameters poorly or not at all{without}: fix as "
         f"many parameters of each as it has directions, or add data in which their effects differ"
-        f"{_inactive_branch(nlp, tuple(names))}.\n" + "\n".join("    " + line for line in table.splitlines())
+        f"{_inactive_branch(nlp, tuple(names))}.\n"
+        + "\n".join("    " + line for line in table.splitlines())
     )
 
 
 def _inactive_branch(nlp: Nlp, names: tuple[str, ...]) -> str:
     """Return another cure, where a model of these parameters has branches."""
     models = [
-        part.model for part in nlp.problem.parts if any(part.outside(declared) in names for declared in part.declared)
+        part.model
+        for part in nlp.problem.parts
+        if any(part.outside(declared) in names for declared in part.declared)
     ]
     if not any(has_branches(model) for model in models):
         return ""
@@ -101,7 +104,9 @@ def held_without_error(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
     """Name values held from an earlier fit that gives them no standard error."""
     errors = np.diag(accuracy.covariance)[len(nlp.free) :]
     held = nlp.problem.held_estimates
-    unknown = [name for name, e in zip(nlp.constants, errors, strict=True) if name in held and np.isnan(e)]
+    unknown = [
+        name for name, e in zip(nlp.constants, errors, strict=True) if name in held and np.isnan(e)
+    ]
     if unknown:
         yield (
             f"the earlier fit gives {listed(unknown)} no standard error, so none can be given here; "

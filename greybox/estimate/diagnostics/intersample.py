@@ -1,10 +1,11 @@
 """What the estimate owes to an assumption on how the inputs run between their samples, which the data cannot tell.
 
-A control that is held acts half a sample later than one that is interpolated. Delays and lags, and with them other
-parameters, take that up without a trace in the residuals. Where the record does not know it, or the criterion says
-otherwise than the record, the answer says by how much the other assumption would move it, by one more run from the
-estimate. (A single Gauss-Newton step is not enough: where parameters hardly differ in their effects, it was measured to
-be wrong by half a standard error.)
+A control that is held acts half a sample later than one that is interpolated. Delays and lags, and
+with them other parameters, take that up without a trace in the residuals. Where the record does not
+know it, or the criterion says otherwise than the record, the answer says by how much the other
+assumption would move it, by one more run from the estimate. (A single Gauss-Newton step is not
+enough: where parameters hardly differ in their effects, it was measured to be wrong by half a
+standard error.)
 """
 
 from collections.abc import Iterator, Mapping
@@ -42,7 +43,9 @@ def intersample_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str
         criterion = part.model.criterion
         all_others = {name: other for found in others.values() for name, other in found.items()}
         between = {name: now for k in others for name, now in _between(nlp.parts[k]).items()}
-        yield assumption_warning(type(criterion).__name__, criterion.inputs, between, all_others, effect)
+        yield assumption_warning(
+            type(criterion).__name__, criterion.inputs, between, all_others, effect
+        )
 
 
 def _between(part: Part) -> dict[str, Intersample]:
@@ -60,7 +63,9 @@ def _others(part: Part) -> Others:
 
 def _shift(nlp: Nlp, x: Array, others: Mapping[int, Others]) -> Array:
     """Return by how much the unknowns (p,) move from `x` if the inputs run as they might instead; NaN if not known."""
-    parts = tuple(_with_inputs(part, others[k]) if k in others else part for k, part in enumerate(nlp.parts))
+    parts = tuple(
+        _with_inputs(part, others[k]) if k in others else part for k, part in enumerate(nlp.parts)
+    )
     end = GaussNewton(replace(nlp, parts=parts)).run(x)
     return end.estimate - x if end.converged else np.full(len(x), np.nan)
 

@@ -15,8 +15,9 @@ from greybox.estimate.diagnostics.repeated import Found, once
 # Relative noise of a component from which the bias of the gain (`gain_bias`) reaches 1 %.
 NOISY = 0.1
 
-# Ratio of the residual variance to the given one that noise alone does not explain: with 10 degrees of freedom
-# chi-square over these lies between 0.4 and 2.5 in 94 % of all cases, with more of them far more often.
+# Ratio of the residual variance to the given one that noise alone does not explain: with 10 degrees
+# of freedom chi-square over these lies between 0.4 and 2.5 in 94 % of all cases, with more of them
+# far more often.
 LEAST_VARIANCE_RATIO = 0.4
 LARGEST_VARIANCE_RATIO = 2.5
 
@@ -72,7 +73,9 @@ def _(part: RecordPart, trajectory: Trajectory, unknowns: int) -> Iterator[Found
     if part.covariance.known is None or part.problem.criterion.is_prior:
         return
     deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
-    for output, given, residual in zip(part.outputs, part.covariance.known, deviations, strict=True):
+    for output, given, residual in zip(
+        part.outputs, part.covariance.known, deviations, strict=True
+    ):
         ratio = residual / given
         if not LEAST_DEVIATION_RATIO <= ratio <= LARGEST_DEVIATION_RATIO:
             name = part.model.record.name or part.name

@@ -57,7 +57,9 @@ def explained(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart:
 
 def not_finite_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Iterator[str]:
     """Say of the first run that could not begin why, where few runs converged; and of the first that met an edge."""
-    stopped = next((run for run in search.runs[search.runs.reason != ""] if run.reason.startswith(EDGE)), None)
+    stopped = next(
+        (run for run in search.runs[search.runs.reason != ""] if run.reason.startswith(EDGE)), None
+    )
     if stopped is not None:
         trouble = _beyond(nlp, solver, search, stopped)
         if trouble is not None and trouble.cure:
@@ -100,7 +102,9 @@ def _trouble(nlp: Nlp, x: Array) -> Trouble | None:
         return None
     z = nlp.scaling.to_solver(np.clip(x, nlp.lower, nlp.upper))
     with np.errstate(all="ignore"):
-        return next((trouble for part in nlp.parts if (trouble := trouble_of(part, z)) is not None), None)
+        return next(
+            (trouble for part in nlp.parts if (trouble := trouble_of(part, z)) is not None), None
+        )
 
 
 @singledispatch
@@ -116,7 +120,9 @@ def _(part: ResponsePart, z: Array) -> Trouble | None:
     if not lost.any():
         return None
     omega = part.data.omega[int(np.argmax(lost))]
-    return Trouble(f"no finite response at {'any frequency' if lost.all() else f'omega = {omega:g} rad/s'}")
+    return Trouble(
+        f"no finite response at {'any frequency' if lost.all() else f'omega = {omega:g} rad/s'}"
+    )
 
 
 @trouble_of.register
@@ -128,28 +134,43 @@ def _(part: RecordPart, z: Array) -> Trouble | None:
 def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     """Look at the states to begin with, at what follows from them, and at the formulas along it."""
     every, segment = np.arange(part.data.samples), part.data.segment_length
-    diverged = not (np.all(np.isfinite(trajectory.detail.states)) and np.all(np.isfinite(trajectory.ends)))
+    diverged = not (
+        np.all(np.isfinite(trajectory.detail.states)) and np.all(np.isfinite(trajectory.ends))
+    )
     found = _of_model(part, trajectory, every[::segment])
-    return found or (_of_integration(part, trajectory) if diverged else _of_model(part, trajectory, every))
+    return found or (
+        _of_integration(part, trajectory) if diverged else _of_model(part, trajectory, every)
+    )
 
 
-def _of_model(part: RecordPart, trajectory: Trajectory, samples: NDArray[np.integer]) -> Trouble | None:
+def _of_model(
+    part: RecordPart, trajectory: Trajectory, samples: NDArray[np.integer]
+) -> Trouble | None:
     """Return the derivative or output that is not finite at one of the samples, if one is."""
     x, data = (
         part.segments.in_order(values)[:, samples]
         for values in (trajectory.detail.states, trajectory.detail.placed.data)
     )
-    _, mean, _, residual, _ = (value.full() for value in part.step.measurement(x, trajectory.detail.placed.q, data))
+    _, mean, _, residual, _ = (
+        value.full() for value in part.step.measurement(x, trajectory.detail.placed.q, data)
+    )
     p = trajectory.detail.placed.q[: len(part.system.parameters)]
-    slopes = part.system.derivative(x, mean, p).full() if part.states else np.zeros((0, len(samples)))
-    named = [(f"the derivative of {name}", row) for name, row in zip(part.system.states, slopes, strict=True)]
+    slopes = (
+        part.system.derivative(x, mean, p).full() if part.states else np.zeros((0, len(samples)))
+    )
+    named = [
+        (f"the derivative of {name}", row)
+        for name, row in zip(part.system.states, slopes, strict=True)
+    ]
     named += [(f"the output {name}", row) for name, row in zip(part.outputs, residual, strict=True)]
     lost = ~np.isfinite([row for _, row in named])
     if not lost.any():
         return None
     at = int(np.argmax(lost.any(axis=0)))
     what = named[int(np.argmax(lost[:, at]))][0]
-    point = dict(zip((*part.system.states, *part.system.inputs), (*x[:, at], *mean[:, at]), strict=True))
+    point = dict(
+        zip((*part.system.states, *part.system.inputs), (*x[:, at], *mean[:, at]), strict=True)
+    )
     where = ", ".join(f"{name} = {value:.4g}" for name, value in point.items())
     when = _time(part, int(samples[at]))
     place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
@@ -158,13 +179,21 @@ def _of_model(part: RecordPart, trajectory: Trajectory, samples: NDArray[np.inte
 
 def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
     """Return the states that diverge between the samples, and whether the steps are too long for the model."""
-    within = part.segments.in_order(trajectory.detail.states).T.reshape(len(trajectory.ends), -1, part.states)
-    lost = ~np.isfinite(np.concatenate([within, trajectory.ends[:, None]], axis=1))  # of every segment, samples and end
+    within = part.segments.in_order(trajectory.detail.states).T.reshape(
+        len(trajectory.ends), -1, part.states
+    )
+    lost = ~np.isfinite(
+        np.concatenate([within, trajectory.ends[:, None]], axis=1)
+    )  # of every segment, samples and end
     segment, sample = (int(k) for k in np.argwhere(lost.any(axis=2))[0])
     at = segment * part.data.segment_length + sample
-    names = " and ".join(name for name, row in zip(part.system.states, lost[segment, sample], strict=True) if row)
+    names = " and ".join(
+        name for name, row in zip(part.system.states, lost[segment, sample], strict=True) if row
+    )
     step, fastest = float(part.data.steps.min()), _fastest_decay(part, trajectory)
-    why = f"{names} {'are' if ' and ' in names else 'is'} no longer finite at {_time(part, at):.6g} s"
+    why = (
+        f"{names} {'are' if ' and ' in names else 'is'} no longer finite at {_time(part, at):.6g} s"
+    )
     integrator = part.model.method.scheme
     if fastest * step / part.substeps > integrator.reach and not isinstance(integrator, Rosenbrock):
         return Trouble(
@@ -173,11 +202,15 @@ def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
             f"sample of {step:.3g} s",
             "use method=MultipleShooting(integrator=Rosenbrock()), or bound the parameters to slower models",
         )
-    return Trouble(f"{names}, simulated", why, f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)")
+    return Trouble(
+        f"{names}, simulated", why, f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)"
+    )
 
 
 def _elsewhere(part: RecordPart) -> str:
-    known = f", or give known states, initial={{{part.system.states[0]!r}: ...}}" if part.states else ""
+    known = (
+        f", or give known states, initial={{{part.system.states[0]!r}: ...}}" if part.states else ""
+    )
     return f"start elsewhere, or bound the parameters to where {part.problem.model.label} has finite values{known}"
 
 
@@ -185,11 +218,18 @@ def _fastest_decay(part: RecordPart, trajectory: Trajectory) -> float:
     """Return the largest |pole| of those that decay, at the first states, rad/s; 0 where there is none."""
     if not part.states:
         return 0.0
-    x, u, p = (ca.SX.sym("v", len(v)) for v in (part.system.states, part.system.inputs, part.system.parameters))
-    slope = ca.Function("A", [x, u, p], [ca.densify(ca.jacobian(part.system.derivative(x, u, p), x))])
+    x, u, p = (
+        ca.SX.sym("v", len(v))
+        for v in (part.system.states, part.system.inputs, part.system.parameters)
+    )
+    slope = ca.Function(
+        "A", [x, u, p], [ca.densify(ca.jacobian(part.system.derivative(x, u, p), x))]
+    )
     data = part.segments.in_order(trajectory.detail.placed.data)[:, :: part.data.segment_length]
     some = np.unique(np.linspace(0, len(trajectory.nodes) - 1, 20).astype(int)).tolist()
-    _, mean, *_ = part.step.measurement(trajectory.nodes.T[:, some], trajectory.detail.placed.q, data[:, some])
+    _, mean, *_ = part.step.measurement(
+        trajectory.nodes.T[:, some], trajectory.detail.placed.q, data[:, some]
+    )
     q, poles = trajectory.detail.placed.q[: p.numel()], [0.0]
     for k, nodes in enumerate(trajectory.nodes[some]):
         A = slope(nodes, mean[:, k], q).full()

@@ -1,12 +1,13 @@
 """Whether a point of a response lies farther from the model than the others let expect, and the answer without it.
 
-With z the residuals of a response over the sizes that its criterion expects of errors, real and imaginary parts below
-each other, M = I - H what remains of errors when the parameters have been fitted to this response alone, and k the two
-rows of a point, Q = (Mz)_kᵀ M_kk⁻¹ (Mz)_k is what leaving the point out takes from the sum of squares. Of normal errors
-of these sizes, up to a common factor, Q/2 over the mean square of the rest has an F distribution with 2 and the
-remaining degrees of freedom; the largest of n points is judged by n times its probability (Cook and Weisberg (1982),
-Residuals and Influence in Regression, section 2.2, for real data). This asks about the errors, not about the criterion:
-residuals of every one are projected to those of least squares.
+With z the residuals of a response over the sizes that its criterion expects of errors, real and
+imaginary parts below each other, M = I - H what remains of errors when the parameters have been
+fitted to this response alone, and k the two rows of a point, Q = (Mz)_kᵀ M_kk⁻¹ (Mz)_k is what
+leaving the point out takes from the sum of squares. Of normal errors of these sizes, up to a common
+factor, Q/2 over the mean square of the rest has an F distribution with 2 and the remaining degrees
+of freedom; the largest of n points is judged by n times its probability (Cook and Weisberg (1982),
+Residuals and Influence in Regression, section 2.2, for real data). This asks about the errors, not
+about the criterion: residuals of every one are projected to those of least squares.
 """
 
 import math
@@ -60,15 +61,22 @@ class Deviation:
 def outlying_points(nlp: Nlp, x: Array, accuracy: Accuracy) -> tuple[str, ...]:
     """Name the points of responses that are outliers of the fit `x` (p,), and say what it is without them."""
     values = nlp.all_values(x)
-    each = [largest_deviation(p, values, len(nlp.free)) if isinstance(p, ResponsePart) else None for p in nlp.parts]
+    each = [
+        largest_deviation(p, values, len(nlp.free)) if isinstance(p, ResponsePart) else None
+        for p in nlp.parts
+    ]
     total = sum(part.numbers // 2 for part in nlp.parts if isinstance(part, ResponsePart))
     found = sorted(
-        (min(total * deviation.probability, 1.0), k, deviation) for k, deviation in enumerate(each) if deviation
+        (min(total * deviation.probability, 1.0), k, deviation)
+        for k, deviation in enumerate(each)
+        if deviation
     )
     return tuple(_warning(nlp, x, accuracy, *item) for item in found if item[0] < SIZE)
 
 
-def _warning(nlp: Nlp, x: Array, accuracy: Accuracy, probability: float, k: int, found: Deviation) -> str:
+def _warning(
+    nlp: Nlp, x: Array, accuracy: Accuracy, probability: float, k: int, found: Deviation
+) -> str:
     return (
         f"{_point(nlp, k, found)} is an outlier, {100 * found.relative:.2g} % from the model: fewer than "
         f"{_share(probability)} fits to clean data have one as unlikely; {_without_it(nlp, x, accuracy, k, found)}."
@@ -83,8 +91,8 @@ def _point(nlp: Nlp, k: int, found: Deviation) -> str:
 def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
     """Return the point that deviates most at all values (k,), of which the first are `free`; None if none can be told.
 
-    Where the data give variances of few degrees of freedom a residual is a bivariate Student's t, so that it is judged
-    by these, as it stands.
+    Where the data give variances of few degrees of freedom a residual is a bivariate Student's t,
+    so that it is judged by these, as it stands.
     """
     data, criterion = part.data, part.criterion
     model = part.response(values)
@@ -100,7 +108,9 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
         sensitivity = part.sensitivity(values)[kept, :free] / size[kept, None]
         # A component of a given variance has half of it.
         ratio, left = _ratios(residual, sensitivity, least=0.5 if criterion.known_noise else 0.0)
-    probability = (1 + 2 * ratio / left) ** (-left / 2)  # that an F of 2 and `left` degrees of freedom exceeds it
+    probability = (1 + 2 * ratio / left) ** (
+        -left / 2
+    )  # that an F of 2 and `left` degrees of freedom exceeds it
     if not np.any(np.isfinite(probability)):
         return None
     worst = int(np.nanargmin(probability))
@@ -108,7 +118,9 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
     return Deviation(int(kept[worst]), float(probability[worst]), relative)
 
 
-def _ratios(residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128], least: float) -> tuple[Array, float]:
+def _ratios(
+    residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128], least: float
+) -> tuple[Array, float]:
     """Return Q/2 over the mean square of the rest, at least `least`, (n,), and its dof; NaN where nothing is left."""
     n = residual.size
     jacobian = np.vstack([sensitivity.real, sensitivity.imag])
@@ -120,11 +132,19 @@ def _ratios(residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128
     if dof < LEAST_LEFT or not total > 0:
         return np.full(n, math.nan), math.nan
     re, im = basis[:n], basis[n:]
-    a, b, c = 1 - np.sum(re**2, axis=1), -np.sum(re * im, axis=1), 1 - np.sum(im**2, axis=1)  # [[a, b], [b, c]] = M_kk
+    a, b, c = (
+        1 - np.sum(re**2, axis=1),
+        -np.sum(re * im, axis=1),
+        1 - np.sum(im**2, axis=1),
+    )  # [[a, b], [b, c]] = M_kk
     remains = (a + c) / 2 - np.hypot((a - c) / 2, b) > DEPENDENT
     with np.errstate(divide="ignore", invalid="ignore"):
         taken = (c * z[:n] ** 2 - 2 * b * z[:n] * z[n:] + a * z[n:] ** 2) / (a * c - b**2)
-    ratio = np.where(remains, taken / 2 / np.maximum((total - taken) / dof, max(least, DEPENDENT * total)), math.nan)
+    ratio = np.where(
+        remains,
+        taken / 2 / np.maximum((total - taken) / dof, max(least, DEPENDENT * total)),
+        math.nan,
+    )
     return ratio, float(dof)
 
 

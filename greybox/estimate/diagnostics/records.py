@@ -28,9 +28,12 @@ SHARE = 0.5  # of the fit that noise allows, from which a model reproduces what 
 FACTOR = 5.0  # between standard deviations of one output in several records
 GREY = 0.2  # correlation of successive prediction errors that is told
 BIASED = 0.01  # share of fits without a bias by feedback in which one is told
-# Times by which an interval of 95 % may be too narrow before that is told: it then holds in 81 % of records.
+# Times by which an interval of 95 % may be too narrow before that is told: it then holds in 81 % of
+# records.
 NARROW = 1.5
-CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyond which there is one
+CERTAIN = (
+    5.0  # standard deviations of the correlation of white residuals, beyond which there is one
+)
 HUGE = 1e6  # what is beyond is rounding: there is no noise
 
 
@@ -55,24 +58,34 @@ def record_warnings(
 ) -> tuple[str, ...]:
     """Return what a reader should know of the records among the parts of an answer."""
     every = zip(nlp.parts, fitted, strict=True)
-    pairs = [(part, one) for part, one in every if isinstance(part, RecordPart) and isinstance(one, FittedRecord)]
+    pairs = [
+        (part, one)
+        for part, one in every
+        if isinstance(part, RecordPart) and isinstance(one, FittedRecord)
+    ]
     return (
         *once(_short(nlp, accuracy)),
-        *once(found for part, fitted in pairs for found in _unexplained(part, fitted, alone=len(pairs) == 1)),
+        *once(
+            found
+            for part, fitted in pairs
+            for found in _unexplained(part, fitted, alone=len(pairs) == 1)
+        ),
         *_fed_back(pairs),
         *_colored(pairs),
         *once(_bounded(nlp, trajectories, alone=len(pairs) == 1)),
         *once(found for part, _ in pairs for found in _masked(nlp, part)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
-        *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]),
+        *_weights(
+            [_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]
+        ),
     )
 
 
 def hidden_errors(accuracy: Accuracy) -> Iterator[str]:
     """Say that slow errors which the residuals do not exclude would make the intervals much wider.
 
-    Those of several records are independent numbers. No warning, since most short records hold no such errors. Where
-    errors are known to be slow, `record_warnings` says so.
+    Those of several records are independent numbers. No warning, since most short records hold no
+    such errors. Where errors are known to be slow, `record_warnings` says so.
     """
     found = [known for known in accuracy.correlation if known is not None]
     if math.hypot(*(math.log(known.hidden) / 2 for known in found)) <= math.log(NARROW):
@@ -106,7 +119,9 @@ def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[Found]:
 def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[Found]:
     if part.model.criterion.corrects_states:
         return
-    if part.is_static and (part.data.constant_inputs or not part.system.inputs):  # a mean, which explains nothing
+    if part.is_static and (
+        part.data.constant_inputs or not part.system.inputs
+    ):  # a mean, which explains nothing
         return
     for k, output in enumerate(fitted.outputs):
         percent = fitted.fit_percent(output)
@@ -159,14 +174,17 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
 def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
     """Say where feedback responds to errors that are correlated in time: output error is then biased.
 
-    Output error needs errors that are independent of past inputs. Feedback makes later inputs depend on the errors,
-    which does no harm as long as they are white: then no error depends on an earlier one, nor on the inputs that
-    responded to it. So two tests must reject: residuals against past outputs (are they white?), and inputs against past
-    residuals (is there feedback?). Each is made at the level that keeps the share of fits with a false alarm below
-    `BIASED`, however many outputs and inputs there are, since without a bias one of the two hypotheses holds.
+    Output error needs errors that are independent of past inputs. Feedback makes later inputs
+    depend on the errors, which does no harm as long as they are white: then no error depends on an
+    earlier one, nor on the inputs that responded to it. So two tests must reject: residuals against
+    past outputs (are they white?), and inputs against past residuals (is there feedback?). Each is
+    made at the level that keeps the share of fits with a false alarm below `BIASED`, however many
+    outputs and inputs there are, since without a bias one of the two hypotheses holds.
     """
     tested = [
-        (part, fitted) for part, fitted in pairs if fitted.data.has_time and not part.model.criterion.errors_are_white
+        (part, fitted)
+        for part, fitted in pairs
+        if fitted.data.has_time and not part.model.criterion.errors_are_white
     ]
     outputs = sum(len(fitted.outputs) for _, fitted in tested)
     found = []
@@ -178,7 +196,9 @@ def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]
             residuals = np.split(fitted.residual(output), ends)
             if not whiteness(residuals).p_value < BIASED / outputs:
                 continue
-            responses = {name: feedback_correlation(residuals, u).p_value for name, u in inputs.items()}
+            responses = {
+                name: feedback_correlation(residuals, u).p_value for name, u in inputs.items()
+            }
             found += [
                 f"{name} to {output}{where}"
                 for name, p_value in responses.items()
@@ -190,7 +210,11 @@ def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]
             f"feedback responds to errors that are correlated in time ({some(found)}), as where a controller acts "
             "on process noise such as gusts: the estimate of OutputError is then biased, which its standard errors do "
             f"not show (a false alarm in at most {100 * BIASED:g} % of fits); "
-            + ("use data without feedback." if static else "compare with criterion=PredictionError().")
+            + (
+                "use data without feedback."
+                if static
+                else "compare with criterion=PredictionError()."
+            )
         )
 
 
@@ -223,10 +247,16 @@ def _masked(nlp: Nlp, part: RecordPart) -> Iterator[Found]:
     delay = system.delay(p)
     locals_ = [name for j, name in enumerate(system.parameters) if ca.depends_on(delay, p[j])]
     names = [part.problem.rename.get(name, name) for name in locals_]
-    if lost <= MASKED * there or not any(name in nlp.free or name not in nlp.names for name in names):
+    if lost <= MASKED * there or not any(
+        name in nlp.free or name not in nlp.names for name in names
+    ):
         return
     known = part.problem.parameters
-    bounds = [f"{name} (up to {known[name].bounds[1]:g} {known[name].unit})" for name in names if name in known]
+    bounds = [
+        f"{name} (up to {known[name].bounds[1]:g} {known[name].unit})"
+        for name in names
+        if name in known
+    ]
     name = data.name or part.problem.name
     text = (
         f"{lost} of {counted(there, 'sample')} of {name!r} were not compared: the inputs "
@@ -238,11 +268,15 @@ def _masked(nlp: Nlp, part: RecordPart) -> Iterator[Found]:
 
 def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
     """Say that nothing was excited, where that holds for all data; a static model has no free response."""
-    if any(part.is_static for part in parts) or not all(part.data.constant_inputs for part in parts):
+    if any(part.is_static for part in parts) or not all(
+        part.data.constant_inputs for part in parts
+    ):
         return
     inputs = dict.fromkeys(name for part in parts for name in part.system.inputs)
     which = "the record" if len(parts) == 1 else "any record"
-    yield (f"the inputs never change in {which} ({', '.join(inputs)}): only the free response is informative.")
+    yield (
+        f"the inputs never change in {which} ({', '.join(inputs)}): only the free response is informative."
+    )
 
 
 @dataclass(frozen=True)
@@ -267,7 +301,9 @@ class _Residuals:
 def _weights(found: Sequence[_Residuals]) -> Iterator[str]:
     """Say where records weigh very differently because each has its own estimated variance of the same output."""
     for output in dict.fromkeys(name for one in found for name in one.deviation):
-        there = sorted((one for one in found if one.count.get(output)), key=lambda one: one.deviation[output])
+        there = sorted(
+            (one for one in found if one.count.get(output)), key=lambda one: one.deviation[output]
+        )
         if len(there) < 2:
             continue
         least, most = there[0], there[-1]

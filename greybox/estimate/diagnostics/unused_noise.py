@@ -15,5 +15,10 @@ def unused_noise(problem: AnyProblem) -> Iterator[str]:
         uses, data = part.criterion.uses, part.response
         if data.variance is not None and "variance" not in uses:
             yield f"the variances of {part.name!r} are not used: MaximumLikelihood() would weigh its points by them."
-        elif data.variance is None and data.coherence is not None and "coherence" not in uses and not beside_likelihood:
+        elif (
+            data.variance is None
+            and data.coherence is not None
+            and "coherence" not in uses
+            and not beside_likelihood
+        ):
             yield f"the coherence of {part.name!r} is not used: MagnitudePhase() would weigh its points by it."

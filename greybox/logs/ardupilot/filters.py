@@ -1,9 +1,9 @@
 """Filters of ArduPilot with the parameters of a log: of the gyro, its notches, and those of the rate controllers.
 
 Sources: INS_GYRO_FILTER, INS_HNTCH_*, ATC_RAT_*_FLTD, FLTT and FLTE at
-https://ardupilot.org/copter/docs/parameters.html; LowPassFilter2p.cpp, NotchFilter.cpp, HarmonicNotchFilter.cpp and
-AC_PID.cpp of the firmware, for what they mean; the messages FTN and FTNS at
-https://ardupilot.org/copter/docs/logmessages.html.
+https://ardupilot.org/copter/docs/parameters.html; LowPassFilter2p.cpp, NotchFilter.cpp,
+HarmonicNotchFilter.cpp and AC_PID.cpp of the firmware, for what they mean; the messages FTN and
+FTNS at https://ardupilot.org/copter/docs/logmessages.html.
 """
 
 import math
@@ -23,10 +23,17 @@ GYRO_RATES = {
     "PIDY": ("Act",),
 }
 
-CONTROLLERS = {"roll": "RLL", "pitch": "PIT", "yaw": "YAW"}  # as the parameters of rate controllers name the axis
+CONTROLLERS = {
+    "roll": "RLL",
+    "pitch": "PIT",
+    "yaw": "YAW",
+}  # as the parameters of rate controllers name the axis
 CONTROLLER_FILTERS = {"d-term-filter": "FLTD", "target-filter": "FLTT", "error-filter": "FLTE"}
 
-FIXED, THROTTLE = 0, 1  # INS_HNTCH_MODE; the others follow sensors, whose frequency only FTN or FTNS tells
+FIXED, THROTTLE = (
+    0,
+    1,
+)  # INS_HNTCH_MODE; the others follow sensors, whose frequency only FTN or FTNS tells
 DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
 
 
@@ -66,17 +73,25 @@ def _harmonic_notches(recording: Recording, parameters: Mapping[str, float]) -> 
     notches: list[Notch] = []
     for number, begin in enumerate(("INS_HNTCH_", "INS_HNTC2_")):
         if parameters.get(f"{begin}ENABLE", 0) > 0:
-            notches += _one_harmonic_notch(recording, number, {k: parameters.get(f"{begin}{k}", 0) for k in KEYS})
+            notches += _one_harmonic_notch(
+                recording, number, {k: parameters.get(f"{begin}{k}", 0) for k in KEYS}
+            )
     if parameters.get("INS_NOTCH_ENABLE", 0) > 0:  # the static notch of firmware before 4.1
         center, width, depth = (parameters.get(f"INS_NOTCH_{k}", 0) for k in ("FREQ", "BW", "ATT"))
-        notches += [Notch(float(center), _quality(center, width), float(depth))] if center > width / 2 > 0 else []
+        notches += (
+            [Notch(float(center), _quality(center, width), float(depth))]
+            if center > width / 2 > 0
+            else []
+        )
     return tuple(notches)
 
 
 KEYS = ("MODE", "FREQ", "BW", "ATT", "HMNCS", "REF", "OPTS")
 
 
-def _one_harmonic_notch(recording: Recording, number: int, setting: Mapping[str, float]) -> list[Notch]:
+def _one_harmonic_notch(
+    recording: Recording, number: int, setting: Mapping[str, float]
+) -> list[Notch]:
     """Return the notches of all harmonics; none where their frequency is not known."""
     center, width = setting["FREQ"], setting["BW"]
     base = _logged_center(recording, number) or _set_center(recording, setting)
@@ -87,7 +102,11 @@ def _one_harmonic_notch(recording: Recording, number: int, setting: Mapping[str,
     offsets = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[parts]
     quality = _quality(center, width / parts)
     harmonics = [k + 1 for k in range(16) if int(setting["HMNCS"] or 1) >> k & 1]
-    return [Notch(k * base * (1 + offset), quality, float(setting["ATT"])) for k in harmonics for offset in offsets]
+    return [
+        Notch(k * base * (1 + offset), quality, float(setting["ATT"]))
+        for k in harmonics
+        for offset in offsets
+    ]
 
 
 def _quality(center: float, width: float) -> float:
@@ -99,7 +118,9 @@ def _quality(center: float, width: float) -> float:
 def _logged_center(recording: Recording, number: int) -> float:
     """Return the median of the logged centers, Hz; 0 where they were not logged. Without a number, it is the first."""
     for message, field in (("FTNS", "NF"), ("FTN", "NF1")):
-        record = recording.records.get(f"{message}[{number}]", None if number else recording.records.get(message))
+        record = recording.records.get(
+            f"{message}[{number}]", None if number else recording.records.get(message)
+        )
         if record is not None and field in record.signals:
             values = record[field]
             values = values[np.isfinite(values) & (values > 0)]

@@ -1,13 +1,14 @@
 """Logs that hold only some passes of the control loop, and by how much the kept ones differ from all.
 
-The gyro is sampled on a clock of its own: at 1 kHz and 400 passes a second, passes see two and three samples in turn.
-The D term divides the change of the gyro by one and the same interval, so that it alternates by ±20 % behind its
-filter, and the newest sample is older in one pass than in the next. What a log keeps, every second pass say, is then
-not the mean of what drove the motors, while noise does not show it.
+The gyro is sampled on a clock of its own: at 1 kHz and 400 passes a second, passes see two and
+three samples in turn. The D term divides the change of the gyro by one and the same interval, so
+that it alternates by ±20 % behind its filter, and the newest sample is older in one pass than in
+the next. What a log keeps, every second pass say, is then not the mean of what drove the motors,
+while noise does not show it.
 
-Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for what is logged in
-System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and LOG_FILE_RATEMAX at
-https://ardupilot.org/copter/docs/parameters.html.
+Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for
+what is logged in System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and
+LOG_FILE_RATEMAX at https://ardupilot.org/copter/docs/parameters.html.
 """
 
 import math
@@ -27,11 +28,15 @@ Complex = NDArray[np.complexfloating]
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
 EVERY_PASS = 1.25  # passes a sample of the log, below which it has them all: the rate of the loop is kept within 10 %
 FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
-PHASES, PASSES = 20, 240  # tried between gyro and loop; passes of which the mean is taken, a multiple of 2 to 6
+PHASES, PASSES = (
+    20,
+    240,
+)  # tried between gyro and loop; passes of which the mean is taken, a multiple of 2 to 6
 
-# Of an error whose size is known and whose sign is not. Kept passes and the others change their roles as the clocks of
-# gyro and loop drift: at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75 ms in a test of 25 s: the mean of a
-# square wave of random phase over anything from none to one and a half of its halves has the mean square 1/2.
+# Of an error whose size is known and whose sign is not. Kept passes and the others change their
+# roles as the clocks of gyro and loop drift: at 1 kHz by half a ms. Crystals differ by up to 30
+# ppm, 0.75 ms in a test of 25 s: the mean of a square wave of random phase over anything from none
+# to one and a half of its halves has the mean square 1/2.
 DRIFTING = math.sqrt(1 / 2)
 
 
@@ -44,7 +49,8 @@ class Thinning:
     loop, logged : float, Hz
     kept : int
     count : float
-        Root mean square of the difference in gyro samples between the kept passes and all, as a share of their number.
+        Root mean square of the difference in gyro samples between the kept passes and all, as a
+        share of their number.
     age : float, s
         The same of the age of the newest sample.
     cure : str
@@ -59,9 +65,7 @@ class Thinning:
     cure: str
 
     def __str__(self) -> str:
-        return (
-            f"every {_ordinal(self.kept)} pass of the control loop was logged ({self.logged:.4g} of {self.loop:g} Hz)"
-        )
+        return f"every {_ordinal(self.kept)} pass of the control loop was logged ({self.logged:.4g} of {self.loop:g} Hz)"
 
 
 def thinning(recording: Recording, signal: str, start: float, end: float) -> Thinning | None:
@@ -78,25 +82,38 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     kept = round(loop / logged)
     gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
     count, age = _differences(gyro / loop, kept)
-    mode = next((name for moment, name in reversed(recording.metadata.get("modes", ())) if moment <= start), "")
+    mode = next(
+        (name for moment, name in reversed(recording.metadata.get("modes", ())) if moment <= start),
+        "",
+    )
     return Thinning(loop, logged, kept, count, age / gyro, _cure(parameters, mode))
 
 
-def thinning_error(found: Thinning, recording: Recording, axis: str, response: FrequencyResponse) -> Complex:
+def thinning_error(
+    found: Thinning, recording: Recording, axis: str, response: FrequencyResponse
+) -> Complex:
     """Return the errors of a response from a control to an angle or a rate, relative to it, (2, n).
 
-    The first is of the D term, whose share of the control follows from the gains of the rate controller and from the
-    response itself; the second of the age of the newest sample, which is a delay. Each is as large as its standard
-    deviation, and one number times the row at all frequencies: the clocks of gyro and loop drift through a flight from
-    one phase to the next, whatever frequency is flown.
+    The first is of the D term, whose share of the control follows from the gains of the rate
+    controller and from the response itself; the second of the age of the newest sample, which is a
+    delay. Each is as large as its standard deviation, and one number times the row at all
+    frequencies: the clocks of gyro and loop drift through a flight from one phase to the next,
+    whatever frequency is flown.
     """
     parameters = recording.metadata.get("parameters", {})
     s = 1j * response.omega
     gain = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_D", 0))
-    share = gain * s * response.response * _first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
+    share = (
+        gain
+        * s
+        * response.response
+        * _first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
+    )
     if response.units.get(response.output) == "rad":
         share = share * s * _second_order(float(parameters["INS_GYRO_FILTER"]), s)
-    return DRIFTING * np.array([share * found.count * _passed(parameters, axis, found.loop), s * found.age])
+    return DRIFTING * np.array(
+        [share * found.count * _passed(parameters, axis, found.loop), s * found.age]
+    )
 
 
 def _differences(per_pass: float, kept: int) -> tuple[float, float]:
@@ -136,10 +153,17 @@ def _cure(parameters: Mapping[str, float], mode: str) -> str:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
     mask = int(parameters.get("LOG_BITMASK", 0))
     if mode == "SYSTEMID":
-        wanted, bits = mask | FAST | MEDIUM, "fast and medium attitude: System Identification mode needs both"
+        wanted, bits = (
+            mask | FAST | MEDIUM,
+            "fast and medium attitude: System Identification mode needs both",
+        )
     else:
         wanted, bits = mask | FAST, "fast attitude"
-    return f"set LOG_BITMASK {wanted} ({bits})" if wanted != mask else "log to a faster card, or lower SCHED_LOOP_RATE"
+    return (
+        f"set LOG_BITMASK {wanted} ({bits})"
+        if wanted != mask
+        else "log to a faster card, or lower SCHED_LOOP_RATE"
+    )
 
 
 def _ordinal(number: int) -> str:

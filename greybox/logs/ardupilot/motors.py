@@ -1,18 +1,21 @@
 """Motor outputs: how finely a control reaches the motors, and when they are at their limits.
 
-A motor's PWM is a whole number of µs (DShot values are made of it). A control of less than a step reaches the motors
-only as far as other motions carry it across the steps: the gain may then lie anywhere between zero and twice its value,
-and the rounding adds harmonics.
+A motor's PWM is a whole number of µs (DShot values are made of it). A control of less than a step
+reaches the motors only as far as other motions carry it across the steps: the gain may then lie
+anywhere between zero and twice its value, and the rounding adds harmonics.
 
-The rounded sine of amplitude A around an offset b, in steps of Δ, has the fundamental A (1 + ε) with
+The rounded sine of amplitude A around an offset b, in steps of Δ, has the fundamental A (1 + ε)
+with
 
     ε = Σ_m (-1)^m 2Δ / (π m A) J_1(2π m A/Δ) cos(2π m b/Δ),
 
-and other motions of standard deviation σ shrink the terms by exp(-2 (π m σ/Δ)²) (Widrow and Kollár, Quantization
-Noise, 2008, chapters 3 and 9). The offset is the trim of the motor, which is not known to a part of a step.
+and other motions of standard deviation σ shrink the terms by exp(-2 (π m σ/Δ)²) (Widrow and Kollár,
+Quantization Noise, 2008, chapters 3 and 9). The offset is the trim of the motor, which is not known
+to a part of a step.
 
-Sources: AP_MotorsMulticopter.cpp and AP_MotorsMatrix.cpp of ArduPilot; MOT_PWM_MIN, MOT_PWM_MAX, MOT_SPIN_MIN,
-MOT_SPIN_MAX, MOT_THST_EXPO, MOT_THST_HOVER and SERVOn_FUNCTION at https://ardupilot.org/copter/docs/parameters.html.
+Sources: AP_MotorsMulticopter.cpp and AP_MotorsMatrix.cpp of ArduPilot; MOT_PWM_MIN, MOT_PWM_MAX,
+MOT_SPIN_MIN, MOT_SPIN_MAX, MOT_THST_EXPO, MOT_THST_HOVER and SERVOn_FUNCTION at
+https://ardupilot.org/copter/docs/parameters.html.
 """
 
 import math
@@ -26,8 +29,15 @@ from greybox.data.record import Record, Recording
 Array = NDArray[np.float64]
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
-SHARE = 0.5  # of a control of 1 in the thrust of a motor, in 1: AP_MotorsMatrix::normalise_rpy_factors
-DEFAULTS = {"MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95, "MOT_THST_EXPO": 0.65, "MOT_THST_HOVER": 0.35}
+SHARE = (
+    0.5  # of a control of 1 in the thrust of a motor, in 1: AP_MotorsMatrix::normalise_rpy_factors
+)
+DEFAULTS = {
+    "MOT_SPIN_MIN": 0.15,
+    "MOT_SPIN_MAX": 0.95,
+    "MOT_THST_EXPO": 0.65,
+    "MOT_THST_HOVER": 0.35,
+}
 PWM = (1000.0, 2000.0)  # µs, where MOT_PWM_MIN and MOT_PWM_MAX do not say
 TERMS = np.arange(1, 21)  # of the sum; the next are below 1/20^1.5 of the first
 
@@ -54,9 +64,16 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     """
     from scipy.special import j1  # noqa: PLC0415  (scipy takes longer to import than this package)
 
-    a, sigma = (np.atleast_1d(np.asarray(values, dtype=float))[..., None] for values in (amplitude, spread))
+    a, sigma = (
+        np.atleast_1d(np.asarray(values, dtype=float))[..., None] for values in (amplitude, spread)
+    )
     a = np.maximum(a, 1e-9)
-    terms = 2 / (math.pi * TERMS * a) * j1(2 * math.pi * TERMS * a) * np.exp(-2 * (math.pi * TERMS * sigma) ** 2)
+    terms = (
+        2
+        / (math.pi * TERMS * a)
+        * j1(2 * math.pi * TERMS * a)
+        * np.exp(-2 * (math.pi * TERMS * sigma) ** 2)
+    )
     return np.sqrt(np.sum(terms**2, axis=-1) / 2)  # the mean of cos² over the offset
 
 
@@ -67,18 +84,24 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
         return None
     record = recording["RCOU"]
     channels = {name: name[1:] for name in record.signals if name[:1] == "C" and name[1:].isdigit()}
-    motors = [name for name, k in channels.items() if parameters.get(f"SERVO{k}_FUNCTION") in MOTORS]
+    motors = [
+        name for name, k in channels.items() if parameters.get(f"SERVO{k}_FUNCTION") in MOTORS
+    ]
     rows = np.flatnonzero((record.time >= start) & (record.time <= end))
     if not motors or not rows.size:
         return None
     inside = record.rows(rows)
-    return Record(inside.time, {name: inside[name] for name in motors}, dict.fromkeys(motors, "µs"), "RCOU")
+    return Record(
+        inside.time, {name: inside[name] for name in motors}, dict.fromkeys(motors, "µs"), "RCOU"
+    )
 
 
 def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
     """Return the least and the greatest PWM of a flying motor, µs."""
     low, high = _range(parameters)
-    ends = (float(parameters.get(name, DEFAULTS[name])) for name in ("MOT_SPIN_MIN", "MOT_SPIN_MAX"))
+    ends = (
+        float(parameters.get(name, DEFAULTS[name])) for name in ("MOT_SPIN_MIN", "MOT_SPIN_MAX")
+    )
     least, greatest = (round(low + share * (high - low)) for share in ends)
     return least, greatest
 

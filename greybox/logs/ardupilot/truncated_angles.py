@@ -1,11 +1,12 @@
 """Angles that ArduPilot logs as whole hundredths of a degree, cut off toward zero.
 
-An angle that crosses zero is low by half a step on either side, which is a square wave in phase with it. Of a sine of
-amplitude A, its fundamental is 2 step / (π A): the gain is 1.4 % low at an amplitude of 0.47°, and a rate measured
-beside the angle does not agree with it. The lost half is known, so that it is added.
+An angle that crosses zero is low by half a step on either side, which is a square wave in phase
+with it. Of a sine of amplitude A, its fundamental is 2 step / (π A): the gain is 1.4 % low at an
+amplitude of 0.47°, and a rate measured beside the angle does not agree with it. The lost half is
+known, so that it is added.
 
-Source: AP_AHRS.cpp of ArduPilot (update_cd_values: a float is assigned to a whole number of centidegrees) and the
-format letter c of https://ardupilot.org/copter/docs/logmessages.html.
+Source: AP_AHRS.cpp of ArduPilot (update_cd_values: a float is assigned to a whole number of
+centidegrees) and the format letter c of https://ardupilot.org/copter/docs/logmessages.html.
 """
 
 import numpy as np
@@ -15,7 +16,12 @@ Array = NDArray[np.float64]
 
 STEP = 0.01  # deg
 MESSAGES = ("ATT", "AHR2", "EKF1", "NKF1", "XKF1")
-FIELDS = ("Roll", "Pitch", "DesRoll", "DesPitch")  # yaw runs from 0 to 360: its half step is an offset only
+FIELDS = (
+    "Roll",
+    "Pitch",
+    "DesRoll",
+    "DesPitch",
+)  # yaw runs from 0 to 360: its half step is an offset only
 
 
 def is_truncated(signal: str, values: Array) -> bool:
@@ -33,4 +39,8 @@ def untruncated(signal: str, values: Array) -> Array:
 
     Zero remains, as what is cut to it lies on both sides.
     """
-    return values + np.sign(np.round(values / STEP)) * STEP / 2 if is_truncated(signal, values) else values
+    return (
+        values + np.sign(np.round(values / STEP)) * STEP / 2
+        if is_truncated(signal, values)
+        else values
+    )

@@ -1,19 +1,21 @@
 """Readers of flight logs: one format a file, chosen by the contents of the file, then by its suffix.
 
-Begin here, with `FORMATS` and `read`. A reader is a module with ``read(path, messages=None) -> Recording``. It is
-imported when a file of its format is read, so that `greybox.logs.readers` itself loads neither pymavlink nor h5py nor
-scipy.
+Begin here, with `FORMATS` and `read`. A reader is a module with ``read(path, messages=None) ->
+Recording``. It is imported when a file of its format is read, so that `greybox.logs.readers` itself
+loads neither pymavlink nor h5py nor scipy.
 
 Formats
-    `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file), `dataflash_units` and
-    `imu_batches` (raw samples of the IMU);
-    `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
-    `telemetry_metadata`; `ulog` (PX4); `csv_table`, with `betaflight` (of its blackbox); `hdf5`; `matlab`.
+    `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file),
+    `dataflash_units` and `imu_batches` (raw samples of the IMU); `dataflash_text` (ArduPilot,
+    text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
+    `telemetry_metadata`; `ulog` (PX4); `csv_table`, with `betaflight` (of its blackbox); `hdf5`;
+    `matlab`.
 Shared by several
-    `mapped_file` (files that are mapped into memory), `messages` (messages of one type, and the records made of them),
-    `time_stamps` (clock restarts, impossible and repeated stamps), `table_columns` (units in headings, the time
-    column), `ardupilot_metadata` (vehicle, firmware, parameters, modes, arming), `controller_outputs` (which signals a
-    controller holds), `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
+    `mapped_file` (files that are mapped into memory), `messages` (messages of one type, and the
+    records made of them), `time_stamps` (clock restarts, impossible and repeated stamps),
+    `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
+    parameters, modes, arming), `controller_outputs` (which signals a controller holds),
+    `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
     `greybox.files.subprocess_reader` reads in a subprocess).
 """
 
@@ -30,7 +32,10 @@ from greybox.logs.named_columns import with_columns
 
 HEAD = 4096  # bytes by which a format is recognized
 HDF5 = b"\x89HDF\r\n\x1a\n"  # at byte 0, 512, 1024, 2048 ... (a MATLAB 7.3 file has it at 512)
-YEAR_2000, YEAR_2100 = 946_684_800_000_000, 4_102_444_800_000_000  # µs since 1970, the stamps of telemetry logs
+YEAR_2000, YEAR_2100 = (
+    946_684_800_000_000,
+    4_102_444_800_000_000,
+)  # µs since 1970, the stamps of telemetry logs
 
 
 class Format(NamedTuple):
@@ -60,7 +65,11 @@ def _is_matlab(head: bytes) -> bool:
 
 def _is_telemetry(head: bytes) -> bool:
     """Tell whether it starts with a time of this century in µs, then a MAVLink packet (version 1 or 2)."""
-    return len(head) > 8 and YEAR_2000 < int.from_bytes(head[:8], "big") < YEAR_2100 and head[8] in b"\xfe\xfd"
+    return (
+        len(head) > 8
+        and YEAR_2000 < int.from_bytes(head[:8], "big") < YEAR_2100
+        and head[8] in b"\xfe\xfd"
+    )
 
 
 def _is_dataflash_text(head: bytes) -> bool:
@@ -71,7 +80,9 @@ def _is_csv(head: bytes) -> bool:
     """Tell whether it is text with at least two lines and a separator in the first that is no comment."""
     if b"\0" in head or not head.strip():
         return False
-    lines = [line for line in head.splitlines() if line.strip() and not line.startswith((b"#", b"%"))]
+    lines = [
+        line for line in head.splitlines() if line.strip() and not line.startswith((b"#", b"%"))
+    ]
     enough = len(lines) > 1 or (len(lines) == 1 and len(head) == HEAD)
     return enough and any(separator in lines[0] for separator in b",;\t") and _is_text(head)
 
@@ -87,26 +98,31 @@ FORMATS = (
     Format("matlab", "MATLAB", (".mat",), _is_matlab),
     Format("telemetry", "MAVLink telemetry", (".tlog",), _is_telemetry),
     Format("dataflash_text", "ArduPilot DataFlash, text", (".log",), _is_dataflash_text),
-    Format("csv_table", "a table with a header line", (".csv", ".txt", ".tsv", ".dat", ".asc"), _is_csv),
+    Format(
+        "csv_table", "a table with a header line", (".csv", ".txt", ".tsv", ".dat", ".asc"), _is_csv
+    ),
 )
 
 
 def read(
-    path: str | Path, messages: Collection[str] | None = None, columns: Mapping[str, str] | None = None
+    path: str | Path,
+    messages: Collection[str] | None = None,
+    columns: Mapping[str, str] | None = None,
 ) -> Recording:
     """Read a flight log or a table of measured signals, whatever its format.
 
     Parameters
     ----------
     path : str or Path
-        ArduPilot DataFlash (.BIN, text .log), MAVLink telemetry (.tlog), PX4 (.ulg), CSV, HDF5 or MATLAB (.mat). The
-        contents decide; the suffix only where they are ambiguous.
+        ArduPilot DataFlash (.BIN, text .log), MAVLink telemetry (.tlog), PX4 (.ulg), CSV, HDF5 or
+        MATLAB (.mat). The contents decide; the suffix only where they are ambiguous.
     messages : collection of str, optional
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
     columns : mapping of str to str, optional
-        Of a table whose own names do not say what is in it, by new name: the column and, behind a colon, its unit,
-        ``{"time": "t:ms", "theta": "pitch:deg"}``. Columns without names, in a file without a header line or in the one
-        matrix of a MATLAB file, go by their numbers: ``{"time": "1", "u": "2", "theta": "3:deg"}``.
+        Of a table whose own names do not say what is in it, by new name: the column and, behind a
+        colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. Columns without names, in a
+        file without a header line or in the one matrix of a MATLAB file, go by their numbers:
+        ``{"time": "1", "u": "2", "theta": "3:deg"}``.
 
     Returns
     -------
@@ -153,15 +169,24 @@ def _head(path: Path) -> bytes:
         with open(path, "rb") as file:
             head = file.read(HEAD)
     except OSError as problem:
-        raise OSError(f"{path} cannot be opened ({problem.strerror}): check its permissions.") from None
+        raise OSError(
+            f"{path} cannot be opened ({problem.strerror}): check its permissions."
+        ) from None
     if not head:
-        raise ValueError(f"{path} is empty: logging never started, or the copy failed; copy it again.")
+        raise ValueError(
+            f"{path} is empty: logging never started, or the copy failed; copy it again."
+        )
     return head
 
 
 def _looks(head: bytes) -> str:
     """Say in words what a file looks like."""
-    known = {b"PK": "a zip archive", b"\x1f\x8b": "a gzip archive", b"%PDF": "a PDF", b"\x89PNG": "a PNG image"}
+    known = {
+        b"PK": "a zip archive",
+        b"\x1f\x8b": "a gzip archive",
+        b"%PDF": "a PDF",
+        b"\x89PNG": "a PNG image",
+    }
     for start, what in known.items():
         if head.startswith(start):
             return f"looks like {what}"

@@ -18,7 +18,12 @@ VEHICLES = {  # the firmware's name for itself, and its MAV_TYPE of MAVLink, by 
     "AntennaTracker": 5,
     "Blimp": 7,
 }
-FORMER_NAMES = {"APM:Copter": "ArduCopter", "APM:Plane": "ArduPlane", "APM:Rover": "ArduRover", "APM:Sub": "ArduSub"}
+FORMER_NAMES = {
+    "APM:Copter": "ArduCopter",
+    "APM:Plane": "ArduPlane",
+    "APM:Rover": "ArduRover",
+    "APM:Sub": "ArduSub",
+}
 FRAME_CLASSES: Mapping[float, str] = dict(
     enumerate(("QUAD", "HEXA", "OCTA", "OCTAQUAD", "Y6", "HELI", "TRI", "SINGLE", "COAX"), start=1)
 )
@@ -115,7 +120,9 @@ def frame_and_board(texts: Iterable[str], parameters: Mapping[str, float]) -> di
         kind = FRAME_CLASSES.get(parameters["FRAME_CLASS"], "")
         shape = FRAME_TYPES.get(parameters.get("FRAME_TYPE", math.nan), "")
         frame = "/".join(part for part in (kind, shape) if part)
-    elif not frame and "FRAME" in parameters:  # before version 3.5, whose firmware is made for one class
+    elif (
+        not frame and "FRAME" in parameters
+    ):  # before version 3.5, whose firmware is made for one class
         frame = FRAME_TYPES.get(parameters["FRAME"], "")
     return {"frame": frame, "board": board}
 
@@ -145,7 +152,9 @@ def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]
     if "Mode" in mode.texts:
         names = [name.upper() for name in mode.texts["Mode"]]
     elif numbers is not None:
-        names = [mode_name(vehicle, int(number)) if math.isfinite(number) else "?" for number in numbers]
+        names = [
+            mode_name(vehicle, int(number)) if math.isfinite(number) else "?" for number in numbers
+        ]
     else:
         return ()
     return tuple(zip(mode.time.tolist(), names, strict=True))
@@ -157,7 +166,10 @@ def _arming(by_name: Mapping[str, Messages]) -> list[tuple[float, bool]]:
     arm = by_name.get("ARM")
     event = by_name.get("EV")
     if arm is not None and arm.time is not None and "ArmState" in arm.columns:
-        changes += [(t, bool(s)) for t, s in zip(arm.time.tolist(), arm.columns["ArmState"].tolist(), strict=True)]
+        changes += [
+            (t, bool(s))
+            for t, s in zip(arm.time.tolist(), arm.columns["ArmState"].tolist(), strict=True)
+        ]
     if event is not None and event.time is not None and "Id" in event.columns:
         pairs = zip(event.time.tolist(), event.columns["Id"].tolist(), strict=True)
         changes += [(t, i == EVENT_ARMED) for t, i in pairs if i in (EVENT_ARMED, EVENT_DISARMED)]

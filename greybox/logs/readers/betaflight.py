@@ -1,8 +1,10 @@
 """Tables of Betaflight's blackbox, as `blackbox_decode` and Blackbox Explorer write them.
 
-The first column is loopIteration, the time is in µs. Explorer writes the settings of the vehicle before the header.
+The first column is loopIteration, the time is in µs. Explorer writes the settings of the vehicle
+before the header.
 
-Source: https://github.com/betaflight/blackbox-tools, src/blackbox_decode.c; the fields in blackbox.c of the firmware.
+Source: https://github.com/betaflight/blackbox-tools, src/blackbox_decode.c; the fields in
+blackbox.c of the firmware.
 """
 
 import re
@@ -12,7 +14,10 @@ from greybox.files.heading import Heading
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
 TIME = "time"
-UNITS = {r"gyro(ADC|Unfilt)\[\d\]": "deg/s", r"setpoint\[[0-2]\]": "deg/s"}  # of fields that are written without one
+UNITS = {
+    r"gyro(ADC|Unfilt)\[\d\]": "deg/s",
+    r"setpoint\[[0-2]\]": "deg/s",
+}  # of fields that are written without one
 
 
 def without_settings(raw: bytes) -> bytes:
@@ -32,4 +37,8 @@ def with_units(headings: Sequence[Heading]) -> list[Heading]:
 
 
 def _unit(name: str) -> str:
-    return "us" if name == TIME else next((unit for key, unit in UNITS.items() if re.fullmatch(key, name)), "")
+    return (
+        "us"
+        if name == TIME
+        else next((unit for key, unit in UNITS.items() if re.fullmatch(key, name)), "")
+    )

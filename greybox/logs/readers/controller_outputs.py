@@ -1,12 +1,14 @@
 """Which signals of a log are outputs of a controller, which holds them, and which are samples of what is continuous.
 
-A flight controller sets its outputs and setpoints once in every pass of its loop, and they keep their values until the
-next one. A log has every pass or, thinned, only some: then a value lasted for one pass, not until the next sample of
-the log. The period of the loop is a parameter of the vehicle.
+A flight controller sets its outputs and setpoints once in every pass of its loop, and they keep
+their values until the next one. A log has every pass or, thinned, only some: then a value lasted
+for one pass, not until the next sample of the log. The period of the loop is a parameter of the
+vehicle.
 
-Sources: the `LoggerMessage` comments in ArduPilot's LogStructure.h, Log.cpp and AP_SystemID.cpp; SCHED_LOOP_RATE at
-https://ardupilot.org/copter/docs/parameters.html; the message definitions of MAVLink, common.xml; the topics of PX4,
-https://docs.px4.io/main/en/msg_docs/, and IMU_GYRO_RATEMAX among its parameters.
+Sources: the `LoggerMessage` comments in ArduPilot's LogStructure.h, Log.cpp and AP_SystemID.cpp;
+SCHED_LOOP_RATE at https://ardupilot.org/copter/docs/parameters.html; the message definitions of
+MAVLink, common.xml; the topics of PX4, https://docs.px4.io/main/en/msg_docs/, and IMU_GYRO_RATEMAX
+among its parameters.
 """
 
 import math
@@ -57,7 +59,10 @@ SAMPLES = {
     "sensor_combined": r"(gyro_rad|accelerometer_m_s2)\[\d\]",
 }
 
-LOOP_RATES = ("SCHED_LOOP_RATE", "IMU_GYRO_RATEMAX")  # Hz; of ArduPilot, of PX4 (0 there: the sensor's own rate)
+LOOP_RATES = (
+    "SCHED_LOOP_RATE",
+    "IMU_GYRO_RATEMAX",
+)  # Hz; of ArduPilot, of PX4 (0 there: the sensor's own rate)
 SLOWEST_LOOP = 50.0  # Hz, the lowest SCHED_LOOP_RATE: a log that is slower has not every pass
 
 
@@ -71,7 +76,11 @@ def with_holds(groups: Iterable[Messages], parameters: Mapping[str, float]) -> l
 def _holds(group: Messages, period: float) -> dict[str, float]:
     holds = {name: CONTINUOUS for name in group.columns if _is_among(SAMPLES, group.name, name)}
     if math.isnan(period):
-        steps = np.diff(group.time) if group.time is not None and len(group) > 1 else np.full(1, math.inf)
+        steps = (
+            np.diff(group.time)
+            if group.time is not None and len(group) > 1
+            else np.full(1, math.inf)
+        )
         if np.median(steps) > 1 / SLOWEST_LOOP:
             return holds
         period = HELD
@@ -80,4 +89,6 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
 
 def _is_among(table: Mapping[str, str], message: str, field: str) -> bool:
     message = message.partition("[")[0]
-    return any(re.fullmatch(key, message) and re.fullmatch(fields, field) for key, fields in table.items())
+    return any(
+        re.fullmatch(key, message) and re.fullmatch(fields, field) for key, fields in table.items()
+    )

@@ -23,19 +23,22 @@ Floats = NDArray[np.float64]
 LONGEST = 30  # characters of a cell that is shown in a finding
 
 
-def read(path: str | Path, messages: Collection[str] | None = None, numbered: bool = False) -> Recording:
+def read(
+    path: str | Path, messages: Collection[str] | None = None, numbered: bool = False
+) -> Recording:
     """Read a table with a header line into one record named after the file.
 
     The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
-    `greybox.files.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. So does how a signal
-    runs between its samples, where that is known: ``u [1 held]`` for the output of a controller, which holds it, and
-    ``pitch [deg sampled]`` for samples of what is continuous. Lines that start with ``#`` or ``%`` are comments; empty
-    cells, and words such as ``nan``, are missing samples.
+    `greybox.files.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``.
+    So does how a signal runs between its samples, where that is known: ``u [1 held]`` for the
+    output of a controller, which holds it, and ``pitch [deg sampled]`` for samples of what is
+    continuous. Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as
+    ``nan``, are missing samples.
 
-    The time column is the first named time, t or timestamp (any case, with a unit in brackets or as in ``time_s``,
-    ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; without a unit it is in seconds. Where there is none,
-    the first column serves if it increases and has the unit of a time. A table without such a column holds rows that
-    have no order in time, see `Record`.
+    The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
+    in ``time_s``, ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; without a unit it
+    is in seconds. Where there is none, the first column serves if it increases and has the unit of
+    a time. A table without such a column holds rows that have no order in time, see `Record`.
 
     Parameters
     ----------
@@ -43,19 +46,20 @@ def read(path: str | Path, messages: Collection[str] | None = None, numbered: bo
     messages : collection of str, optional
         Not used: a table is one record, and all of it is read.
     numbered : bool
-        Name the columns of a table without a header line by their numbers, from 1; blanks may separate them too.
+        Name the columns of a table without a header line by their numbers, from 1; blanks may
+        separate them too.
 
     Returns
     -------
     Recording
-        One record. The findings name columns without numbers, which are left out, lines with fewer cells than the
-        header, which are skipped, and cells with text or infinite values.
+        One record. The findings name columns without numbers, which are left out, lines with fewer
+        cells than the header, which are skipped, and cells with text or infinite values.
 
     Raises
     ------
     ValueError
-        If there is no header or no numeric column; if a line has more cells than the header, or its decimal marks
-        cannot be told from separators of thousands.
+        If there is no header or no numeric column; if a line has more cells than the header, or its
+        decimal marks cannot be told from separators of thousands.
     OSError
         If the file cannot be opened.
     """
@@ -64,7 +68,9 @@ def read(path: str | Path, messages: Collection[str] | None = None, numbered: bo
     checksum = hashlib.sha256(raw).hexdigest()
     text = read_delimited(path, without_settings(raw))
     if not text.lines:
-        raise ValueError(f"{path} has no table: write a header line with names, then one line of numbers per sample.")
+        raise ValueError(
+            f"{path} has no table: write a header line with names, then one line of numbers per sample."
+        )
 
     text = _numbered(text) if numbered else text
     headings = with_units(_headings(text))
@@ -72,13 +78,17 @@ def read(path: str | Path, messages: Collection[str] | None = None, numbered: bo
     units = {h.name: h.unit for h in headings}
     columns = _time_first(headings, columns, path)
     if columns and not any(seconds(name, units.get(name, "")) for name in columns):
-        record = of_rows(path.stem, columns, units, source=path.name, checksum=checksum, findings=findings)
+        record = of_rows(
+            path.stem, columns, units, source=path.name, checksum=checksum, findings=findings
+        )
         return Recording({path.stem: record}, path.name, checksum, {}, findings)
     group, left_out = table(path.stem, columns, units)
     log = on_one_clock([group] if group else [])
     found, problems = records(log.groups, path.name, checksum)
     if not found:
-        raise ValueError(f"{path} has no numeric column beside the time: it needs one for each signal.")
+        raise ValueError(
+            f"{path} has no numeric column beside the time: it needs one for each signal."
+        )
 
     findings = (*findings, *left_out, *log.findings, *problems)
     found = {name: replace(record, findings=findings) for name, record in found.items()}
@@ -116,11 +126,15 @@ def _headings(text: DelimitedText) -> list[Heading]:
         )
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice:
-        raise ValueError(f"{text.path} has two columns named {twice!r}: give each column a name of its own.")
+        raise ValueError(
+            f"{text.path} has two columns named {twice!r}: give each column a name of its own."
+        )
     return headings
 
 
-def _columns(headings: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, Floats], tuple[str, ...]]:
+def _columns(
+    headings: Sequence[Heading], text: DelimitedText
+) -> tuple[dict[str, Floats], tuple[str, ...]]:
     """Return the numeric columns by name, and findings."""
     try:
         lines = counted_off(text.lines, f"reading {printable(text.path.name)}", "line")
@@ -140,7 +154,9 @@ def _columns(headings: Sequence[Heading], text: DelimitedText) -> tuple[dict[str
     columns = {}
     not_numeric = []
     text_cells: list[str] = []
-    for k, (name, _) in enumerate(counted_off(headings, f"reading {printable(text.path.name)}", "column")):
+    for k, (name, _) in enumerate(
+        counted_off(headings, f"reading {printable(text.path.name)}", "column")
+    ):
         cells = [row[k] for _, row in whole]
         values, odd = _numbers(cells, mark)
         if name and values is not None:
@@ -157,7 +173,9 @@ def _columns(headings: Sequence[Heading], text: DelimitedText) -> tuple[dict[str
             f"{short[0]}."
         )
     if text_cells:
-        findings.append(f"cells that are not numbers, which count as missing: {name_list(text_cells)}.")
+        findings.append(
+            f"cells that are not numbers, which count as missing: {name_list(text_cells)}."
+        )
     if not_numeric:
         findings.append(f"columns without numbers were left out: {name_list(not_numeric)}.")
     return columns, (*findings, *_infinite(columns, numbers))
@@ -190,16 +208,21 @@ def _infinite(columns: Mapping[str, Floats], line_numbers: Sequence[int]) -> tup
         for name, rows in places.items()
         if rows.size
     ]
-    return (f"infinite values, which count as missing in a fit: {name_list(named)}.",) if named else ()
+    return (
+        (f"infinite values, which count as missing in a fit: {name_list(named)}.",) if named else ()
+    )
 
 
-def _time_first(headings: Sequence[Heading], columns: Mapping[str, Floats], path: Path) -> dict[str, Floats]:
+def _time_first(
+    headings: Sequence[Heading], columns: Mapping[str, Floats], path: Path
+) -> dict[str, Floats]:
     """Return the columns; where none is named as a time, the first serves if it increases and has a unit of time.
 
     Raises
     ------
     ValueError
-        For a time that cannot be read: taken as rows without one, its samples would count as independent.
+        For a time that cannot be read: taken as rows without one, its samples would count as
+        independent.
     """
     if any(seconds(h.name, h.unit) and h.name in columns for h in headings):
         return dict(columns)

@@ -1,7 +1,8 @@
 """ArduPilot DataFlash logs, binary (.BIN): decoded piece by piece of the file, one column at a time.
 
-`dataflash_index` finds the messages in the file; what the numbers mean (scales of the format letters, unit and
-multiplier tables) follows pymavlink, and the values are equal to pymavlink's to the last bit.
+`dataflash_index` finds the messages in the file; what the numbers mean (scales of the format
+letters, unit and multiplier tables) follows pymavlink, and the values are equal to pymavlink's to
+the last bit.
 """
 
 import hashlib
@@ -23,7 +24,15 @@ from greybox.logs.readers.imu_batches import DATA, HEADER, SAMPLES, with_batches
 from greybox.logs.readers.mapped_file import release
 from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
-ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")  # about the log or the vehicle: no time histories
+ABOUT = (
+    "FMT",
+    "FMTU",
+    "UNIT",
+    "MULT",
+    "PARM",
+    "MSG",
+    "FILE",
+)  # about the log or the vehicle: no time histories
 ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV", HEADER)  # metadata, read whatever is requested
 TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
@@ -78,7 +87,9 @@ def recording(
     wanted = with_holds(wanted, metadata.get("parameters", {}))
     found, problems = records(wanted, path.name, checksum)
     if not found and not metadata:
-        raise ValueError(f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again.")
+        raise ValueError(
+            f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again."
+        )
     findings = (*findings, *conflicts, *incomplete, *restarts, *missing, *problems, *assumed)
     return Recording(found, path.name, checksum, metadata, findings)
 
@@ -100,7 +111,11 @@ def _contents(data: mmap.mmap, messages: Collection[str] | None) -> tuple[Clocke
     damage = _damage(found)
     each, stamps = _decoded(data, found, messages)
     del found
-    tables = UnitTables(one.messages(Units({}, ""), stamps) for one in each if one.count and one.layout.name in TABLES)
+    tables = UnitTables(
+        one.messages(Units({}, ""), stamps)
+        for one in each
+        if one.count and one.layout.name in TABLES
+    )
     used = [one for one in each if one.count and one.layout.name not in TABLES]
     groups = [one.messages(tables.of(one.layout), stamps) for one in used]
     del each, used
@@ -116,14 +131,18 @@ def _decoded(
     """
     counts = np.bincount(found.which, minlength=len(found.layouts))
     each = [
-        _Columns(data, layout, count, messages is None or layout.name in {*messages, *ALWAYS, *TABLES})
+        _Columns(
+            data, layout, count, messages is None or layout.name in {*messages, *ALWAYS, *TABLES}
+        )
         for layout, count in zip(found.layouts, counts.tolist(), strict=True)
     ]
     is_timed = np.array([one.is_timed for one in each], dtype=bool)
     stamps = np.empty(int(counts[is_timed].sum()))
     before = 0
     ends = np.searchsorted(found.offsets, np.arange(PIECE, len(data) + PIECE, PIECE)).tolist()
-    for piece, (first, last) in enumerate(counted_off([*pairwise([0, *ends])], "decoding", "piece")):
+    for piece, (first, last) in enumerate(
+        counted_off([*pairwise([0, *ends])], "decoding", "piece")
+    ):
         which = found.which[first:last]
         offsets = found.offsets[first:last].astype(np.int64)
         numbers = before + np.cumsum(is_timed[which])
@@ -138,8 +157,9 @@ def _decoded(
 class _Columns:
     """The columns of all messages of one layout, filled one piece of the file after the other.
 
-    Those that are not wanted as a `whole` give their times alone, to the stamps of the log, which has those of all
-    timed messages by their number. The tables have no part in that: they are written anew at times, with any time.
+    Those that are not wanted as a `whole` give their times alone, to the stamps of the log, which
+    has those of all timed messages by their number. The tables have no part in that: they are
+    written anew at times, with any time.
     """
 
     def __init__(self, data: mmap.mmap, layout: Layout, count: int, whole: bool) -> None:
@@ -148,22 +168,33 @@ class _Columns:
         self._whole = whole
         self._timer = clock_column(layout)
         self.is_timed = bool(self._timer) and layout.name not in TABLES
-        # A view of a body at every byte of the file; indexing a field of it copies only the messages of this layout.
+        # A view of a body at every byte of the file; indexing a field of it copies only the
+        # messages of this layout.
         size = max(len(data) - layout.length + 1, 0)
-        self._bodies = np.ndarray((size,), layout.dtype, data, 3, (1,)) if count else np.empty(0, layout.dtype)
+        self._bodies = (
+            np.ndarray((size,), layout.dtype, data, 3, (1,)) if count else np.empty(0, layout.dtype)
+        )
         kept = count if whole else 0
         self._filled = 0
         self._order = np.empty(kept, dtype=np.int32 if len(data) < 2**31 else np.int64)
         letters = dict(zip(layout.columns, layout.format, strict=True))
         letters.pop(self._timer, None)
         self._texts: dict[str, list[str]] = {
-            name: [] for name, letter in letters.items() if whole and letter in "nNZ" and layout.name != "FILE"
+            name: []
+            for name, letter in letters.items()
+            if whole and letter in "nNZ" and layout.name != "FILE"
         }
         arrays = [name for name, letter in letters.items() if letter == "a" and layout.name == DATA]
         self._arrays = {name: np.empty((kept, SAMPLES), dtype=np.int16) for name in arrays}
-        self._columns = {name: np.empty(kept) for name, letter in letters.items() if whole and letter not in "anNZ"}
+        self._columns = {
+            name: np.empty(kept)
+            for name, letter in letters.items()
+            if whole and letter not in "anNZ"
+        }
 
-    def take(self, offsets: NDArray[np.int64], numbers: NDArray[np.intp], stamps: NDArray[np.float64]) -> None:
+    def take(
+        self, offsets: NDArray[np.int64], numbers: NDArray[np.intp], stamps: NDArray[np.float64]
+    ) -> None:
         """Decode the messages of these offsets and numbers."""
         here = slice(self._filled, self._filled + numbers.size)
         for i, name in enumerate(self.layout.columns):
@@ -187,10 +218,14 @@ class _Columns:
             return Messages(self.layout.name, nothing, None, {}, {}, units.columns)
         time = stamps[self._order] if self.is_timed else None
         parts = {
-            f"{name}[{k}]": values[:, k].astype(float) for name, values in self._arrays.items() for k in range(SAMPLES)
+            f"{name}[{k}]": values[:, k].astype(float)
+            for name, values in self._arrays.items()
+            for k in range(SAMPLES)
         }
         columns = {**self._columns, **parts}
-        return Messages(self.layout.name, self._order, time, columns, self._texts, units.columns, units.instance)
+        return Messages(
+            self.layout.name, self._order, time, columns, self._texts, units.columns, units.instance
+        )
 
 
 def _numbers(values: NDArray[np.generic], scale: float | None) -> NDArray[np.float64]:
@@ -209,7 +244,11 @@ def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, 
     """Say which messages were requested, or are needed, but are missing."""
     absent = [name for name in messages or () if name not in present]
     names = ", ".join(sorted(present - {*ABOUT}))
-    findings = [f"there is no message {name}; the log has {names or 'none'}." for name in absent if name != "RATE"]
+    findings = [
+        f"there is no message {name}; the log has {names or 'none'}."
+        for name in absent
+        if name != "RATE"
+    ]
     if "RATE" not in present and ("ATT" in present if messages is None else "RATE" in messages):
         findings.append(ardupilot_metadata.NO_RATE)
     return tuple(findings)
@@ -219,7 +258,11 @@ def _damage(found: Index) -> tuple[str, ...]:
     findings = []
     if found.skipped:
         places = f"in {found.places} places, the first" if found.places > 1 else "in one place,"
-        findings.append(f"{found.skipped} bytes {places} at byte {found.first}, are damaged and were skipped.")
+        findings.append(
+            f"{found.skipped} bytes {places} at byte {found.first}, are damaged and were skipped."
+        )
     if found.cut:
-        findings.append(f"the last message ({found.cut}) is cut off: the file was truncated, or the power was lost.")
+        findings.append(
+            f"the last message ({found.cut}) is cut off: the file was truncated, or the power was lost."
+        )
     return tuple(findings)

@@ -1,8 +1,8 @@
 """Finds the messages in a DataFlash log, damaged ones included.
 
-pymavlink has a compiled scan, but it terminates the Python process at the first message of an unknown type or length,
-and prints a line for every byte that it skips. This one is about as fast, silent, and counts what it skips. The table
-of format letters is pymavlink's.
+pymavlink has a compiled scan, but it terminates the Python process at the first message of an
+unknown type or length, and prints a line for every byte that it skips. This one is about as fast,
+silent, and counts what it skips. The table of format letters is pymavlink's.
 """
 
 import struct
@@ -17,7 +17,10 @@ from greybox.files.progress import reading
 from greybox.logs.readers.mapped_file import Bytes, release
 
 HEAD = b"\xa3\x95"  # before every message, then the type's number
-FMT, FMT_LENGTH = 0x80, 89  # the message that describes the others: type, length, name, format, columns
+FMT, FMT_LENGTH = (
+    0x80,
+    89,
+)  # the message that describes the others: type, length, name, format, columns
 STRIDE = 256  # messages that are first tried at once; doubled while all are sound, so that any value serves
 PIECE = 2**22  # bytes scanned for headers at once: 4 MB, against a log of gigabytes in memory
 PADDING = 4096  # bytes behind the last message that are looked at: a page of zeros or of erased flash is no damage
@@ -46,7 +49,9 @@ class Layout:
         return None if multiplier is None else 1 / multiplier
 
 
-FMT_LAYOUT = Layout(FMT, "FMT", FMT_LENGTH, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+FMT_LAYOUT = Layout(
+    FMT, "FMT", FMT_LENGTH, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +215,10 @@ class _Walk:
         at = data.find(HEAD, start, min(end + 2, size))
         while at >= 0:
             length = int(self.lengths[data[at + 2]]) if at + 2 < size else 0
-            if length and (at + length >= size or data[at + length : at + length + 2] == HEAD[: size - at - length]):
+            if length and (
+                at + length >= size
+                or data[at + length : at + length + 2] == HEAD[: size - at - length]
+            ):
                 return at
             at = data.find(HEAD, at + 1, min(end + 2, size))
         return -1
@@ -226,9 +234,15 @@ def index(data: Bytes) -> Index:
     return _Walk(data).run()
 
 
-def sound(kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]) -> Layout | None:
+def sound(
+    kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]
+) -> Layout | None:
     """Return the layout if it is plausible: known letters, a name, as many columns, and the length that they need."""
-    if not (name.isascii() and name.replace("_", "").isalnum() and all(c in FORMAT_TO_STRUCT for c in letters)):
+    if not (
+        name.isascii()
+        and name.replace("_", "").isalnum()
+        and all(c in FORMAT_TO_STRUCT for c in letters)
+    ):
         return None
     layout = Layout(kind, name, length, letters, columns)
     fits = len(columns) == len(letters) == len(set(columns)) and layout.dtype.itemsize + 3 == length
@@ -264,5 +278,7 @@ def _is_padding(raw: bytes) -> bool:
 def _numpy_type(letter: str) -> str:
     """Translate a letter of `struct` to numpy."""
     return (
-        f"S{letter[:-1]}" if letter.endswith("s") else np.dtype(letter if letter != "e" else "f2").newbyteorder("<").str
+        f"S{letter[:-1]}"
+        if letter.endswith("s")
+        else np.dtype(letter if letter != "e" else "f2").newbyteorder("<").str
     )

@@ -46,7 +46,9 @@ class Lines:
         for number, line in enumerate(lines):
             name, comma, body = line.partition(",")
             if not comma:
-                self.banner = self.banner or (line.strip() if ardupilot_metadata.vehicle_in(line) else "")
+                self.banner = self.banner or (
+                    line.strip() if ardupilot_metadata.vehicle_in(line) else ""
+                )
                 continue
             if name == "FMT":
                 self._define(body)
@@ -57,7 +59,11 @@ class Lines:
 
     def _define(self, body: str) -> None:
         fields = [field.strip() for field in body.split(",", FMT_FIELDS - 1)]
-        if len(fields) < FMT_FIELDS or not fields[0].isdecimal() or any(c not in FORMAT_TO_STRUCT for c in fields[3]):
+        if (
+            len(fields) < FMT_FIELDS
+            or not fields[0].isdecimal()
+            or any(c not in FORMAT_TO_STRUCT for c in fields[3])
+        ):
             return
         columns = tuple(column.strip() for column in fields[4].split(",") if column.strip())
         if len(columns) == len(fields[3]) == len(set(columns)) and fields[2] != "FMT":
@@ -120,7 +126,15 @@ class _Columns:
                 numbers[name] = np.concatenate(parts)
         if order.size < self.count:
             damaged[layout.name] = self.count - order.size
-        return Messages(layout.name, order, time, numbers, texts, units.columns, units.instance if self._whole else "")
+        return Messages(
+            layout.name,
+            order,
+            time,
+            numbers,
+            texts,
+            units.columns,
+            units.instance if self._whole else "",
+        )
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -157,8 +171,12 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
 
     known = [name for name in lines.layouts if name in lines.each]
     tables = UnitTables(messages_of(name, Units({}, "")) for name in TABLES if name in known)
-    groups = [messages_of(name, tables.of(lines.layouts[name])) for name in known if name not in TABLES]
-    unknown = sum(one.count for name, one in lines.each.items() if name not in lines.layouts and name != "FMT")
+    groups = [
+        messages_of(name, tables.of(lines.layouts[name])) for name in known if name not in TABLES
+    ]
+    unknown = sum(
+        one.count for name, one in lines.each.items() if name not in lines.layouts and name != "FMT"
+    )
     groups, interpolated = _with_times(groups)
     findings = [*_damage(damaged, unknown), *tables.findings, *interpolated]
     return recording(on_one_clock(groups + _banner(lines)), path, checksum, messages, findings)
@@ -176,7 +194,9 @@ def _with_times(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]
         return groups, ()
     order, time = clock.order[rows], clock.time[rows]
     made = [
-        group if group.time is not None else replace(group, time=np.interp(group.order, order, time, np.nan, np.nan))
+        group
+        if group.time is not None
+        else replace(group, time=np.interp(group.order, order, time, np.nan, np.nan))
         for group in groups
     ]
     interval = float(np.median(np.diff(time)))
@@ -204,5 +224,7 @@ def _banner(lines: Lines) -> list[Messages]:
 def _damage(damaged: dict[str, int], unknown: int) -> list[str]:
     findings = [f"{name}: {count} damaged lines were skipped." for name, count in damaged.items()]
     if unknown:
-        findings.append(f"{unknown} lines are damaged, or have no FMT line that describes them, and were skipped.")
+        findings.append(
+            f"{unknown} lines are damaged, or have no FMT line that describes them, and were skipped."
+        )
     return findings

@@ -20,7 +20,8 @@ USUAL = {
     "ATT": _ANGLES,
     "AHR2": _ANGLES,
     "RATE": dict.fromkeys("RDes R PDes P YDes Y".split(), "deg/s"),
-    "IMU": dict.fromkeys("GyrX GyrY GyrZ".split(), "rad/s") | dict.fromkeys("AccX AccY AccZ".split(), "m/s²"),
+    "IMU": dict.fromkeys("GyrX GyrY GyrZ".split(), "rad/s")
+    | dict.fromkeys("AccX AccY AccZ".split(), "m/s²"),
     **dict.fromkeys(("EKF1", "NKF1", "XKF1"), _ANGLES | _VELOCITY),
 }
 
@@ -42,17 +43,23 @@ class UnitTables:
         self.letters: dict[int, tuple[str, str]] = {}
         for group in groups:
             if group.name == "UNIT" and "Id" in group.columns and "Label" in group.texts:
-                for letter, label in zip(map(_letter, group.columns["Id"]), group.texts["Label"], strict=True):
+                for letter, label in zip(
+                    map(_letter, group.columns["Id"]), group.texts["Label"], strict=True
+                ):
                     self.labels[letter] = label
                     self._several.setdefault(letter, set()).add(label)
             elif group.name == "MULT" and {"Id", "Mult"} <= group.columns.keys():
                 # Single precision on board: pymavlink rounds to 7 digits to look the prefixes up.
                 rounded = (float(f"{value:.7g}") for value in group.columns["Mult"])
-                self.multipliers.update(zip(map(_letter, group.columns["Id"]), rounded, strict=True))
+                self.multipliers.update(
+                    zip(map(_letter, group.columns["Id"]), rounded, strict=True)
+                )
             elif group.name == "FMTU" and "FmtType" in group.columns and "UnitIds" in group.texts:
                 units = group.texts["UnitIds"]
                 pairs = zip(units, group.texts.get("MultIds", [""] * len(units)), strict=True)
-                self.letters.update(zip(map(_integer, group.columns["FmtType"]), pairs, strict=True))
+                self.letters.update(
+                    zip(map(_integer, group.columns["FmtType"]), pairs, strict=True)
+                )
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -72,7 +79,9 @@ class UnitTables:
             known = len(self._several.get(letter, ())) == 1
             label = unit(self.labels[letter]) if known else ""
             scaled = label and i < len(scales) and layout.scale(i) is None
-            columns[name] = _prefixed(label, self.multipliers.get(scales[i], 1.0)) if scaled else label
+            columns[name] = (
+                _prefixed(label, self.multipliers.get(scales[i], 1.0)) if scaled else label
+            )
         return Units(columns, _instance(layout, units))
 
 
@@ -81,9 +90,15 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
     if any(unit for group in groups for unit in group.units.values()):
         return list(groups), ()
     known = [group.name for group in groups if group.name in USUAL]
-    made = [replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups]
+    made = [
+        replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups
+    ]
     names = ", ".join(dict.fromkeys(known))
-    return made, ((f"the log has no table of units: ArduPilot's usual ones are assumed for {names}.",) if known else ())
+    return made, (
+        (f"the log has no table of units: ArduPilot's usual ones are assumed for {names}.",)
+        if known
+        else ()
+    )
 
 
 def _prefixed(label: str, multiplier: float) -> str:

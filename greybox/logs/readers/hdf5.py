@@ -13,11 +13,12 @@ from greybox.logs.readers import named_arrays
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
     """Read every group that has a time vector into a record.
 
-    A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see `table_columns.seconds`), and
-    vectors of the same length. Matrices with one sample per row (as MATLAB shows them, in MATLAB's files) give one
-    signal per column. Units are attributes ``unit`` or ``units`` of the datasets, followed by the word held or sampled
-    where it is known how the signal runs between its samples. A record is named after its group
-    (``flight/ATT``), one at the root after the file.
+    A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see
+    `table_columns.seconds`), and vectors of the same length. Matrices with one sample per row (as
+    MATLAB shows them, in MATLAB's files) give one signal per column. Units are attributes ``unit``
+    or ``units`` of the datasets, followed by the word held or sampled where it is known how the
+    signal runs between its samples. A record is named after its group (``flight/ATT``), one at the
+    root after the file.
 
     Parameters
     ----------
@@ -40,7 +41,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     with open(path, "rb") as file:
         matlab = file.read(6) == b"MATLAB"
     found = named_arrays.contents("hdf5", path)
-    rows = [variable._replace(values=_rows(variable.values, matlab)) for variable in found.variables]
+    rows = [
+        variable._replace(values=_rows(variable.values, matlab)) for variable in found.variables
+    ]
     return named_arrays.recording(path, found._replace(variables=rows), messages)
 
 

@@ -7,13 +7,15 @@ from greybox.data.record import Recording
 from greybox.logs.readers import named_arrays
 
 
-def read(path: str | Path, messages: Collection[str] | None = None, numbered: bool = False) -> Recording:
+def read(
+    path: str | Path, messages: Collection[str] | None = None, numbered: bool = False
+) -> Recording:
     """Read every struct that has a time vector into a record, and the vectors beside a time vector of the workspace.
 
     The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``); see
-    `table_columns.seconds`. Matrices with one sample per row give one signal per column. A record is named after its
-    struct (``flight/att``), that of the workspace after the file. Simulink's "structure with time" is read too. Units
-    are not known.
+    `table_columns.seconds`. Matrices with one sample per row give one signal per column. A record
+    is named after its struct (``flight/att``), that of the workspace after the file. Simulink's
+    "structure with time" is read too. Units are not known.
 
     Parameters
     ----------
@@ -21,12 +23,14 @@ def read(path: str | Path, messages: Collection[str] | None = None, numbered: bo
     messages : collection of str, optional
         Structs to read; all by default.
     numbered : bool
-        Read the one matrix of the file as a table, whose columns are named by their numbers, from 1.
+        Read the one matrix of the file as a table, whose columns are named by their numbers, from
+        1.
 
     Returns
     -------
     Recording
-        The findings name the timetables and other objects, which only MATLAB can read: save them as structs.
+        The findings name the timetables and other objects, which only MATLAB can read: save them as
+        structs.
 
     Raises
     ------
@@ -36,4 +40,8 @@ def read(path: str | Path, messages: Collection[str] | None = None, numbered: bo
         If the file cannot be opened.
     """
     found = named_arrays.contents("matlab", Path(path))
-    return named_arrays.numbered(Path(path), found) if numbered else named_arrays.recording(Path(path), found, messages)
+    return (
+        named_arrays.numbered(Path(path), found)
+        if numbered
+        else named_arrays.recording(Path(path), found, messages)
+    )

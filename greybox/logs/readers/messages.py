@@ -30,7 +30,8 @@ class Messages:
         Columns of text.
     units : mapping of str to str
     hold : mapping of str to float
-        For how long the values of a column lasted, as far as that is known, see `greybox.data.intersample`.
+        For how long the values of a column lasted, as far as that is known, see
+        `greybox.data.intersample`.
     instance : str
         The column, numeric or text, that distinguishes several senders; empty if there is one.
     """
@@ -60,7 +61,11 @@ class Messages:
 
 def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
     """Return names without instances: a request for ``IMU[0]`` reads all of IMU."""
-    return None if messages is None else tuple(dict.fromkeys(name.partition("[")[0] for name in messages))
+    return (
+        None
+        if messages is None
+        else tuple(dict.fromkeys(name.partition("[")[0] for name in messages))
+    )
 
 
 def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
@@ -76,7 +81,9 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
         same = [lot for lot in lots if _alike(lot, largest)]
         lost = sum(map(len, lots)) - sum(map(len, same))
         if lost:
-            findings.append(f"{name}: {lost} messages with other fields than the rest were left out.")
+            findings.append(
+                f"{name}: {lost} messages with other fields than the rest were left out."
+            )
         joined.append(_joined(same) if len(same) > 1 else largest)
     return joined, tuple(findings)
 
@@ -92,9 +99,17 @@ def _alike(a: Messages, b: Messages) -> bool:
 def _joined(lots: Sequence[Messages]) -> Messages:
     order = np.concatenate([lot.order for lot in lots])
     texts = {name: [text for lot in lots for text in lot.texts[name]] for name in lots[0].texts}
-    columns = {name: np.concatenate([lot.columns[name] for lot in lots]) for name in lots[0].columns}
-    time = None if lots[0].time is None else np.concatenate([lot.time for lot in lots if lot.time is not None])
-    return replace(lots[0], order=order, time=time, columns=columns, texts=texts).rows(np.argsort(order))
+    columns = {
+        name: np.concatenate([lot.columns[name] for lot in lots]) for name in lots[0].columns
+    }
+    time = (
+        None
+        if lots[0].time is None
+        else np.concatenate([lot.time for lot in lots if lot.time is not None])
+    )
+    return replace(lots[0], order=order, time=time, columns=columns, texts=texts).rows(
+        np.argsort(order)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +124,22 @@ class Clocked:
 def on_one_clock(groups: Iterable[Messages], stamps: Floats | None = None) -> Clocked:
     """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`.
 
-    The `stamps` are the times of all messages of the log by their number, where not all are among the groups.
+    The `stamps` are the times of all messages of the log by their number, where not all are among
+    the groups.
     """
     groups = list(groups)
     stamps = stamps_of(groups) if stamps is None else stamps
     shifted, findings = time_stamps.one_clock(stamps)
     if shifted is not stamps:
-        groups = [group if group.time is None else replace(group, time=shifted[group.order]) for group in groups]
+        groups = [
+            group if group.time is None else replace(group, time=shifted[group.order])
+            for group in groups
+        ]
     there = np.isfinite(shifted)
-    span = (float(shifted.min(where=there, initial=np.inf)), float(shifted.max(where=there, initial=-np.inf)))
+    span = (
+        float(shifted.min(where=there, initial=np.inf)),
+        float(shifted.max(where=there, initial=-np.inf)),
+    )
     return Clocked(groups, findings, span if there.any() else (0.0, 0.0))
 
 
@@ -130,7 +152,9 @@ def stamps_of(groups: Iterable[Messages]) -> Floats:
     return stamps
 
 
-def records(groups: Iterable[Messages], source: str, checksum: str) -> tuple[dict[str, Record], tuple[str, ...]]:
+def records(
+    groups: Iterable[Messages], source: str, checksum: str
+) -> tuple[dict[str, Record], tuple[str, ...]]:
     """Return a record for every type and instance with a time and a number, and findings.
 
     A list of groups is emptied, so that no column is in memory twice.
@@ -144,10 +168,16 @@ def records(groups: Iterable[Messages], source: str, checksum: str) -> tuple[dic
             continue
         record = _record(name, part, source, checksum, gapped)
         if record is None:
-            findings.append(f"{name}: none of its {len(part)} messages has a plausible time; it was left out.")
+            findings.append(
+                f"{name}: none of its {len(part)} messages has a plausible time; it was left out."
+            )
             continue
         made[name] = record
-        findings += [text for text in record.findings if name not in gapped or text != f"{name}: {gapped[name]}"]
+        findings += [
+            text
+            for text in record.findings
+            if name not in gapped or text != f"{name}: {gapped[name]}"
+        ]
     return made, (*findings, *time_stamps.all_gaps(gapped))
 
 

@@ -65,16 +65,22 @@ def numbered(path: Path, found: Contents) -> Recording:
         If there are several matrices.
     """
     matrices = [
-        variable for variable in found.variables if variable.values.ndim == 2 and min(variable.values.shape) > 1
+        variable
+        for variable in found.variables
+        if variable.values.ndim == 2 and min(variable.values.shape) > 1
     ]
     if not matrices:
         return recording(path, found, None)
     if len(matrices) > 1:
         names = ", ".join(variable.name for variable in matrices)
-        raise ValueError(f"{path} has {len(matrices)} matrices ({names}): save the one to read alone.")
+        raise ValueError(
+            f"{path} has {len(matrices)} matrices ({names}): save the one to read alone."
+        )
     with open(path, "rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
-    columns = {str(k): values for k, values in enumerate(matrices[0].values.T.astype(float), start=1)}
+    columns = {
+        str(k): values for k, values in enumerate(matrices[0].values.T.astype(float), start=1)
+    }
     record = of_rows(path.stem, columns, {}, source=path.name, checksum=checksum)
     return Recording({path.stem: record}, path.name, checksum, {}, tuple(found.findings))
 

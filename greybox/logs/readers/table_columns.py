@@ -24,18 +24,26 @@ SECONDS = {
     "min": 60.0,
     "h": 3600.0,
 }
-TIMES = ("time", "t", "timestamp", "timestamps", "tout")  # names of a time column, in lower case and without unit
+TIMES = (
+    "time",
+    "t",
+    "timestamp",
+    "timestamps",
+    "tout",
+)  # names of a time column, in lower case and without unit
 ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
 SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}
-WIDEST = 64  # columns of a matrix that become signals of their own: a convention, to keep images out
+WIDEST = (
+    64  # columns of a matrix that become signals of their own: a convention, to keep images out
+)
 
 
 def seconds(name: str, unit: str = "") -> float | None:
     """Return the seconds of one tick if this is the name of a time column, else None.
 
-    That is time, t, timestamp or tout, in any case, with a unit of its own or as in ``time_ms`` (else in seconds), and
-    TimeUS and TimeMS as ArduPilot's tools write them.
+    That is time, t, timestamp or tout, in any case, with a unit of its own or as in ``time_ms``
+    (else in seconds), and TimeUS and TimeMS as ArduPilot's tools write them.
     """
     name = name.lower()
     unit = unit.lower()
@@ -57,9 +65,11 @@ def table(
     name : str
         What to call them.
     columns : mapping of str to array
-        As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]`` ..., one per column.
+        As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]``
+        ..., one per column.
     units : mapping of str to str
-        A unit may be followed by how the signal runs between its samples, ``1 held`` or ``rad sampled``.
+        A unit may be followed by how the signal runs between its samples, ``1 held`` or ``rad
+        sampled``.
 
     Returns
     -------
@@ -67,9 +77,13 @@ def table(
     findings : tuple of str
         Columns that were left out.
     """
-    timer = next((key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), "")
+    timer = next(
+        (key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), ""
+    )
     if not timer or not columns[timer].size:
-        return None, (f"{name or 'the file'}: {len(columns)} variables without a time were left out.",)
+        return None, (
+            f"{name or 'the file'}: {len(columns)} variables without a time were left out.",
+        )
 
     time = columns[timer].astype(float) * (seconds(timer, units.get(timer, "")) or 1.0)
     kept = {}
@@ -89,12 +103,18 @@ def table(
             wrong_length.append(key)
     findings = []
     if wrong_length:
-        findings.append(f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}.")
-    messages = Messages(name, np.arange(time.size), time, kept, {}, labels, hold=hold) if kept else None
+        findings.append(
+            f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}."
+        )
+    messages = (
+        Messages(name, np.arange(time.size), time, kept, {}, labels, hold=hold) if kept else None
+    )
     return messages, tuple(findings)
 
 
-def of_rows(name: str, columns: Mapping[str, Floats], units: Mapping[str, str], **about: Any) -> Record:
+def of_rows(
+    name: str, columns: Mapping[str, Floats], units: Mapping[str, str], **about: Any
+) -> Record:
     """Return a record of rows without a time; `about` are its source, checksum and findings."""
     named = {key: _unit_and_hold(units.get(key, ""))[0] for key in columns}
     return Record(None, columns, {key: unit for key, unit in named.items() if unit}, name, **about)  # type: ignore[arg-type]

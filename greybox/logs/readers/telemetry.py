@@ -1,7 +1,8 @@
 """MAVLink telemetry logs (.tlog), as ground stations write them: packets of one or several senders.
 
-A packet that carries the sender's own time (``time_boot_ms``, ``time_usec``) is put there, without the jitter of the
-link; the others are put where they were received. Both are on one clock, the vehicle's since its first start.
+A packet that carries the sender's own time (``time_boot_ms``, ``time_usec``) is put there, without
+the jitter of the link; the others are put where they were received. Both are on one clock, the
+vehicle's since its first start.
 """
 
 import hashlib
@@ -24,7 +25,11 @@ from greybox.logs.readers.telemetry_frames import KINDS, SAMPLED, Frames, find_p
 
 Floats = NDArray[np.float64]
 
-TICKS = {"time_boot_ms": 1e3, "time_boot_us": 1e6, "time_usec": 1e6}  # the sender's time, ticks per second
+TICKS = {
+    "time_boot_ms": 1e3,
+    "time_boot_us": 1e6,
+    "time_usec": 1e6,
+}  # the sender's time, ticks per second
 BLOCK = 2**16  # packets whose times are set at once
 EPOCH = 1e9  # s; a larger time counts from 1970, not from the sender's start
 ABOUT = ("PARAM_VALUE", "STATUSTEXT")  # part of the metadata; no time histories
@@ -43,8 +48,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     Returns
     -------
     Recording
-        Values as sent, units from the MAVLink definitions (cdeg, mm ...). A kind that several systems or components
-        send is named ``ATTITUDE[1:1]`` (system:component), one with instances of its own ``BATTERY_STATUS[0]``.
+        Values as sent, units from the MAVLink definitions (cdeg, mm ...). A kind that several
+        systems or components send is named ``ATTITUDE[1:1]`` (system:component), one with instances
+        of its own ``BATTERY_STATUS[0]``.
 
     Raises
     ------
@@ -60,16 +66,26 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     frames = find_packets(data)
     if not frames.kinds.size:
-        raise ValueError(f"{path} holds no MAVLink packet that can be read; copy it from the ground station again.")
+        raise ValueError(
+            f"{path} holds no MAVLink packet that can be read; copy it from the ground station again."
+        )
 
     sender_time = _sender_times(data, frames)
     timed = np.unique(frames.kinds[np.isfinite(sender_time)])
-    time, restarts = _common_clock(frames, sender_time, telemetry_metadata.vehicle_sender(data, frames))
+    time, restarts = _common_clock(
+        frames, sender_time, telemetry_metadata.vehicle_sender(data, frames)
+    )
     del sender_time
     names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
-    wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
+    wanted = [
+        k
+        for k, name in names.items()
+        if (name not in ABOUT if messages is None else name in messages)
+    ]
     about = telemetry_metadata.metadata(data, frames, time)
-    frames = frames.only(np.isin(frames.kinds, wanted))  # the other packets of a long log fill hundreds of MB
+    frames = frames.only(
+        np.isin(frames.kinds, wanted)
+    )  # the other packets of a long log fill hundreds of MB
     time = frames.received  # the common clock has put them there
     groups = (_messages(data, frames, kind, time) for kind in wanted)
     found, problems = records(with_holds(groups, about.get("parameters", {})), path.name, checksum)
@@ -90,22 +106,29 @@ def _sender_times(data: mmap.mmap, frames: Frames) -> Floats:
         timer = next((name for name in TICKS if name in KINDS[kind].fieldnames), "")
         if timer:
             ticks = payloads(data, frames, kind, timer) / TICKS[timer]
-            sender_time[frames.kinds == kind] = np.where((ticks > 0) & (ticks < EPOCH), ticks, np.nan)
+            sender_time[frames.kinds == kind] = np.where(
+                (ticks > 0) & (ticks < EPOCH), ticks, np.nan
+            )
     return sender_time
 
 
-def _common_clock(frames: Frames, sender_time: Floats, vehicle: int) -> tuple[Floats, tuple[str, ...]]:
+def _common_clock(
+    frames: Frames, sender_time: Floats, vehicle: int
+) -> tuple[Floats, tuple[str, ...]]:
     """Return the time of every packet, s since the vehicle's first start, and where senders restarted.
 
-    The median difference between reception and the sender's time is the sender's start; it changes when it restarts.
-    These times take the place of the reception times: a log has ten million packets.
+    The median difference between reception and the sender's time is the sender's start; it changes
+    when it restarts. These times take the place of the reception times: a log has ten million
+    packets.
     """
     time = frames.received
     findings = []
     zero = None
     senders = np.unique(frames.senders).tolist()
     for sender in sorted(senders, key=lambda s: s != vehicle):
-        rows = np.flatnonzero((frames.senders == sender) & np.isfinite(sender_time)).astype(frames.starts.dtype)
+        rows = np.flatnonzero((frames.senders == sender) & np.isfinite(sender_time)).astype(
+            frames.starts.dtype
+        )
         starts = (0, *time_stamps.restarts(sender_time[rows]))
         for piece in np.split(rows, starts[1:]) if rows.size else ():
             some = piece[:: max(piece.size // SAMPLED, 1)]
@@ -147,7 +170,9 @@ def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messa
     labels = _labels(frames.senders[rows], known.instance_field, columns, texts)
     texts = {**texts, SENDER: labels} if labels else texts
     columns.pop(known.instance_field, None)
-    return Messages(known.msgname, rows, time[rows], columns, texts, units, SENDER if labels else "")
+    return Messages(
+        known.msgname, rows, time[rows], columns, texts, units, SENDER if labels else ""
+    )
 
 
 def _columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
@@ -158,7 +183,10 @@ def _columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
 
 
 def _labels(
-    senders: NDArray[np.uint16], instance: str | None, columns: dict[str, Floats], texts: dict[str, Sequence[str]]
+    senders: NDArray[np.uint16],
+    instance: str | None,
+    columns: dict[str, Floats],
+    texts: dict[str, Sequence[str]],
 ) -> list[str]:
     """Return the labels of senders and instances of one kind; nothing if there is only one.
 
@@ -183,18 +211,26 @@ def _received(untimed: Collection[int]) -> tuple[str, ...]:
     names = [KINDS[kind].msgname for kind in sorted(untimed)]
     if not names:
         return ()
-    return (f"these carry no time stamp and are given their time of reception: {', '.join(names)}.",)
+    return (
+        f"these carry no time stamp and are given their time of reception: {', '.join(names)}.",
+    )
 
 
 def _missing(present: Collection[str], messages: Collection[str] | None) -> tuple[str, ...]:
     absent = [name for name in messages or () if name not in present]
-    return tuple(f"there is no message {name}; the log has {', '.join(present)}." for name in absent)
+    return tuple(
+        f"there is no message {name}; the log has {', '.join(present)}." for name in absent
+    )
 
 
 def _damage(frames: Frames) -> tuple[str, ...]:
     findings = []
     if frames.skipped:
-        findings.append(f"{frames.skipped} bytes in {frames.places} places are damaged and were skipped.")
+        findings.append(
+            f"{frames.skipped} bytes in {frames.places} places are damaged and were skipped."
+        )
     if frames.unknown:
-        findings.append(f"{frames.unknown} packets of kinds that pymavlink does not know were left out.")
+        findings.append(
+            f"{frames.unknown} packets of kinds that pymavlink does not know were left out."
+        )
     return tuple(findings)

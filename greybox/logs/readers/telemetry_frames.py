@@ -20,14 +20,20 @@ from greybox.files.progress import reading
 from greybox.logs.readers.mapped_file import release
 
 PIECE = 2**20  # bytes after which the bar moves on
-WINDOW = 2**23  # bytes of which packets are decoded at once: the file is mapped, and what was touched is in memory
+WINDOW = (
+    2**23
+)  # bytes of which packets are decoded at once: the file is mapped, and what was touched is in memory
 SAMPLED = 10_000  # stamps whose median is the middle of the log: of all of them it would take twice their memory
 STAMP = 8  # bytes of time before a packet: µs since 1970, big-endian
 MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
 SIGNED = 1
 SIGNATURE = 13  # flag and length of a signed packet
 TYPES = {
-    **{f"{sign}int{bits}_t": f"<{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+    **{
+        f"{sign}int{bits}_t": f"<{sign or 'i'}{bits // 8}"
+        for sign in ("", "u")
+        for bits in (8, 16, 32, 64)
+    },
     "float": "<f4",
     "double": "<f8",
     "char": "S",
@@ -42,8 +48,8 @@ class Frames:
     Attributes
     ----------
     kinds, senders, starts, lengths : (n,) array
-        Message number, 256 · system + component, and where the payload lies, bytes; small ones, since a log has a
-        packet every 50 bytes.
+        Message number, 256 · system + component, and where the payload lies, bytes; small ones,
+        since a log has a packet every 50 bytes.
     received : (n,) array, s
         Reception time, from the middle of the log.
     skipped, places : int
@@ -107,7 +113,9 @@ def find_packets(data: mmap.mmap) -> Frames:
         ticks -= np.int64(np.median(ticks[:: max(ticks.size // SAMPLED, 1)]))
     received = np.divide(ticks, 1e6, out=ticks.view(float))
     where = np.asarray(starts), np.asarray(lengths)
-    return Frames(np.asarray(kinds), np.asarray(senders), *where, received, skipped, places, unknown)
+    return Frames(
+        np.asarray(kinds), np.asarray(senders), *where, received, skipped, places, unknown
+    )
 
 
 def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
@@ -135,7 +143,9 @@ def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
         crc = mavlink.x25crc(data[at + 1 : stop] + bytes((KINDS[kind].crc_extra,))).crc
         sound = crc == data[stop] | data[stop + 1] << 8
     else:
-        sound = _starts(data, stop + tail + STAMP)  # the checksum of an unknown kind cannot be checked
+        sound = _starts(
+            data, stop + tail + STAMP
+        )  # the checksum of an unknown kind cannot be checked
     return (kind, sender, start, head[1], stop + tail) if sound else None
 
 
@@ -184,7 +194,9 @@ def payloads(data: mmap.mmap, frames: Frames, kind: int, field: str = "") -> NDA
             same = lengths[here] == length
             width = min(int(length), dtype.itemsize)
             if width:
-                rows[same, :width] = np.lib.stride_tricks.sliding_window_view(raw, width)[starts[here][same]]
+                rows[same, :width] = np.lib.stride_tricks.sliding_window_view(raw, width)[
+                    starts[here][same]
+                ]
         packets = rows.view(dtype)[:, 0]
         found[here] = packets[field] if field else packets
         release(data, begin, begin + 2 * WINDOW)  # the last packet of a window ends in the next one

@@ -12,7 +12,9 @@ from greybox.logs.readers.ardupilot_metadata import VEHICLES, armed_intervals, m
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.telemetry_frames import Frames, payloads
 
-NO_VEHICLE = (mavlink.MAV_AUTOPILOT_INVALID,)  # in the heartbeats of ground stations, cameras and gimbals
+NO_VEHICLE = (
+    mavlink.MAV_AUTOPILOT_INVALID,
+)  # in the heartbeats of ground stations, cameras and gimbals
 HULLS = {  # MAV_TYPE of a vehicle with ArduPilot, and its firmware
     **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35), "ArduCopter"),
     **dict.fromkeys((1, 16, 19, 20, 21, 22, 23, 24, 25, 28), "ArduPlane"),
@@ -20,7 +22,14 @@ HULLS = {  # MAV_TYPE of a vehicle with ArduPilot, and its firmware
     12: "ArduSub",
     7: "Blimp",
 }
-INTEGERS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}  # MAV_PARAM_TYPE, sent byte by byte by PX4
+INTEGERS = {
+    1: "u1",
+    2: "i1",
+    3: "<u2",
+    4: "<i2",
+    5: "<u4",
+    6: "<i4",
+}  # MAV_PARAM_TYPE, sent byte by byte by PX4
 
 
 def vehicle_sender(data: mmap.mmap, frames: Frames) -> int:
@@ -76,12 +85,16 @@ def _parameters(data: mmap.mmap, frames: Frames, beats: NDArray[Any]) -> dict[st
     return values
 
 
-def _texts(data: mmap.mmap, frames: Frames, time: NDArray[np.float64]) -> tuple[tuple[float, str], ...]:
+def _texts(
+    data: mmap.mmap, frames: Frames, time: NDArray[np.float64]
+) -> tuple[tuple[float, str], ...]:
     """Return (time, text); long ones, sent in pieces of one id and sender, put together."""
     rows = np.flatnonzero(frames.kinds == mavlink.MAVLINK_MSG_ID_STATUSTEXT)
     joined: list[tuple[float, str]] = []
     last = None
-    for row, packet in zip(rows, payloads(data, frames, mavlink.MAVLINK_MSG_ID_STATUSTEXT), strict=True):
+    for row, packet in zip(
+        rows, payloads(data, frames, mavlink.MAVLINK_MSG_ID_STATUSTEXT), strict=True
+    ):
         words = text(packet["text"])
         source = (int(frames.senders[row]), int(packet["id"]))
         if packet["id"] and packet["chunk_seq"] and source == last:
@@ -92,10 +105,14 @@ def _texts(data: mmap.mmap, frames: Frames, time: NDArray[np.float64]) -> tuple[
     return tuple(joined)
 
 
-def _modes(beats: NDArray[Any], time: NDArray[np.float64], vehicle: str) -> tuple[tuple[float, str], ...]:
+def _modes(
+    beats: NDArray[Any], time: NDArray[np.float64], vehicle: str
+) -> tuple[tuple[float, str], ...]:
     """Return (time, name) at every change."""
     modes: list[tuple[float, str]] = []
-    for at, base, custom in zip(time.tolist(), beats["base_mode"].tolist(), beats["custom_mode"].tolist(), strict=True):
+    for at, base, custom in zip(
+        time.tolist(), beats["base_mode"].tolist(), beats["custom_mode"].tolist(), strict=True
+    ):
         name = interpret_px4_mode(base, custom) if vehicle == "PX4" else mode_name(vehicle, custom)
         if not modes or modes[-1][1] != name:
             modes.append((at, name))

@@ -11,25 +11,30 @@ from numpy.typing import NDArray
 from greybox.data.record import GAP
 
 BACK = 1.0  # s by which stamps must fall at a clock restart; between messages of one boot they fall by up to 4 ms
-WINDOW = (
-    50  # messages before and after, whose medians must agree that the clock restarted: 24 damaged ones do not matter
-)
-BLOCK = 2**16  # stamps that are looked at together: half a megabyte, against logs of ten million messages
+WINDOW = 50  # messages before and after, whose medians must agree that the clock restarted: 24 damaged ones do not matter
+BLOCK = (
+    2**16
+)  # stamps that are looked at together: half a megabyte, against logs of ten million messages
 PAUSE = 10.0  # s between two boots on the common clock: the real pause is not known
 SLACK = 600.0  # s before the first or after the last stamps, beyond which a stamp is damaged or of another clock
 REGULAR = 20  # samples that a message needs for its usual interval to be known
 AROUND = 3  # intervals on either side, against which a long one is held: enough that another gap does not count
 FEW = 3  # messages whose gaps are told one by one
-IRREGULAR = 0.05  # of the intervals: a message with more gaps has no usual interval, such as an event
+IRREGULAR = (
+    0.05  # of the intervals: a message with more gaps has no usual interval, such as an event
+)
 
 
 def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
     """Return where the clock restarted, as indices into the stamps (s) of all messages in the order of the file.
 
-    A single damaged stamp is not a restart: the median stamp after must lie below the median before.
+    A single damaged stamp is not a restart: the median stamp after must lie below the median
+    before.
     """
     pieces = [(start, stamps[start : start + BLOCK + 1]) for start in range(0, stamps.size, BLOCK)]
-    drops = np.concatenate([np.zeros(0, int), *(np.flatnonzero(np.diff(s) < -BACK) + start + 1 for start, s in pieces)])
+    drops = np.concatenate(
+        [np.zeros(0, int), *(np.flatnonzero(np.diff(s) < -BACK) + start + 1 for start, s in pieces)]
+    )
     found: list[int] = []
     for drop in drops:
         start = found[-1] if found else 0
@@ -42,8 +47,9 @@ def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
 def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Return the stamps (s) on one clock that continues at a restart, NaN where they are implausible, and findings.
 
-    They are the stamps given where these are so already. After a restart the clock is set to `PAUSE` after the last
-    stamp before it, so that all boots stay in the record, separated by a gap.
+    They are the stamps given where these are so already. After a restart the clock is set to
+    `PAUSE` after the last stamp before it, so that all boots stay in the record, separated by a
+    gap.
     """
     finite = np.isfinite(stamps)
     ticks = stamps if finite.all() else stamps[finite]
@@ -78,13 +84,16 @@ def _plausible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
         return stamps
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
     plausible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
-    return np.where(plausible, stamps, np.nan) if plausible.any() and not plausible.all() else stamps
+    return (
+        np.where(plausible, stamps, np.nan) if plausible.any() and not plausible.all() else stamps
+    )
 
 
 def _edge(stamps: NDArray[np.float64], side: int) -> float:
     """Return the first (side -1) or last (1) of some stamps that mostly increase evenly; a quarter may be wrong.
 
-    A quarter of the stamps lies between the median and a quartile: the edge is twice as far from the median.
+    A quarter of the stamps lies between the median and a quartile: the edge is twice as far from
+    the median.
     """
     low, middle, high = np.percentile(stamps, (25, 50, 75))
     return float(middle + side * 2 * (high - middle if side > 0 else middle - low))
@@ -135,7 +144,8 @@ class Gaps(NamedTuple):
 def gaps(time: NDArray[np.float64]) -> Gaps | None:
     """Return the gaps of a message that comes at regular times; None without one, and for other messages.
 
-    Each long interval is held against those around it: a stretch that was logged slowly has no gaps.
+    Each long interval is held against those around it: a stretch that was logged slowly has no
+    gaps.
     """
     steps = np.diff(time)
     if steps.size < REGULAR:

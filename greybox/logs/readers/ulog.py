@@ -55,9 +55,10 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     Returns
     -------
     Recording
-        Times in s since the vehicle's start, SI values; a PX4 log knows no units. Elements of arrays are signals
-        ``q[0]``, ``q[1]`` ...; of attitudes and their setpoints the angles roll, pitch and yaw are added. Several
-        instances of a topic are named ``sensor_accel[0]``, ``sensor_accel[1]``.
+        Times in s since the vehicle's start, SI values; a PX4 log knows no units. Elements of
+        arrays are signals ``q[0]``, ``q[1]`` ...; of attitudes and their setpoints the angles roll,
+        pitch and yaw are added. Several instances of a topic are named ``sensor_accel[0]``,
+        ``sensor_accel[1]``.
 
     Raises
     ------
@@ -69,7 +70,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     path = Path(path)
     asked = bare(messages)
     if find_spec("pyulog") is None:
-        raise ValueError(f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'.")
+        raise ValueError(
+            f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'."
+        )
     found = named_arrays.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))
     whole = named_arrays.recording(path, found, None, found.about["parameters"])
     topics = {name: name.partition("[")[0] for name in whole}
@@ -79,7 +82,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         for name, record in whole.items()
         if asked is None or topics[name] in asked
     }
-    missing = tuple(f"there is no topic {name}." for name in sorted({*(asked or ())} - {*topics.values()}))
+    missing = tuple(
+        f"there is no topic {name}." for name in sorted({*(asked or ())} - {*topics.values()})
+    )
     return Recording(kept, whole.source, whole.checksum, about, (*missing, *whole.findings))
 
 
@@ -89,7 +94,9 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
         "vehicle": info.get("sys_name"),
         "firmware": _firmware(info),
         "board": info.get("ver_hw"),
-        "frame": f"airframe {airframe:g}" if (airframe := said["parameters"].get("SYS_AUTOSTART")) else None,
+        "frame": f"airframe {airframe:g}"
+        if (airframe := said["parameters"].get("SYS_AUTOSTART"))
+        else None,
         "parameters": {name: float(value) for name, value in said["parameters"].items()},
         "defaults": {name: float(value) for name, value in said["defaults"].items()},
         "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
@@ -120,7 +127,9 @@ def _with_angles(name: str, record: Record) -> Record:
         }
         angles = {name: values for name, values in angles.items() if name not in record.signals}
     hold = {
-        angle: record.hold[f"{QUATERNIONS[name]}[0]"] for angle in angles if f"{QUATERNIONS[name]}[0]" in record.hold
+        angle: record.hold[f"{QUATERNIONS[name]}[0]"]
+        for angle in angles
+        if f"{QUATERNIONS[name]}[0]" in record.hold
     }
     return replace(
         record,

@@ -18,15 +18,17 @@ from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
 
 Array = NDArray[np.float64]
 
-# A second-order correction goes on as long as it halves the penalty of the gaps, and until what is left of it is a
-# hundredth of the predicted decrease, which no decision of the line search depends on.
+# A second-order correction goes on as long as it halves the penalty of the gaps, and until what is
+# left of it is a hundredth of the predicted decrease, which no decision of the line search depends
+# on.
 CLOSED = 0.01
 
 
 class AllParts:
     """The parts of one problem, whose costs add, with the Kalman gains of those that have one, limits and settings.
 
-    Records that can be evaluated together are one part here: `joined` and `nodes_by_part` are between the two.
+    Records that can be evaluated together are one part here: `joined` and `nodes_by_part` are
+    between the two.
     """
 
     def __init__(self, parts: tuple[Part, ...], limits: Limits, settings: Strategies) -> None:
@@ -44,7 +46,7 @@ class AllParts:
         other.limits = limits
         return other
 
-    # --- iterates -----------------------------------------------------------------------------------------------------
+    # --- iterates
 
     def at(self, z: Array, nodes: Nodes, like: Iterate | None = None) -> Iterate:
         """Return the iterate at z with these nodes; simulated where the trajectories of `like` are."""
@@ -73,7 +75,10 @@ class AllParts:
 
     def _at(self, z: Array, nodes: Nodes, simulated: Sequence[bool]) -> Iterate:
         each = zip(self.parts, nodes, simulated, strict=True)
-        return Iterate(z, tuple(part.trajectory(z, n, simulated=is_simulated) for part, n, is_simulated in each))
+        return Iterate(
+            z,
+            tuple(part.trajectory(z, n, simulated=is_simulated) for part, n, is_simulated in each),
+        )
 
     def stays_near_data(self, iterate: Iterate) -> bool:
         """Tell whether the outputs stay where the data are, which those of an unstable simulation do not."""
@@ -90,15 +95,20 @@ class AllParts:
         """Tell whether what gaps are left is rounding."""
         tolerance = self.settings.gap_rounding
         return all(
-            np.all(np.abs(t.gaps).max(axis=0, initial=0.0) <= tolerance * np.abs(t.nodes).max(axis=0, initial=0.0))
+            np.all(
+                np.abs(t.gaps).max(axis=0, initial=0.0)
+                <= tolerance * np.abs(t.nodes).max(axis=0, initial=0.0)
+            )
             for t in iterate.trajectories
         )
 
     def signature(self, iterate: Iterate) -> Array:
         """Return numbers by which runs are told apart, see `Part.signature`."""
-        return np.concatenate([part.signature(trajectory) for part, trajectory in self._pairs(iterate)])
+        return np.concatenate(
+            [part.signature(trajectory) for part, trajectory in self._pairs(iterate)]
+        )
 
-    # --- cost ---------------------------------------------------------------------------------------------------------
+    # --- cost
 
     def cost(self, iterate: Iterate, smoothing: float = SMOOTHING) -> float:
         """Return the cost, infinite where anything diverges."""
@@ -109,7 +119,9 @@ class AllParts:
     def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
         """Return the cost with given residual weights, half the sum of squares, of an iterate that is finite."""
         each = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
-        return float(sum(part.weight * part.squared_cost(t, weight, SMOOTHING) for part, t, weight in each))
+        return float(
+            sum(part.weight * part.squared_cost(t, weight, SMOOTHING) for part, t, weight in each)
+        )
 
     def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
@@ -119,7 +131,9 @@ class AllParts:
     def squared_gap_cost(self, iterate: Iterate, variances: Sequence[Array]) -> float:
         """Return the quadratic penalty of the gaps, with variances (n,) for every state."""
         each = zip(self.parts, iterate.trajectories, variances, strict=True)
-        return sum(part.weight * float((t.gaps**2 / variance).sum()) / 2 for part, t, variance in each)
+        return sum(
+            part.weight * float((t.gaps**2 / variance).sum()) / 2 for part, t, variance in each
+        )
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse covariances that the residuals show."""
@@ -129,12 +143,16 @@ class AllParts:
         """Return the weights that are assumed as long as continuity is a penalty."""
         return [part.initial_weight(self.settings.assumed_error) for part in self.parts]
 
-    # --- linearization and steps --------------------------------------------------------------------------------------
+    # --- linearization and steps
 
-    def linearize(self, iterate: Iterate, weights: Sequence[Array], *, covariance_curvature: bool = False) -> list[Any]:
+    def linearize(
+        self, iterate: Iterate, weights: Sequence[Array], *, covariance_curvature: bool = False
+    ) -> list[Any]:
         """Return the linearization of every part."""
         each = zip(self.parts, iterate.trajectories, weights, strict=True)
-        return [part.linearize(t, w, covariance_curvature=covariance_curvature) for part, t, w in each]
+        return [
+            part.linearize(t, w, covariance_curvature=covariance_curvature) for part, t, w in each
+        ]
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
         """Return the variances of gaps at the first stage, in which nodes may follow the data freely."""
@@ -149,10 +167,13 @@ class AllParts:
         z = self.limits.after(iterate.z, length * step.dz) if step.dz.any() else iterate.z
         return self.at(z, nodes, iterate)
 
-    def close_gaps(self, iterate: Iterate, step: Step, multipliers: Sequence[Array], length: float) -> Iterate:
+    def close_gaps(
+        self, iterate: Iterate, step: Step, multipliers: Sequence[Array], length: float
+    ) -> Iterate:
         """Return the iterate with the gaps closed that curvature has left, by the least changes of the outputs.
 
-        They would cut every step short otherwise (Maratos effect; Nocedal and Wright, Numerical Optimization, 15.5).
+        They would cut every step short otherwise (Maratos effect; Nocedal and Wright, Numerical
+        Optimization, 15.5).
         """
         enough = CLOSED * length * step.decrease
         cost = self.gap_cost(iterate, multipliers)

@@ -40,36 +40,45 @@ DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 # Iterations of the nodes alone that smooth the states for another solver to begin with.
 SMOOTHING_ITERATIONS = 3
 
-# Iterations of a run that is continued, at most: of the narrow valleys among NIST's problems, Bennett5 takes 1300.
+# Iterations of a run that is continued, at most: of the narrow valleys among NIST's problems,
+# Bennett5 takes 1300.
 MOST_ITERATIONS = 2000
 
-# Steps that polish the best minimum, at most: those of a model that hardly explains the data shrink by a third only.
+# Steps that polish the best minimum, at most: those of a model that hardly explains the data shrink
+# by a third only.
 POLISHING = 50
 
-# Half the squared length of a step, in standard errors, that changes none of a parameter's first nine digits.
+# Half the squared length of a step, in standard errors, that changes none of a parameter's first
+# nine digits.
 EXACT = 1e-18
 
-# Decrease and half squared length of an undamped step from which the best minimum is polished by damped ones first.
+# Decrease and half squared length of an undamped step from which the best minimum is polished by
+# damped ones first.
 LONG_STEP = 1e-7
 
-# Iterations from one look to the next whether noise hides what is left to gain; most runs take fewer in all.
+# Iterations from one look to the next whether noise hides what is left to gain; most runs take
+# fewer in all.
 LONG_RUN = 50
 
-# Share of the half unit of log-likelihood per parameter by which noise moves the minimum from the truth, in the mean:
-# what is left to gain at a distance of a tenth of a standard error in every direction.
+# Share of the half unit of log-likelihood per parameter by which noise moves the minimum from the
+# truth, in the mean: what is left to gain at a distance of a tenth of a standard error in every
+# direction.
 AGAINST_NOISE = 0.01
 
 # Half the square of a tenth of a standard error.
 TENTH = 5e-3
 
-# A step of up to a thousand times the tolerance that no line search can take any more is rounding of the merit.
+# A step of up to a thousand times the tolerance that no line search can take any more is rounding
+# of the merit.
 ROUNDED = 1e3
 
 
 class GaussNewton(LocalSolver):
     """The solver of one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
-    def __init__(self, nlp: Nlp, parts: tuple[Part, ...] | None = None, *, settings: Strategies | None = None) -> None:
+    def __init__(
+        self, nlp: Nlp, parts: tuple[Part, ...] | None = None, *, settings: Strategies | None = None
+    ) -> None:
         """Build what every run shares; `parts` and `settings` stand in for those of the problem."""
         self._nlp = nlp
         self._settings: Strategies = settings or nlp.strategies
@@ -83,7 +92,9 @@ class GaussNewton(LocalSolver):
         # The answer does not depend on where a run is made.
         self._can_sharpen = parts is None and all(part.travels_whole for part in nlp.parts)
         self._coarse = self._coarse_solver() if parts is None else None
-        self._polished: tuple[Array, Nodes, Iterate] | None = None  # an estimate, and the iterate that it belongs to
+        self._polished: tuple[Array, Nodes, Iterate] | None = (
+            None  # an estimate, and the iterate that it belongs to
+        )
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
         """Return what builds the same solver, of the whole problem."""
@@ -99,7 +110,9 @@ class GaussNewton(LocalSolver):
 
     def on_excerpts(self, samples: int) -> "GaussNewton":
         """Return the solver of the same problem on excerpts of the records, of about so many samples in all."""
-        return GaussNewton(self._nlp, tuple(excerpts(self._nlp.parts, samples)), settings=self._settings)
+        return GaussNewton(
+            self._nlp, tuple(excerpts(self._nlp.parts, samples)), settings=self._settings
+        )
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the same solver with other bounds of the variables z (p,), and an `equation` (z) -> 0 that holds."""
@@ -136,7 +149,7 @@ class GaussNewton(LocalSolver):
         """Those of the problem, with the options of the solver."""
         return self._settings
 
-    # --- runs ---------------------------------------------------------------------------------------------------------
+    # --- runs
 
     @DIVERGING
     def run(self, start: Array, iterations: int | None = None) -> Outcome:
@@ -150,7 +163,9 @@ class GaussNewton(LocalSolver):
                 return replace(first, cost=math.inf, signature=None, nodes=None)
             z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
         outcome, _ = self.run_from(z, iterations, near_solution=self._coarse is not None)
-        return replace(outcome, iterations=before + outcome.iterations, seconds=time.perf_counter() - began)
+        return replace(
+            outcome, iterations=before + outcome.iterations, seconds=time.perf_counter() - began
+        )
 
     @DIVERGING
     def run_from(
@@ -168,8 +183,8 @@ class GaussNewton(LocalSolver):
     def run_simulated(self, start: Array, nodes: Nodes, iterations: int) -> Outcome | None:
         """Solve from a simulation at the parameters `start` (p,); None where it diverges.
 
-        It begins with the first of the `nodes` of every stretch. Limits that a model reaches at times, and nodes close
-        to the data would hide, are so seen at once.
+        It begins with the first of the `nodes` of every stretch. Limits that a model reaches at
+        times, and nodes close to the data would hide, are so seen at once.
         """
         began = time.perf_counter()
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
@@ -208,8 +223,8 @@ class GaussNewton(LocalSolver):
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum moved by undamped steps, as long as they grow shorter.
 
-        They are judged by their length in standard errors: the cost no longer shows them. In a narrow curved valley,
-        where the first of them is long, damped ones come before.
+        They are judged by their length in standard errors: the cost no longer shows them. In a
+        narrow curved valley, where the first of them is long, damped ones come before.
         """
         if not search.minima or search.nodes is None or not self._settings.polished_minimum:
             return search
@@ -220,12 +235,15 @@ class GaussNewton(LocalSolver):
             if remaining > LONG_STEP:
                 progress = Progress.exact(self._settings)
                 progress.undamped_decrease = LONG_STEP
-                later, _, _ = self._descend(end, progress, POLISHING, states_only=False, restarted=True)
+                later, _, _ = self._descend(
+                    end, progress, POLISHING, states_only=False, restarted=True
+                )
                 end, _ = self._undamped(later)
         except np.linalg.LinAlgError:
             return search
         cost = self._parts.cost(end, 0.0)
-        # What leads to another cost has left the minimum, as where a predictor ends at its stability limit.
+        # What leads to another cost has left the minimum, as where a predictor ends at its
+        # stability limit.
         rounding = self._settings.cost_rounding * max(1.0, abs(best.cost))
         if not best.cost - same_cost(self._nlp, best.cost) <= cost <= best.cost + rounding:
             return search
@@ -237,14 +255,20 @@ class GaussNewton(LocalSolver):
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part of the problem."""
-        if self._polished is not None and nodes is self._polished[1] and np.array_equal(x, self._polished[0]):
+        if (
+            self._polished is not None
+            and nodes is self._polished[1]
+            and np.array_equal(x, self._polished[0])
+        ):
             return self._polished[2]
         return self._parts.at(self._nlp.scaling.to_solver(x), self._parts.joined(nodes))
 
     def _undamped(self, iterate: Iterate) -> tuple[Iterate, float]:
         """Return where undamped steps lead that grow shorter, and the decrease and half squared length of the next."""
         progress = Progress.exact(self._settings)
-        highest = self._parts.cost(iterate) + self._settings.cost_rounding * max(1.0, abs(self._parts.cost(iterate)))
+        highest = self._parts.cost(iterate) + self._settings.cost_rounding * max(
+            1.0, abs(self._parts.cost(iterate))
+        )
         last, end = math.inf, iterate
         for k in range(POLISHING):
             step = self._exact_step(iterate, progress, first=k == 0)
@@ -256,7 +280,11 @@ class GaussNewton(LocalSolver):
                 break
             iterate = self._continuous(self._parts.moved(iterate, step, 1.0), step, progress)
             within = iterate.finite and self._parts.cost(iterate) <= highest
-            if not within or not self._parts.is_continuous(iterate) or not are_stable(self._parts, iterate):
+            if (
+                not within
+                or not self._parts.is_continuous(iterate)
+                or not are_stable(self._parts, iterate)
+            ):
                 break
         return end, last
 
@@ -283,7 +311,9 @@ class GaussNewton(LocalSolver):
                 iterate, progress, iterations or self._settings.max_iterations, states_only=False
             )
         except np.linalg.LinAlgError:
-            return Outcome(nlp.scaling.to_parameters(iterate.z), "singular", 0, 0.0, False, math.inf)
+            return Outcome(
+                nlp.scaling.to_parameters(iterate.z), "singular", 0, 0.0, False, math.inf
+            )
         if status == "converged" and self._can_sharpen and is_blurred(progress.hessian):
             iterate = self._sharpened(iterate)
         estimate = np.clip(nlp.scaling.to_parameters(iterate.z), nlp.lower, nlp.upper)
@@ -300,7 +330,9 @@ class GaussNewton(LocalSolver):
         """Return where steps lead that are exact where the Hessian has lost its digits, within all limits."""
         progress = Progress.exact(self._settings)
         for k in range(POLISHING):
-            step = sharp_step(self._nlp, self._parts, iterate, self._exact_step(iterate, progress, first=k == 0))
+            step = sharp_step(
+                self._nlp, self._parts, iterate, self._exact_step(iterate, progress, first=k == 0)
+            )
             normals, bounds = self._limits.linearized(iterate.z)
             if step.decrease <= self._settings.tolerance or np.any(normals @ step.dz < bounds):
                 break
@@ -323,23 +355,28 @@ class GaussNewton(LocalSolver):
     def screened(self, starts: Array) -> Screened | None:
         """Compare the starts (r, p) by prediction errors over short segments, see `screening`.
 
-        The first start, the declared values, is among the promising ones in any case, and as it is. Of several that
-        lead to one point the best begins there, and the others are tried last, as they are.
+        The first start, the declared values, is among the promising ones in any case, and as it is.
+        Of several that lead to one point the best begins there, and the others are tried last, as
+        they are.
         """
         if not self._settings.screened_starts or not Screening.serves(self._nlp):
             return None
-        z = np.array([self._limits.nearest(self._nlp.scaling.to_solver(start)) for start in starts[1:]])
+        z = np.array(
+            [self._limits.nearest(self._nlp.scaling.to_solver(start)) for start in starts[1:]]
+        )
         improved = Screening(self._nlp, self._limits).improved(z)
         promising = [k + 1 for k in distinct(improved)]
         begins = starts.copy()
         found = self._nlp.scaling.to_parameters(improved.z)
-        begins[promising] = np.clip(found, self._nlp.lower, self._nlp.upper)[[k - 1 for k in promising]]
+        begins[promising] = np.clip(found, self._nlp.lower, self._nlp.upper)[
+            [k - 1 for k in promising]
+        ]
         left = sorted(set(range(1, len(starts))) - set(promising))
         before = self.promising[0] - 1
         order = np.array([*promising[:before], 0, *promising[before:], *left])
         return Screened(order, np.full(len(starts), np.inf), begins)
 
-    # --- at given parameters ------------------------------------------------------------------------------------------
+    # --- at given parameters
 
     @DIVERGING
     def profile(self, x: Array, nodes: Nodes | None = None) -> Profile:
@@ -396,7 +433,9 @@ class GaussNewton(LocalSolver):
             For another value of a fixed parameter: it is compiled in.
         """
         count = len(self._nlp.free)
-        for name, value, stated in zip(self._nlp.constants, values[count:], self._nlp.constant_values, strict=True):
+        for name, value, stated in zip(
+            self._nlp.constants, values[count:], self._nlp.constant_values, strict=True
+        ):
             if value != stated:
                 raise ValueError(
                     f"{name} is fixed at {stated:g} here: give {value:g} to the problem, fixed={{{name!r}: ...}}."
@@ -419,7 +458,9 @@ class GaussNewton(LocalSolver):
         if not iterate.finite:
             return None
         try:
-            smoothed, _, _ = self._descend(iterate, Progress(self._settings), SMOOTHING_ITERATIONS, states_only=True)
+            smoothed, _, _ = self._descend(
+                iterate, Progress(self._settings), SMOOTHING_ITERATIONS, states_only=True
+            )
         except np.linalg.LinAlgError:
             return None
         return self._parts.split(smoothed)
@@ -430,10 +471,16 @@ class GaussNewton(LocalSolver):
             return Progress.exact(self._settings)
         return Progress(self._settings, near_solution=near_solution)
 
-    # --- the iteration ------------------------------------------------------------------------------------------------
+    # --- the iteration
 
     def _descend(
-        self, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool, restarted: bool = False
+        self,
+        iterate: Iterate,
+        progress: Progress,
+        iterations: int,
+        *,
+        states_only: bool,
+        restarted: bool = False,
     ) -> tuple[Iterate, str, int]:
         """Iterate from a start; a stalled run begins once more near the data, with the parameters that it found."""
         if not iterate.finite:
@@ -443,7 +490,9 @@ class GaussNewton(LocalSolver):
         if self._all_predict and self._settings.early_prediction:
             progress.last_scale = self._settings.prediction_gap
         first = None if progress.is_exact else linearizations
-        end, status, count = self._iterate(iterate, first, progress, iterations, states_only=states_only)
+        end, status, count = self._iterate(
+            iterate, first, progress, iterations, states_only=states_only
+        )
         if status != "stalled" or states_only or restarted or not self._settings.restart_near_data:
             return end, status, count
 
@@ -451,10 +500,20 @@ class GaussNewton(LocalSolver):
         later, status, more = self._descend(
             again, self._progress(), iterations - count, states_only=False, restarted=True
         )
-        return (later, status, count + more) if status == "converged" else (end, "stalled", count + more)
+        return (
+            (later, status, count + more)
+            if status == "converged"
+            else (end, "stalled", count + more)
+        )
 
     def _iterate(
-        self, iterate: Iterate, linearizations: list | None, progress: Progress, iterations: int, *, states_only: bool
+        self,
+        iterate: Iterate,
+        linearizations: list | None,
+        progress: Progress,
+        iterations: int,
+        *,
+        states_only: bool,
     ) -> tuple[Iterate, str, int]:
         settings, parts = self._settings, self._parts
         initial_weights = parts.initial_weights()
@@ -462,8 +521,13 @@ class GaussNewton(LocalSolver):
             if cut := reason_to_end():
                 return iterate, cut, iteration
             weights = parts.residual_weights(iterate) if progress.is_exact else initial_weights
-            near = progress.last_decrease < settings.covariance_decrease and settings.covariance_curvature
-            linearizations = linearizations or parts.linearize(iterate, weights, covariance_curvature=near)
+            near = (
+                progress.last_decrease < settings.covariance_decrease
+                and settings.covariance_curvature
+            )
+            linearizations = linearizations or parts.linearize(
+                iterate, weights, covariance_curvature=near
+            )
             alone = states_only or progress.state_iterations > 0
             step = self._step(iterate, linearizations, progress, states_only=alone)
             linearizations = None
@@ -491,16 +555,22 @@ class GaussNewton(LocalSolver):
             ratio = gained / step.decrease if step.decrease > 0 else 1.0
             if length == 1 and progress.damping:
                 progress.full_damping = progress.damping
-            progress.damping = next_damping(settings, progress.damping, length, ratio, progress.full_damping)
+            progress.damping = next_damping(
+                settings, progress.damping, length, ratio, progress.full_damping
+            )
             if not progress.is_exact:
-                iterate = self._tighten(iterate, step, progress, gained, length, before, states_only=states_only)
+                iterate = self._tighten(
+                    iterate, step, progress, gained, length, before, states_only=states_only
+                )
                 continue
             iterate = self._simulate_predictors(iterate)
             if self._has_converged(iterate, step, progress, length):
                 return iterate, "converged", iteration + 1
         return iterate, "iterations exceeded", iterations
 
-    def _recover(self, iterate: Iterate, trial: Iterate | None, length: float, progress: Progress) -> Iterate | None:
+    def _recover(
+        self, iterate: Iterate, trial: Iterate | None, length: float, progress: Progress
+    ) -> Iterate | None:
         """Return where to go on after a line search that made no progress; None where its step stands."""
         settings = self._settings
         if trial is None and progress.damping <= settings.largest_damping:
@@ -514,10 +584,14 @@ class GaussNewton(LocalSolver):
             return iterate
         return None
 
-    def _step(self, iterate: Iterate, linearizations: list, progress: Progress, *, states_only: bool) -> Step:
+    def _step(
+        self, iterate: Iterate, linearizations: list, progress: Progress, *, states_only: bool
+    ) -> Step:
         """Return the step; delays that are held do not move."""
         held = self._is_discontinuous & progress.delays_held
-        return gauss_newton_step(self._parts, iterate, linearizations, progress, held=held, states_only=states_only)
+        return gauss_newton_step(
+            self._parts, iterate, linearizations, progress, held=held, states_only=states_only
+        )
 
     def _is_settled(
         self, iterate: Iterate, step: Step, before: float, progress: Progress, *, states_only: bool
@@ -531,24 +605,35 @@ class GaussNewton(LocalSolver):
         if not progress.damping:
             return True
         return (
-            self._undamped_step(iterate, step, progress, states_only=states_only).decrease <= progress.undamped_decrease
+            self._undamped_step(iterate, step, progress, states_only=states_only).decrease
+            <= progress.undamped_decrease
         )
 
     def _is_within_noise(self, iterate: Iterate, step: Step, progress: Progress) -> bool:
         """Tell whether noise hides all that is left to gain, wherever bounds let a step go.
 
-        Where the data hardly determine some directions, short steps go on along them for thousands of iterations, for
-        a hundredth of a unit of log-likelihood. What is far from the data, on a plateau, looks the same; but there the
-        residuals are not noise.
+        Where the data hardly determine some directions, short steps go on along them for thousands
+        of iterations, for a hundredth of a unit of log-likelihood. What is far from the data, on a
+        plateau, looks the same; but there the residuals are not noise.
         """
-        if not (progress.is_exact and self._parts.is_continuous(iterate) and self._parts.explain_data(iterate)):
+        if not (
+            progress.is_exact
+            and self._parts.is_continuous(iterate)
+            and self._parts.explain_data(iterate)
+        ):
             return False
         undamped = self._undamped_step(iterate, step, progress, states_only=False)
         # What no bound stops decreases the cost by its distance, and goes on to converge.
         stopped = undamped.decrease > 2 * undamped.distance
-        return stopped and undamped.distance <= TENTH and undamped.decrease <= AGAINST_NOISE * len(iterate.z) / 2
+        return (
+            stopped
+            and undamped.distance <= TENTH
+            and undamped.decrease <= AGAINST_NOISE * len(iterate.z) / 2
+        )
 
-    def _undamped_step(self, iterate: Iterate, damped: Step, progress: Progress, *, states_only: bool) -> Step:
+    def _undamped_step(
+        self, iterate: Iterate, damped: Step, progress: Progress, *, states_only: bool
+    ) -> Step:
         """Return the step from the same linearization without damping."""
         undamped = copy(progress)
         undamped.damping, undamped.multipliers = 0.0, list(progress.multipliers)
@@ -575,9 +660,13 @@ class GaussNewton(LocalSolver):
         progress.advance(iterate, step, gained, length, done=done)
         if not progress.is_exact:
             return iterate
-        return self._simulate_predictors(iterate if states_only else self._with_gains(iterate, progress))
+        return self._simulate_predictors(
+            iterate if states_only else self._with_gains(iterate, progress)
+        )
 
-    def _has_converged(self, iterate: Iterate, step: Step, progress: Progress, length: float) -> bool:
+    def _has_converged(
+        self, iterate: Iterate, step: Step, progress: Progress, length: float
+    ) -> bool:
         """Tell whether the step to `iterate` was the last: at worst, the next decrease follows from the last two."""
         if length < 1 or progress.damping:
             progress.last_decrease = math.nan
@@ -592,9 +681,14 @@ class GaussNewton(LocalSolver):
     def _simulate_instead(self, progress: Progress) -> Iterate | None:
         """Return the best simulation where Newton steps do not close the gaps, None where it diverges.
 
-        From here on every trial is simulated from its first nodes: a trajectory that a stable model always has.
+        From here on every trial is simulated from its first nodes: a trajectory that a stable model
+        always has.
         """
-        if not self._settings.simulation_fallback or progress.homotopy_end is None or progress.start is None:
+        if (
+            not self._settings.simulation_fallback
+            or progress.homotopy_end is None
+            or progress.start is None
+        ):
             return None
         origins = (progress.homotopy_end, progress.start)
         best = min((self._parts.simulated(*origin) for origin in origins), key=self._parts.cost)
@@ -607,7 +701,11 @@ class GaussNewton(LocalSolver):
         return best
 
     def _simulate_predictors(self, iterate: Iterate) -> Iterate:
-        return simulate_stable(self._parts, iterate) if self._settings.simulated_predictors else iterate
+        return (
+            simulate_stable(self._parts, iterate)
+            if self._settings.simulated_predictors
+            else iterate
+        )
 
     def _may_hold_delays(self, progress: Progress) -> bool:
         settings = self._settings

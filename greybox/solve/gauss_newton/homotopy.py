@@ -1,9 +1,9 @@
 """The homotopy in the continuity constraint, and what else an iteration hands to the next.
 
-Gaps between segments are first a quadratic penalty gap²/2σ², with standard deviations σ that let the nodes follow the
-data whatever the parameters; σ shrinks in stages, each begun when the quadratic model predicts well or has nothing left
-to gain, until continuity is an exact constraint. For the first iterations the parameters are held and the nodes move
-alone.
+Gaps between segments are first a quadratic penalty gap²/2σ², with standard deviations σ that let
+the nodes follow the data whatever the parameters; σ shrinks in stages, each begun when the
+quadratic model predicts well or has nothing left to gain, until continuity is an exact constraint.
+For the first iterations the parameters are held and the nodes move alone.
 """
 
 import math
@@ -17,8 +17,9 @@ from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
 
 Array = NDArray[np.float64]
 
-# Multipliers and penalties exceed the largest multiplier so far by this factor: an l1 merit is exact when they are
-# larger, and 1 would leave the sign of the directional derivative to rounding (Nocedal and Wright, section 18.3).
+# Multipliers and penalties exceed the largest multiplier so far by this factor: an l1 merit is
+# exact when they are larger, and 1 would leave the sign of the directional derivative to rounding
+# (Nocedal and Wright, section 18.3).
 EXACTNESS = 1.2
 
 
@@ -54,13 +55,15 @@ class Progress:
     undamped_decrease : float
         Decrease that an undamped step may still promise where damped steps have come to rest.
     last_decrease : float
-        Predicted by the last full undamped step, or half its squared length where that is more; NaN without.
+        Predicted by the last full undamped step, or half its squared length where that is more; NaN
+        without.
     delays_held : bool
         True where delays at which the cost jumps keep their values: the cost is least at the jump.
     hessian : (p, p) array or None
         Of the last step of the parameters, undamped.
     start, homotopy_end : z and nodes, or None
-        Where the iteration began, and where continuity became exact, as long as Newton steps close the gaps.
+        Where the iteration began, and where continuity became exact, as long as Newton steps close
+        the gaps.
     """
 
     settings: Strategies
@@ -86,7 +89,8 @@ class Progress:
         self.near_solution = self.near_solution or not settings.continuity_homotopy
         self.last_scale = settings.last_gap
         self.constraint_penalty = settings.constraint_penalty
-        # A shortened step was damped by the line search already: a hundredth of the damping of a poor one is enough.
+        # A shortened step was damped by the line search already: a hundredth of the damping of a
+        # poor one is enough.
         self.full_damping = 1e-2 * settings.first_damping
         if self.state_iterations < 0:
             self.state_iterations = settings.state_iterations
@@ -120,7 +124,9 @@ class Progress:
         """Raise the penalties on gaps above the multipliers of a step; returns the step."""
         if self.is_exact:
             now = [condensed.largest_multiplier(step.dz) for condensed in step.condensed]
-            self.multipliers = [np.maximum(m, EXACTNESS * n) for m, n in zip(self.multipliers, now, strict=True)]
+            self.multipliers = [
+                np.maximum(m, EXACTNESS * n) for m, n in zip(self.multipliers, now, strict=True)
+            ]
         return step
 
     def hold_delays(self) -> bool:
@@ -132,10 +138,13 @@ class Progress:
         self.last_decrease = math.nan
         return True
 
-    def advance(self, iterate: Iterate, step: Step, gained: float, length: float, *, done: bool) -> None:
+    def advance(
+        self, iterate: Iterate, step: Step, gained: float, length: float, *, done: bool
+    ) -> None:
         """Go on to `iterate` after a share `length` of a step that `gained` so much of the merit.
 
-        The next stage begins where the step decreased the merit as predicted, or where there is nothing left to gain.
+        The next stage begins where the step decreased the merit as predicted, or where there is
+        nothing left to gain.
         """
         settings = self.settings
         full = length == 1 and step.decrease > 0

@@ -1,7 +1,8 @@
 """The merit function: what a step must not increase.
 
-As long as gaps are a penalty it is the sum of weighted squares, with the residual covariance held. Where continuity is
-exact it is the cost and an l1 penalty of the gaps (Nocedal and Wright, Numerical Optimization, 2nd ed., section 18.3).
+As long as gaps are a penalty it is the sum of weighted squares, with the residual covariance held.
+Where continuity is exact it is the cost and an l1 penalty of the gaps (Nocedal and Wright,
+Numerical Optimization, 2nd ed., section 18.3).
 """
 
 import math

@@ -14,7 +14,8 @@ from greybox.solve.quadratic_program import solve_small_qp
 
 Array = NDArray[np.float64]
 
-# Slack, in scaled variables, of a constraint that holds a step: what the quadratic program leaves of zero.
+# Slack, in scaled variables, of a constraint that holds a step: what the quadratic program leaves
+# of zero.
 ACTIVE = 1e-9
 
 
@@ -29,7 +30,8 @@ def gauss_newton_step(
 ) -> Step:
     """Return the step of nodes and z from an iterate; with `states_only` of the nodes alone.
 
-    Levenberg-Marquardt damping scales with the diagonal of the Hessian. Variables that are `held` (p,) do not move.
+    Levenberg-Marquardt damping scales with the diagonal of the Hessian. Variables that are `held`
+    (p,) do not move.
     """
     settings = parts.settings
     p = len(iterate.z)
@@ -39,7 +41,9 @@ def gauss_newton_step(
     hessian = np.zeros((p, p))
     gradient = np.zeros(p)
     decrease = 0.0
-    each = zip(parts.parts, parts.weights, linearizations, iterate.trajectories, variances, strict=True)
+    each = zip(
+        parts.parts, parts.weights, linearizations, iterate.trajectories, variances, strict=True
+    )
     for part, weight, linearization, trajectory, variance in each:
         system = part.condense(linearization, trajectory, variance, node_damping)
         condensed.append(system)
@@ -47,7 +51,9 @@ def gauss_newton_step(
         gradient += weight * system.gradient
         decrease += weight * system.decrease
     if states_only:
-        return progress.update_multipliers(Step(linearizations, condensed, np.zeros(p), decrease, 0.0))
+        return progress.update_multipliers(
+            Step(linearizations, condensed, np.zeros(p), decrease, 0.0)
+        )
 
     progress.hessian = hessian
     damping = progress.damping * np.diag(np.diag(hessian)) if settings.damped_parameters else 0.0
@@ -64,8 +70,14 @@ def gauss_newton_step(
     multiplier = largest_multiplier(force, normals, normals @ dz - bounds)
     progress.constraint_penalty = max(progress.constraint_penalty, EXACTNESS * multiplier)
     distance = 0.5 * float(dz @ hessian @ dz)
-    decrease += progress.constraint_penalty * parts.limits.violation(iterate.z) - float(gradient @ dz) - distance
-    decrease += sum(w * system.damping_penalty(dz) for w, system in zip(parts.weights, condensed, strict=True))
+    decrease += (
+        progress.constraint_penalty * parts.limits.violation(iterate.z)
+        - float(gradient @ dz)
+        - distance
+    )
+    decrease += sum(
+        w * system.damping_penalty(dz) for w, system in zip(parts.weights, condensed, strict=True)
+    )
     return progress.update_multipliers(Step(linearizations, condensed, dz, decrease, distance))
 
 

@@ -1,13 +1,15 @@
 """Starts that are improved and compared on short segments, all of them together, before a whole record is touched.
 
-Some segments of the records are simulated, each from a state of its own that the data give and that is free to move:
-nothing can diverge for long, and what hides the parameters of a long simulation, its instability and the many turns of
-its oscillations, is not there. A few Gauss-Newton steps of the parameters and of these states, over a few samples first
-and over whole segments then, lead from nearly everywhere to where a run begins well. What is left of the prediction
-errors is the order in which the starts are tried.
+Some segments of the records are simulated, each from a state of its own that the data give and that
+is free to move: nothing can diverge for long, and what hides the parameters of a long simulation,
+its instability and the many turns of its oscillations, is not there. A few Gauss-Newton steps of
+the parameters and of these states, over a few samples first and over whole segments then, lead from
+nearly everywhere to where a run begins well. What is left of the prediction errors is the order in
+which the starts are tried.
 
-It is a beginning and no estimate: states that are free at every segment leave out what ties the segments together. All
-starts are evaluated by one call, as if each were a record with parameters of its own.
+It is a beginning and no estimate: states that are free at every segment leave out what ties the
+segments together. All starts are evaluated by one call, as if each were a record with parameters of
+its own.
 """
 
 from collections.abc import Sequence
@@ -24,13 +26,16 @@ from greybox.solve.interruption import reason_to_end
 
 Array = NDArray[np.float64]
 
-# Segments, evenly over all records: they say enough of a dozen of parameters, and an evaluation takes less than a
-# millisecond a start. Of many records as many stand for the others.
+# Segments, evenly over all records: they say enough of a dozen of parameters, and an evaluation
+# takes less than a millisecond a start. Of many records as many stand for the others.
 SEGMENTS = 32
 RECORDS = 8
 
 STEPS = (4, 3)  # Gauss-Newton steps over a few samples, and over whole segments
-FIRST_DAMPING, DAMPING_FACTOR = 1e-3, 10.0  # relative to the diagonal of the Hessian; when a step fails or succeeds
+FIRST_DAMPING, DAMPING_FACTOR = (
+    1e-3,
+    10.0,
+)  # relative to the diagonal of the Hessian; when a step fails or succeeds
 RIDGE = 1e-12  # of the largest diagonal entry, for what short segments do not show
 
 # Difference of the cost, with errors of a tenth of every signal, below which two points are one.
@@ -74,7 +79,9 @@ class Screening:
     def __init__(self, nlp: Nlp, limits: Limits) -> None:
         """Choose the segments."""
         parts = [part for part in nlp.parts if isinstance(part, RecordPart)]
-        chosen = [parts[k] for k in np.unique(np.linspace(0, len(parts) - 1, RECORDS).round().astype(int))]
+        chosen = [
+            parts[k] for k in np.unique(np.linspace(0, len(parts) - 1, RECORDS).round().astype(int))
+        ]
         most = -(-SEGMENTS // len(chosen))
         self._limits = limits
         self._short = [ShortSegments(part, most, _fewest_samples(part)) for part in chosen]
@@ -84,7 +91,9 @@ class Screening:
     def serves(nlp: Nlp) -> bool:
         """Tell whether all records have states, and no constraints bind the parameters."""
         parts = [part for part in nlp.parts if part.has_states]
-        return not nlp.limits and all(isinstance(part, RecordPart) and part.states > 0 for part in parts)
+        return not nlp.limits and all(
+            isinstance(part, RecordPart) and part.states > 0 for part in parts
+        )
 
     def improved(self, z: Array) -> Points:
         """Return where a few steps lead from the points z (r, p), with their costs over whole segments."""
@@ -109,7 +118,9 @@ class Screening:
                 for before, moves in zip(points.states, follow, strict=True)
             ]
             trial = _evaluated(z, states, records)
-            damping = np.where(trial.cost < points.cost, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
+            damping = np.where(
+                trial.cost < points.cost, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR
+            )
             points = _lower(points, trial)
         return points
 
@@ -134,7 +145,9 @@ class ShortSegments:
         found = []
         for point in z:
             placed = part.place(point)
-            states = initial.at(measured, inputs, placed.q[: len(part.system.parameters)], placed.initial)
+            states = initial.at(
+                measured, inputs, placed.q[: len(part.system.parameters)], placed.initial
+            )
             found.append(initial.as_measured(states, measured).T)
         return np.array(found)
 
@@ -145,20 +158,36 @@ class ShortSegments:
         placed = [part.place(point) for point in z]
         segments = self._segments_of(r)
         shape = (part.data.segment_length, part.data.segments)
-        data = np.stack([own.data.reshape(-1, *shape)[:, : self._length, self._chosen] for own in placed], axis=2)
+        data = np.stack(
+            [own.data.reshape(-1, *shape)[:, : self._length, self._chosen] for own in placed],
+            axis=2,
+        )
         data = data.reshape(len(data), -1)
         q = np.repeat(np.array([own.q for own in placed]).T, m, axis=1)
         along, _ = segments.simulate(states.reshape(-1, n), q, data)
         b = segments.linearize(along, q, self._weight, data)
-        errors = self._weight @ segments.products(segments.residuals(along, q, data)) @ self._weight.T
+        errors = (
+            self._weight @ segments.products(segments.residuals(along, q, data)) @ self._weight.T
+        )
         slope = np.array([own.slope for own in placed])
         hessian = slope.transpose(0, 2, 1) @ b.parameter_hessian @ slope
         gradient = np.einsum("rap,ra->rp", slope, b.parameter_gradient)
         own = b.node_hessian.reshape(r, m, n, n)
         cross = b.cross_hessian.reshape(r, m, n, -1) @ slope[:, None]
-        by_states = (part.weight * own, part.weight * cross, part.weight * b.node_gradient.reshape(r, m, n))
+        by_states = (
+            part.weight * own,
+            part.weight * cross,
+            part.weight * b.node_gradient.reshape(r, m, n),
+        )
         cost = np.trace(errors, axis1=1, axis2=2) / 2
-        return Points(z, [states], part.weight * cost, part.weight * gradient, part.weight * hessian, [by_states])
+        return Points(
+            z,
+            [states],
+            part.weight * cost,
+            part.weight * gradient,
+            part.weight * hessian,
+            [by_states],
+        )
 
     def _segments_of(self, points: int) -> Segments:
         """Return the segments of so many copies of the record, each with parameters of its own."""
@@ -166,7 +195,9 @@ class ShortSegments:
             copies = np.repeat(np.arange(points), len(self._chosen))
             step, active = self._part.step, self._part.model.active
             own = tuple(range(step.function.numel_in(1)))
-            self._segments[points] = Segments(step, len(copies), self._length, active, records=copies, own=own)
+            self._segments[points] = Segments(
+                step, len(copies), self._length, active, records=copies, own=own
+            )
         return self._segments[points]
 
 
@@ -203,7 +234,12 @@ def _evaluated(z: Array, states: Sequence[Array], records: Sequence[ShortSegment
             total.hessian + own.hessian,
             [*total.by_states, *own.by_states],
         )
-    arrays = [total.cost, total.gradient, total.hessian, *(array for three in total.by_states for array in three)]
+    arrays = [
+        total.cost,
+        total.gradient,
+        total.hessian,
+        *(array for three in total.by_states for array in three),
+    ]
     finite = np.all([np.isfinite(array).reshape(r, -1).all(axis=1) for array in arrays], axis=0)
     return _chosen(finite, replace(total, cost=np.where(finite, total.cost, np.inf)), None)
 

@@ -1,13 +1,14 @@
 """Runs from many starts on records that are not short: on excerpts first, and on from there once for all that meet.
 
-Nearly all runs end at a few points. What they do alike, the last iterations on the whole record, is the most expensive
-part: a run is therefore brought to a minimum of excerpts first, a quarter of the samples and less. Where it ends there
-is rounded to a small share of a standard error, so that all runs that end at this minimum go on from the same digits,
-and what follows is made once. It is a matter of the start alone: the result is the same, bit for bit, whichever run
-comes first and wherever it is made.
+Nearly all runs end at a few points. What they do alike, the last iterations on the whole record, is
+the most expensive part: a run is therefore brought to a minimum of excerpts first, a quarter of the
+samples and less. Where it ends there is rounded to a small share of a standard error, so that all
+runs that end at this minimum go on from the same digits, and what follows is made once. It is a
+matter of the start alone: the result is the same, bit for bit, whichever run comes first and
+wherever it is made.
 
-A run that does not arrive this way is made as if it were alone. So is that of the first start of every search, so that
-not everything depends on the excerpts.
+A run that does not arrive this way is made as if it were alone. So is that of the first start of
+every search, so that not everything depends on the excerpts.
 """
 
 import math
@@ -25,15 +26,18 @@ from greybox.solve.outcome import CUT_SHORT, Outcome
 
 Array = NDArray[np.float64]
 
-# Samples of a record over those of its excerpts. An iteration on a quarter takes about 0.4 of the time.
+# Samples of a record over those of its excerpts. An iteration on a quarter takes about 0.4 of the
+# time.
 FACTOR = 4
 FEWER = 2  # times as many samples, at least, for excerpts to be worth a run
 
-# Of a standard error with all other parameters held. Runs end some 1e-4 of one apart, and a grid that is a thousand
-# times as wide hardly ever comes between them; the minimum of the whole record is whole standard errors away.
+# Of a standard error with all other parameters held. Runs end some 1e-4 of one apart, and a grid
+# that is a thousand times as wide hardly ever comes between them; the minimum of the whole record
+# is whole standard errors away.
 ROUNDED_TO = 0.1
 
-# Of the solver's variables, whose size is one: a parameter that the data hardly show stays about where it is.
+# Of the solver's variables, whose size is one: a parameter that the data hardly show stays about
+# where it is.
 COARSEST = 1e-3
 
 # Ends on the whole record, with all their states, that are kept.
@@ -106,7 +110,9 @@ class SharedRuns(Runner):
             return z
         with np.errstate(divide="ignore"):
             width = np.fmin(ROUNDED_TO / np.sqrt(np.maximum(np.diag(hessian), 0.0)), COARSEST)
-        grid = 2.0 ** np.floor(np.log2(width))  # a power of two, the same for errors that are nearly the same
+        grid = 2.0 ** np.floor(
+            np.log2(width)
+        )  # a power of two, the same for errors that are nearly the same
         return self._alone.limits.nearest(np.round(z / grid) * grid + 0.0)  # no zero below zero
 
 

@@ -1,8 +1,8 @@
 """Steps along directions that the normal equations have lost in rounding.
 
-The Hessian JᵀJ holds the squares of the singular values of J: of parameters whose effects differ by less than a
-millionth, as a slope and an intercept far from the data, it holds no digit, and a step along them is missing although
-the data determine them. A triangular factor of J itself has them.
+The Hessian JᵀJ holds the squares of the singular values of J: of parameters whose effects differ by
+less than a millionth, as a slope and an intercept far from the data, it holds no digit, and a step
+along them is missing although the data determine them. A triangular factor of J itself has them.
 
 Source: Björck (1996), Numerical Methods for Least Squares Problems, section 2.2.
 """
@@ -19,11 +19,12 @@ from greybox.solve.gauss_newton.iterate import Iterate, Step
 
 Array = NDArray[np.float64]
 
-# Least eigenvalue of a Hessian with unit diagonal, relative to the largest, below which it is not enough: rounding of
-# some 1e-14 is then more than the hundred-thousandth part of a step.
+# Least eigenvalue of a Hessian with unit diagonal, relative to the largest, below which it is not
+# enough: rounding of some 1e-14 is then more than the hundred-thousandth part of a step.
 BLURRED = 1e-9
 
-# Singular value of a Jacobian with unit columns, relative to the largest, below which it is rounding as well.
+# Singular value of a Jacobian with unit columns, relative to the largest, below which it is
+# rounding as well.
 RANK = 1e-8
 
 
@@ -48,7 +49,10 @@ def sharp_step(nlp: Nlp, parts: AllParts, iterate: Iterate, step: Step) -> Step:
         bread, _ = information.spread(1.0)
         rows.append(math.sqrt(part.weight * bread) * information.jacobian[:, :free] / slope)
     gradient = sum(
-        (weight * system.gradient for weight, system in zip(parts.weights, step.condensed, strict=True)),
+        (
+            weight * system.gradient
+            for weight, system in zip(parts.weights, step.condensed, strict=True)
+        ),
         np.zeros(free),
     )
     jacobian = np.vstack(rows)

@@ -10,19 +10,22 @@ from greybox.solve.gauss_newton.iterate import Iterate
 
 Array = NDArray[np.float64]
 
-# Decades of process noise, from the variance by which a state moves at all downward, for which steady Kalman filters
-# are tried: 1e-12 of a variance is a state without noise.
+# Decades of process noise, from the variance by which a state moves at all downward, for which
+# steady Kalman filters are tried: 1e-12 of a variance is a state without noise.
 DECADES = 10.0 ** np.arange(-12, 1)
 
 
 def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) -> Array:
     """Return z (p,) of the iterate with the best gains among its own and those of steady Kalman filters.
 
-    For several sizes of the process noise; `variances` (n,) say for every part how much each state moves at all.
+    For several sizes of the process noise; `variances` (n,) say for every part how much each state
+    moves at all.
     """
     used = [
         (gain, part, trajectory, size)
-        for gain, part, trajectory, size in zip(parts.gains, parts.parts, iterate.trajectories, variances, strict=True)
+        for gain, part, trajectory, size in zip(
+            parts.gains, parts.parts, iterate.trajectories, variances, strict=True
+        )
         if gain is not None
     ]
     sizes = parts.settings.process_noise * DECADES
@@ -37,7 +40,8 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
 
     def cost(z: Array) -> float:
         return sum(
-            part.weight * gain.excerpt_cost(trajectory.nodes, gain.part.place(z)) for gain, part, trajectory, _ in used
+            part.weight * gain.excerpt_cost(trajectory.nodes, gain.part.place(z))
+            for gain, part, trajectory, _ in used
         )
 
     return min(candidates, key=cost, default=iterate.z)
@@ -46,14 +50,18 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
 def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) -> bool:
     """Tell whether all predictors are stable at an iterate; with `simulated`, those alone that are simulated there."""
     pairs = zip(parts.gains, iterate.trajectories, strict=True)
-    return all(gain.is_stable(t) for gain, t in pairs if gain is not None and (t.simulated or not simulated))
+    return all(
+        gain.is_stable(t)
+        for gain, t in pairs
+        if gain is not None and (t.simulated or not simulated)
+    )
 
 
 def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple[Array, Array]:
     """Return normals (n, p) and limits (n,) of steps that keep the poles where predictors are stable, if dz does not.
 
-    normals · step >= limits, from the derivatives of the poles' magnitudes; a step goes only part of the way to the
-    limit of stability at once.
+    normals · step >= limits, from the derivatives of the poles' magnitudes; a step goes only part
+    of the way to the limit of stability at once.
     """
     normals, limits = [np.zeros((0, len(dz)))], [np.zeros(0)]
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):

@@ -29,11 +29,16 @@ def firmware_notch(center, width, attenuation, omega):
     phase = 2 * math.pi * center / RATE
     alpha = math.sin(phase) / (2 * q)
     b = [1 + alpha * a**2, -2 * math.cos(phase), 1 - alpha * a**2]
-    return freqz(b, [1 + alpha, -2 * math.cos(phase), 1 - alpha], worN=omega, fs=2 * math.pi * RATE)[1]
+    return freqz(
+        b, [1 + alpha, -2 * math.cos(phase), 1 - alpha], worN=omega, fs=2 * math.pi * RATE
+    )[1]
 
 
 def response(filters, omega=OMEGA):
-    return np.prod([gb.frequency_response(filter_model(known), {}, omega).response for known in filters], axis=0)
+    return np.prod(
+        [gb.frequency_response(filter_model(known), {}, omega).response for known in filters],
+        axis=0,
+    )
 
 
 def test_the_harmonic_notch_is_that_of_the_firmware():
@@ -78,22 +83,38 @@ def test_a_notch_that_follows_the_motors_lies_where_it_was():
     throttle = Record([0.0, 1.0, 2.0], {"AOut": [0.0, 0.36, 0.36]})
     by_throttle = log({"RATE": throttle}, **setting, INS_HNTCH_MODE=1, INS_HNTCH_REF=0.25)
     assert named_filters(by_throttle)["gyro-notch"][0].center == pytest.approx(60 * 1.2)
-    logged = log({"FTNS[0]": Record([0.0, 1.0], {"NF": [91.0, 93.0]})}, **setting, INS_HNTCH_MODE=3, INS_HNTCH_REF=1)
+    logged = log(
+        {"FTNS[0]": Record([0.0, 1.0], {"NF": [91.0, 93.0]})},
+        **setting,
+        INS_HNTCH_MODE=3,
+        INS_HNTCH_REF=1,
+    )
     assert named_filters(logged)["gyro-notch"][0].center == pytest.approx(92)
     assert "gyro-notch" not in named_filters(log(**setting, INS_HNTCH_MODE=3, INS_HNTCH_REF=1))
 
 
-@pytest.mark.parametrize(("signal", "filtered"), [("RATE.P", True), ("IMU[1].GyrX", True), ("RATE.PDes", False)])
+@pytest.mark.parametrize(
+    ("signal", "filtered"), [("RATE.P", True), ("IMU[1].GyrX", True), ("RATE.PDes", False)]
+)
 def test_rates_have_passed_the_filters_of_the_gyro(signal, filtered):
-    flown = log(INS_GYRO_FILTER=20, INS_NOTCH_ENABLE=1, INS_NOTCH_FREQ=80, INS_NOTCH_BW=40, INS_NOTCH_ATT=15)
+    flown = log(
+        INS_GYRO_FILTER=20, INS_NOTCH_ENABLE=1, INS_NOTCH_FREQ=80, INS_NOTCH_BW=40, INS_NOTCH_ATT=15
+    )
     passed = passed_filters(flown, signal)
-    assert [str(known) for known in passed] == (["80 Hz notch", "20 Hz low-pass filter"] if filtered else [])
+    assert [str(known) for known in passed] == (
+        ["80 Hz notch", "20 Hz low-pass filter"] if filtered else []
+    )
     assert passed_filters(Recording({}), signal) == ()
 
 
 def test_the_filters_of_the_controller_are_those_of_its_axis():
-    known = named_filters(log(ATC_RAT_PIT_FLTD=20, ATC_RAT_PIT_FLTT=10, ATC_RAT_RLL_FLTD=7), "pitch")
-    assert known == {"d-term-filter": (FirstOrderLowPass(20.0),), "target-filter": (FirstOrderLowPass(10.0),)}
+    known = named_filters(
+        log(ATC_RAT_PIT_FLTD=20, ATC_RAT_PIT_FLTT=10, ATC_RAT_RLL_FLTD=7), "pitch"
+    )
+    assert known == {
+        "d-term-filter": (FirstOrderLowPass(20.0),),
+        "target-filter": (FirstOrderLowPass(10.0),),
+    }
     # AC_PID: y += dt / (dt + 1 / (2π f)) (x - y), which is the lag as the loop gets fast.
     step = 1e-5
     alpha = step / (step + 1 / (2 * math.pi * 20))
@@ -110,18 +131,35 @@ def test_px4_has_its_own():
 
 
 def test_files_name_filters_and_nothing_else():
-    known = named_filters(log(INS_GYRO_FILTER=20, INS_NOTCH_ENABLE=1, INS_NOTCH_FREQ=80, INS_NOTCH_BW=40))
+    known = named_filters(
+        log(INS_GYRO_FILTER=20, INS_NOTCH_ENABLE=1, INS_NOTCH_FREQ=80, INS_NOTCH_BW=40)
+    )
     for filters in known.values():
         assert from_text(in_series(filters)) == filters
-    for text in ("os:system('x')", "my.py:Class(1)", "LowPass(a)", "LowPass()", "", "LowPass(1, 2, 3, 4)", "Pass(1)"):
+    for text in (
+        "os:system('x')",
+        "my.py:Class(1)",
+        "LowPass(a)",
+        "LowPass()",
+        "",
+        "LowPass(1, 2, 3, 4)",
+        "Pass(1)",
+    ):
         with pytest.raises(ValueError, match="is not known: it must be one of LowPass"):
             from_text(text)
 
 
-@pytest.mark.parametrize(("options", "parts"), [(0, [0]), (1, [-1, 1]), (16, [-1, 0, 1]), (17, [-1, 0, 1])])
+@pytest.mark.parametrize(
+    ("options", "parts"), [(0, [0]), (1, [-1, 1]), (16, [-1, 0, 1]), (17, [-1, 0, 1])]
+)
 def test_double_and_triple_notches_are_spread_over_the_width(options, parts):
     """By width / 32 on either side, each as many times as narrow: HarmonicNotchFilter::set_center_frequency."""
-    setting = {"INS_GYRO_FILTER": 20, "INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 80, "INS_HNTCH_BW": 40}
+    setting = {
+        "INS_GYRO_FILTER": 20,
+        "INS_HNTCH_ENABLE": 1,
+        "INS_HNTCH_FREQ": 80,
+        "INS_HNTCH_BW": 40,
+    }
     found = named_filters(log(**setting, INS_HNTCH_OPTS=options, INS_HNTCH_HMNCS=5))["gyro-notch"]
     expected = [k * (80 + part * 40 / 32) for k in (1, 3) for part in parts]
     assert [notch.center for notch in found] == pytest.approx(expected)
@@ -140,7 +178,10 @@ HARMONIC = {
 
 
 def centers(records=None, **changes):
-    return [notch.center for notch in named_filters(log(records, **HARMONIC | changes)).get("gyro-notch", ())]
+    return [
+        notch.center
+        for notch in named_filters(log(records, **HARMONIC | changes)).get("gyro-notch", ())
+    ]
 
 
 def quality(center, width):
@@ -150,10 +191,24 @@ def quality(center, width):
 
 
 def test_the_static_notch_of_old_firmware():
-    setting = {"INS_GYRO_FILTER": 20, "INS_NOTCH_ENABLE": 1, "INS_NOTCH_FREQ": 70, "INS_NOTCH_BW": 30}
+    setting = {
+        "INS_GYRO_FILTER": 20,
+        "INS_NOTCH_ENABLE": 1,
+        "INS_NOTCH_FREQ": 70,
+        "INS_NOTCH_BW": 30,
+    }
     (notch,) = named_filters(log(**setting, INS_NOTCH_ATT=15))["gyro-notch"]
-    assert (notch.center, notch.quality, notch.attenuation) == (70, pytest.approx(quality(70, 30)), 15)
-    for without in ({"INS_NOTCH_ENABLE": 0}, {"INS_NOTCH_BW": 0}, {"INS_NOTCH_BW": 140}, {"INS_GYRO_FILTER": 0}):
+    assert (notch.center, notch.quality, notch.attenuation) == (
+        70,
+        pytest.approx(quality(70, 30)),
+        15,
+    )
+    for without in (
+        {"INS_NOTCH_ENABLE": 0},
+        {"INS_NOTCH_BW": 0},
+        {"INS_NOTCH_BW": 140},
+        {"INS_GYRO_FILTER": 0},
+    ):
         assert "gyro-notch" not in named_filters(log(**setting | without))
 
 
@@ -169,7 +224,9 @@ def test_harmonics_are_the_bits_of_their_parameter():
 
 def test_each_notch_has_its_own_logged_center():
     """The median of what is above zero and a number; of the names without a number, the first notch alone."""
-    second = {name.replace("HNTCH", "HNTC2"): value for name, value in HARMONIC.items()} | {"INS_HNTC2_FREQ": 75}
+    second = {name.replace("HNTCH", "HNTC2"): value for name, value in HARMONIC.items()} | {
+        "INS_HNTC2_FREQ": 75
+    }
 
     def logged(name, field="NF", values=(90.0, 0.0, math.nan, 97.0, 91.0, -5.0)):
         return {name: Record(np.arange(6.0), {field: values})}
@@ -200,7 +257,9 @@ def test_a_notch_that_follows_the_throttle_rises_with_its_root(mode, reference, 
     assert found == ([] if center is None else [pytest.approx(center)])
 
 
-@pytest.mark.parametrize("signal", ["vehicle_angular_velocity.xyz[0]", "vehicle_angular_velocity[0].xyz[2]"])
+@pytest.mark.parametrize(
+    "signal", ["vehicle_angular_velocity.xyz[0]", "vehicle_angular_velocity[0].xyz[2]"]
+)
 def test_px4_has_two_notches_and_a_filter_of_the_d_term(signal):
     flown = log(
         IMU_GYRO_CUTOFF=30,
@@ -211,10 +270,15 @@ def test_px4_has_two_notches_and_a_filter_of_the_d_term(signal):
         IMU_GYRO_NF1_BW=30,
     )
     passed = passed_filters(flown, signal)
-    assert [(k.center, k.quality, k.attenuation) for k in passed[:2]] == [(120, 6, 200), (210, 7, 200)]
+    assert [(k.center, k.quality, k.attenuation) for k in passed[:2]] == [
+        (120, 6, 200),
+        (210, 7, 200),
+    ]
     assert passed[2:] == (LowPass(30.0),)
     assert named_filters(flown)["d-term-filter"] == (LowPass(25.0),)
-    assert passed_filters(log(IMU_GYRO_NF0_FRQ=0, IMU_GYRO_NF0_BW=20, IMU_GYRO_CUTOFF=0), signal) == ()
+    assert (
+        passed_filters(log(IMU_GYRO_NF0_FRQ=0, IMU_GYRO_NF0_BW=20, IMU_GYRO_CUTOFF=0), signal) == ()
+    )
     assert passed_filters(log(IMU_GYRO_NF0_FRQ=120, IMU_GYRO_NF0_BW=0), signal) == ()
 
 
@@ -223,9 +287,13 @@ def test_a_cutoff_above_zero_is_a_filter(cutoff):
     parameters = dict.fromkeys(("INS_GYRO_FILTER", "ATC_RAT_YAW_FLTE"), cutoff)
     known = named_filters(log(**parameters), "yaw")
     assert known == (
-        {"gyro-filter": (LowPass(cutoff),), "error-filter": (FirstOrderLowPass(cutoff),)} if cutoff > 0 else {}
+        {"gyro-filter": (LowPass(cutoff),), "error-filter": (FirstOrderLowPass(cutoff),)}
+        if cutoff > 0
+        else {}
     )
     px4 = named_filters(log(**dict.fromkeys(("IMU_GYRO_CUTOFF", "IMU_DGYRO_CUTOFF"), cutoff)))
-    assert px4 == (dict.fromkeys(("gyro-filter", "d-term-filter"), (LowPass(cutoff),)) if cutoff > 0 else {})
+    assert px4 == (
+        dict.fromkeys(("gyro-filter", "d-term-filter"), (LowPass(cutoff),)) if cutoff > 0 else {}
+    )
     assert centers(INS_HNTCH_ENABLE=0.5) == [60]
     assert centers(INS_HNTCH_FREQ=0.8, INS_HNTCH_BW=0.5) == [0.8]

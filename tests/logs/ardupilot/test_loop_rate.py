@@ -8,17 +8,31 @@ import pytest
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.identification.systematic_errors import systematic_errors, with_systematic_errors
-from greybox.logs.ardupilot.loop_rate import _first_order, _passed, _second_order, thinning, thinning_error
+from greybox.logs.ardupilot.loop_rate import (
+    _first_order,
+    _passed,
+    _second_order,
+    thinning,
+    thinning_error,
+)
 from greybox.logs.known_filters import FirstOrderLowPass
 
 LOOP, GYRO = 400.0, 1000.0
-SETTINGS = {"SCHED_LOOP_RATE": LOOP, "INS_GYRO_FILTER": 20.0, "ATC_RAT_PIT_D": 0.01, "ATC_RAT_PIT_FLTD": 20.0}
+SETTINGS = {
+    "SCHED_LOOP_RATE": LOOP,
+    "INS_GYRO_FILTER": 20.0,
+    "ATC_RAT_PIT_D": 0.01,
+    "ATC_RAT_PIT_FLTD": 20.0,
+}
 
 
 def log(rate, **more):
     time = np.arange(0, 20, 1 / rate)
     modes = ((0.0, "SYSTEMID"),) if more.pop("systemid", False) else ((0.0, "STABILIZE"),)
-    return Recording({"RATE": Record(time, {"POut": time})}, metadata={"parameters": SETTINGS | more, "modes": modes})
+    return Recording(
+        {"RATE": Record(time, {"POut": time})},
+        metadata={"parameters": SETTINGS | more, "modes": modes},
+    )
 
 
 def test_a_complete_log_has_no_such_error():
@@ -26,7 +40,9 @@ def test_a_complete_log_has_no_such_error():
     assert thinning(log(360), "RATE.POut", 0, 20) is None
 
 
-@pytest.mark.parametrize(("gyro", "kept", "share"), [(0, 2, 0.2), (0, 3, 0.0), (0, 4, 0.2), (1, 2, 0.0)])
+@pytest.mark.parametrize(
+    ("gyro", "kept", "share"), [(0, 2, 0.2), (0, 3, 0.0), (0, 4, 0.2), (1, 2, 0.0)]
+)
 def test_kept_passes_differ_where_the_gyro_does_not_fit_the_loop(gyro, kept, share):
     """1 kHz at 400 Hz are two and three samples in turn; 2 kHz are five in every pass."""
     found = thinning(log(400 / kept, INS_GYRO_RATE=gyro), "RATE.POut", 0, 20)
@@ -55,7 +71,10 @@ def test_the_error_is_that_of_a_simulated_loop():
         term[k] = d
     t = np.arange(2, seconds * int(LOOP)) / LOOP
     kept = slice(2001, None, 2)
-    amplitudes = [2 * np.mean(term[rows] * np.exp(-1j * omega * t[rows])) for rows in (slice(2000, None), kept)]
+    amplitudes = [
+        2 * np.mean(term[rows] * np.exp(-1j * omega * t[rows]))
+        for rows in (slice(2000, None), kept)
+    ]
     measured = abs(amplitudes[1] / amplitudes[0] - 1)
 
     # A plant whose control is all D term: P = 1 / (0.01 s² F), F both filters.
@@ -66,13 +85,18 @@ def test_the_error_is_that_of_a_simulated_loop():
     flown = log(200)
     found = thinning(flown, "RATE.POut", 0, 20)
     stated = float(np.linalg.norm(thinning_error(found, flown, "pitch", response)))
-    assert measured == pytest.approx(math.sqrt(2) * stated, rel=0.05)  # without a drift of the clocks
+    assert measured == pytest.approx(
+        math.sqrt(2) * stated, rel=0.05
+    )  # without a drift of the clocks
 
 
 @pytest.mark.parametrize(
     ("settings", "cure"),
     [
-        ({"LOG_BITMASK": 137117, "systemid": True}, "set LOG_BITMASK 137119 (fast and medium attitude"),
+        (
+            {"LOG_BITMASK": 137117, "systemid": True},
+            "set LOG_BITMASK 137119 (fast and medium attitude",
+        ),
         ({"LOG_BITMASK": 2}, "set LOG_BITMASK 3 (fast attitude)"),
         ({"LOG_BITMASK": 3, "LOG_FILE_RATEMAX": 200.0}, "set LOG_FILE_RATEMAX 0 (it is 200 Hz)"),
         ({"LOG_BITMASK": 3}, "log to a faster card"),
@@ -88,11 +112,15 @@ def test_a_response_has_it_as_an_error_that_all_frequencies_have_in_common():
     omega = np.array([4.0, 8.0, 16.0])
     response = 90 / (1j * omega * (1j * omega + 0.7) * (0.05j * omega + 1))
     own = (0.002 * np.abs(response)) ** 2
-    measured = FrequencyResponse(omega, response, "u", "theta", variance=own, units={"theta": "rad"})
+    measured = FrequencyResponse(
+        omega, response, "u", "theta", variance=own, units={"theta": "rad"}
+    )
     flown = log(200)
     errors = systematic_errors(flown, flown["RATE"], measured, "RATE.POut", ())
     wider = with_systematic_errors(measured, errors)
-    common = thinning_error(thinning(flown, "RATE.POut", 0, 20), flown, "pitch", measured) * response
+    common = (
+        thinning_error(thinning(flown, "RATE.POut", 0, 20), flown, "pitch", measured) * response
+    )
     assert wider.common_errors == pytest.approx(common)
     assert wider.variance * wider.independent_share == pytest.approx(own)
     assert "a fitted gain has too" in errors[0].finding.text
@@ -101,14 +129,21 @@ def test_a_response_has_it_as_an_error_that_all_frequencies_have_in_common():
 @pytest.mark.parametrize(("kept", "said"), [(2, "second"), (3, "third"), (4, "4th")])
 def test_which_passes_were_logged_is_said(kept, said):
     found = thinning(log(400 / kept), "RATE.POut", 0, 20)
-    assert str(found) == f"every {said} pass of the control loop was logged ({400 / kept:.4g} of 400 Hz)"
+    assert (
+        str(found)
+        == f"every {said} pass of the control loop was logged ({400 / kept:.4g} of 400 Hz)"
+    )
 
 
-@pytest.mark.parametrize(("cutoff", "passed"), [(None, 1.0), (0.0, 1.0), (20.0, 0.136), (400.0, 0.758)])
+@pytest.mark.parametrize(
+    ("cutoff", "passed"), [(None, 1.0), (0.0, 1.0), (20.0, 0.136), (400.0, 0.758)]
+)
 def test_what_is_left_of_an_alternation_behind_the_filter(cutoff, passed):
     """A first-order filter at the loop's rate, run on 1, -1, 1, -1, ...; without a cutoff there is none."""
     flown = log(200)
-    parameters = {name: v for name, v in flown.metadata["parameters"].items() if name != "ATC_RAT_PIT_FLTD"}
+    parameters = {
+        name: v for name, v in flown.metadata["parameters"].items() if name != "ATC_RAT_PIT_FLTD"
+    }
     stated = parameters if cutoff is None else parameters | {"ATC_RAT_PIT_FLTD": cutoff}
     alpha = 1 / (1 + LOOP / (2 * math.pi * cutoff)) if cutoff else 1.0
     value = 0.0
@@ -142,16 +177,20 @@ def test_filters_of_first_and_second_order_are_butterworths():
     cutoff = 20.0
     s = 2j * math.pi * cutoff * np.array([0.1, 1.0, 10.0])
     poles = 2 * math.pi * cutoff * np.exp(1j * math.pi * np.array([0.75, 1.25]))
-    assert _second_order(cutoff, s) == pytest.approx(np.prod(poles) / ((s - poles[0]) * (s - poles[1])))
-    assert _first_order([FirstOrderLowPass(cutoff)], s) == pytest.approx(1 / (1 + s / (2 * math.pi * cutoff)))
+    assert _second_order(cutoff, s) == pytest.approx(
+        np.prod(poles) / ((s - poles[0]) * (s - poles[1]))
+    )
+    assert _first_order([FirstOrderLowPass(cutoff)], s) == pytest.approx(
+        1 / (1 + s / (2 * math.pi * cutoff))
+    )
 
 
 @pytest.mark.parametrize("doubled", [0, 1, 2, 3])
 def test_every_third_pass_of_a_gyro_that_does_not_fit_by_thirds(doubled):
     """INS_GYRO_RATE doubles 1 kHz. At 300 Hz, of three passes one has a sample more or less than the two others.
 
-    Kept ones of a random phase: their number is off by 2/3 in a third of the cases, by 1/3 in the others; their age by
-    a third of an interval more or less in two thirds of them.
+    Kept ones of a random phase: their number is off by 2/3 in a third of the cases, by 1/3 in the
+    others; their age by a third of an interval more or less in two thirds of them.
     """
     found = thinning(log(100, SCHED_LOOP_RATE=300.0, INS_GYRO_RATE=doubled), "RATE.POut", 0, 20)
     gyro = 1000 * 2**doubled
@@ -163,7 +202,9 @@ def test_every_third_pass_of_a_gyro_that_does_not_fit_by_thirds(doubled):
 def test_the_newest_sample_is_a_quarter_of_an_interval_older_or_younger_in_every_second_pass():
     """1 kHz at 400 Hz: passes come at the sample and half an interval after it, in turn."""
     assert thinning(log(200), "RATE.POut", 0, 20).age == pytest.approx(0.25e-3, rel=1e-6)
-    assert thinning(log(200, INS_GYRO_RATE=1), "RATE.POut", 0, 20).age == pytest.approx(0, abs=1e-12)
+    assert thinning(log(200, INS_GYRO_RATE=1), "RATE.POut", 0, 20).age == pytest.approx(
+        0, abs=1e-12
+    )
 
 
 def test_the_error_of_a_response_to_a_rate_is_its_own_d_term_and_a_delay():
@@ -180,5 +221,7 @@ def test_the_error_of_a_response_to_a_rate_is_its_own_d_term_and_a_delay():
     passed /= 2 - passed
     assert count == pytest.approx(0.01 * s * plant / (1 + s / corner) * 0.2 * passed / math.sqrt(2))
     assert age == pytest.approx(s * 0.25e-3 / math.sqrt(2), rel=1e-6)
-    of_roll, _ = thinning_error(found, flown, "roll", response)  # whose controller has no D gain here
+    of_roll, _ = thinning_error(
+        found, flown, "roll", response
+    )  # whose controller has no D gain here
     assert np.all(of_roll == 0)

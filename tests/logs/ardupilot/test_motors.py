@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from greybox.data.record import Record, Recording
-from greybox.logs.ardupilot.motors import limits, motor_outputs, pwm_of_control, rounding_error, saturation
+from greybox.logs.ardupilot.motors import (
+    limits,
+    motor_outputs,
+    pwm_of_control,
+    rounding_error,
+    saturation,
+)
 
 QUAD = {f"SERVO{k}_FUNCTION": 32 + k for k in (1, 2, 3, 4)} | {
     "MOT_PWM_MIN": 1000,
@@ -17,7 +23,8 @@ QUAD = {f"SERVO{k}_FUNCTION": 32 + k for k in (1, 2, 3, 4)} | {
 
 
 @pytest.mark.parametrize(
-    ("amplitude", "spread"), [(0.26, 0.0), (0.5, 0.0), (1.0, 0.0), (5.0, 0.0), (0.5, 0.3), (2.0, 0.2)]
+    ("amplitude", "spread"),
+    [(0.26, 0.0), (0.5, 0.0), (1.0, 0.0), (5.0, 0.0), (0.5, 0.3), (2.0, 0.2)],
 )
 def test_the_gain_of_a_rounded_sine_scatters_as_stated(amplitude, spread):
     """Over offsets between steps, with and without other motions that carry it across them."""
@@ -62,7 +69,9 @@ def test_motors_are_those_of_ardupilots_list_of_functions():
     functions = (32, 33, 40, 41, 81, 82, 85, 86)
     parameters = {f"SERVO{k}_FUNCTION": function for k, function in enumerate(functions, start=1)}
     outputs = Record([0.0, 1.0], {f"C{k}": [1500.0, 1600.0] for k in range(1, 9)}, name="RCOU")
-    motors = motor_outputs(Recording({"RCOU": outputs}, metadata={"parameters": parameters}), 0.0, 1.0)
+    motors = motor_outputs(
+        Recording({"RCOU": outputs}, metadata={"parameters": parameters}), 0.0, 1.0
+    )
     assert [*motors.signals] == ["C2", "C3", "C6", "C7"]
 
 
@@ -70,8 +79,16 @@ def test_motors_are_those_of_ardupilots_list_of_functions():
     ("stated", "curve", "ends"),
     [
         ({"MOT_PWM_MIN": 1100, "MOT_PWM_MAX": 1940}, (0.65, 0.39, 0.15, 0.95), (1226, 1898)),
-        ({"MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9, "MOT_THST_EXPO": 0.4}, (0.4, 0.39, 0.1, 0.9), (1100, 1900)),
-        ({"MOT_PWM_MIN": 0, "MOT_PWM_MAX": 1900}, (0.65, 0.39, 0.15, 0.95), (1150, 1950)),  # 0: those of the radio
+        (
+            {"MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9, "MOT_THST_EXPO": 0.4},
+            (0.4, 0.39, 0.1, 0.9),
+            (1100, 1900),
+        ),
+        (
+            {"MOT_PWM_MIN": 0, "MOT_PWM_MAX": 1900},
+            (0.65, 0.39, 0.15, 0.95),
+            (1150, 1950),
+        ),  # 0: those of the radio
         ({"MOT_PWM_MIN": 1900, "MOT_PWM_MAX": 1100}, (0.65, 0.39, 0.15, 0.95), (1150, 1950)),
         ({"MOT_THST_HOVER": 0.2, "MOT_THST_EXPO": 0.0}, (0.0, 0.2, 0.15, 0.95), (1150, 1950)),
     ],
@@ -89,7 +106,12 @@ def test_the_range_of_a_motor_is_that_of_its_parameters(stated, curve, ends):
 
 
 def test_what_a_log_does_not_say_of_its_motors_is_ardupilots_default():
-    stated = {"MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95, "MOT_THST_HOVER": 0.35, "MOT_THST_EXPO": 0.5}
+    stated = {
+        "MOT_SPIN_MIN": 0.15,
+        "MOT_SPIN_MAX": 0.95,
+        "MOT_THST_HOVER": 0.35,
+        "MOT_THST_EXPO": 0.5,
+    }
     assert pwm_of_control({"MOT_THST_EXPO": 0.5}) == pwm_of_control(stated)
     assert limits({}) == (1150, 1950)
 
@@ -100,7 +122,9 @@ def test_the_share_of_saturation_is_weighted_by_the_samples_of_each_stretch():
     outputs = np.full(200, 1500.0)
     outputs[20:50], outputs[50:60] = 1950, 1948
     outputs[110:150], outputs[150:155] = 1150, 1151
-    log = Recording({"RCOU": Record(time, {"C1": outputs, "Cx": outputs})}, metadata={"parameters": QUAD})
+    log = Recording(
+        {"RCOU": Record(time, {"C1": outputs, "Cx": outputs})}, metadata={"parameters": QUAD}
+    )
     spans = [(0.0, 9.95), (11.0, 15.95), (50.0, 60.0)]
     assert saturation(log, spans[:1]) == pytest.approx(0.3)
     assert saturation(log, spans) == pytest.approx(70 / 150)
@@ -108,4 +132,6 @@ def test_the_share_of_saturation_is_weighted_by_the_samples_of_each_stretch():
     assert inside.time.tolist() == time[3:8].tolist()
     assert (inside.units, inside.name) == ({"C1": "µs"}, "RCOU")
     assert motor_outputs(log, 30.0, 40.0) is None
-    assert motor_outputs(Recording(log.records), 0.0, 9.0) is None  # no servo is known to be a motor
+    assert (
+        motor_outputs(Recording(log.records), 0.0, 9.0) is None
+    )  # no servo is known to be a motor

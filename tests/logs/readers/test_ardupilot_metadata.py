@@ -8,7 +8,9 @@ from greybox.logs.readers.messages import Messages
 
 
 def messages(name, time, columns=None, texts=None):
-    return Messages(name, np.arange(len(time)), np.array(time, dtype=float), columns or {}, texts or {})
+    return Messages(
+        name, np.arange(len(time)), np.array(time, dtype=float), columns or {}, texts or {}
+    )
 
 
 @pytest.mark.parametrize(
@@ -19,7 +21,10 @@ def messages(name, time, columns=None, texts=None):
         ([(5.0, False), (1.0, True)], ((1.0, 5.0),)),
         ([(5.0, False)], ((0.0, 5.0),)),
         ([(5.0, True)], ((5.0, 9.0),)),
-        ([(1.0, True), (2.0, True), (3.0, False), (4.0, False), (6.0, True)], ((1.0, 3.0), (6.0, 9.0))),
+        (
+            [(1.0, True), (2.0, True), (3.0, False), (4.0, False), (6.0, True)],
+            ((1.0, 3.0), (6.0, 9.0)),
+        ),
     ],
 )
 def test_armed_intervals(changes, intervals):
@@ -81,7 +86,13 @@ def test_vehicle_frame_and_board_of_old_logs_too(texts, parameters, expected):
 
 
 def test_units_are_written_as_greybox_writes_them():
-    assert [unit(u) for u in ("deg/s/s", "degheading", "UNKNOWN", "us", "m")] == ["deg/s²", "deg", "", "µs", "m"]
+    assert [unit(u) for u in ("deg/s/s", "degheading", "UNKNOWN", "us", "m")] == [
+        "deg/s²",
+        "deg",
+        "",
+        "µs",
+        "m",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -106,7 +117,9 @@ def test_modes_are_those_of_each_firmware(vehicle, modes):
     [
         *(
             ({"FRAME_CLASS": float(number)}, name)
-            for number, name in enumerate(("QUAD", "HEXA", "OCTA", "OCTAQUAD", "Y6", "HELI", "TRI"), start=1)
+            for number, name in enumerate(
+                ("QUAD", "HEXA", "OCTA", "OCTAQUAD", "Y6", "HELI", "TRI"), start=1
+            )
         ),
         *(({"FRAME": float(number)}, name) for number, name in enumerate(("PLUS", "X", "V", "H"))),
         ({"FRAME_CLASS": 3.0, "FRAME_TYPE": 2.0, "FRAME": 1.0}, "OCTA/V"),
@@ -122,10 +135,20 @@ def test_frames_are_those_of_ardupilots_parameters(parameters, frame):
 
 
 def test_the_first_text_that_tells_counts():
-    texts = ["hello", "Frame: HEXA", "Frame: QUAD", "Pixhawk4 0036002A 30325105 37383433", "fmuv3 0 1 2"]
+    texts = [
+        "hello",
+        "Frame: HEXA",
+        "Frame: QUAD",
+        "Pixhawk4 0036002A 30325105 37383433",
+        "fmuv3 0 1 2",
+    ]
     texts += ["Cube 0036002A 30325105 37383433", "ArduSub V4.1 (ab)", "ArduCopter V4.5 (cd)"]
     about = metadata([messages("MSG", range(8), texts={"Message": texts})], (0.0, 9.0))
-    assert (about["frame"], about["board"], about["firmware"]) == ("HEXA", "Pixhawk4", "ArduSub V4.1 (ab)")
+    assert (about["frame"], about["board"], about["firmware"]) == (
+        "HEXA",
+        "Pixhawk4",
+        "ArduSub V4.1 (ab)",
+    )
     version = messages("VER", [0], texts={"FWS": ["Blimp V4.6"]})
     about = metadata([messages("MSG", range(8), texts={"Message": texts}), version], (0.0, 9.0))
     assert (about["vehicle"], about["firmware"]) == ("Blimp", "Blimp V4.6")
@@ -142,8 +165,14 @@ def test_arming_is_that_of_both_messages():
 def test_modes_by_number_and_by_name():
     """ModeNum goes before Mode; a text is a name already."""
     said = messages("MSG", [0], texts={"Message": ["ArduCopter V4.5.1 (abc)"]})
-    numbered = messages("MODE", [1, 2], {"Mode": np.array([9.0, 9.0]), "ModeNum": np.array([5.0, 6.0])})
+    numbered = messages(
+        "MODE", [1, 2], {"Mode": np.array([9.0, 9.0]), "ModeNum": np.array([5.0, 6.0])}
+    )
     assert metadata([said, numbered], (0.0, 9.0))["modes"] == ((1.0, "LOITER"), (2.0, "RTL"))
-    named = messages("MODE", [1, 2], {"ModeNum": np.array([5.0, 6.0])}, {"Mode": ["Stabilize", "Guided"]})
+    named = messages(
+        "MODE", [1, 2], {"ModeNum": np.array([5.0, 6.0])}, {"Mode": ["Stabilize", "Guided"]}
+    )
     assert metadata([said, named], (0.0, 9.0))["modes"] == ((1.0, "STABILIZE"), (2.0, "GUIDED"))
-    assert "modes" not in metadata([said, messages("MODE", [1], {"Rsn": np.array([5.0])})], (0.0, 9.0))
+    assert "modes" not in metadata(
+        [said, messages("MODE", [1], {"Rsn": np.array([5.0])})], (0.0, 9.0)
+    )

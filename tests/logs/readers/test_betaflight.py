@@ -14,7 +14,10 @@ SETTINGS = '"Product","Blackbox flight data recorder by Nicholas Sherlock"\n"loo
 def test_signals_have_times_and_units(tmp_path, head):
     time = 1_000_000 + 500 * np.arange(400)
     rate = np.sin(0.05 * np.arange(400))
-    rows = [f"{k},{t},1,{w:.6f},0,1500,1100,ANGLE_MODE" for k, (t, w) in enumerate(zip(time, rate, strict=True))]
+    rows = [
+        f"{k},{t},1,{w:.6f},0,1500,1100,ANGLE_MODE"
+        for k, (t, w) in enumerate(zip(time, rate, strict=True))
+    ]
     (tmp_path / "log.csv").write_text("\n".join([head, *rows]) + "\n")
     record = read(tmp_path / "log.csv")["log"]
     assert record.rate == pytest.approx(2000)

@@ -24,7 +24,9 @@ def dataflash(path):
 
 
 def table(path):
-    path.write_text(f"time [s],{ESCAPES}red [{ESCAPES}],text\n0,1,a\n1,2,b\n2,3,c\n", encoding="utf-8")
+    path.write_text(
+        f"time [s],{ESCAPES}red [{ESCAPES}],text\n0,1,a\n1,2,b\n2,3,c\n", encoding="utf-8"
+    )
 
 
 def groups(path):
@@ -35,14 +37,22 @@ def groups(path):
         file[f"{ESCAPES}/odd{ESCAPES}"] = np.arange(3.0)
 
 
-@pytest.mark.parametrize(("write", "name"), [(dataflash, "a.BIN"), (table, "a.csv"), (groups, "a.h5")])
+@pytest.mark.parametrize(
+    ("write", "name"), [(dataflash, "a.BIN"), (table, "a.csv"), (groups, "a.h5")]
+)
 def test_a_log(tmp_path, capsys, write, name):
     path = tmp_path / name
     write(path)
     recording = read(path)
     texts = [repr(recording), str(dict(recording.metadata)), *recording.findings, *recording]
     for record in recording.values():
-        texts += [str(record), *record.signals, *record.units.values(), record.name, *record.findings]
+        texts += [
+            str(record),
+            *record.signals,
+            *record.units.values(),
+            record.name,
+            *record.findings,
+        ]
     assert all(text.isprintable() for text in texts)
 
     for options in ([], ["--json"]):
@@ -53,7 +63,9 @@ def test_a_log(tmp_path, capsys, write, name):
             json.loads(told.out)
 
 
-@pytest.mark.parametrize("text", [f"time,{ESCAPES}a,{ESCAPES}a\n1,2,3\n2,3,4\n", f"{ESCAPES}a{ESCAPES};b\n"])
+@pytest.mark.parametrize(
+    "text", [f"time,{ESCAPES}a,{ESCAPES}a\n1,2,3\n2,3,4\n", f"{ESCAPES}a{ESCAPES};b\n"]
+)
 def test_what_is_refused(tmp_path, text):
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"a\.csv") as caught:

@@ -65,11 +65,16 @@ def test_a_dataflash_log(tmp_path, text):
     path = tmp_path / ("made.log" if text else "made.bin")
     path.write_bytes(log.text.encode() if text else log.binary)
     read = gb.read(path)
-    assert read["RATE"].hold == dict.fromkeys(("PDes", "POut", "RDes", "ROut"), np.inf) | {"P": 0.0, "R": 0.0}
+    assert read["RATE"].hold == dict.fromkeys(("PDes", "POut", "RDes", "ROut"), np.inf) | {
+        "P": 0.0,
+        "R": 0.0,
+    }
     assert read["IMU"].hold == dict.fromkeys(("GyrX", "GyrY", "GyrZ"), 0.0)
     log.add("PARM", 10**7, "SCHED_LOOP_RATE", 400.0, 400.0)
     path.write_bytes(log.text.encode() if text else log.binary)
-    record = gb.prepare(gb.read(path), {"u": "RATE.POut", "theta": "ATT.Pitch", "up": gb.logs.negative("RATE.POut")})
+    record = gb.prepare(
+        gb.read(path), {"u": "RATE.POut", "theta": "ATT.Pitch", "up": gb.logs.negative("RATE.POut")}
+    )
     assert record.hold == {"u": 1 / 400, "theta": 0.0, "up": 1 / 400}
 
 
@@ -77,12 +82,17 @@ def test_a_telemetry_log(tmp_path):
     (tmp_path / "made.tlog").write_bytes(tlog(radio()))
     read = gb.read(tmp_path / "made.tlog")
     assert read["ATTITUDE"].hold["pitch"] == 0.0
-    assert read["SERVO_OUTPUT_RAW"].hold == {}  # ten a second, and the rate of the loop is not known
+    assert (
+        read["SERVO_OUTPUT_RAW"].hold == {}
+    )  # ten a second, and the rate of the loop is not known
 
 
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_a_table_says_it_in_its_header(tmp_path, separator):
-    rows = ["time [s],u [1 held],w [held],theta (rad sampled),v [m/s]", *(f"{0.1 * k},{k},1,2,3" for k in range(9))]
+    rows = [
+        "time [s],u [1 held],w [held],theta (rad sampled),v [m/s]",
+        *(f"{0.1 * k},{k},1,2,3" for k in range(9)),
+    ]
     (tmp_path / "made.csv").write_text("\n".join(rows).replace(",", separator))
     record = gb.read(tmp_path / "made.csv")["made"]
     assert record.hold == {"u": np.inf, "w": np.inf, "theta": 0.0}

@@ -21,7 +21,9 @@ def saved(tmp_path):
     return write_and_read
 
 
-@pytest.mark.parametrize(("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", False), ("\t", True)])
+@pytest.mark.parametrize(
+    ("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", False), ("\t", True)]
+)
 def test_separators_and_decimal_commas(saved, separator, comma):
     recording = saved(table(separator=separator, comma=comma))
     record = recording["flight"]
@@ -58,7 +60,9 @@ def test_the_time_column(saved, heading, scale):
     values=st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=20),
     separator=st.sampled_from([",", ";", "\t"]),
 )
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_numbers_survive(saved, values, separator):
     lines = [f"t{separator}x"] + [f"{i}{separator}{value!r}" for i, value in enumerate(values)]
     expected = within_range(np.array(values))
@@ -82,19 +86,25 @@ def test_text_and_infinite_cells_are_named_with_their_lines(saved):
         "infinite values, which count as missing in a fit: y (2 cells, the first in line 10).",
     )
     plain = saved("t,x\n0,1\n1,inf\n")
-    assert plain.findings == ("infinite values, which count as missing in a fit: x (1 cell, the first in line 3).",)
+    assert plain.findings == (
+        "infinite values, which count as missing in a fit: x (1 cell, the first in line 3).",
+    )
 
 
 def test_many_thousand_columns_take_seconds_of_the_processor(tmp_path):
     """Each step is linear in the columns; a quadratic one would take 22 s."""
     names = [f"c{k}" for k in range(60_000)]
     path = tmp_path / "wide.csv"
-    path.write_text("\n".join([",".join(["time", *names]), *(",".join([f"{k}"] * 60_001) for k in range(2))]))
+    path.write_text(
+        "\n".join([",".join(["time", *names]), *(",".join([f"{k}"] * 60_001) for k in range(2))])
+    )
     limited = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (10, 10)); import greybox as gb;"
         "print(len(gb.read(sys.argv[1])['wide'].signals))"
     )
-    done = subprocess.run([sys.executable, "-c", limited, path], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", limited, path], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "60000\n"
 
 
@@ -119,7 +129,10 @@ def test_the_clock_may_start_again(saved):
     [
         ("t,x\n", "has no table: write a header line"),
         ("0,1\n1,2\n2,3\n", "has no header line: its first line, '0,1', must name the columns"),
-        ("time,x\n10:00:01,2\n10:00:02,3\n", "has the column 'time', which is no time in numbers and a known unit"),
+        (
+            "time,x\n10:00:01,2\n10:00:02,3\n",
+            "has the column 'time', which is no time in numbers and a known unit",
+        ),
         ("time [days],x\n1,2\n2,3\n", r"has the column 'time \[days\]', which is no time"),
         ("t,name\n1,a\n2,b\n", "has no numeric column beside the time"),
         ("t,x,x\n1,2,3\n2,3,4\n", "has two columns named 'x'"),
@@ -142,10 +155,22 @@ def test_a_table_without_a_time_holds_rows(saved):
 
 def test_other_encodings(saved):
     assert saved("t,Neigung [°]\n0,1\n1,2\n".encode("cp1252"))["flight"].units == {"Neigung": "°"}
-    assert saved("t,Neigung [°]\n0,1\n1,2\n".encode("utf-8-sig"))["flight"].units == {"Neigung": "°"}
+    assert saved("t,Neigung [°]\n0,1\n1,2\n".encode("utf-8-sig"))["flight"].units == {
+        "Neigung": "°"
+    }
 
 
-SECONDS = {"s": 1, "sec": 1, "seconds": 1, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60, "h": 3600}
+SECONDS = {
+    "s": 1,
+    "sec": 1,
+    "seconds": 1,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "ns": 1e-9,
+    "min": 60,
+    "h": 3600,
+}
 
 
 @pytest.mark.parametrize("unit", SECONDS)

@@ -18,7 +18,9 @@ from greybox.logs.readers.dataflash import clock_column
 from greybox.logs.readers.dataflash_index import Layout
 
 CUT = Path(__file__).parents[2] / "data" / "sitl_sweep_cut.BIN"
-QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 @pytest.fixture
@@ -37,11 +39,17 @@ def by_pymavlink(path):
     """Return pymavlink's messages by name and instance."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        log = DFReader.DFReader_text(str(path)) if path.suffix == ".log" else DFReader.DFReader_binary(str(path))
+        log = (
+            DFReader.DFReader_text(str(path))
+            if path.suffix == ".log"
+            else DFReader.DFReader_binary(str(path))
+        )
         messages = {}
         while (message := log.recv_msg()) is not None:
             name, instance = message.get_type(), message.fmt.instance_field
-            messages.setdefault(f"{name}[{getattr(message, instance)}]" if instance else name, []).append(message)
+            messages.setdefault(
+                f"{name}[{getattr(message, instance)}]" if instance else name, []
+            ).append(message)
         log.close()
     return messages, log
 
@@ -54,7 +62,9 @@ def assert_same(recording, path):
         theirs = messages[name]
         np.testing.assert_array_equal(record.time, [m.TimeUS / 1e6 for m in theirs])
         for field, values in record.signals.items():
-            np.testing.assert_array_equal(values, within_range(np.array([float(getattr(m, field)) for m in theirs])))
+            np.testing.assert_array_equal(
+                values, within_range(np.array([float(getattr(m, field)) for m in theirs]))
+            )
             assert record.units[field] == unit(theirs[0].fmt.get_unit(field))
     assert recording.metadata.get("parameters", {}) == log.params
 
@@ -85,7 +95,10 @@ def test_a_made_log_reads_as_pymavlink_reads_it(saved, tmp_path, suffix):
     recording = saved(log.binary if suffix == ".bin" else log.text, suffix)
     assert_same(recording, tmp_path / f"log{suffix}")
     assert recording.findings == ()
-    assert recording.metadata["parameters"] == {"INS_GYRO_FILTER": 20, "ATC_RAT_PIT_P": pytest.approx(0.14)}
+    assert recording.metadata["parameters"] == {
+        "INS_GYRO_FILTER": 20,
+        "ATC_RAT_PIT_P": pytest.approx(0.14),
+    }
     assert recording.metadata["defaults"]["ATC_RAT_PIT_P"] == pytest.approx(0.1)
     assert recording.metadata["modes"] == ((10, "LOITER"), (14, "SYSTEMID"))
     assert recording.metadata["armed"] == ((10.001, 14),)
@@ -104,7 +117,13 @@ NUMBERS = {
     "d": st.floats(),
     "g": st.floats(width=16),
 }
-SCALED = {"c": NUMBERS["h"], "C": NUMBERS["H"], "e": NUMBERS["i"], "E": NUMBERS["I"], "L": NUMBERS["i"]}
+SCALED = {
+    "c": NUMBERS["h"],
+    "C": NUMBERS["H"],
+    "e": NUMBERS["i"],
+    "E": NUMBERS["I"],
+    "L": NUMBERS["i"],
+}
 
 
 @given(data=st.data(), letters=st.text("".join({**NUMBERS, **SCALED}), min_size=1, max_size=12))
@@ -116,7 +135,9 @@ def test_every_format_letter_reads_as_pymavlink_reads_it(saved, tmp_path, data, 
     kind, _, body = log.kinds["TEST"]
     for i in range(3):
         values = [data.draw({**NUMBERS, **SCALED}[letter]) for letter in letters]
-        log.parts.append(struct.pack("<BBB", 0xA3, 0x95, kind) + struct.pack(body, 1000 + i, *values))
+        log.parts.append(
+            struct.pack("<BBB", 0xA3, 0x95, kind) + struct.pack(body, 1000 + i, *values)
+        )
     assert_same(saved(log.binary), tmp_path / "log.bin")
 
 
@@ -149,8 +170,24 @@ def test_an_old_log(saved):
     log.fmt("CTUN", "hf", "ThrIn,Alt")
     for i in range(30):
         log.add("ATT", 5000 + 20 * i, 0.0, 1.5, 0.0, -2.25, 0.0, 180.0).add("CTUN", 500, 1.5)
-        log.add("GPS", 3, 345_600_000 + 200 * i, 1800, 9, 1.2, -35.36, 149.16, 1.0, 584.0, 0.1, 90.0)
-        log.add("GPS2", 3, 345_600_000 + 200 * i, 1800, 9, 1.2, -35.36, 149.16, 1.0, 584.0, 0.1, 90.0, 5000 + 20 * i)
+        log.add(
+            "GPS", 3, 345_600_000 + 200 * i, 1800, 9, 1.2, -35.36, 149.16, 1.0, 584.0, 0.1, 90.0
+        )
+        log.add(
+            "GPS2",
+            3,
+            345_600_000 + 200 * i,
+            1800,
+            9,
+            1.2,
+            -35.36,
+            149.16,
+            1.0,
+            584.0,
+            0.1,
+            90.0,
+            5000 + 20 * i,
+        )
     for data, suffix in ((log.binary, ".bin"), (log.text, ".log")):
         recording = saved(data, suffix)
         assert list(recording) == ["ATT", "GPS2"]
@@ -212,9 +249,14 @@ def test_equal_stamps_are_dropped_and_said(saved):
 def test_gaps_are_found(saved):
     log = flight()
     kept = [
-        p for p in log.parts if not (p[2] == log.kinds["ATT"][0] and 11e6 < int.from_bytes(p[3:11], "little") < 12e6)
+        p
+        for p in log.parts
+        if not (p[2] == log.kinds["ATT"][0] and 11e6 < int.from_bytes(p[3:11], "little") < 12e6)
     ]
-    assert "ATT: a gap 1.01 s at 11.0 s (its usual interval is 0.01 s)." in saved(b"".join(kept)).findings
+    assert (
+        "ATT: a gap 1.01 s at 11.0 s (its usual interval is 0.01 s)."
+        in saved(b"".join(kept)).findings
+    )
 
 
 def test_a_truncated_log(saved):
@@ -230,7 +272,11 @@ def test_padding_at_the_end_is_no_damage(saved, padding):
     assert saved(flight().binary + padding).findings == ()
 
 
-@given(at=st.integers(2500, 35_000), length=st.integers(1, 3000), filling=st.sampled_from([b"", b"\0", b"\xa3\x95"]))
+@given(
+    at=st.integers(2500, 35_000),
+    length=st.integers(1, 3000),
+    filling=st.sampled_from([b"", b"\0", b"\xa3\x95"]),
+)
 @QUICK
 def test_around_a_damaged_place_everything_is_read(saved, at, length, filling):
     log = flight(seconds=5)
@@ -239,12 +285,16 @@ def test_around_a_damaged_place_everything_is_read(saved, at, length, filling):
     touched = sum(1 for part in log.parts if len(part)) * length // len(log.binary)
     assert sum(map(len, broken.values())) >= sum(map(len, whole.values())) - touched - 8
     for name, record in broken.items():
-        if name not in whole:  # a damaged number of an instance makes one message look like another sender's
+        if (
+            name not in whole
+        ):  # a damaged number of an instance makes one message look like another sender's
             assert len(record) <= 1
             continue
         rows = np.searchsorted(whole[name].time, record.time)
         for field, values in record.signals.items():
-            wrong = np.count_nonzero(values != whole[name][field][np.minimum(rows, len(whole[name]) - 1)])
+            wrong = np.count_nonzero(
+                values != whole[name][field][np.minimum(rows, len(whole[name]) - 1)]
+            )
             assert wrong <= 1  # at most the message that the damage ends in
 
 
@@ -258,7 +308,9 @@ def test_damage_is_counted(saved):
 
 def test_what_ends_the_process_in_pymavlink_is_survived(saved, capfd):
     data = flight().binary
-    lost_description = data.replace(b"\xa3\x95\x80" + bytes([flight().kinds["ATT"][0]]), b"\xa3\x95\x80\x01")
+    lost_description = data.replace(
+        b"\xa3\x95\x80" + bytes([flight().kinds["ATT"][0]]), b"\xa3\x95\x80\x01"
+    )
     assert "ATT" not in saved(lost_description)
     assert "RATE" in saved(lost_description)
     assert capfd.readouterr() == ("", "")
@@ -330,10 +382,17 @@ print(peak() - before, kept, len(recording["RATE"]))
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory of a process is read as Linux has it")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(),
+    reason="peak memory of a process is read as Linux has it",
+)
 def test_a_long_log_is_never_in_memory(tmp_path):
     """Of 40 MB with a small message that is asked for, read in less memory than the file has."""
-    one = Log().fmt("RATE", "Qf", "TimeUS,R").fmt("BULK", "Q" + "d" * 15, "TimeUS," + ",".join("ABCDEFGHIJKLMNO"))
+    one = (
+        Log()
+        .fmt("RATE", "Qf", "TimeUS,R")
+        .fmt("BULK", "Q" + "d" * 15, "TimeUS," + ",".join("ABCDEFGHIJKLMNO"))
+    )
     head, one.parts = one.binary, []
     one.add("BULK", 0, *range(15))
     bulk = one.parts.pop()
@@ -343,10 +402,14 @@ def test_a_long_log_is_never_in_memory(tmp_path):
     cycles = np.tile(cycle, (number, 1))
     for k in range(21):
         at = k * len(bulk) + 3
-        cycles[:, at : at + 8] = (1000 * (21 * np.arange(number)[:, None] + k)).astype("<u8").view(np.uint8)
+        cycles[:, at : at + 8] = (
+            (1000 * (21 * np.arange(number)[:, None] + k)).astype("<u8").view(np.uint8)
+        )
     path = tmp_path / "long.BIN"
     path.write_bytes(head + cycles.tobytes())
-    answer = subprocess.run([sys.executable, "-c", PEAK, str(path)], capture_output=True, text=True, check=True)
+    answer = subprocess.run(
+        [sys.executable, "-c", PEAK, str(path)], capture_output=True, text=True, check=True
+    )
     peak, kept, samples = map(int, answer.stdout.split())
     assert samples == number
     assert peak < kept + path.stat().st_size / 2
@@ -355,7 +418,10 @@ def test_a_long_log_is_never_in_memory(tmp_path):
 def test_damaged_places_are_counted_and_the_first_is_told(saved):
     parts = flight(seconds=0.3).parts
     at = len(b"".join(parts[:40]))
-    for places, said in (((40,), "5 bytes in one place,"), ((40, 60), "10 bytes in 2 places, the first")):
+    for places, said in (
+        ((40,), "5 bytes in one place,"),
+        ((40, 60), "10 bytes in 2 places, the first"),
+    ):
         data = b"".join(b"junk!" * (k in places) + part for k, part in enumerate(parts))
         expected = f"{said} at byte {at}, are damaged and were skipped."
         assert [text for text in saved(data).findings if "byte" in text] == [expected]

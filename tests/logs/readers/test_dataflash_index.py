@@ -70,7 +70,9 @@ def test_texts_end_at_the_first_zero():
     assert text("°".encode("iso-8859-1")) == "°"
 
 
-@pytest.mark.parametrize(("piece", "stride"), [(50, 1), (64, 3), (1000, 2), (2**22, 1), (2**22, 256)])
+@pytest.mark.parametrize(
+    ("piece", "stride"), [(50, 1), (64, 3), (1000, 2), (2**22, 1), (2**22, 256)]
+)
 def test_damage_of_every_kind_is_found_by_pieces_as_at_once(monkeypatch, piece, stride):
     """Messages of two lengths, a description in between, junk, a torn message, and a header at the very end."""
     monkeypatch.setattr(dataflash_index, "PIECE", piece)
@@ -105,13 +107,17 @@ def test_damage_of_every_kind_is_found_by_pieces_as_at_once(monkeypatch, piece, 
     names = [scanned.layouts[k].name for k in scanned.which]
     assert names.count("IMU") == 79
     assert names == [
-        next(n for n, (kind, *_) in made.kinds.items() if kind == part[2]) for k, part in enumerate(parts) if k != 60
+        next(n for n, (kind, *_) in made.kinds.items() if kind == part[2])
+        for k, part in enumerate(parts)
+        if k != 60
     ]
     assert (scanned.skipped, scanned.places, scanned.cut) == (skipped, 4, "")
     assert scanned.first == sum(map(len, parts[:20]))
     for layout, name in enumerate(made.kinds):
         rows = [k for k, n in enumerate(names) if n == name]
-        assert scanned.of([one.name for one in scanned.layouts].index(name)).tolist() == rows, layout
+        assert scanned.of([one.name for one in scanned.layouts].index(name)).tolist() == rows, (
+            layout
+        )
 
 
 @pytest.mark.parametrize(("end", "offsets", "skipped"), [
@@ -148,12 +154,24 @@ def test_letters_of_scaled_integers_imply_a_divisor(letter, divisor):
 
 @pytest.mark.parametrize(
     ("letters", "size"),
-    [("bB", 2), ("hHcC", 8), ("iIeEL", 20), ("fd", 12), ("qQ", 16), ("nNZ", 84), ("a", 64), ("g", 2), ("M", 1)],
+    [
+        ("bB", 2),
+        ("hHcC", 8),
+        ("iIeEL", 20),
+        ("fd", 12),
+        ("qQ", 16),
+        ("nNZ", 84),
+        ("a", 64),
+        ("g", 2),
+        ("M", 1),
+    ],
 )
 def test_letters_are_as_long_as_their_numbers(letters, size):
     columns = tuple(f"x{k}" for k in range(len(letters)))
     layout = dataflash_index.Layout(1, "X", size + 3, letters, columns)
     assert layout.dtype.itemsize == size
-    assert sound(1, "X_1", size + 3, letters, columns) == dataflash_index.Layout(1, "X_1", size + 3, letters, columns)
+    assert sound(1, "X_1", size + 3, letters, columns) == dataflash_index.Layout(
+        1, "X_1", size + 3, letters, columns
+    )
     assert sound(1, "X", size + 2, letters, columns) is None
     assert sound(1, "°", size + 3, letters, columns) is None

@@ -13,7 +13,11 @@ from greybox.logs.readers.messages import Messages
 
 def long_log(lines):
     """Attitudes at 100 Hz, as every fourth line; what lies between is longer."""
-    made = Log().fmt("ATT", "Qf", "TimeUS,Roll").fmt("BULK", "Q" + "f" * 12, "TimeUS," + ",".join("ABCDEFGHIJKL"))
+    made = (
+        Log()
+        .fmt("ATT", "Qf", "TimeUS,Roll")
+        .fmt("BULK", "Q" + "f" * 12, "TimeUS," + ",".join("ABCDEFGHIJKL"))
+    )
     text = [made.text.rstrip("\n")]
     for k in range(lines):
         name, values = ("ATT", "0.5") if k % 4 == 0 else ("BULK", ", ".join(12 * ["-1.234567"]))
@@ -41,7 +45,9 @@ def test_batches_of_lines_are_one_message(tmp_path, monkeypatch):
     parts = read(path)
     assert len(whole["ATT"]) == 14
     assert "ATT: 1 damaged lines were skipped." in whole.findings
-    assert {name: record.checksum for name, record in parts.items()} == {n: r.checksum for n, r in whole.items()}
+    assert {name: record.checksum for name, record in parts.items()} == {
+        n: r.checksum for n, r in whole.items()
+    }
     assert (parts.findings, parts.checksum) == (whole.findings, whole.checksum)
 
 
@@ -55,7 +61,9 @@ def old_log():
     ]
     for k in range(500):
         if k % 10 == 0:
-            lines.append(f"GPS, 3, {130040903 + 20 * k}, 1769, 8, 2.35, 1.0, 2.0, 0, 0, 0, 0, 0, {20000 + 20 * k}")
+            lines.append(
+                f"GPS, 3, {130040903 + 20 * k}, 1769, 8, 2.35, 1.0, 2.0, 0, 0, 0, 0, 0, {20000 + 20 * k}"
+            )
         lines.append(f"ATT, 0.0, {np.sin(0.1 * k):.2f}, 0.0, 1.0")
     return "\n".join(lines) + "\n"
 
@@ -120,7 +128,10 @@ def test_damaged_lines_cost_only_themselves(tmp_path):
     np.testing.assert_array_equal(recording["ATT"].time, [1.0, 1.2, 1.3])
     np.testing.assert_array_equal(recording["ATT"]["Roll"], [1.5, np.nan, 4.5])
     assert "ATT: 1 damaged lines were skipped." in recording.findings
-    assert "5 lines are damaged, or have no FMT line that describes them, and were skipped." in recording.findings
+    assert (
+        "5 lines are damaged, or have no FMT line that describes them, and were skipped."
+        in recording.findings
+    )
 
 
 @pytest.mark.parametrize("suffix", [".log", ".bin"])
@@ -158,6 +169,9 @@ def test_the_usual_units_are_those_of_ardupilots_messages():
     assert findings == (
         "the log has no table of units: ArduPilot's usual ones are assumed for ATT, RATE, IMU, XKF1, AHR2.",
     )
-    stated = [*groups, Messages("GPS", np.arange(2), np.arange(2.0), {"Spd": np.zeros(2)}, units={"Spd": "m/s"})]
+    stated = [
+        *groups,
+        Messages("GPS", np.arange(2), np.arange(2.0), {"Spd": np.zeros(2)}, units={"Spd": "m/s"}),
+    ]
     assert with_usual_units(stated) == (stated, ())
     assert with_usual_units(groups[-1:]) == (groups[-1:], ())

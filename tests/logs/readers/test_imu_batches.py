@@ -45,7 +45,9 @@ def test_lost_messages_leave_gaps_and_samples_in_their_places(saved):
 
 
 def test_batches_without_their_header_are_left_out(saved):
-    made = Log().fmt("ISBD", "QHHaaa", "TimeUS,N,seqno,x,y,z").fmt("ATT", "Qcc", "TimeUS,Roll,Pitch")
+    made = (
+        Log().fmt("ISBD", "QHHaaa", "TimeUS,N,seqno,x,y,z").fmt("ATT", "Qcc", "TimeUS,Roll,Pitch")
+    )
     made.add("ISBD", 10_000_000, 0, 0, *[bytes(64)] * 3).add("ATT", 10_000_000, 0.0, 0.0)
     made.add("ATT", 10_100_000, 0.0, 0.0)
     recording = read(saved(made))
@@ -55,13 +57,19 @@ def test_batches_without_their_header_are_left_out(saved):
 
 def test_batches_of_no_rate_no_divisor_and_no_samples_are_counted(saved):
     made = imu_batches()
-    for number, divisor, rate, samples in ((97, 900, 0.0, 1), (98, 0, BATCH_RATE, 1), (99, 900, BATCH_RATE, 0)):
+    for number, divisor, rate, samples in (
+        (97, 900, 0.0, 1),
+        (98, 0, BATCH_RATE, 1),
+        (99, 900, BATCH_RATE, 0),
+    ):
         at = 20_000_000 + 1000 * number
         made.add("ISBH", at, number, 1, 0, divisor, BATCH, at, rate)
         for k in range(samples):
             made.add("ISBD", at + 1, number, k, *[bytes(64)] * 3)
     recording = read(saved(made))
-    assert "ISBD: 3 batches have no sound ISBH or no samples and were left out." in recording.findings
+    assert (
+        "ISBD: 3 batches have no sound ISBH or no samples and were left out." in recording.findings
+    )
     assert len(recording["ISBD[gyro0]"]) == 2 * BATCH
 
 
@@ -91,24 +99,39 @@ def test_spectra_are_drawn_with_their_peaks(saved, capsys, tmp_path):
     assert run(capsys, "inspect", path, "--vibration", tmp_path / "spectra.png")[0] == 0
     assert (tmp_path / "spectra.png").read_bytes().startswith(b"\x89PNG")
     imu = gb.Record(np.arange(400) / 100, {"GyrX": np.sin(np.arange(400.0) ** 2)}, name="IMU")
-    first, *_, last = gb.plotting.vibration(Recording({"ISBD[gyro0]": read(path)["ISBD[gyro0]"], "IMU": imu}))
+    first, *_, last = gb.plotting.vibration(
+        Recording({"ISBD[gyro0]": read(path)["ISBD[gyro0]"], "IMU": imu})
+    )
     assert first.get_xlim() == last.get_xlim() == (0, hz[-1])
     slow = gb.Record(np.arange(400) / 25, {"GyrX": np.zeros(400)}, name="IMU")
     with pytest.raises(ValueError, match="log raw batches"):
         gb.plotting.vibration(Recording({"IMU": slow}))
 
 
-@pytest.mark.parametrize(("before", "own"), [(0.0, True), (9.9, True), (10.1, False), (-0.1, False)])
+@pytest.mark.parametrize(
+    ("before", "own"), [(0.0, True), (9.9, True), (10.1, False), (-0.1, False)]
+)
 def test_a_batch_begins_at_its_own_stamp_unless_that_is_of_another_clock(before, own):
     """One that is ten seconds older than its header, or younger: the header tells then."""
     sent = 50.0
     stamp = (sent - before) * 1e6
-    known = {"N": 3.0, "type": 1.0, "instance": 2.0, "mul": 10.0, "smp_rate": 100.0, "SampleUS": stamp}
+    known = {
+        "N": 3.0,
+        "type": 1.0,
+        "instance": 2.0,
+        "mul": 10.0,
+        "smp_rate": 100.0,
+        "SampleUS": stamp,
+    }
     columns = {name: [value] for name, value in known.items()}
-    header = Messages("ISBH", np.array([0]), np.array([sent]), {k: np.array(v) for k, v in columns.items()})
+    header = Messages(
+        "ISBH", np.array([0]), np.array([sent]), {k: np.array(v) for k, v in columns.items()}
+    )
     rows = {"N": [3.0, 3.0, 4.0], "seqno": [0.0, 1.0, 0.0]}
     rows |= {
-        f"{axis}[{k}]": np.array([k, 32.0 + k, 99.0]) * (1 + "xyz".index(axis)) for axis in "xyz" for k in range(32)
+        f"{axis}[{k}]": np.array([k, 32.0 + k, 99.0]) * (1 + "xyz".index(axis))
+        for axis in "xyz"
+        for k in range(32)
     }
     data = Messages("ISBD", np.array([1, 2, 3]), None, {k: np.array(v) for k, v in rows.items()})
     (kept, made), findings = with_batches([header, data])

@@ -10,7 +10,9 @@ from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, 
 def messages(name="ATT", order=(0, 1, 2), time=(0.0, 1.0, 2.0), instance="", **columns):
     order = np.array(order)
     columns = columns or {"x": np.arange(order.size) * 1.0}
-    return Messages(name, order, None if time is None else np.array(time), columns, instance=instance)
+    return Messages(
+        name, order, None if time is None else np.array(time), columns, instance=instance
+    )
 
 
 def test_instances_are_left_out_of_requested_names():
@@ -21,7 +23,10 @@ def test_instances_are_left_out_of_requested_names():
 def test_two_lots_of_one_name_are_joined_in_the_order_of_the_file():
     first = messages(order=(0, 4), time=(0.0, 4.0), x=np.array([0.0, 4.0]))
     second = messages(order=(2, 6), time=(2.0, 6.0), x=np.array([2.0, 6.0]))
-    first, second = replace(first, texts={"said": ["a", "c"]}), replace(second, texts={"said": ["b", "d"]})
+    first, second = (
+        replace(first, texts={"said": ["a", "c"]}),
+        replace(second, texts={"said": ["b", "d"]}),
+    )
     (joined,), findings = merged([first, second])
     np.testing.assert_array_equal(joined.columns["x"], [0, 2, 4, 6])
     assert joined.texts == {"said": ["a", "b", "c", "d"]}
@@ -40,7 +45,9 @@ def test_of_two_lots_with_other_fields_the_larger_stays():
 def test_one_clock_for_all_messages_of_a_log():
     """A restart between the messages of one kind is seen in those of the other."""
     n = 200
-    fast = messages("IMU", order=np.arange(n), time=np.concatenate([np.arange(100.0), np.arange(100.0)]) + 5)
+    fast = messages(
+        "IMU", order=np.arange(n), time=np.concatenate([np.arange(100.0), np.arange(100.0)]) + 5
+    )
     slow = messages("GPS", order=(n,), time=(105.0,))
     log = on_one_clock([fast, slow])
     (fast, slow), (finding,) = log.groups, log.findings
@@ -50,7 +57,14 @@ def test_one_clock_for_all_messages_of_a_log():
 
 
 def test_a_record_for_every_instance_and_none_without_time_or_numbers():
-    imu = messages("IMU", order=range(4), time=(0, 0, 1, 1), instance="I", I=np.array([0, 1, 0, 1.0]), g=np.arange(4.0))
+    imu = messages(
+        "IMU",
+        order=range(4),
+        time=(0, 0, 1, 1),
+        instance="I",
+        I=np.array([0, 1, 0, 1.0]),
+        g=np.arange(4.0),
+    )
     timeless = messages("VER", time=None)
     empty = Messages("MSG", np.arange(1), np.zeros(1), {}, {"text": ["hello"]})
     never = messages("BAD", time=(np.nan,) * 3)
@@ -66,9 +80,13 @@ def test_a_record_for_every_instance_and_none_without_time_or_numbers():
 
 
 def test_dropped_samples_are_counted_with_the_reason():
-    found, findings = records([messages(order=range(5), time=(0.0, 1.0, np.nan, 1.0, 2.0))], "a.bin", "abc")
+    found, findings = records(
+        [messages(order=range(5), time=(0.0, 1.0, np.nan, 1.0, 2.0))], "a.bin", "abc"
+    )
     np.testing.assert_array_equal(found["ATT"].time, [0, 1, 2])
-    assert findings == ("ATT: 2 of 5 samples dropped: 1 with implausible times, 1 whose time does not increase.",)
+    assert findings == (
+        "ATT: 2 of 5 samples dropped: 1 with implausible times, 1 whose time does not increase.",
+    )
 
 
 def test_records_of_instances_keep_units_holds_and_texts_apart():
@@ -105,13 +123,21 @@ def test_gaps_and_dropped_samples_of_a_record_are_said_once():
     (said,) = findings
     assert said == "ATT: a gap 2.1 s at 2.9 s (its usual interval is 0.1 s)."
     assert found["ATT"].findings == (said,)
-    back = replace(holed, time=np.where(np.arange(60) == 10, np.nan, np.where(np.arange(60) == 20, 0.5, time)))
+    back = replace(
+        holed, time=np.where(np.arange(60) == 10, np.nan, np.where(np.arange(60) == 20, 0.5, time))
+    )
     _, findings = records([back], "a.bin", "abc")
-    assert findings[0] == "ATT: 2 of 60 samples dropped: 1 with implausible times, 1 whose time does not increase."
+    assert (
+        findings[0]
+        == "ATT: 2 of 60 samples dropped: 1 with implausible times, 1 whose time does not increase."
+    )
 
 
 def test_the_span_of_a_log_is_that_of_all_stamps():
-    first, second = messages(order=(0, 3), time=(2.0, 9.0)), messages("GPS", order=(1, 2), time=(np.nan, 4.0))
+    first, second = (
+        messages(order=(0, 3), time=(2.0, 9.0)),
+        messages("GPS", order=(1, 2), time=(np.nan, 4.0)),
+    )
     clocked = on_one_clock([first, second, messages("MSG", order=(0,), time=None)])
     assert clocked.span == (2.0, 9.0)
     assert [group.name for group in clocked.groups] == ["ATT", "GPS", "MSG"]

@@ -31,7 +31,9 @@ def made(tmp_path):
     return open_file
 
 
-@pytest.mark.parametrize("options", [{}, {"libver": "latest"}, {"packed": True}, {"userblock_size": 512}])
+@pytest.mark.parametrize(
+    "options", [{}, {"libver": "latest"}, {"packed": True}, {"userblock_size": 512}]
+)
 def test_groups_with_a_time_are_records(saved, options):
     recording = saved(hdf5(**options))
     assert list(recording) == ["flight", "flight/ATT"]
@@ -85,10 +87,14 @@ def test_an_old_matlab_file(tmp_path):
 
 
 def test_simulinks_structure_with_time(tmp_path):
-    signals = np.array([{"values": T, "label": "pitch"}, {"values": np.stack([T, -T], axis=1), "label": ""}])
+    signals = np.array(
+        [{"values": T, "label": "pitch"}, {"values": np.stack([T, -T], axis=1), "label": ""}]
+    )
     savemat(tmp_path / "sim.mat", {"out": {"time": T, "signals": signals}})
     assert list(read(tmp_path / "sim.mat")["out"].signals) == ["pitch", "signal2[0]", "signal2[1]"]
-    odd = np.array([{"values": T, "label": "pitch"}, "no signal", {"label": "without values"}], dtype=object)
+    odd = np.array(
+        [{"values": T, "label": "pitch"}, "no signal", {"label": "without values"}], dtype=object
+    )
     savemat(tmp_path / "odd.mat", {"out": {"time": T, "signals": odd}})
     assert list(read(tmp_path / "odd.mat")["out"].signals) == ["pitch"]
 
@@ -96,7 +102,10 @@ def test_simulinks_structure_with_time(tmp_path):
 @pytest.mark.parametrize(("write", "name"), [(hdf5, "x.h5"), (matlab, "x.mat")])
 def test_truncated_files_are_refused_in_a_sentence(saved, write, name):
     data = write()
-    with pytest.raises(ValueError, match=rf"{name} is damaged or of another format \(.*\): export or copy it again\.$"):
+    with pytest.raises(
+        ValueError,
+        match=rf"{name} is damaged or of another format \(.*\): export or copy it again\.$",
+    ):
         saved(data[: len(data) // 2], name)
 
 
@@ -128,7 +137,9 @@ def test_groups_that_are_asked_for_are_read_alone(made, tmp_path):
 
 def test_a_matrix_of_one_row_or_column_is_a_vector(tmp_path):
     """It does not go by numbers; the one with several of both does."""
-    savemat(tmp_path / "one.mat", {"gain": np.ones((1, 4)), "data": np.stack([T, 2 * T, 3 * T], axis=1)})
+    savemat(
+        tmp_path / "one.mat", {"gain": np.ones((1, 4)), "data": np.stack([T, 2 * T, 3 * T], axis=1)}
+    )
     recording = read(tmp_path / "one.mat", columns={"time": "1:s", "u": "2", "y": "3"})
     np.testing.assert_allclose(recording["one"]["y"], 3 * T)
     np.testing.assert_allclose(recording["one"]["u"], 2 * T)

@@ -45,7 +45,9 @@ def test_a_pipe_is_refused_before_it_blocks(tmp_path):
     path = tmp_path / "log.csv"
     os.mkfifo(path)
     for reader in (read, gb.read_response):
-        with pytest.raises(OSError, match=r"log\.csv is a pipe or a device: copy what it gives to a file"):
+        with pytest.raises(
+            OSError, match=r"log\.csv is a pipe or a device: copy what it gives to a file"
+        ):
             reader(path)
 
 
@@ -54,7 +56,10 @@ def test_a_pipe_is_refused_before_it_blocks(tmp_path):
     [
         (b"", "is empty: logging never started"),
         (b"to whom it may concern, greetings\n", "looks like text that starts with .to whom"),
-        (b"PK\3\4rest", "looks like a zip archive, which greybox does not read; supported are: ArduPilot DataFlash"),
+        (
+            b"PK\3\4rest",
+            "looks like a zip archive, which greybox does not read; supported are: ArduPilot DataFlash",
+        ),
         (b"just a few words", "looks like text that starts with 'just a few words', which"),
         (b"\1\2\3\4\5", "looks like binary data that start with 01 02 03 04, which"),
     ],
@@ -71,7 +76,9 @@ def test_anything_else_is_refused_in_one_sentence(tmp_path, data, match):
 def test_no_library_is_loaded_before_it_is_needed():
     libraries = ("pymavlink", "h5py", "scipy", "pyulog")
     code = f"import sys, greybox.logs.readers; print([m for m in {libraries} if m in sys.modules])"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert loaded.strip() == "[]"
 
 
@@ -80,7 +87,9 @@ def test_every_format_has_its_reader():
         assert (ROOT / "greybox" / "logs" / "readers" / f"{known.module}.py").exists()
 
 
-@pytest.mark.parametrize(("count", "kinds"), [(270, ["bin", "log", "tlog", "csv"]), (10, ["h5", "mat"])])
+@pytest.mark.parametrize(
+    ("count", "kinds"), [(270, ["bin", "log", "tlog", "csv"]), (10, ["h5", "mat"])]
+)
 def test_damaged_files_never_hang_crash_or_print(count, kinds):
     counts, failures, _ = fuzzer().fuzz(read, range(count), seed=2, limit=15, kinds=kinds)
     assert failures == []
@@ -135,5 +144,7 @@ def test_the_first_bytes_tell_the_format(head, module):
 @pytest.mark.parametrize("head", [b"PK\3\4", b"\x1f\x8b\x08", b"%PDF-1.7", b"\x89PNG\r"])
 def test_files_of_other_programs_are_named(tmp_path, head):
     (tmp_path / "x").write_bytes(head)
-    with pytest.raises(ValueError, match=r"looks like a (zip archive|gzip archive|PDF|PNG image), which"):
+    with pytest.raises(
+        ValueError, match=r"looks like a (zip archive|gzip archive|PDF|PNG image), which"
+    ):
         read(tmp_path / "x")

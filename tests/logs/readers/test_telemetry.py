@@ -24,7 +24,9 @@ def saved(tmp_path):
 
 @pytest.mark.parametrize("first", [False, True])
 def test_every_number_is_as_pymavlink_reads_it(saved, tmp_path, monkeypatch, first):
-    monkeypatch.setenv("MAVLINK20", "1")  # which pymavlink sets for all that follows once it has met a packet of it
+    monkeypatch.setenv(
+        "MAVLINK20", "1"
+    )  # which pymavlink sets for all that follows once it has met a packet of it
     mavutil.set_dialect("ardupilotmega")
     recording = saved(tlog(radio(), first=first))
     link = mavutil.mavlink_connection(str(tmp_path / "flight.tlog"))
@@ -33,14 +35,22 @@ def test_every_number_is_as_pymavlink_reads_it(saved, tmp_path, monkeypatch, fir
         sender = f"{message.get_srcSystem()}:{message.get_srcComponent()}"
         messages.setdefault((message.get_type(), sender), []).append(message)
     link.close()
-    for name in ("ATTITUDE[1:1]", "ATTITUDE[1:100]", "VFR_HUD", "SERVO_OUTPUT_RAW[0]", "HEARTBEAT[255:190]"):
+    for name in (
+        "ATTITUDE[1:1]",
+        "ATTITUDE[1:100]",
+        "VFR_HUD",
+        "SERVO_OUTPUT_RAW[0]",
+        "HEARTBEAT[255:190]",
+    ):
         kind, _, sender = name.partition("[")
         theirs = messages[kind, sender[:-1] if ":" in sender else "1:1"]
         theirs.sort(key=lambda m: getattr(m, "time_boot_ms", 0))
         assert len(recording[name]) == len(theirs)
         for field, values in recording[name].signals.items():
             np.testing.assert_array_equal(values, [getattr(m, field) for m in theirs])
-            assert recording[name].units[field].replace("µs", "us") == theirs[0].fieldunits_by_name.get(field, "")
+            assert recording[name].units[field].replace("µs", "us") == theirs[
+                0
+            ].fieldunits_by_name.get(field, "")
 
 
 def test_the_senders_time_is_free_of_jitter_and_of_disorder(saved):
@@ -70,12 +80,19 @@ def test_metadata(saved):
 def test_only_what_is_asked_for_is_read(saved):
     recording = saved(tlog(radio()), messages=("ATTITUDE", "GPS_RAW_INT"))
     assert list(recording) == ["ATTITUDE[1:1]", "ATTITUDE[1:100]"]
-    assert recording.findings[0].startswith("there is no message GPS_RAW_INT; the log has HEARTBEAT,")
+    assert recording.findings[0].startswith(
+        "there is no message GPS_RAW_INT; the log has HEARTBEAT,"
+    )
 
 
 def test_a_restart_keeps_the_true_pause(saved):
     packets = [
-        (BOOT + (start + i / 50) * 1e6, 1, 1, mavlink.MAVLink_attitude_message(1000 + 20 * i, 0, 0, 0, 0, 0, 0))
+        (
+            BOOT + (start + i / 50) * 1e6,
+            1,
+            1,
+            mavlink.MAVLink_attitude_message(1000 + 20 * i, 0, 0, 0, 0, 0, 0),
+        )
         for start in (0, 60)
         for i in range(500)
     ]
@@ -103,7 +120,12 @@ def test_damaged_packets_cost_only_themselves(saved):
 def test_arrays_become_signals_and_instances_records(saved):
     voltages = [4100 + i for i in range(10)]
     packets = [
-        (BOOT + i * 100_000, 1, 1, mavlink.MAVLink_battery_status_message(lane, 0, 1, 2500, voltages, 1200, 50, 5, 90))
+        (
+            BOOT + i * 100_000,
+            1,
+            1,
+            mavlink.MAVLink_battery_status_message(lane, 0, 1, 2500, voltages, 1200, 50, 5, 90),
+        )
         for i in range(20)
         for lane in (0, 1)
     ]
@@ -115,7 +137,14 @@ def test_arrays_become_signals_and_instances_records(saved):
 
 @pytest.mark.parametrize(
     ("kind", "code", "number"),
-    [(1, "B", 200), (2, "b", -3), (3, "H", 40_000), (4, "h", -300), (5, "I", 3_000_000_000), (6, "i", 4)],
+    [
+        (1, "B", 200),
+        (2, "b", -3),
+        (3, "H", 40_000),
+        (4, "h", -300),
+        (5, "I", 3_000_000_000),
+        (6, "i", 4),
+    ],
 )
 def test_px4_sends_the_bytes_of_integer_parameters(saved, kind, code, number):
     value = struct.unpack("<f", struct.pack(f"<{code}", number).ljust(4, b"\0"))[0]
@@ -132,12 +161,18 @@ def test_px4_sends_the_bytes_of_integer_parameters(saved, kind, code, number):
 
 
 def test_long_texts_are_put_together(saved):
-    said = [(b"a text of more than fifty characters comes in two p", 9, 0), (b"ieces", 9, 1), (b"short", 0, 0)]
+    said = [
+        (b"a text of more than fifty characters comes in two p", 9, 0),
+        (b"ieces", 9, 1),
+        (b"short", 0, 0),
+    ]
     packets = [
         (BOOT + 1000 * i, 1, 1, mavlink.MAVLink_statustext_message(6, text[:50], number, chunk))
         for i, (text, number, chunk) in enumerate(said)
     ]
-    packets.append((BOOT + 9000, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5)))
+    packets.append(
+        (BOOT + 9000, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5))
+    )
     texts = [text for _, text in saved(tlog(packets)).metadata["texts"]]
     assert texts == ["a text of more than fifty characters comes in two ieces", "short"]
 
@@ -160,7 +195,8 @@ def test_what_is_not_asked_for_is_not_in_memory(tmp_path, monkeypatch, message):
     packet = tlog([(0, 1, 1, message)])[8:]
     path = tmp_path / "long.tlog"
     path.write_bytes(
-        tlog(radio(1.0)) + b"".join((BOOT + 10_000 * k).to_bytes(8, "big") + packet for k in range(20_000))
+        tlog(radio(1.0))
+        + b"".join((BOOT + 10_000 * k).to_bytes(8, "big") + packet for k in range(20_000))
     )
     monkeypatch.setattr(telemetry_frames, "WINDOW", 2**16)  # the file has a megabyte
     tracemalloc.start()
@@ -168,7 +204,9 @@ def test_what_is_not_asked_for_is_not_in_memory(tmp_path, monkeypatch, message):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert [*recording] == ["HEARTBEAT[1:1]", "HEARTBEAT[255:190]"]
-    assert peak < 65 * 20_000  # bytes a packet: 19 of frames, its time by the sender, and where these are
+    assert (
+        peak < 65 * 20_000
+    )  # bytes a packet: 19 of frames, its time by the sender, and where these are
 
 
 def test_of_others_nothing_is_in_memory_while_values_are_made(tmp_path, monkeypatch):
@@ -177,7 +215,9 @@ def test_of_others_nothing_is_in_memory_while_values_are_made(tmp_path, monkeypa
     other = mavlink.MAVLink_attitude_message(9000, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     packets = [tlog([(0, 1, 1, message)])[8:] for message in (motors, other, other, other)]
     path = tmp_path / "long.tlog"
-    path.write_bytes(b"".join((BOOT + 10_000 * k).to_bytes(8, "big") + packets[k % 4] for k in range(20_000)))
+    path.write_bytes(
+        b"".join((BOOT + 10_000 * k).to_bytes(8, "big") + packets[k % 4] for k in range(20_000))
+    )
     monkeypatch.setattr(telemetry_frames, "WINDOW", 2**16)
     read(path, ["HEARTBEAT"])
     tracemalloc.start()
@@ -238,8 +278,18 @@ def test_packets_without_a_time_of_their_own_lie_by_their_reception(saved):
     for k in range(11):
         t = 3 + 0.1 * k
         packets += [
-            (BOOT + t * 1e6, 1, 1, mavlink.MAVLink_attitude_message(7000 + 100 * k, 0.1, 0.2, 0.3, 0, 0, 0)),
-            (BOOT + (t + 0.05) * 1e6, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5)),
+            (
+                BOOT + t * 1e6,
+                1,
+                1,
+                mavlink.MAVLink_attitude_message(7000 + 100 * k, 0.1, 0.2, 0.3, 0, 0, 0),
+            ),
+            (
+                BOOT + (t + 0.05) * 1e6,
+                1,
+                1,
+                mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5),
+            ),
         ]
     stamps = (0, 10_000_000, BOOT)
     packets += [

@@ -107,15 +107,22 @@ def test_reception_counts_from_the_median_packet(mapped, monkeypatch):
     assert find_packets(data).received == pytest.approx(0.05 * (np.arange(21) - 10), abs=1e-12)
     monkeypatch.setattr("greybox.logs.readers.telemetry_frames.SAMPLED", 4)
     monkeypatch.setattr("greybox.logs.readers.telemetry_frames.PIECE", 40)
-    assert find_packets(data).received == pytest.approx(0.05 * (np.arange(21) - 10), abs=1e-12)  # of 0, 5, 10, 15, 20
+    assert find_packets(data).received == pytest.approx(
+        0.05 * (np.arange(21) - 10), abs=1e-12
+    )  # of 0, 5, 10, 15, 20
 
 
 def test_senders_and_numbers_are_those_of_the_header(mapped):
     """Systems and components up to 255, a kind beyond 255, signed and not."""
     link = mavlink.MAVLink(None, srcSystem=254, srcComponent=3)
     message = mavlink.MAVLink_rc_channels_scaled_message(1000, 1, *range(8), 200)
-    wide = mavlink.MAVLink_esc_telemetry_1_to_4_message(*[[k, k + 1, k + 2, k + 3] for k in range(6)])
-    plain = [one.pack(link, force_mavlink1=first) for one, first in ((message, True), (message, False), (wide, False))]
+    wide = mavlink.MAVLink_esc_telemetry_1_to_4_message(
+        *[[k, k + 1, k + 2, k + 3] for k in range(6)]
+    )
+    plain = [
+        one.pack(link, force_mavlink1=first)
+        for one, first in ((message, True), (message, False), (wide, False))
+    ]
     link.signing.secret_key, link.signing.sign_outgoing = bytes(32), True
     signed = message.pack(link)
     assert len(signed) == len(plain[1]) + 13
@@ -145,13 +152,17 @@ def test_packets_across_windows_are_decoded_as_in_one(mapped, monkeypatch, windo
         roll, last = rng.normal(), rng.normal() * (k % 3 == 0)  # zeros at the end are not sent
         angles.append((roll, last))
         made.append(mavlink.MAVLink_attitude_message(k, roll, 0, 0, 0, 0, last).pack(sender))
-        made += [mavlink.MAVLink_vfr_hud_message(k, 1.5, 90, 30, 12.0, 0.5).pack(sender)] * int(rng.integers(0, 4))
+        made += [mavlink.MAVLink_vfr_hud_message(k, 1.5, 90, 30, 12.0, 0.5).pack(sender)] * int(
+            rng.integers(0, 4)
+        )
     data = mapped(b"".join(struct.pack(">Q", START) + one for one in made))
     frames = find_packets(data)
     monkeypatch.setattr("greybox.logs.readers.telemetry_frames.WINDOW", window)
     values = payloads(data, frames, mavlink.MAVLINK_MSG_ID_ATTITUDE)
     assert values["time_boot_ms"].tolist() == list(range(30))
-    np.testing.assert_array_equal(np.stack([values["roll"], values["yawspeed"]], axis=1), np.float32(angles))
+    np.testing.assert_array_equal(
+        np.stack([values["roll"], values["yawspeed"]], axis=1), np.float32(angles)
+    )
     one = payloads(data, frames, mavlink.MAVLINK_MSG_ID_ATTITUDE, "roll")
     np.testing.assert_array_equal(one, values["roll"])
 

@@ -14,7 +14,9 @@ def test_a_steady_clock_is_left_alone():
 
 
 def test_three_boots_follow_each_other():
-    stamps = np.concatenate([np.arange(100, 200, 0.1), np.arange(5, 60, 0.1), np.arange(2, 30, 0.1)])
+    stamps = np.concatenate(
+        [np.arange(100, 200, 0.1), np.arange(5, 60, 0.1), np.arange(2, 30, 0.1)]
+    )
     shifted, findings = time_stamps.one_clock(stamps)
     assert len(findings) == 2
     assert np.all(np.diff(shifted) > 0)
@@ -48,7 +50,9 @@ def test_a_clock_that_restarts_falls_by_more_than_a_second(back, found):
     before = np.arange(0, 2000, 0.01 if back < 1 else 10.0)
     step = before[1]
     after = before[-1] - back - (0 if back < 1 else 600) + step * np.arange(300)
-    assert time_stamps.restarts(np.concatenate([before, after])) == ((before.size,) if found else ())
+    assert time_stamps.restarts(np.concatenate([before, after])) == (
+        (before.size,) if found else ()
+    )
 
 
 @pytest.mark.parametrize(("damaged", "found"), [(23, ()), (27, (1000,))])

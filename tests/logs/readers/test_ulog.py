@@ -9,7 +9,9 @@ from greybox.data.record import Record
 from greybox.logs.readers import read
 from greybox.logs.readers.ulog import _firmware, _states, _with_angles
 
-installed = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed")
+installed = pytest.mark.skipif(
+    importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed"
+)
 
 
 @pytest.fixture
@@ -25,7 +27,12 @@ def saved(tmp_path):
 @installed
 def test_topics_are_records(saved):
     recording = saved(ulog())
-    assert set(recording) == {"vehicle_attitude", "sensor_accel[0]", "sensor_accel[1]", "vehicle_status"}
+    assert set(recording) == {
+        "vehicle_attitude",
+        "sensor_accel[0]",
+        "sensor_accel[1]",
+        "vehicle_status",
+    }
     attitude = recording["vehicle_attitude"]
     np.testing.assert_allclose(attitude.time, 2 + np.arange(200) / 100)
     np.testing.assert_array_equal(attitude["q[2]"], np.sin(0.1 * np.arange(200)).astype("f4"))
@@ -58,7 +65,9 @@ def test_a_truncated_log_is_read_up_to_its_end(saved):
 
 def test_without_pyulog_the_cure_is_named(saved, monkeypatch):
     monkeypatch.setattr("greybox.logs.readers.ulog.find_spec", lambda name: None)
-    with pytest.raises(ValueError, match=r"log\.ulg is a PX4 log, which needs pyulog: install it with pip install"):
+    with pytest.raises(
+        ValueError, match=r"log\.ulg is a PX4 log, which needs pyulog: install it with pip install"
+    ):
         saved(ulog())
 
 

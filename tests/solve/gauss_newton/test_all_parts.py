@@ -18,9 +18,13 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 def made():
     """A record of weight two, one of other outputs, and a response; an iterate with gaps between the segments."""
     omega = np.array([0.5, 2.0, 4.0])
-    response = gb.frequency_response(Spring(), SPRING, omega, input="F", output="x").response * (1.1 + 0.05j)
+    response = gb.frequency_response(Spring(), SPRING, omega, input="F", output="x").response * (
+        1.1 + 0.05j
+    )
     data = gb.FrequencyResponse(omega, response, "F", "x")
-    second = gb.Record(spring(80, seed=1).time, {n: v for n, v in spring(80, seed=1).signals.items() if n != "v"})
+    second = gb.Record(
+        spring(80, seed=1).time, {n: v for n, v in spring(80, seed=1).signals.items() if n != "v"}
+    )
     problem = (
         gb.Problem(Spring(), spring(100), HELD, weight=2.0)
         + gb.Problem(Spring(), second, HELD)
@@ -30,7 +34,9 @@ def made():
     parts = GaussNewton(nlp)._parts
     z = nlp.scaling.to_solver(np.array([SPRING[name] for name in nlp.free]))
     start, random = parts.from_data(z), np.random.default_rng(0)
-    return parts, parts.at(z, [nodes + 0.1 * random.normal(size=nodes.shape) for nodes in start.nodes])
+    return parts, parts.at(
+        z, [nodes + 0.1 * random.normal(size=nodes.shape) for nodes in start.nodes]
+    )
 
 
 def test_costs_and_penalties_add_by_their_weights(made):
@@ -38,9 +44,13 @@ def test_costs_and_penalties_add_by_their_weights(made):
     weights = [part.weight for part in parts.parts]
     assert sorted(weights) == [1, 2, 3]
     each = list(zip(parts.parts, iterate.trajectories, strict=True))
-    assert parts.cost(iterate, 0.0) == pytest.approx(sum(part.weight * part.cost(t, 0.0) for part, t in each))
+    assert parts.cost(iterate, 0.0) == pytest.approx(
+        sum(part.weight * part.cost(t, 0.0) for part, t in each)
+    )
     smoothed = parts.cost(iterate, 1e-2) - parts.cost(iterate, 0.0)
-    assert smoothed == pytest.approx(sum(part.weight * (part.cost(t, 1e-2) - part.cost(t, 0.0)) for part, t in each))
+    assert smoothed == pytest.approx(
+        sum(part.weight * (part.cost(t, 1e-2) - part.cost(t, 0.0)) for part, t in each)
+    )
     assert smoothed != 0
     random = np.random.default_rng(1)
     sizes = [random.uniform(1, 2, t.nodes.shape[1]) for t in iterate.trajectories]
@@ -50,7 +60,10 @@ def test_costs_and_penalties_add_by_their_weights(made):
     squared = [w * (g**2 / m).sum() / 2 for w, g, m in zip(weights, gaps, sizes, strict=True)]
     assert parts.squared_gap_cost(iterate, sizes) == pytest.approx(sum(squared))
     residual_weights = parts.residual_weights(iterate)
-    wanted = sum(p.weight * p.squared_cost(t, w, 1e-8) for (p, t), w in zip(each, residual_weights, strict=True))
+    wanted = sum(
+        p.weight * p.squared_cost(t, w, 1e-8)
+        for (p, t), w in zip(each, residual_weights, strict=True)
+    )
     assert parts.squared_cost(iterate, residual_weights) == pytest.approx(wanted)
     lost = parts.at(iterate.z, [nodes + np.nan for nodes in iterate.nodes])
     assert parts.cost(lost) == np.inf
@@ -72,9 +85,11 @@ def test_an_iterate_is_simulated_where_the_one_before_it_was(made):
     again = parts.at(iterate.z, simulated.nodes, simulated)
     assert [t.simulated for t in again.trajectories] == [True] * 3
     plain = parts.at(iterate.z, simulated.nodes)
-    assert [t.simulated for t, has_nodes in zip(plain.trajectories, with_nodes, strict=True) if has_nodes] == [
-        False
-    ] * 2
+    assert [
+        t.simulated
+        for t, has_nodes in zip(plain.trajectories, with_nodes, strict=True)
+        if has_nodes
+    ] == [False] * 2
 
 
 def test_data_are_explained_near_the_truth_and_not_far_from_it(made):
@@ -85,12 +100,16 @@ def test_data_are_explained_near_the_truth_and_not_far_from_it(made):
     assert not parts.stays_near_data(far)
 
 
-@pytest.mark.parametrize(("gaps", "continuous"), [((0.9, 0.9), True), ((1.1, 0.0), False), ((0.0, -1.1), False)])
+@pytest.mark.parametrize(
+    ("gaps", "continuous"), [((0.9, 0.9), True), ((1.1, 0.0), False), ((0.0, -1.1), False)]
+)
 def test_gaps_are_rounding_beside_the_largest_value_of_their_own_state(gaps, continuous):
     """Of states of different sizes; a state that is zero everywhere has no gap at all."""
     settings, nodes = Strategies(), np.array([[1.0, 1e6, 0.0], [-2.0, -1e5, 0.0]])
     unit = settings.gap_rounding * np.array([2.0, 1e6])
-    trajectory = SimpleNamespace(nodes=nodes, gaps=np.array([[0.0, 0.0, 0.0], [*(gaps * unit), 0.0]]))
+    trajectory = SimpleNamespace(
+        nodes=nodes, gaps=np.array([[0.0, 0.0, 0.0], [*(gaps * unit), 0.0]])
+    )
     parts = object.__new__(AllParts)
     parts.settings = settings
     still = SimpleNamespace(nodes=nodes, gaps=0 * nodes)
@@ -110,7 +129,9 @@ def test_gaps_are_rounding_beside_the_largest_value_of_their_own_state(gaps, con
 )
 def test_gaps_are_closed_as_long_as_each_time_halves_them(begun, share, length, end):
     def at(z, nodes, like=None):
-        return SimpleNamespace(z=z, nodes=nodes, trajectories=[nodes[0]], finite=np.isfinite(nodes[0]))
+        return SimpleNamespace(
+            z=z, nodes=nodes, trajectories=[nodes[0]], finite=np.isfinite(nodes[0])
+        )
 
     parts = object.__new__(AllParts)
     parts.settings, parts.at = Strategies(), at

@@ -69,8 +69,12 @@ def test_a_stalled_run_begins_once_more_near_the_data_with_what_is_left_of_its_i
 def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
     """Of a record and a response, whose cost is told without what smooths it."""
     omega = np.array([0.5, 2.0, 8.0])
-    response = gb.FrequencyResponse(omega, 1 / (1j * omega / 2.2 + 1) * np.array([1.02, 0.97 + 0.05j, 1.1]), "u", "x")
-    problem = gb.Problem(Lag(), record(0), HELD) + gb.Problem(Lag(), response, gb.RelativeLikelihood())
+    response = gb.FrequencyResponse(
+        omega, 1 / (1j * omega / 2.2 + 1) * np.array([1.02, 0.97 + 0.05j, 1.1]), "u", "x"
+    )
+    problem = gb.Problem(Lag(), record(0), HELD) + gb.Problem(
+        Lag(), response, gb.RelativeLikelihood()
+    )
     nlp = compile_problem(problem)
     solver = GaussNewton(nlp)
     outcome = solver.run(np.array([1.0]))
@@ -85,14 +89,16 @@ def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
     assert found[0].estimate == pytest.approx(found[1].estimate, rel=1e-9)
     assert found[0].estimate == pytest.approx(outcome.estimate, rel=1e-4)
     for minimum in found:
-        assert minimum.cost == pytest.approx(solver.cost(nlp.all_values(minimum.estimate)), rel=1e-12)
+        assert minimum.cost == pytest.approx(
+            solver.cost(nlp.all_values(minimum.estimate)), rel=1e-12
+        )
         h = 1e-3 * minimum.estimate
         around = [solver.cost(nlp.all_values(minimum.estimate + step)) for step in (-h, h)]
         assert min(around) > minimum.cost
         assert around[0] - minimum.cost == pytest.approx(around[1] - minimum.cost, rel=0.02)
 
 
-# --- decisions of the iteration, of steps and iterates that are stated ------------------------------------------------
+# --- decisions of the iteration, of steps and iterates that are stated
 
 SETTINGS = Strategies()
 
@@ -102,7 +108,9 @@ def deciding(*, continuous=True, explained=True, undamped=None):
     solver = object.__new__(GaussNewton)
     solver._settings = SETTINGS
     solver._is_discontinuous = np.array([False, True])
-    solver._parts = SimpleNamespace(is_continuous=lambda _: continuous, explain_data=lambda _: explained)
+    solver._parts = SimpleNamespace(
+        is_continuous=lambda _: continuous, explain_data=lambda _: explained
+    )
     solver._undamped_step = lambda *_, **__: undamped
     return solver
 
@@ -159,11 +167,16 @@ def test_a_step_was_the_last_where_the_next_decrease_follows_from_two(
         (1.0, 0.4, 1.0, 1.1, True, False),
     ],
 )
-def test_little_is_left_to_gain_also_without_damping(before, decrease, damping, undamped, continuous, settled):
+def test_little_is_left_to_gain_also_without_damping(
+    before, decrease, damping, undamped, continuous, settled
+):
     small = max(SETTINGS.tolerance, SETTINGS.cost_rounding * abs(before))
     progress = stage(damping=damping)
     solver = deciding(continuous=continuous, undamped=step(undamped * progress.undamped_decrease))
-    assert solver._is_settled(None, step(decrease * small), before, progress, states_only=False) is settled
+    assert (
+        solver._is_settled(None, step(decrease * small), before, progress, states_only=False)
+        is settled
+    )
     relaxed = stage(damping=damping, gap_scale=0.5)
     assert not solver._is_settled(None, step(decrease * small), before, relaxed, states_only=False)
 
@@ -207,7 +220,9 @@ def test_after_a_line_search_without_progress_damping_grows_and_then_delays_are_
 def test_a_run_goes_on_with_as_many_iterations_as_its_samples_allow(samples, most):
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver = GaussNewton(nlp)
-    unfinished = Outcome(np.array([1.0]), "iterations exceeded", 7, 1.5, False, 10.0, nodes=(np.zeros((1, 1)),))
+    unfinished = Outcome(
+        np.array([1.0]), "iterations exceeded", 7, 1.5, False, 10.0, nodes=(np.zeros((1, 1)),)
+    )
     seen = []
 
     def solved(iterate, progress, iterations):
@@ -252,12 +267,16 @@ def test_seconds_are_those_of_the_run():
         (1.1, 1.1 * SETTINGS.brief_step, True, False),
     ],
 )
-def test_a_stage_is_done_where_its_steps_promise_little_or_are_not_taken(before, promise, length, predicts, done):
+def test_a_stage_is_done_where_its_steps_promise_little_or_are_not_taken(
+    before, promise, length, predicts, done
+):
     solver, progress, iterate, seen = deciding(), stage(gap_scale=0.5, damping=0.1), object(), []
     solver._all_predict = predicts
     progress.advance = lambda *stated, done: seen.append((*stated, done))
     taken = step(promise * SETTINGS.kept_promise * abs(before))
-    assert solver._tighten(iterate, taken, progress, 3.0, length, before, states_only=False) is iterate
+    assert (
+        solver._tighten(iterate, taken, progress, 3.0, length, before, states_only=False) is iterate
+    )
     assert seen == [(iterate, taken, 3.0, length, done)]
     assert progress.damping == (0.1 if length else 0.0)
 
@@ -267,7 +286,10 @@ def test_gains_are_chosen_once_continuity_is_exact(states_only):
     solver, progress = deciding(), stage(gap_scale=0.5)
     solver._all_predict = False
     progress.advance = lambda *_, **__: setattr(progress, "gap_scale", 0.0)
-    solver._with_gains, solver._simulate_predictors = (lambda at, _: f"{at}, gains"), (lambda at: f"{at}, simulated")
+    solver._with_gains, solver._simulate_predictors = (
+        (lambda at, _: f"{at}, gains"),
+        (lambda at: f"{at}, simulated"),
+    )
     found = solver._tighten("end", step(1.0), progress, 1.0, 1.0, 1.0, states_only=states_only)
     assert found == ("end, simulated" if states_only else "end, gains, simulated")
 
@@ -276,7 +298,9 @@ def test_gains_are_chosen_once_continuity_is_exact(states_only):
 def test_without_stable_gains_continuity_is_tightened_more_slowly(monkeypatch, stable, predicting):
     solver = deciding()
     solver._parts.at = lambda z, nodes: SimpleNamespace(z=z, nodes=nodes)
-    monkeypatch.setattr(driver, "best_gains", lambda parts, iterate, variances: (iterate.z, variances))
+    monkeypatch.setattr(
+        driver, "best_gains", lambda parts, iterate, variances: (iterate.z, variances)
+    )
     monkeypatch.setattr(driver, "are_stable", lambda parts, iterate: stable)
     last = SETTINGS.prediction_gap if predicting else SETTINGS.last_gap
     progress = stage(last_scale=last, gap_variance="sizes")
@@ -287,11 +311,15 @@ def test_without_stable_gains_continuity_is_tightened_more_slowly(monkeypatch, s
     found = solver._with_gains(begun, progress)
     assert (found.z, found.nodes) == (("z", "sizes"), "nodes")
     slower = (SETTINGS.gap_reduction, SETTINGS.last_gap)
-    assert (progress.gap_scale, progress.last_scale) == (slower if predicting and not stable else (0.0, last))
+    assert (progress.gap_scale, progress.last_scale) == (
+        slower if predicting and not stable else (0.0, last)
+    )
 
 
 @pytest.mark.parametrize(("near", "stable"), [(True, True), (False, True), (True, False)])
-def test_the_better_simulation_stands_in_for_steps_that_do_not_close_the_gaps(monkeypatch, near, stable):
+def test_the_better_simulation_stands_in_for_steps_that_do_not_close_the_gaps(
+    monkeypatch, near, stable
+):
     """From where continuity became exact, or from the start; once in a run."""
     solver = deciding()
     monkeypatch.setattr(driver, "are_stable", lambda parts, iterate: stable)
@@ -303,7 +331,9 @@ def test_the_better_simulation_stands_in_for_steps_that_do_not_close_the_gaps(mo
     assert solver._simulate_instead(stage(start=(1.0, "start"))) is None
     for costs, wanted in (((2.0, 1.0), "start"), ((1.0, 2.0), "end")):
         start, multipliers = (costs[1], "start"), [np.ones(2)]
-        progress = stage(homotopy_end=(costs[0], "end"), start=start, damping=0.5, last_decrease=1.0)
+        progress = stage(
+            homotopy_end=(costs[0], "end"), start=start, damping=0.5, last_decrease=1.0
+        )
         progress.multipliers = multipliers
         found = solver._simulate_instead(progress)
         assert progress.homotopy_end is None
@@ -320,7 +350,9 @@ def test_gaps_that_curvature_left_are_closed_until_there_are_none_or_all_is_lost
     solver = deciding()
     solver._parts = SimpleNamespace(
         is_continuous=lambda iterate: iterate.left == 0,
-        close_gaps=lambda iterate, *_: SimpleNamespace(left=iterate.left - 1, finite=iterate.left - 1 != iterate.lost),
+        close_gaps=lambda iterate, *_: SimpleNamespace(
+            left=iterate.left - 1, finite=iterate.left - 1 != iterate.lost
+        ),
     )
 
     def left(gaps, lost=-1, finite=True):
@@ -385,7 +417,9 @@ def test_every_step_is_judged_by_what_it_gained_of_what_it_promised(monkeypatch)
     assert made.ratios == [0.5, 2.0, 1.0]
     assert made.weights == ["own"] * 3
     assert made.progress.full_damping == 0.25
-    relaxed = Iterated(monkeypatch, [(6.0, 1.0), (None, 0.0)], decreases=[step(4.0), step(4.0)], gap_scale=0.5)
+    relaxed = Iterated(
+        monkeypatch, [(6.0, 1.0), (None, 0.0)], decreases=[step(4.0), step(4.0)], gap_scale=0.5
+    )
     before = relaxed.progress.full_damping
     assert relaxed.run(2) == (6.0, "iterations exceeded", 2)
     assert relaxed.tightened == [(6.0, 2.0, 1.0, 8.0), (6.0, 0.0, 0.0, 6.0)]
@@ -416,7 +450,9 @@ def test_a_run_is_stalled_without_a_step_or_where_damping_has_grown_beyond_all(m
     ]:
         made = Iterated(monkeypatch, [trial], decreases=[step(4.0)], damping=damping)
         assert made.run(1)[1] == status
-        relaxed = Iterated(monkeypatch, [trial], decreases=[step(4.0)], damping=damping, gap_scale=0.5)
+        relaxed = Iterated(
+            monkeypatch, [trial], decreases=[step(4.0)], damping=damping, gap_scale=0.5
+        )
         assert relaxed.run(1)[1] == "iterations exceeded"
 
 
@@ -431,7 +467,9 @@ def test_a_run_is_stalled_without_a_step_or_where_damping_has_grown_beyond_all(m
         (False, 900.0, (None, 0.0), "stalled"),
     ],
 )
-def test_little_left_to_gain_by_a_short_step_is_the_end(monkeypatch, settled, distance, trial, status):
+def test_little_left_to_gain_by_a_short_step_is_the_end(
+    monkeypatch, settled, distance, trial, status
+):
     taken = step(1e-3, distance * SETTINGS.tolerance)
     made = Iterated(monkeypatch, [trial], decreases=[taken], settled=settled)
     assert made.run(1)[1] == status
@@ -475,7 +513,9 @@ def test_an_end_is_an_answer_within_the_constraints_with_stable_predictors_and_a
     assert (outcome.status, outcome.converged, outcome.cost) == ("singular", False, math.inf)
 
 
-@pytest.mark.parametrize(("change", "kept"), [(0.0, True), (-1e-3, True), (-1.0, False), (1e-3, False)])
+@pytest.mark.parametrize(
+    ("change", "kept"), [(0.0, True), (-1e-3, True), (-1.0, False), (1e-3, False)]
+)
 def test_what_leads_to_another_cost_has_left_the_minimum(change, kept):
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver = GaussNewton(nlp)
@@ -484,19 +524,28 @@ def test_what_leads_to_another_cost_has_left_the_minimum(change, kept):
     polished = solver.polished(Multistart((), (best,), 0.0, nodes=outcome.nodes))
     (minimum,) = polished.minima
     assert (minimum is not best) == kept
-    assert minimum.cost == (pytest.approx(min(best.cost, outcome.cost), abs=1e-6) if kept else best.cost)
+    assert minimum.cost == (
+        pytest.approx(min(best.cost, outcome.cost), abs=1e-6) if kept else best.cost
+    )
 
 
 @pytest.mark.parametrize(
     ("decreases", "trials", "bound", "end"),
     [
-        ([1.0, 1.0, 0.9], [1.0, 2.0], -1.0, 2.0),  # in units of the tolerance, but for the first two
+        (
+            [1.0, 1.0, 0.9],
+            [1.0, 2.0],
+            -1.0,
+            2.0,
+        ),  # in units of the tolerance, but for the first two
         ([1.0, 1.0], [1.0, None], -1.0, 1.0),
         ([1.0, 1.0], [1.0, -2.0], -1.0, 1.0),  # where a predictor is not stable
         ([1.0], [], 1e-3, 0.0),  # beyond a bound
     ],
 )
-def test_exact_steps_go_on_within_all_limits_as_long_as_they_are_taken(monkeypatch, decreases, trials, bound, end):
+def test_exact_steps_go_on_within_all_limits_as_long_as_they_are_taken(
+    monkeypatch, decreases, trials, bound, end
+):
     solver, left, waiting = deciding(), iter(decreases), iter(trials)
     solver._nlp = None
     solver._parts = SimpleNamespace(residual_weights=lambda _: None)
@@ -507,7 +556,9 @@ def test_exact_steps_go_on_within_all_limits_as_long_as_they_are_taken(monkeypat
     def exact(nlp, parts, iterate, first):
         assert first == (iterate.z == 0)
         decrease = next(left)
-        return SimpleNamespace(decrease=decrease if decrease == 1 else decrease * SETTINGS.tolerance, dz=np.zeros(1))
+        return SimpleNamespace(
+            decrease=decrease if decrease == 1 else decrease * SETTINGS.tolerance, dz=np.zeros(1)
+        )
 
     def searched(*_):
         z = next(waiting)
@@ -521,7 +572,9 @@ def test_exact_steps_go_on_within_all_limits_as_long_as_they_are_taken(monkeypat
 
 
 def test_nodes_move_alone_as_long_as_a_run_begins_so(monkeypatch):
-    made = Iterated(monkeypatch, [(7.0, 1.0), (6.0, 1.0)], decreases=[], gap_scale=0.5, state_iterations=1)
+    made = Iterated(
+        monkeypatch, [(7.0, 1.0), (6.0, 1.0)], decreases=[], gap_scale=0.5, state_iterations=1
+    )
     alone = []
 
     def taken(iterate, linearizations, progress, *, states_only):
@@ -540,15 +593,21 @@ def test_where_short_steps_do_not_close_the_gaps_a_simulation_is_gone_on_from():
     assert solver._recover(iterate, trial, 0.9 * SETTINGS.short_step, stage()) == "simulated"
     assert solver._recover(iterate, trial, 1.1 * SETTINGS.short_step, stage()) is None
     assert solver._recover(iterate, None, 0.0, stage()) is iterate  # more damping comes before
-    assert solver._recover(iterate, None, 0.0, stage(damping=2 * SETTINGS.largest_damping)) == "simulated"
+    assert (
+        solver._recover(iterate, None, 0.0, stage(damping=2 * SETTINGS.largest_damping))
+        == "simulated"
+    )
     solver._simulate_instead = lambda progress: None
     assert solver._recover(iterate, trial, 0.0, stage()) is None
 
 
 @pytest.mark.parametrize(
-    ("status", "stable", "found"), [("converged", True, True), ("stalled", True, False), ("converged", False, False)]
+    ("status", "stable", "found"),
+    [("converged", True, True), ("stalled", True, False), ("converged", False, False)],
 )
-def test_a_cost_at_given_parameters_is_that_of_the_best_nodes_or_unknown(monkeypatch, status, stable, found):
+def test_a_cost_at_given_parameters_is_that_of_the_best_nodes_or_unknown(
+    monkeypatch, status, stable, found
+):
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver, x = GaussNewton(nlp), np.array([2.0])
     cost = solver.cost(nlp.all_values(x))
@@ -632,7 +691,11 @@ def test_states_are_smoothed_at_given_parameters_where_the_model_is_finite():
     (true,) = solver.smoothed(nlp.scaling.to_solver(np.array([2.0])))
     assert np.abs(true.gaps).max() < 0.15 < 0.5 * np.abs(smoothed.gaps).max()
     measured, _ = nlp.parts[0].at_nodes
-    assert np.sqrt(np.mean((smoothed.nodes.ravel() - measured.ravel()) ** 2)) < 0.2 < 0.5 * np.std(measured)
+    assert (
+        np.sqrt(np.mean((smoothed.nodes.ravel() - measured.ravel()) ** 2))
+        < 0.2
+        < 0.5 * np.std(measured)
+    )
     assert solver.smoothed(z * np.nan) is None
 
 
@@ -658,5 +721,7 @@ def test_another_value_of_what_is_fixed_is_refused():
     nlp = compile_problem(gb.Problem(Gain(), record(0), HELD, fixed={"b": 2.0}))
     solver = GaussNewton(nlp)
     assert np.isfinite(solver.cost(np.array([2.0, 2.0])))
-    with pytest.raises(ValueError, match=r"b is fixed at 2 here: give 2\.5 to the problem, fixed=\{'b': \.\.\.\}\."):
+    with pytest.raises(
+        ValueError, match=r"b is fixed at 2 here: give 2\.5 to the problem, fixed=\{'b': \.\.\.\}\."
+    ):
         solver.cost(np.array([2.0, 2.5]))

@@ -102,7 +102,10 @@ def test_multipliers_exceed_the_largest_so_far_by_a_fifth_where_continuity_is_ex
 
 def test_what_an_iteration_begins_with():
     progress = Progress(SETTINGS)
-    assert (progress.last_scale, progress.constraint_penalty) == (SETTINGS.last_gap, SETTINGS.constraint_penalty)
+    assert (progress.last_scale, progress.constraint_penalty) == (
+        SETTINGS.last_gap,
+        SETTINGS.constraint_penalty,
+    )
     assert progress.full_damping == pytest.approx(0.01 * SETTINGS.first_damping)
     assert (progress.gap_scale, progress.damping, progress.is_exact) == (1.0, 0.0, False)
     assert not Progress(SETTINGS, near_solution=True).is_exact  # the nodes move alone first

@@ -49,7 +49,10 @@ def test_a_step_uphill_is_not_taken():
 
 
 def test_closing_the_gaps_may_save_a_whole_step_where_continuity_is_exact():
-    assert line_search(Line(closed=0.5), 1.0, -10.0, square, 1.0, Stage(is_exact=True)) == (0.5, 1.0)
+    assert line_search(Line(closed=0.5), 1.0, -10.0, square, 1.0, Stage(is_exact=True)) == (
+        0.5,
+        1.0,
+    )
     off = Line(Strategies(second_order_correction=False), closed=0.5)
     assert line_search(off, 1.0, -10.0, square, 1.0, Stage(is_exact=True))[1] < 1
     assert line_search(Line(closed=0.5), 1.0, -10.0, square, 1.0, Stage(is_exact=False))[1] < 1
@@ -60,7 +63,9 @@ def test_closing_the_gaps_may_save_a_whole_step_where_continuity_is_exact():
 def test_a_merit_that_grows_by_rounding_alone_is_taken(size, share, taken):
     """Of the cost, or of one where it is smaller."""
     rounding = Strategies().cost_rounding * max(size, 1.0)
-    trial, length = line_search(Line(), 0.0, 1.0, lambda x: size + share * rounding * (x != 0), size, Stage())
+    trial, length = line_search(
+        Line(), 0.0, 1.0, lambda x: size + share * rounding * (x != 0), size, Stage()
+    )
     assert (trial, length) == ((1.0, 1.0) if taken else (None, 0.0))
 
 

@@ -35,13 +35,18 @@ def prepared(values, **options):
 @pytest.mark.parametrize("damping", [0.0, 0.5])
 @pytest.mark.parametrize("constraints", [[], [lambda p: 8.0 - p.k]], ids=["free", "constrained"])
 def test_the_step_is_that_of_a_dense_quadratic_program(damping, constraints):
-    nlp, parts, iterate, _, linearizations, progress = prepared({"k": 7.0, "c": 0.9, "b": 3.5}, constraints=constraints)
+    nlp, parts, iterate, _, linearizations, progress = prepared(
+        {"k": 7.0, "c": 0.9, "b": 3.5}, constraints=constraints
+    )
     progress.damping = damping
     held = np.zeros(3, dtype=bool)
     step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
     (system,) = step.condensed
     damped = system.hessian + damping * np.diag(np.diag(system.hessian))
-    low, high = nlp.scaling.to_solver(nlp.lower) - iterate.z, nlp.scaling.to_solver(nlp.upper) - iterate.z
+    low, high = (
+        nlp.scaling.to_solver(nlp.lower) - iterate.z,
+        nlp.scaling.to_solver(nlp.upper) - iterate.z,
+    )
     factor = nlp.scaling.factor[nlp.free.index("k")]
     k = nlp.free.index("k")
     slack = {"type": "ineq", "fun": lambda dz: 8.0 - factor * (iterate.z[k] + dz[k])}
@@ -130,7 +135,9 @@ def test_a_missed_constraint_costs_its_penalty(is_exact):
         assert penalty == pytest.approx(EXACTNESS * abs(force[k]) / factor, rel=1e-3)
     assert merit_function(parts, weights, progress)(iterate) == pytest.approx(free + penalty * 0.5)
     progress.constraint_penalty = 10 * penalty
-    again = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
+    again = gauss_newton_step(
+        parts, iterate, linearizations, progress, held=held, states_only=False
+    )
     assert progress.constraint_penalty == 10 * penalty  # it never falls
     assert again.decrease - step.decrease == pytest.approx(9 * penalty * 0.5, rel=1e-6)
 
@@ -138,18 +145,25 @@ def test_a_missed_constraint_costs_its_penalty(is_exact):
 def test_the_relaxed_merit_is_the_squares_of_residuals_and_gaps_and_infinite_where_nothing_is_finite():
     _, parts, iterate, weights, linearizations, _ = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
     random = np.random.default_rng(0)
-    gapped = parts.at(iterate.z, [nodes + 20 * random.normal(size=nodes.shape) for nodes in iterate.nodes])
+    gapped = parts.at(
+        iterate.z, [nodes + 20 * random.normal(size=nodes.shape) for nodes in iterate.nodes]
+    )
     progress = Progress(parts.settings)
     progress.begin(gapped, parts.gap_variances(linearizations))
     relaxed = merit_function(parts, weights, progress)
-    squares, gaps = parts.squared_cost(gapped, weights), parts.squared_gap_cost(gapped, progress.continuity_variance)
+    squares, gaps = (
+        parts.squared_cost(gapped, weights),
+        parts.squared_gap_cost(gapped, progress.continuity_variance),
+    )
     assert gaps > 1e-5 * squares
     assert relaxed(gapped) == pytest.approx(squares + gaps, rel=1e-9)
     exact = Progress.exact(parts.settings)
     exact.begin(gapped, parts.gap_variances(linearizations))
     exact.multipliers = [np.full(2, 3.0)]
     jumps = 3 * sum(np.abs(t.gaps).sum() for t in gapped.trajectories)
-    assert merit_function(parts, weights, exact)(gapped) == pytest.approx(parts.cost(gapped) + jumps)
+    assert merit_function(parts, weights, exact)(gapped) == pytest.approx(
+        parts.cost(gapped) + jumps
+    )
     lost = parts.at(iterate.z, [nodes + np.nan for nodes in iterate.nodes])
     for stage in (progress, exact):
         assert merit_function(parts, weights, stage)(lost) == np.inf
@@ -180,13 +194,17 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
         parts=[SimpleNamespace(condense=lambda *_, one=one: one) for one in systems],
         weights=[1.0, 4.0],
         gains=[None, None],
-        limits=SimpleNamespace(linearized=lambda *_: (np.zeros((0, 1)), np.zeros(0)), violation=lambda _: 0.0),
+        limits=SimpleNamespace(
+            linearized=lambda *_: (np.zeros((0, 1)), np.zeros(0)), violation=lambda _: 0.0
+        ),
     )
     progress = Progress.exact(parts.settings)
     iterate = SimpleNamespace(z=np.zeros(1), trajectories=[None, None])
     progress.begin(SimpleNamespace(z=iterate.z, nodes=[]), [np.ones(1)] * 2)
     progress.damping = damping
-    step = gauss_newton_step(parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=False)
+    step = gauss_newton_step(
+        parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=False
+    )
     hessian = sum(w * one.hessian for w, one in zip(parts.weights, systems, strict=True))
     gradient = sum(w * one.gradient for w, one in zip(parts.weights, systems, strict=True))
     assert step.dz == pytest.approx(-gradient / hessian[0] / (1 + damping), rel=1e-8)
@@ -196,6 +214,10 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
         v = np.array([one.nodes_after(np.zeros((1, 1)), step.dz, 1.0)[0, 0], step.dz[0]])
         promised -= weight * (g @ v + v @ A @ v / 2)
     assert step.decrease == pytest.approx(promised)
-    alone = gauss_newton_step(parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=True)
-    assert alone.decrease == pytest.approx(sum(w * one.decrease for w, one in zip(parts.weights, systems, strict=True)))
+    alone = gauss_newton_step(
+        parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=True
+    )
+    assert alone.decrease == pytest.approx(
+        sum(w * one.decrease for w, one in zip(parts.weights, systems, strict=True))
+    )
     assert alone.distance == 0

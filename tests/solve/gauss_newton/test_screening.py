@@ -11,7 +11,14 @@ from sampled_lag import lag_problem
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.screening import Points, Screening, ShortSegments, _evaluated, _lower, distinct
+from greybox.solve.gauss_newton.screening import (
+    Points,
+    Screening,
+    ShortSegments,
+    _evaluated,
+    _lower,
+    distinct,
+)
 from greybox.solve.multistart import multistart
 from greybox.solve.waves import AllAtOnce, PromisingFirst
 
@@ -41,7 +48,9 @@ def flight(samples=120):
     simulated = gb.simulate(ShortPeriod(), VALUES, elevator)
     rng = np.random.default_rng(0)
     noise = {"alpha": 0.002, "q": 0.005, "az": 0.2}
-    signals = {name: simulated[name] + size * rng.standard_normal(samples) for name, size in noise.items()}
+    signals = {
+        name: simulated[name] + size * rng.standard_normal(samples) for name, size in noise.items()
+    }
     return gb.Record(time, {"de": elevator["de"], **signals})
 
 
@@ -74,7 +83,11 @@ def test_derivatives_are_those_of_the_cost(aircraft, solver):
 
     # Every point is for itself.
     alone = record.evaluated(z[1:2], states[1:2])
-    for own, together in ((alone.cost, here.cost), (alone.gradient, here.gradient), (alone.hessian, here.hessian)):
+    for own, together in (
+        (alone.cost, here.cost),
+        (alone.gradient, here.gradient),
+        (alone.hessian, here.hessian),
+    ):
         assert_allclose(own[0], together[1], rtol=1e-12)
 
 
@@ -123,7 +136,10 @@ def test_a_number_that_is_asked_for_is_tried_as_it_is():
     fit = gb.fit(lag_problem(), 6, progress=False)
     assert {run.stage for run in fit.runs} == {"polished"}
     plain = gb.MultipleShooting(strategies=gb.solve.Strategies(screened_starts=False))
-    assert GaussNewton(compile_problem(lag_problem(), plain)).screened(drawn(lag_problem(), 6, 0)) is None
+    assert (
+        GaussNewton(compile_problem(lag_problem(), plain)).screened(drawn(lag_problem(), 6, 0))
+        is None
+    )
     bound = lag_problem().with_(constraints=[lambda p: p.K - p.T])
     assert not Screening.serves(compile_problem(bound))
 
@@ -139,14 +155,18 @@ def test_what_is_not_finite_promises_nothing():
     assert AllAtOnce().screened(solver, starts) is None
 
 
-def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_where_they_lead(monkeypatch):
+def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_where_they_lead(
+    monkeypatch,
+):
     problem = lag_problem()
     nlp = compile_problem(problem)
     solver = GaussNewton(nlp)
     starts = drawn(problem, 8, 0)
     found = np.clip(1.1 * starts, nlp.lower, nlp.upper)
     points = SimpleNamespace(z=nlp.scaling.to_solver(found[1:]))
-    monkeypatch.setattr("greybox.solve.gauss_newton.driver.Screening.improved", lambda self, z: points)
+    monkeypatch.setattr(
+        "greybox.solve.gauss_newton.driver.Screening.improved", lambda self, z: points
+    )
     monkeypatch.setattr("greybox.solve.gauss_newton.driver.distinct", lambda improved: [5, 0, 2, 6])
     screened = solver.screened(starts)
     assert screened.order.tolist() == [6, 1, 3, 0, 7, 2, 4, 5]
@@ -155,7 +175,7 @@ def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_
     assert_array_equal(screened.begins[[0, 2, 4, 5]], starts[[0, 2, 4, 5]])
 
 
-# --- quadratic models of points and the states of their segments ------------------------------------------------------
+# --- quadratic models of points and the states of their segments
 
 
 def positive(random, *shape):
@@ -167,12 +187,18 @@ def model_points(r=3, p=2, sizes=((4, 3), (2, 5))):
     """Random points of p variables, and records of so many segments of so many states."""
     random = np.random.default_rng(7)
     by_states = [
-        (positive(random, r, m, n), random.normal(size=(r, m, n, p)), random.normal(size=(r, m, n))) for m, n in sizes
+        (positive(random, r, m, n), random.normal(size=(r, m, n, p)), random.normal(size=(r, m, n)))
+        for m, n in sizes
     ]
     states = [random.normal(size=(r, m, n)) for m, n in sizes]
     hessian = 50 * positive(random, r, p)
     return Points(
-        random.normal(size=(r, p)), states, random.uniform(1, 2, r), random.normal(size=(r, p)), hessian, by_states
+        random.normal(size=(r, p)),
+        states,
+        random.uniform(1, 2, r),
+        random.normal(size=(r, p)),
+        hessian,
+        by_states,
     )
 
 
@@ -194,7 +220,9 @@ def test_states_are_eliminated_as_from_the_whole_system():
             whole[begin : begin + len(block), begin : begin + len(block)] = block
         C, g = np.vstack(cross), np.concatenate(slopes)
         assert_allclose(hessian[k], points.hessian[k] - C.T @ np.linalg.solve(whole, C), rtol=1e-9)
-        assert_allclose(gradient[k], points.gradient[k] - C.T @ np.linalg.solve(whole, g), rtol=1e-9)
+        assert_allclose(
+            gradient[k], points.gradient[k] - C.T @ np.linalg.solve(whole, g), rtol=1e-9
+        )
         moves = -np.linalg.solve(whole, np.column_stack([g, C]))
         assert_allclose(np.concatenate([f[k].reshape(-1, 3) for f in follow]), moves, rtol=1e-9)
 
@@ -289,8 +317,12 @@ def test_steps_are_damped_more_after_a_failure_and_less_after_a_success(solver):
     begun = _evaluated(np.array([[1.0, 0.5]]), [np.zeros((1, 1, 1))], records)
     asked.clear()
     end = screening._descended(begun, records, 6)
-    # Damping 1e-3 ... 1 fails: the step is 10 / (1 + d) times the way; 10 succeeds, and 1 after it fails again.
-    ways = [np.clip(np.array([1.0, 0.5]) * (1 - 10 / (1 + d)), -5, 100) for d in (1e-3, 1e-2, 1e-1, 1.0, 10.0)]
+    # Damping 1e-3 ... 1 fails: the step is 10 / (1 + d) times the way; 10 succeeds, and 1 after it
+    # fails again.
+    ways = [
+        np.clip(np.array([1.0, 0.5]) * (1 - 10 / (1 + d)), -5, 100)
+        for d in (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+    ]
     assert_allclose(asked[:5], ways, rtol=1e-9)
     assert_allclose(asked[5], ways[4] * (1 - 10 / 2), rtol=1e-9)
     assert_allclose(end.z[0], ways[4], rtol=1e-9)

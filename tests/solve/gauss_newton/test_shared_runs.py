@@ -62,7 +62,9 @@ def same(one, other):
     assert_array_equal(one.nodes[0], other.nodes[0])
 
 
-def test_runs_that_meet_go_on_once_and_each_is_what_it_is_alone(solver, shared, starts, monkeypatch):
+def test_runs_that_meet_go_on_once_and_each_is_what_it_is_alone(
+    solver, shared, starts, monkeypatch
+):
     made = counted(shared, monkeypatch)
     together = [shared.run(start) for start in starts]
     assert len(made) == 1
@@ -80,13 +82,17 @@ def test_fewer_iterations_than_the_way_took_are_not_taken_from_it(shared, starts
     ((_, known),) = shared._known[0].items()
     shared.run(starts[1], 50)
     assert len(made) == 1
-    shared._known[0] = {key: (replace(outcome, iterations=51), h) for key, (outcome, h) in shared._known[0].items()}
+    shared._known[0] = {
+        key: (replace(outcome, iterations=51), h) for key, (outcome, h) in shared._known[0].items()
+    }
     shared.run(starts[1], 50)
     assert [most for _, most in made] == [None, 50]
     assert known[0].converged
 
 
-def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(solver, shared, starts, monkeypatch):
+def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(
+    solver, shared, starts, monkeypatch
+):
     excerpts, whole = shared._levels[-1], shared._levels[0]
     run_from = excerpts.run_from
 
@@ -116,7 +122,9 @@ def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(solv
     assert not shared._known[0]
 
 
-def test_what_time_cuts_short_is_no_end_of_others_and_has_no_cost_of_excerpts(shared, starts, monkeypatch):
+def test_what_time_cuts_short_is_no_end_of_others_and_has_no_cost_of_excerpts(
+    shared, starts, monkeypatch
+):
     excerpts = shared._levels[-1]
     run_from = excerpts.run_from
 
@@ -131,8 +139,13 @@ def test_what_time_cuts_short_is_no_end_of_others_and_has_no_cost_of_excerpts(sh
     assert shared.run(starts[1]).converged
 
 
-def test_ends_are_rounded_to_a_share_of_their_errors_that_what_is_left_of_a_run_does_not_reach(solver, shared):
-    z = solver.nlp.scaling.to_solver(solver.nlp.lower) + np.array([0.123456789, 0.3])[: len(solver.nlp.free)]
+def test_ends_are_rounded_to_a_share_of_their_errors_that_what_is_left_of_a_run_does_not_reach(
+    solver, shared
+):
+    z = (
+        solver.nlp.scaling.to_solver(solver.nlp.lower)
+        + np.array([0.123456789, 0.3])[: len(solver.nlp.free)]
+    )
     errors = np.geomspace(1e-5, 1.0, len(z))
     rounded = []
     for off in (0.0, 1e-4, -1e-4):
@@ -141,7 +154,9 @@ def test_ends_are_rounded_to_a_share_of_their_errors_that_what_is_left_of_a_run_
         assert np.all(np.abs(rounded[-1] - z) <= 1e-4 * errors + np.minimum(0.051 * errors, 5.1e-4))
     assert_array_equal(rounded[1], rounded[0])
     assert_array_equal(rounded[2], rounded[0])
-    low = shared._rounded(solver.nlp.lower, np.zeros((len(z), len(z))))  # nothing is known: it stays where it is
+    low = shared._rounded(
+        solver.nlp.lower, np.zeros((len(z), len(z)))
+    )  # nothing is known: it stays where it is
     assert_allclose(low, solver.limits.low, atol=1e-3)
     assert np.all(low >= solver.limits.low)
 
@@ -149,7 +164,11 @@ def test_ends_are_rounded_to_a_share_of_their_errors_that_what_is_left_of_a_run_
 def test_levels_end_where_excerpts_are_short_and_are_left_out_where_they_are_hardly_shorter():
     long = SharedRuns.of(solver_of(lag_problem(samples=2000), long_record=800))
     assert long is not None
-    assert [level.samples for level in long._levels] == [2000, pytest.approx(400, rel=0.1), pytest.approx(100, rel=0.1)]
+    assert [level.samples for level in long._levels] == [
+        2000,
+        pytest.approx(400, rel=0.1),
+        pytest.approx(100, rel=0.1),
+    ]
     assert SharedRuns.of(solver_of(lag_problem(samples=80))) is None
     assert SharedRuns.of(solver_of(lag_problem(samples=400), shared_runs=False)) is None
     several = solver_of(lag_problem(0, 60) + lag_problem(1, 60))
@@ -192,21 +211,32 @@ def test_a_search_that_goes_on_ends_bit_for_bit_where_it_would_have(solver, star
     kept = Kept({})
     whole = multistart(solver.nlp, solver, starts, kept=kept)
     assert len(kept.made) > len(starts)
-    rest = {number: kept.made[number] for number in (0, 3, -1)}  # the run on the whole record was that of another start
+    rest = {
+        number: kept.made[number] for number in (0, 3, -1)
+    }  # the run on the whole record was that of another start
     later = multistart(solver.nlp, solver, starts, kept=Kept(rest))
     assert_array_equal(later.runs.cost, whole.runs.cost)
     assert_array_equal(later.runs.estimate, whole.runs.estimate)
     assert_array_equal(later.minima[0].estimate, whole.minima[0].estimate)
 
 
-def test_a_search_runs_its_first_start_alone_and_starts_of_ones_own_as_they_are(solver, starts, monkeypatch):
+def test_a_search_runs_its_first_start_alone_and_starts_of_ones_own_as_they_are(
+    solver, starts, monkeypatch
+):
     by = []
     for kind in (GaussNewton, SharedRuns):
-        monkeypatch.setattr(kind, "run_together", lambda self, points: by.append(type(self)) or [self.run(points[0])])
+        monkeypatch.setattr(
+            kind,
+            "run_together",
+            lambda self, points: by.append(type(self)) or [self.run(points[0])],
+        )
     many = multistart(solver.nlp, solver, starts)
     assert by == [GaussNewton, *[SharedRuns] * 3]
     one = multistart(solver.nlp, solver, starts[:1])
-    assert (many.runs[0].cost, many.runs[0].iterations) == (one.runs[0].cost, one.runs[0].iterations)
+    assert (many.runs[0].cost, many.runs[0].iterations) == (
+        one.runs[0].cost,
+        one.runs[0].iterations,
+    )
     by.clear()
     multistart(solver.nlp, solver, starts[:2], movable=False)
     assert by == [GaussNewton] * 2

@@ -67,7 +67,9 @@ def solved(jacobians, gradients, weights, breads, slope):
     nlp = SimpleNamespace(
         free=("a", "b"),
         names=("a", "b", "c"),
-        scaling=SimpleNamespace(to_parameters=lambda z: z * 2 * np.array([1, -1]), slope=lambda x: slope),
+        scaling=SimpleNamespace(
+            to_parameters=lambda z: z * 2 * np.array([1, -1]), slope=lambda x: slope
+        ),
         all_values=lambda x: np.append(x, 9.0),
         parts=[part(*each) for each in zip(jacobians, weights, breads, strict=True)],
     )
@@ -80,11 +82,16 @@ def solved(jacobians, gradients, weights, breads, slope):
 def test_a_sharp_step_is_newtons_of_the_sum_of_squares():
     random = np.random.default_rng(2)
     jacobians = [random.normal(size=(n, 3)) * [1.0, 50.0, 1.0] for n in (6, 4)]
-    gradients, weights, breads = [np.array([1.0, -70.0]), np.array([0.5, 20.0])], [2.0, 3.0], [0.25, 7.0]
+    gradients, weights, breads = (
+        [np.array([1.0, -70.0]), np.array([0.5, 20.0])],
+        [2.0, 3.0],
+        [0.25, 7.0],
+    )
     slope = np.array([2.0, 0.1])
     step = solved(jacobians, gradients, weights, breads, slope)
     hessian = sum(
-        w * b * (J[:, :2] / slope).T @ (J[:, :2] / slope) for J, w, b in zip(jacobians, weights, breads, strict=True)
+        w * b * (J[:, :2] / slope).T @ (J[:, :2] / slope)
+        for J, w, b in zip(jacobians, weights, breads, strict=True)
     )
     gradient = 2 * gradients[0] + 3 * gradients[1]
     dz = -np.linalg.solve(hessian, gradient)

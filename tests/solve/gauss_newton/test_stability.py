@@ -35,7 +35,9 @@ class Gain:
 
     def simulated(self, z, nodes, *, simulated):
         assert simulated
-        return SimpleNamespace(gain=z[self.place], nodes=nodes, simulated=True, finite=not self.diverges)
+        return SimpleNamespace(
+            gain=z[self.place], nodes=nodes, simulated=True, finite=not self.diverges
+        )
 
     def steady_state(self, trajectory, process):
         return [float(variance[0]) if variance[0] < 1 else None for variance in process]
@@ -64,8 +66,12 @@ def test_predictors_are_stable_together_and_those_that_are_simulated_alone():
     lost = Iterate(np.zeros(2), (along(0.5), along(9.0), along(2.0)))
     assert not are_stable(parts, lost)
     assert are_stable(parts, lost, simulated=True)
-    assert not are_stable(parts, Iterate(lost.z, (*lost.trajectories[:2], along(2.0, simulated=True))), simulated=True)
-    assert are_stable(parts, Iterate(lost.z, (along(0.5, simulated=True), along(9.0, simulated=True), along(0.9))))
+    assert not are_stable(
+        parts, Iterate(lost.z, (*lost.trajectories[:2], along(2.0, simulated=True))), simulated=True
+    )
+    assert are_stable(
+        parts, Iterate(lost.z, (along(0.5, simulated=True), along(9.0, simulated=True), along(0.9)))
+    )
 
 
 @pytest.mark.parametrize(("gain", "began", "diverges", "simulated"), [
@@ -73,7 +79,9 @@ def test_predictors_are_stable_together_and_those_that_are_simulated_alone():
 ])  # fmt: skip
 def test_stable_predictors_are_simulated_where_they_stay_finite(gain, began, diverges, simulated):
     trajectory, other = along(gain, simulated=began, nodes=7.0), along(0.1)
-    found = simulate_stable(parts_of(Gain(0, diverges=diverges), None), Iterate(np.array([gain]), (trajectory, other)))
+    found = simulate_stable(
+        parts_of(Gain(0, diverges=diverges), None), Iterate(np.array([gain]), (trajectory, other))
+    )
     first, second = found.trajectories
     assert second is other
     assert (first.gain, first.nodes, first.simulated) == (gain, 7.0, simulated)
@@ -86,25 +94,35 @@ def test_steps_to_unstable_predictors_go_part_of_the_way_to_the_limit():
     z = np.array([0.9, 0.5])
     simulated = [along(v, simulated=True) for v in (0.9, 0.5, 9.0)]
     iterate = Iterate(z, tuple(simulated))
-    normals, limits = stability_constraints(parts, iterate, np.array([0.2, 0.4]))  # the first alone is lost
+    normals, limits = stability_constraints(
+        parts, iterate, np.array([0.2, 0.4])
+    )  # the first alone is lost
     assert_allclose(normals, -slopes[[0, 2]])
     assert_allclose(limits, -SETTINGS.stability_share * left[[0, 2]])
     assert len(stability_constraints(parts, iterate, np.array([0.2, 0.6]))[1]) == 4
     for none in (
         stability_constraints(parts, iterate, np.zeros(2)),
-        stability_constraints(parts, Iterate(z, (along(0.9), along(0.5), along(9.0))), np.array([0.2, 0.6])),
+        stability_constraints(
+            parts, Iterate(z, (along(0.9), along(0.5), along(9.0))), np.array([0.2, 0.6])
+        ),
     ):
         assert none[0].shape == (0, 2)
         assert none[1].shape == (0,)
 
 
-@pytest.mark.parametrize(("own", "taken"), [(10.0**-5.1, "own"), (10.0**-5.3, "filter"), (1.2, "filter")])
+@pytest.mark.parametrize(
+    ("own", "taken"), [(10.0**-5.1, "own"), (10.0**-5.3, "filter"), (1.2, "filter")]
+)
 def test_the_best_gains_are_those_of_the_cheapest_filters_of_one_size_or_the_own(own, taken):
     """In decades of gain, two parts want -4.1 and -6.1: the nearest filter is that of -5 for both."""
     parts = parts_of(Gain(0), None, Gain(1), weights=(1.0, 5.0, 1.0))
-    iterate = Iterate(np.array([own, own]), (along(own, nodes=-4.1), along(0.0), along(own, nodes=-6.1)))
+    iterate = Iterate(
+        np.array([own, own]), (along(own, nodes=-4.1), along(0.0), along(own, nodes=-6.1))
+    )
     found = best_gains(parts, iterate, [np.ones(1)] * 3)
-    assert_allclose(found, [own, own] if taken == "own" else SETTINGS.process_noise * np.array([1e-5, 1e-5]))
+    assert_allclose(
+        found, [own, own] if taken == "own" else SETTINGS.process_noise * np.array([1e-5, 1e-5])
+    )
 
 
 def test_a_weight_counts_and_what_no_filter_serves_stays():
