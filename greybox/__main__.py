@@ -4,7 +4,6 @@ import signal
 import sys
 
 from greybox.cli.main import main as run
-from greybox.cli.startup import end_guard
 from greybox.cli.terminal import make_writable
 
 
@@ -12,7 +11,6 @@ def main() -> int:
     """Run the command line as a process of its own, and return its exit status."""
     sys.unraisablehook = _unraisable
     make_writable()
-    end_guard()
     status = run()
     # Python still has to tidy up, which Ctrl-C would interrupt with a traceback.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

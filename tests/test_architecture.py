@@ -64,7 +64,7 @@ def forbidden(folder, names):
 
 def test_every_folder_is_in_the_table_of_contributing():
     there = {path.name for path in (ROOT / "greybox").iterdir() if path.name != "__pycache__"}
-    assert there - {"__init__.py", "__main__.py", "py.typed"} == set(FOLDERS)
+    assert there - {"__init__.py", "__init__.pyi", "__main__.py", "py.typed"} == set(FOLDERS)
 
 
 def test_imports_point_one_way():

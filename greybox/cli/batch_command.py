@@ -7,7 +7,6 @@ from typing import Any
 from greybox.cli.options import (
     UsageError,
     add_common_options,
-    add_parser,
     add_time_options,
     positive,
 )
@@ -30,11 +29,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands, "batch", "fit many problems, and lose nothing when killed", EXAMPLES
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add(
         "study",
@@ -57,7 +53,6 @@ def add_command(commands: Any) -> None:
     add_time_options(parser, "study")
     add_worker_options(parser)
     add_common_options(parser)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

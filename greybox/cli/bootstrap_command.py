@@ -2,9 +2,9 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
-from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative, positive
+from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.cli.startup import INTERRUPTED
@@ -18,11 +18,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands, "bootstrap", "errors and intervals from data drawn anew", EXAMPLES
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add_fit_argument(parser)
     add(
@@ -54,7 +51,6 @@ def add_command(commands: Any) -> None:
     )
     add_worker_options(parser)
     add_common_options(parser)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

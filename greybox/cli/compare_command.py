@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.batch_command import as_json
-from greybox.cli.options import UsageError, add_common_options, add_parser
+from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.study.study import read_study
@@ -19,9 +19,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "compare", "compare saved fits, or the fits of a study", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument(
         "results",
         nargs="+",
@@ -37,7 +36,6 @@ def add_command(commands: Any) -> None:
     )
     add_model_option(parser)
     add_common_options(parser)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -3,10 +3,9 @@
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from greybox.cli.catalog import shipped
-from greybox.cli.options import UsageError, add_common_options, add_parser
+from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import USABLE, Answer
 from greybox.files.optional_package import required
 
@@ -21,21 +20,14 @@ PROBLEMS = {
 }
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands,
-        "completion",
-        "print what a shell needs to complete commands and options",
-        EXAMPLES,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument(
         "shell",
         choices=SHELLS,
         help="which prints a script: keep it where the shell looks for such",
     )
     add_common_options(parser)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -44,14 +36,15 @@ def run(options: argparse.Namespace) -> Answer:
         shtab = required("shtab", "completion", "greybox completion")
     except ModuleNotFoundError as error:
         raise UsageError(str(error)) from None
-    for action in _actions(options.whole_parser):
+    parser = options.parser_of()
+    for action in _actions(parser):
         if action.dest == "problem" and not action.option_strings:
             action.complete = dict.fromkeys(PROBLEMS, "_greybox_problems") | {"tcsh": "f"}  # type: ignore[attr-defined]
         elif action.type is Path or action.metavar in ("FILE", "LOG", "STUDY"):
             action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE  # type: ignore[attr-defined]
     names = " ".join(shipped("problems"))
     preamble = {shell: function.format(names=names) for shell, function in PROBLEMS.items()}
-    script = shtab.complete(options.whole_parser, shell=options.shell, preamble=preamble)
+    script = shtab.complete(parser, shell=options.shell, preamble=preamble)
     return {"shell": options.shell, "script": script}, script, USABLE
 
 

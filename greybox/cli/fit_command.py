@@ -10,7 +10,6 @@ from typing import Any
 from greybox.cli.options import (
     UsageError,
     add_common_options,
-    add_parser,
     add_time_options,
     nonnegative,
     positive,
@@ -44,9 +43,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "fit", "fit a problem from many starts", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add_problem_options(parser)
     number = parser.add_mutually_exclusive_group()
     number.add_argument(
@@ -79,7 +77,6 @@ def add_command(commands: Any) -> None:
     add_time_options(parser, "fit")
     add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

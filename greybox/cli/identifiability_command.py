@@ -8,7 +8,6 @@ from greybox.cli.catalog import find_model
 from greybox.cli.options import (
     UsageError,
     add_common_options,
-    add_parser,
     assignments,
     nonnegative,
     positive,
@@ -30,10 +29,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    about = "which parameters a structure could tell before any data, or a fit has told"
-    parser = add_parser(commands, "identifiability", about, EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add(
         "subject",
@@ -66,7 +63,6 @@ def add_command(commands: Any) -> None:
     add("--seed", type=nonnegative, metavar="N", help="of the points, 0 by default")
     add_model_option(parser)
     add_common_options(parser)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -8,7 +8,7 @@ from typing import Any
 
 from greybox.cli.catalog import find_model
 from greybox.cli.log_tests import read_log
-from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative, positive
+from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_choices
 from greybox.data.response_file import write_response
@@ -25,9 +25,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "identify", "go from a log to a fitted model in one go", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
     add(
@@ -70,7 +69,6 @@ def add_command(commands: Any) -> None:
         help="begin the names of response, result and figure with this (default: the name of the log, in this folder)",
     )
     add_common_options(parser, writes=True)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
-from greybox.cli.options import add_common_options, add_parser
+from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
@@ -28,18 +28,14 @@ EXAMPLES = (
 BURSTS = 0.05  # of the samples that a gap precedes, above which a message comes in bursts: a lossy log drops 1 % or less
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands, "inspect", "show what a log holds, its test segments and its defects", EXAMPLES
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
     add_test_options(parser)
     parser.add_argument(
         "--vibration", type=Path, metavar="FILE", help="draw spectra of gyros and accelerometers"
     )
     add_common_options(parser, "setpoints, angles and tests")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

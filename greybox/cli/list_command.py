@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
-from greybox.cli.options import add_common_options, add_parser
+from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer
 from greybox.files.json_numbers import finite
 from greybox.files.text_table import number, text_table
@@ -20,14 +20,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands,
-        "list",
-        "list the included models and problems, with equations and sources",
-        EXAMPLES,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument(
         "name",
         nargs="?",
@@ -35,7 +29,6 @@ def add_command(commands: Any) -> None:
         help="show the details of one: a problem, or a model such as tilt:Tilt",
     )
     add_common_options(parser)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -4,9 +4,8 @@ import argparse
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, add_parser
+from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.starting_files import model_file, problem_file
 from greybox.files.safe_files import write_text
@@ -36,9 +35,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "new", "write a commented file to start from", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument(
         "kind",
         choices=("model", "problem"),
@@ -51,7 +49,6 @@ def add_command(commands: Any) -> None:
         "--in-time", action="store_true", help="an ODE and a record, not a transfer function"
     )
     add_common_options(parser, writes=True)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -4,7 +4,7 @@ import argparse
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 Value = TypeVar("Value")
 
@@ -23,22 +23,6 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
         """Return the help."""
         self._action_max_length += 2  # argparse does not count the indentation of commands
         return super().format_help()
-
-
-def add_parser(
-    commands: Any, name: str, about: str, examples: Sequence[str]
-) -> argparse.ArgumentParser:
-    """Add a command, whose help ends with examples: lines as a user would type them, after ``greybox``."""
-    return commands.add_parser(
-        name,
-        help=about,
-        description=f"{about[0].upper()}{about[1:]}.",
-        epilog="\n".join(
-            ["examples:", *(f"  greybox {name} {example}".rstrip() for example in examples)]
-        ),
-        formatter_class=HelpFormatter,
-        allow_abbrev=False,
-    )
 
 
 def add_common_options(

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.columns import add_columns_option, stated_columns
-from greybox.cli.options import add_common_options, add_parser, nonnegative, positive
+from greybox.cli.options import add_common_options, nonnegative, positive
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
 from greybox.data.response_file import read_response
@@ -20,11 +20,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands, "orders", "choose the orders of a rational transfer function", EXAMPLES
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add(
         "response",
@@ -66,7 +63,6 @@ def add_command(commands: Any) -> None:
     add("--seed", type=nonnegative, default=0, help="of the starts, 0 by default")
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
     add_common_options(parser, "BIC over the number of parameters")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -1,12 +1,16 @@
 """What a command gives: the answer as JSON and as text, the exit status, files and figures."""
 
+import json
 import os
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
+from greybox.cli.terminal import colored, has_all_characters, write
 from greybox.files.safe_files import replacing
+from greybox.files.text_table import printable
 
 Answer = tuple[dict[str, Any], str, int]
 """The JSON object, the text for a person, and the exit status."""
@@ -18,6 +22,21 @@ BAD_INPUT = 2  # bad usage or bad input
 FIGURES = (".png", ".pdf", ".svg")
 
 NO_WORKING_DIRECTORY = "the working directory was removed: change to one that exists."
+
+
+def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
+    """Write an answer to standard output, or its error to standard error; return the exit status."""
+    if "error" in result:
+        write(colored(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr), sys.stderr)
+
+    # The text contains names from files, which may hold control characters.
+    text = colored(printable(text, keep="\n\t"), sys.stdout)
+    if as_json and result:
+        text = json.dumps(result, allow_nan=False, ensure_ascii=not has_all_characters(sys.stdout))
+    trouble = write(text, sys.stdout) if text else ""
+    if trouble:
+        write(f"greybox: cannot write to standard output: {trouble}.", sys.stderr)
+    return FAILED if trouble and status == USABLE else status
 
 
 def has_working_directory() -> bool:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import read_log
-from greybox.cli.options import add_common_options, add_parser
+from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_choices
 from greybox.identification.choices import choose
@@ -17,9 +17,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "plot", "draw the tests of a log and their response", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
     add(
@@ -42,7 +41,6 @@ def add_command(commands: Any) -> None:
         help="png, pdf or svg file (default: the name of the log, in this folder)",
     )
     add_common_options(parser, writes=True)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative
+from greybox.cli.options import UsageError, add_common_options, nonnegative
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.cli.workers import add_worker_options, stated_executor
@@ -18,9 +18,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "profile", "intervals that need not be symmetric", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add_fit_argument(parser)
     parser.add_argument(
         "names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default"
@@ -42,7 +41,6 @@ def add_command(commands: Any) -> None:
     )
     add_worker_options(parser)
     add_common_options(parser, figure="the profiles")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

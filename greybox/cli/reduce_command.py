@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from greybox.cli.options import add_common_options, add_parser, positive
+from greybox.cli.options import add_common_options, positive
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import (
     add_fit_argument,
@@ -22,14 +22,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands,
-        "reduce",
-        "the smaller structure that a fit suggests, fitted and compared",
-        EXAMPLES,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add_fit_argument(parser)
     parser.add_argument(
         "--starts",
@@ -39,7 +33,6 @@ def add_command(commands: Any) -> None:
     )
     add_out_option(parser, "save the fit of the smaller structure to this HDF5 file")
     add_common_options(parser, writes=True)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -8,7 +8,7 @@ from typing import Any
 
 from greybox.cli.batch_command import ORIGIN
 from greybox.cli.data_file import read_data
-from greybox.cli.options import UsageError, add_common_options, add_parser
+from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.data.record import Record
@@ -28,9 +28,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "report", "write a page about results, to hand on", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add(
         "results",
@@ -71,7 +70,6 @@ def add_command(commands: Any) -> None:
     )
     add("--title", default="", help="heading of the page (default: the name of the fit)")
     add_common_options(parser, writes=True)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

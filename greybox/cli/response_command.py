@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, stated_fields
-from greybox.cli.options import UsageError, add_common_options, add_parser
+from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.data.record import Recording
 from greybox.data.response_file import HDF5, write_response, write_responses
@@ -26,9 +26,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(commands, "response", "measure a frequency response from a log", EXAMPLES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
     add(
@@ -67,7 +66,6 @@ def add_command(commands: Any) -> None:
         help="draw control, output and setpoint of the first test",
     )
     add_common_options(parser, "Bode diagram and coherence")
-    parser.set_defaults(command=run)
 
 
 def add_measurement_options(parser: argparse.ArgumentParser) -> None:

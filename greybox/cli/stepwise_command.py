@@ -4,7 +4,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, add_parser, positive, probability
+from greybox.cli.options import UsageError, add_common_options, positive, probability
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
 from greybox.cli.stated_problem import add_problem_options, stated_problem
@@ -19,14 +19,8 @@ EXAMPLES = (
 )
 
 
-def add_command(commands: Any) -> None:
-    """Declare the command and its options."""
-    parser = add_parser(
-        commands,
-        "stepwise",
-        "choose terms of a model from a list of candidates, by tests",
-        EXAMPLES,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add_problem_options(parser)
     parser.add_argument(
         "--candidates",
@@ -49,7 +43,6 @@ def add_command(commands: Any) -> None:
     )
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
     add_common_options(parser, writes=True)
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:

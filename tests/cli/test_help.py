@@ -12,12 +12,12 @@ import sys
 import pytest
 from command_line import OWN, refused, run
 
-from greybox.cli.main import _parser
+from greybox.cli.main import parser_of
 from greybox.cli.terminal import colored, no_terminal
 
 (COMMANDS,) = (
     action.choices
-    for action in _parser()._actions
+    for action in parser_of()._actions
     if isinstance(action, argparse._SubParsersAction)
 )
 
@@ -32,7 +32,7 @@ def test_every_command_has_examples_that_are_understood(capsys, name):
     assert examples
     for line in examples:
         words = shlex.split(line.partition(" > ")[0])
-        assert _parser().parse_args(words).command  # a mistake would raise UsageError
+        assert parser_of().parse_args(words).command  # a mistake would raise UsageError
     assert max(map(len, out.splitlines())) < 130
 
 
@@ -116,7 +116,7 @@ def test_without_shtab_the_sentence_names_the_extra(capsys, monkeypatch):
 
 
 def test_the_orders_that_are_tried_are_those_that_are_told():
-    options = _parser().parse_args(["orders", "response.csv"])
+    options = parser_of().parse_args(["orders", "response.csv"])
     told = re.search(
         r"--n .*?([\d ]+) by default.*--integrators .*?([\d ]+) by default",
         " ".join(COMMANDS["orders"].format_help().split()),

@@ -6,8 +6,8 @@ import sys
 import pytest
 from command_line import OWN, refused, run
 
-import greybox.cli.main as main_module
-from greybox.cli.output import BAD_INPUT, FAILED, USABLE
+from greybox.cli import output
+from greybox.cli.output import BAD_INPUT, FAILED, USABLE, write_answer
 
 
 @pytest.mark.parametrize(
@@ -116,8 +116,8 @@ def test_what_a_users_file_prints_stays_off_standard_output(capsys, own):
 @pytest.mark.parametrize(("status", "told"), [(USABLE, FAILED), (BAD_INPUT, BAD_INPUT), (130, 130)])
 def test_an_answer_that_cannot_be_written_is_a_failure(capsys, monkeypatch, status, told):
     monkeypatch.setattr(
-        main_module, "write", lambda text, stream: "disk full" if stream is sys.stdout else ""
+        output, "write", lambda text, stream: "disk full" if stream is sys.stdout else ""
     )
-    assert main_module._tell({}, "an answer", status, False) == told
-    monkeypatch.setattr(main_module, "write", lambda text, stream: "")
-    assert main_module._tell({}, "an answer", status, False) == status
+    assert write_answer({}, "an answer", status, False) == told
+    monkeypatch.setattr(output, "write", lambda text, stream: "")
+    assert write_answer({}, "an answer", status, False) == status

@@ -1,0 +1,96 @@
+"""Running a command: its answer, what becomes of Ctrl-C, and errors as sentences."""
+
+import argparse
+import contextlib
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from greybox.cli.options import UsageError
+from greybox.cli.output import (
+    BAD_INPUT,
+    FAILED,
+    NO_WORKING_DIRECTORY,
+    Answer,
+    has_working_directory,
+    write_answer,
+)
+from greybox.cli.startup import INTERRUPTED
+from greybox.cli.terminal import no_terminal
+from greybox.modeling.model_reference import UnknownModelError
+from greybox.solve.interruption import Response, listening, responding, take_interrupt
+
+
+def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
+    """Run the command of the parsed `options`, write its answer, and return the exit status."""
+    with listening():
+        answer = _answer(options, arguments)
+        with responding(Response.FINISH):
+            status = write_answer(*answer, options.json)
+        return INTERRUPTED if take_interrupt() else status
+
+
+def _answer(options: argparse.Namespace, arguments: Sequence[str]) -> Answer:
+    """Run the command; an error is an answer too."""
+    with contextlib.ExitStack() as streams:
+        if options.quiet:  # no progress bars
+            streams.enter_context(contextlib.redirect_stderr(no_terminal(sys.stderr)))
+        if options.json:  # what a user's own file prints must not reach standard output
+            streams.enter_context(contextlib.redirect_stdout(sys.stderr))
+        try:
+            result, text, status = options.command(options)
+            return result, "" if options.quiet else text, status
+        except SystemExit:
+            return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
+        except Exception as error:
+            if take_interrupt():  # Ctrl-C caused the error
+                raise KeyboardInterrupt from error
+            if options.debug:
+                traceback.print_exc()
+            sentence, status = _explain(error, arguments)
+            return {"error": sentence}, "", status
+
+
+def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
+    """Return an exception as one sentence with an exit status.
+
+    For an error inside a user's own file the sentence names file and line.
+    """
+    is_key_error = isinstance(error, KeyError) and error.args
+    message = error.args[0] if is_key_error else error  # str() of a KeyError adds quotes
+    sentence = " ".join(str(message).split()) or type(error).__name__
+    if isinstance(error, UnknownModelError):
+        sentence = f"{error.missing}: give its file, --model my.py."
+    if isinstance(error, UsageError):
+        return sentence, BAD_INPUT
+
+    # The user's files by their full path, as they were written on the command line.
+    files = {
+        _full_path(m[1]): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))
+    }
+    if isinstance(error, SyntaxError) and error.filename and _full_path(error.filename) in files:
+        return f"{files[_full_path(error.filename)]}, line {error.lineno}: {error.msg}.", BAD_INPUT
+
+    causes = [error, *([error.__cause__] if error.__cause__ else [])]
+    frames = [frame for cause in causes for frame in traceback.extract_tb(cause.__traceback__)]
+    last = next((frame for frame in reversed(frames) if _full_path(frame.filename) in files), None)
+    if last is not None:
+        place = f"{files[_full_path(last.filename)]}, line {last.lineno}"
+        return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
+
+    if isinstance(error, FileNotFoundError) and not has_working_directory():
+        return NO_WORKING_DIRECTORY, BAD_INPUT
+    if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
+        return sentence, BAD_INPUT
+    sentence = f"internal error, {type(error).__name__}: {sentence}"
+    return f"{sentence}; run again with --debug and report it.", FAILED
+
+
+def _full_path(path: str) -> Path:
+    """Return the path from the root, or as it is where there is no working directory."""
+    try:
+        return Path(path).resolve()
+    except FileNotFoundError:
+        return Path(path)
