@@ -4,7 +4,12 @@
 | --- | --- |
 | `main` | the commands, and the parser of their options |
 | `execution` | runs a command; errors become sentences |
-| `list_command`, `inspect_command`, `identify_command`, `response_command`, `orders_command`, `identifiability_command`, `fit_command`, `plot_command`, `profile_command`, `bootstrap_command`, `reduce_command`, `stepwise_command`, `batch_command`, `compare_command`, `report_command`, `new_command`, `completion_command` | one command each: EXAMPLES, `add_options`, `run` |
+| `list_command`, `new_command`, `completion_command` | models and problems: included ones, new ones |
+| `inspect_command`, `plot_command`, `response_command`, `identify_command` | logs |
+| `orders_command`, `identifiability_command` | structures |
+| `fit_command`, `profile_command`, `bootstrap_command` | fits and their errors |
+| `reduce_command`, `stepwise_command`, `compare_command`, `report_command` | several fits |
+| `batch_command` | studies |
 | `options`, `workers` | options that several commands share |
 | `output` | what a command gives: answer, exit status, files, figures |
 | `stated_problem`, `parameter_options` | the problem that the options of `greybox fit` describe |
