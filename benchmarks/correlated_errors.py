@@ -19,8 +19,7 @@ from scipy.stats import t as student
 
 from greybox.compiled.record_information import colored_errors
 from greybox.estimate.diagnostics.records import NARROW
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, BoolArray
 
 STEP = 0.05  # s
 SENSOR = 0.05  # standard deviation of the white noise
@@ -159,9 +158,9 @@ class Cell:
     plant: Plant
     errors: Errors
     samples: int
-    holds: NDArray[np.bool_]
+    holds: BoolArray
     scaled: Array
-    rough: NDArray[np.bool_]
+    rough: BoolArray
 
     @property
     def times(self) -> float:

@@ -16,7 +16,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+
+from greybox.files.arrays import Array
 
 GRAVITY = 9.8065  # m/s², the paper's
 STEP = 0.01  # s
@@ -65,8 +66,8 @@ def sx_slopes(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
 class Flight:
     """A record at 100 Hz: `y` (3, n) holds v, q and theta with noise; `u` (n,) is held over a sample."""
 
-    u: NDArray[np.float64]
-    y: NDArray[np.float64]
+    u: Array
+    y: Array
 
 
 def fly(samples: int, seed: int = 0) -> Flight:
@@ -87,7 +88,7 @@ def fly(samples: int, seed: int = 0) -> Flight:
     return Flight(u=seen[0], y=seen[1:] + noise)
 
 
-def multisine(samples: int) -> NDArray[np.float64]:
+def multisine(samples: int) -> Array:
     """Return 24 sines between 0.05 and 5 Hz with the phases of Schroeder, periodic in 60 s."""
     time = STEP * np.arange(min(samples, 6000))
     turns = np.unique(np.round(np.geomspace(3, 300, 24)))  # whole turns in 60 s
@@ -116,7 +117,7 @@ def shooting_segment(length: int) -> ca.Function:
     return ca.Function("segment", [x0, u, y, p], [ca.horzcat(*residuals), x])
 
 
-def smoothed(y: NDArray[np.float64]) -> NDArray[np.float64]:
+def smoothed(y: Array) -> Array:
     """Return the mean of five neighbors, as good a guess of the states as a line of code gives."""
     padded = np.pad(y, ((0, 0), (2, 2)), mode="edge")
     return np.mean([padded[:, k : k + y.shape[1]] for k in range(5)], axis=0)
@@ -151,7 +152,7 @@ class NonlinearProgram:
             "ubg": 0,
         }
 
-    def solve(self, start: NDArray[np.float64]) -> dict[str, Any]:
+    def solve(self, start: Array) -> dict[str, Any]:
         """Return `estimate`, `cost`, `status` and `iterations` from one start of the parameters."""
         answer = self.solver(x0=np.r_[start / SCALE, self.guess], **self.bounds)
         self.unknowns = answer["x"]
@@ -162,7 +163,7 @@ class NonlinearProgram:
             "iterations": self.solver.stats()["iter_count"],
         }
 
-    def standard_errors(self) -> NDArray[np.float64]:
+    def standard_errors(self) -> Array:
         """Return those of the parameters: the head of the inverse of the KKT matrix at the last solution."""
         from scipy.sparse import block_array  # noqa: PLC0415  (no part of what is timed)
         from scipy.sparse.linalg import splu  # noqa: PLC0415
@@ -286,19 +287,19 @@ class ShortSegments:
         self.free = free
         self.heads = smoothed(flight.y)[:, ::SECOND] if free else self.y[0]
 
-    def unknowns(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unknowns(self, start: Array) -> Array:
         """Return the scaled parameters and, where they are unknown, the head states over the noise."""
         return np.r_[start / SCALE, (self.heads / SIGMA).ravel() if self.free else ()]
 
-    def _parts(self, w: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _parts(self, w: Array) -> tuple[Array, Array]:
         n = len(TRUTH)
         return w[:n] * SCALE, w[n:].reshape(3, -1) * SIGMA if self.free else self.heads
 
-    def residuals(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(self, w: Array) -> Array:
         """Return the standardized residuals, time first."""
         return ((simulated(*self._parts(w), self.u) - self.y) / SIGMA).ravel()
 
-    def jacobian(self, w: NDArray[np.float64]) -> Any:
+    def jacobian(self, w: Array) -> Any:
         """Return forward differences; sparse where the heads are unknown."""
         p, heads = self._parts(w)
         n, m = len(TRUTH), len(TRUTH) + 3 * self.free
@@ -313,7 +314,7 @@ class ShortSegments:
         dense = quotients[:, :, :n].transpose(0, 1, 3, 2).reshape(-1, n)
         return self._with_heads(dense, quotients[:, :, n:]) if self.free else dense
 
-    def _with_heads(self, dense: NDArray[np.float64], quotients: NDArray[np.float64]) -> Any:
+    def _with_heads(self, dense: Array, quotients: Array) -> Any:
         from scipy.sparse import csr_array, hstack  # noqa: PLC0415  (the references import what they use themselves)
 
         rows = np.arange(quotients.size // 3).reshape(*quotients.shape[:2], 1, self.segments)
@@ -323,7 +324,7 @@ class ShortSegments:
 
 
 def segment_fit(
-    flight: Flight, start: NDArray[np.float64], free: bool = False, errors: bool = False
+    flight: Flight, start: Array, free: bool = False, errors: bool = False
 ) -> dict[str, Any]:
     """Return `estimate`, `cost`, `status` and `iterations`, and `standard_error` if asked for."""
     from scipy.optimize import least_squares  # noqa: PLC0415  (the references import what they use themselves)

@@ -11,12 +11,10 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.code_generation import compiled
 from greybox.compiled.vectorized import CHUNK, Columns
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 # Instructions of cost, gradient and Hessian, some two for every operation of the cost and input,
 # from which terms are taken together also for few columns: a step of eight searches on ten points

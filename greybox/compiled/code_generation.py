@@ -12,11 +12,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.library_cache import keep_library, kept_library
+from greybox.files.arrays import Array
 
-Array = NDArray[np.float64]
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O2", "-fPIC", "-shared")
 NAME = "linearization_of_all"

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.explicit_program import derivatives_at, explicit_program, roots_of
 from greybox.compiled.limits import limits_of, stacked
@@ -22,6 +21,7 @@ from greybox.compiled.transient_part import compile_spectrum
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import Array
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
@@ -33,7 +33,6 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.trim import Trimmed
 
 AnyProblem = Problem | Sum[Problem]
-Array = NDArray[np.float64]
 
 # Frequencies times parameters below which no formula makes a response `LARGE` (which takes 300
 # instructions here).

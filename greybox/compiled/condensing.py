@@ -16,9 +16,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, BoolArray
 
 # Segments from which a chain is long: of fewer, a solver takes less than 50 MB.
 LONG_CHAIN = 10_000
@@ -27,7 +26,7 @@ LONG_CHAIN = 10_000
 def solve_continuity(
     hessian: Array,
     transition: Array,
-    coupled: NDArray[np.bool_],
+    coupled: BoolArray,
     stationarity: Array,
     continuity: Array,
     variance: Array,

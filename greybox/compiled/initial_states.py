@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.strategies import Strategies
 from greybox.compiled.vectorized import Columns
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.modeling.realization import Dynamics
 
-Array = NDArray[np.float64]
 GOLDEN = (
     5**0.5 - 1
 ) / 2  # whose multiples modulo one are spread more evenly than those of any other number
@@ -80,7 +79,7 @@ class InitialStates:
             states[shown.state] = (measured[shown.output] - shown.offset) / shown.factor
         return states
 
-    def poles(self, states: Array, inputs: Array, p: Array) -> NDArray[np.complex128]:
+    def poles(self, states: Array, inputs: Array, p: Array) -> ComplexArray:
         """Return the poles (s, n) of the linearizations at states (n, s), without those that are not finite."""
         matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(
             inputs.shape[1], self._n, self._n
@@ -88,7 +87,7 @@ class InitialStates:
         return np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).astype(complex)
 
     def _sized(
-        self, states: Array, hidden: NDArray[np.integer], measured: Array, inputs: Array, p: Array
+        self, states: Array, hidden: IntArray, measured: Array, inputs: Array, p: Array
     ) -> Array:
         """Return the states with the best sizes of the hidden ones: of all together, then of each."""
         best, least = states, self._score(states, measured, inputs, p)
@@ -117,7 +116,7 @@ class InitialStates:
 
     def _judged(
         self, states: Array, measured: Array, inputs: Array, p: Array
-    ) -> tuple[NDArray[np.bool_], Array]:
+    ) -> tuple[BoolArray, Array]:
         """Return at which samples the model is finite (s,), and by how much its outputs miss (s,), in their spread."""
         f, y, slopes = self._model(states, inputs, p)
         finite = np.asarray(np.isfinite(np.vstack([f, y, slopes])).all(axis=0))

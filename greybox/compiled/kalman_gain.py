@@ -12,13 +12,11 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import Placed, RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, IntArray
 
 # Excerpts, evenly over a record, on which candidates of a gain are compared.
 EXCERPTS = 3
@@ -45,10 +43,10 @@ class KalmanGain:
     """
 
     part: RecordPart
-    states: NDArray[np.integer]
-    outputs: NDArray[np.integer]
-    places: NDArray[np.integer]
-    unknowns: NDArray[np.integer]
+    states: IntArray
+    outputs: IntArray
+    places: IntArray
+    unknowns: IntArray
     names: tuple[str, ...]
 
     @cached_property

@@ -21,12 +21,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.statistics.error_spectrum import ErrorSpectrum
-
-Array = NDArray[np.float64]
 
 TIME_BINS = (
     200  # parts of a record by which it is said what tells of a parameter: what a figure can show

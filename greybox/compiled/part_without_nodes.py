@@ -4,11 +4,10 @@ from abc import abstractmethod
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.part import Condensed, Part, Trajectory
+from greybox.files.arrays import Array
 
-Array = NDArray[np.float64]
 NO_NODES = np.zeros((0, 0))
 
 

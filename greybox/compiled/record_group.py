@@ -13,15 +13,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import Along, Placed, RecordPart
 from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.sampled_data import joined
 from greybox.compiled.segments import Segments
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, IntArray
 
 # Simulated samples of every output by which runs are told apart, over all records.
 SIGNATURE = 500
@@ -113,7 +111,7 @@ class RecordGroup(RecordPart):
     # --- what differs between the records
 
     @cached_property
-    def _located(self) -> tuple[ca.Function, NDArray[np.integer]]:
+    def _located(self) -> tuple[ca.Function, IntArray]:
         """What `RecordPart.place` asks for of every distinct record, as one function of z; and of each its place."""
         distinct = {id(part.model.locate): part.model for part in self.parts}
         places = {key: k for k, key in enumerate(distinct)}

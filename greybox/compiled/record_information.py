@@ -10,12 +10,10 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.part import ColoredErrors
+from greybox.files.arrays import Array
 from greybox.statistics.residual_spectrum import colored_information, product_over_time
-
-Array = NDArray[np.float64]
 
 # Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
 # finite variance.

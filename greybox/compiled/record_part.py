@@ -10,7 +10,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.condensing import forget_long_chain, solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
@@ -42,6 +41,7 @@ from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
@@ -52,8 +52,6 @@ from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
 from greybox.statistics.metrics import whiteness
 from greybox.statistics.residual_spectrum import score_covariance
-
-Array = NDArray[np.float64]
 
 # Share of records whose white residuals are not taken as such.
 WHITE = 0.01
@@ -165,10 +163,10 @@ class RecordModel:
     gains: tuple[tuple[str, str], ...]
     driven: tuple[str, ...]
     begin: Array
-    active: NDArray[np.integer]
+    active: IntArray
     locate: ca.Function
     initial: ca.Function
-    known_states: NDArray[np.bool_]
+    known_states: BoolArray
     initial_states: InitialStates
     steps: dict[tuple[Integrator, int], SampleStep]
     expressions: tuple[int, ...]

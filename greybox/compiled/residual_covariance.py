@@ -5,12 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
-
-Array = NDArray[np.float64]
 
 # Of a signal's own spread: residuals below are rounding, and their variance is not taken for
 # smaller.
@@ -69,7 +67,7 @@ class ResidualCovariance:
     filter, is that of a single record.
     """
 
-    counts: NDArray[np.integer]
+    counts: IntArray
     spread: Array
     known: Array | None
     full: bool
@@ -129,7 +127,7 @@ class ResidualCovariance:
         counts, spread = _counts_and_spread(measured)
         return replace(self, counts=counts, spread=spread)
 
-    def of(self, records: NDArray[np.integer]) -> "ResidualCovariance":
+    def of(self, records: IntArray) -> "ResidualCovariance":
         """Return that of these records, in this order; the same where there is one for all."""
         if self.counts.ndim == 1:
             return self
@@ -177,7 +175,7 @@ def residual_covariance_of(
     return ResidualCovariance(*_counts_and_spread(measured), known, criterion.noise == "full")
 
 
-def _counts_and_spread(measured: Array) -> tuple[NDArray[np.integer], Array]:
+def _counts_and_spread(measured: Array) -> tuple[IntArray, Array]:
     """Return how often each output (k, samples) was measured, and how far it spreads."""
     present = np.isfinite(measured)
     rows = [row[there] for row, there in zip(measured, present, strict=True)]

@@ -15,9 +15,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.modeling.complex_arithmetic import Complex
 
 # Instructions of the formula, times frequencies, times parameters, from which responses are mapped:
@@ -27,8 +26,6 @@ LARGE = 300_000
 # Rows of φ'' in the column of one number: two where a cost is a sum over the frequencies, real and
 # imaginary part of one; all where it is a function of such sums, as a logarithm.
 SPARSE = 4
-
-Array = NDArray[np.float64]
 
 
 class Mapped(NamedTuple):

@@ -6,10 +6,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.part import CorrelatedPoints, Information, Program, Trajectory
 from greybox.compiled.part_without_nodes import NO_NODES, PartWithoutNodes
+from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -18,9 +18,6 @@ from greybox.statistics.neighbor_correlation import (
     averaged_meat,
     neighbor_correlation,
 )
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # Under the root of |e|² while a solver is at work, see `Criterion.cost`: 1e-14 takes about twice
 # the time, and 1e-8 moves the cost by 6e-5 at most.
@@ -93,12 +90,12 @@ class ResponsePart(PartWithoutNodes):
         """Two for every frequency."""
         return 2 * len(self.data)
 
-    def response(self, values: Array) -> Complexes:
+    def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""
         parts = np.asarray(self.model_response(values)).reshape(2, -1)
         return parts[0] + 1j * parts[1]
 
-    def sensitivity(self, values: Array) -> Complexes:
+    def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
         parts = np.asarray(ca.DM(self._slope(values))).reshape(2, -1, len(values))
         return parts[0] + 1j * parts[1]
@@ -268,7 +265,7 @@ class ResponseProgram(Program):
         return float(self._part.objective(z, 0.0)), w, True
 
 
-def _complex(stacked: Array) -> Complexes:
+def _complex(stacked: Array) -> ComplexArray:
     """Return rows (2n, k), real parts first, as complex ones (n, k)."""
     n = len(stacked) // 2
     return stacked[:n] + 1j * stacked[n:]

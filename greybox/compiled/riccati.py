@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, BoolArray, IntArray
 
 # Doublings of the time after which a filter counts as steady: 2^60 samples.
 DOUBLINGS = 60
@@ -111,10 +109,10 @@ class NoiseModel:
 
     linear: ca.Function
     step: float
-    driven: NDArray[np.integer]
-    intensities: NDArray[np.integer]
-    deviations: NDArray[np.integer]
-    columns: NDArray[np.bool_]
+    driven: IntArray
+    intensities: IntArray
+    deviations: IntArray
+    columns: BoolArray
 
     @np.errstate(over="ignore", invalid="ignore")
     def at(self, q: Array) -> SteadyFilter:
@@ -159,7 +157,7 @@ def noise_model(
     step: float,
     reference: tuple[Array, Array],
     names: Sequence[str],
-    active: NDArray[np.integer],
+    active: IntArray,
     driven: Sequence[str],
     outputs: Sequence[str],
 ) -> NoiseModel:
@@ -193,7 +191,7 @@ def noise_model(
     )
 
 
-def reached(F: Array, states: NDArray[np.integer]) -> NDArray[np.bool_]:
+def reached(F: Array, states: IntArray) -> BoolArray:
     """Return which states (n,) follow some of them, at once or by way of others, over a transition F (n, n)."""
     found = np.zeros(len(F), dtype=bool)
     found[states] = True
@@ -248,9 +246,9 @@ def _congruence(F: Array, dF: Array, W: Array, dW: Array) -> Array:
 
 def _diagonal(
     q: Array,
-    rows: NDArray[np.integer],
-    places: NDArray[np.integer],
-    columns: NDArray[np.bool_],
+    rows: IntArray,
+    places: IntArray,
+    columns: BoolArray,
     size: int,
 ) -> tuple[Array, Array]:
     """Return the diagonal matrix (size, size) of squares of q at `places`, and its derivatives (free, size, size)."""

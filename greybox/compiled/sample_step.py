@@ -12,15 +12,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import input_over_step
 from greybox.compiled.vectorized import Columns
+from greybox.files.arrays import Array
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function
 from greybox.modeling.realization import Dynamics
 
-Array = NDArray[np.float64]
 RUN = 100  # samples of one call: the call's overhead of 12 µs is then a tenth of a microsecond a sample
 
 

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.record import Record
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
-
-Array = NDArray[np.float64]
 
 # Of a step: how far samples may lie from uniform ones. A quarter keeps every sample nearest to its
 # own place.
@@ -58,7 +57,7 @@ class Stretch:
 
     inputs: Array
     outputs: Array
-    rows: NDArray[np.integer]
+    rows: IntArray
     step: float
     masked: int = 0
 
@@ -97,12 +96,12 @@ class SampledData:
         return self.segments * self.segment_length
 
     @property
-    def begins_stretch(self) -> NDArray[np.bool_]:
+    def begins_stretch(self) -> BoolArray:
         """Which segments (s,) begin a stretch."""
         return np.concatenate([np.arange(count) == 0 for count in self.segment_counts])
 
     @property
-    def begins_record(self) -> NDArray[np.bool_]:
+    def begins_record(self) -> BoolArray:
         """Which segment (s,), if any, begins with the first sample of the record."""
         counts = zip(self.segment_counts, self.stretches, strict=True)
         return np.concatenate(
@@ -110,7 +109,7 @@ class SampledData:
         )
 
     @property
-    def coupled(self) -> NDArray[np.bool_]:
+    def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.concatenate([np.arange(count) < count - 1 for count in self.segment_counts])
 
@@ -319,7 +318,7 @@ def _stretch(
     time: Array,
     inputs: Array,
     outputs: Array,
-    rows: NDArray[np.integer],
+    rows: IntArray,
     leads: Array,
     alone: float,
 ) -> Stretch:

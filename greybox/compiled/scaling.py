@@ -7,11 +7,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +17,7 @@ class Scaling:
     """Parameters x and the solver's variables z, (..., p) each: x = factor · z, or x = exp(z)."""
 
     factor: Array
-    logarithmic: NDArray[np.bool_]
+    logarithmic: BoolArray
 
     def to_solver(self, x: Array) -> Array:
         """Return z for x, along the last axis."""

@@ -16,13 +16,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.code_generation import CompiledLinearization
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import Columns
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, IntArray
 
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
@@ -82,10 +80,10 @@ class Segments:
         step: SampleStep,
         count: int,
         length: int,
-        active: NDArray[np.integer],
+        active: IntArray,
         compile_linearization: bool = False,
         *,
-        records: NDArray[np.integer] | None = None,
+        records: IntArray | None = None,
         own: tuple[int, ...] = (),
     ) -> None:
         """Prepare the functions of `step`; `compile_linearization` translates the linearization to C."""
@@ -424,7 +422,7 @@ class Segments:
         return np.ascontiguousarray(self._propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
     def _differences(
-        self, states: Array, q: Array, data: Array, columns: NDArray[np.integer]
+        self, states: Array, q: Array, data: Array, columns: IntArray
     ) -> tuple[Array, Array]:
         """Return what `_output_derivatives` gives of some columns, by central differences.
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.vectorized import Columns
+from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.realization import Dynamics
@@ -27,8 +27,6 @@ from greybox.modeling.step_size import (
     relative_change,
     stable_substeps,
 )
-
-Array = NDArray[np.float64]
 
 # Parameter vectors, the declared one first: with 17 a quartile is one of them, and a few odd draws
 # do not move it.

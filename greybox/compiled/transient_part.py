@@ -23,12 +23,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.part import Information, Program, Trajectory
 from greybox.compiled.part_without_nodes import NO_NODES, PartWithoutNodes
 from greybox.compiled.residual_covariance import ResidualCovariance, require_independent
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
@@ -37,9 +37,6 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.trim import trim_of
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # Weights and end terms follow each other: the change of the cost at which they have, and how often
 # at most. Each time the change falls to the share of the numbers that end terms take up, a tenth or
@@ -91,10 +88,10 @@ class Along:
 
     q: Array
     matrices: Matrices
-    inputs: Complexes
-    inverse: Complexes
-    states: Complexes
-    modelled: Complexes
+    inputs: ComplexArray
+    inverse: ComplexArray
+    states: ComplexArray
+    modelled: ComplexArray
     errors: Array
     basis: Array
     ends: Array
@@ -151,10 +148,10 @@ class TransientPart(PartWithoutNodes):
         return len(self.states)
 
     @cached_property
-    def _measured(self) -> Complexes:
+    def _measured(self) -> ComplexArray:
         return np.array([self.data.outputs[name] for name in self.outputs])
 
-    def _real(self, values: Complexes) -> Array:
+    def _real(self, values: ComplexArray) -> Array:
         """Return complex rows (..., lines) as real ones (..., 2 lines), in units of the deviation of one sample."""
         return np.concatenate([values.real, values.imag], axis=-1) / self._unit
 
@@ -217,7 +214,7 @@ class TransientPart(PartWithoutNodes):
             begin += rows * columns
         return Matrices(*blocks[:4], delays=blocks[4][:, 0])
 
-    def _transform(self, matrices: Matrices, pencil: Complexes) -> Complexes | None:
+    def _transform(self, matrices: Matrices, pencil: ComplexArray) -> ComplexArray | None:
         """Return T (lines, k, k) of the equation error: of all states, or of the one output."""
         if not self._is_equation_error:
             return None
@@ -225,7 +222,7 @@ class TransientPart(PartWithoutNodes):
             return np.linalg.det(pencil)[:, None, None]
         return pencil @ np.linalg.inv(matrices.C)
 
-    def _covariance(self, transform: Complexes | None) -> ResidualCovariance:
+    def _covariance(self, transform: ComplexArray | None) -> ResidualCovariance:
         """Return how products of errors become a cost; what never changes has its size for a scale."""
         measured = (
             self._measured
@@ -288,7 +285,7 @@ class TransientPart(PartWithoutNodes):
         whole = mean + np.einsum("labq,bl->alq", change, rest)
         return self._stacked(mean), self._stacked(whole), change
 
-    def _stacked(self, values: Complexes) -> Array:
+    def _stacked(self, values: ComplexArray) -> Array:
         """Return complex values (k, lines, q) as real ones (k, 2 lines, q)."""
         return np.moveaxis(self._real(np.moveaxis(values, 1, -1)), -1, 1)
 
@@ -318,7 +315,7 @@ class TransientPart(PartWithoutNodes):
         reach = np.sqrt((rows**2).sum(axis=0) + (variance**2).sum(axis=0))
         return left.reshape(weighted.shape), variance, reach
 
-    def errors_by_output(self, z: Array) -> Iterator[tuple[str, Complexes, Complexes]]:
+    def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
         """Return of every output its errors (lines,) at the point z, and their derivatives by z and the end term.
 
         They are turned by the phase of the modelled output, as those of a response are: what a
@@ -495,7 +492,7 @@ def _directions(rows: Array) -> Array:
     return left[:, singular > UNSEEN * singular[0]]
 
 
-def _hermitian_rows(values: Complexes) -> Array:
+def _hermitian_rows(values: ComplexArray) -> Array:
     """Return V + Vᴴ of matrices (lines, k, k, x) as real rows (lines, k², x) of the same scalar products."""
     hermitian = values + values.conj().swapaxes(1, 2)
     own = np.einsum("lkkx->lkx", hermitian).real

@@ -11,9 +11,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
+
 CHUNK = 4096  # columns at once: what fits into the cache
 FEW = 128  # columns: a ufunc takes 0.2 µs whatever their number, an operation of CasADi's 1.6 ns for each
 

@@ -14,6 +14,7 @@ from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.numerical_range import out_of_range
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import to_si
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, one_line, printable
 
@@ -81,19 +82,19 @@ class FrequencyResponse:
         1e-75 (but zero), non-positive or repeated frequencies.
     """
 
-    omega: NDArray[np.float64]
-    response: NDArray[np.complex128]
+    omega: Array
+    response: ComplexArray
     input: str = ""
     output: str = ""
-    coherence: NDArray[np.float64] | None = None
-    variance: NDArray[np.float64] | None = None
-    dof: NDArray[np.float64] | None = None
+    coherence: Array | None = None
+    variance: Array | None = None
+    dof: Array | None = None
     name: str = ""
     source: str = field(default="", repr=False)
     stretches: Sequence[Stretch] = field(default=(), repr=False)
     units: Mapping[str, str] = field(default_factory=dict, repr=False)
     about: Mapping[str, str] = field(default_factory=dict, repr=False)
-    common_errors: NDArray[np.complex128] | None = field(default=None, repr=False)
+    common_errors: ComplexArray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check every value; write out control characters in names."""
@@ -247,24 +248,24 @@ class FrequencyResponse:
         return self.omega.size
 
     @property
-    def independent_share(self) -> NDArray[np.float64]:
+    def independent_share(self) -> Array:
         """Share of the variance that is independent from point to point, (n,): all but the common errors."""
         if self.common_errors is None or self.variance is None:
             return np.ones(len(self))
         return np.maximum(1 - (np.abs(self.common_errors) ** 2).sum(axis=0) / self.variance, 0.0)
 
     @property
-    def alpha(self) -> NDArray[np.float64]:
+    def alpha(self) -> Array:
         """Real part, (n,)."""
         return self.response.real
 
     @property
-    def beta(self) -> NDArray[np.float64]:
+    def beta(self) -> Array:
         """Imaginary part, (n,)."""
         return self.response.imag
 
     @property
-    def columns(self) -> dict[str, NDArray[np.float64]]:
+    def columns(self) -> dict[str, Array]:
         """What is known at each frequency as real numbers, (n,) arrays by name, as tables and files have them.
 
         ``alpha, beta``, then as far as known ``coherence, variance, dof``, and ``alpha_common1,
@@ -289,7 +290,7 @@ class FrequencyResponse:
             digest.update(np.ascontiguousarray(self.common_errors).tobytes())
         return digest.hexdigest()
 
-    def where(self, kept: NDArray[np.bool_]) -> "FrequencyResponse":
+    def where(self, kept: BoolArray) -> "FrequencyResponse":
         """Return the points for which `kept` (n,) is true."""
         columns = ("omega", "response", "coherence", "variance", "dof")
         arrays = {
@@ -335,13 +336,13 @@ class FrequencyResponse:
         )
 
     @property
-    def decibels(self) -> NDArray[np.float64]:
+    def decibels(self) -> Array:
         """Magnitude, (n,), dB; minus infinity where the response is zero."""
         with np.errstate(divide="ignore"):
             return 20 * np.log10(np.abs(self.response))
 
     @property
-    def degrees(self) -> NDArray[np.float64]:
+    def degrees(self) -> Array:
         """Phase, (n,), degrees, without jumps along the frequencies; the lowest lies between -180 and 180."""
         order = np.argsort(self.omega)
         phase = np.empty(len(self))
@@ -368,7 +369,7 @@ class FrequencyResponse:
         )
 
     def _repr_html_(self) -> str:
-        columns: dict[str, NDArray[np.float64]] = {
+        columns: dict[str, Array] = {
             "rad/s": self.omega,
             "dB": self.decibels,
             "degrees": self.degrees,

@@ -3,15 +3,16 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.units import to_si
+from greybox.files.arrays import Array, ComplexArray
 
 DECIBELS = "db"
 ABSOLUTE = ("", "1", "abs", "absolute")
 
 
-def angular_frequency(frequency: ArrayLike, unit: str) -> NDArray[np.float64]:
+def angular_frequency(frequency: ArrayLike, unit: str) -> Array:
     """Return frequencies (n,) in `unit`, of rad/s or Hz, in rad/s.
 
     Raises
@@ -30,7 +31,7 @@ def angular_frequency(frequency: ArrayLike, unit: str) -> NDArray[np.float64]:
 
 def complex_response(
     magnitude: ArrayLike, phase: ArrayLike, magnitude_unit: str, phase_unit: str
-) -> NDArray[np.complex128]:
+) -> ComplexArray:
     """Return the response (n,) of these magnitudes, absolute or in dB (20 log10), and phases in degrees or radians.
 
     Raises
@@ -71,7 +72,7 @@ def _known(unit: str) -> str:
         return ""
 
 
-def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+def _numbers(values: ArrayLike, what: str) -> Array:
     try:
         return np.array(values, dtype=float)
     except (TypeError, ValueError):

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.optional_package import required
 
 SECOND = np.timedelta64(1, "s")
@@ -32,7 +33,7 @@ def frame_of(
     return frame
 
 
-def columns_of(frame: Frame) -> dict[str, NDArray[np.float64]]:
+def columns_of(frame: Frame) -> dict[str, Array]:
     """Return the columns of a data frame as numbers, by name.
 
     Raises
@@ -59,7 +60,7 @@ def columns_of(frame: Frame) -> dict[str, NDArray[np.float64]]:
     return result
 
 
-def seconds_of(index: Any, name: str) -> NDArray[np.float64]:
+def seconds_of(index: Any, name: str) -> Array:
     """Return an index as times in s: numbers are seconds, dates and time differences count from the first.
 
     Raises

@@ -8,11 +8,12 @@ from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.intersample import checked_hold
 from greybox.data.numerical_range import within_range
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
+from greybox.files.arrays import Array, IntArray
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, one_line, printable
 
@@ -63,8 +64,8 @@ class Record:
         For empty records, lengths that differ, times that do not increase, or a hold below 0.
     """
 
-    time: NDArray[np.float64]
-    signals: Mapping[str, NDArray[np.float64]]
+    time: Array
+    signals: Mapping[str, Array]
     units: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     source: str = ""
@@ -119,7 +120,7 @@ class Record:
     def __len__(self) -> int:
         return self.time.size
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
+    def __getitem__(self, name: str) -> Array:
         if name not in self.signals:
             raise KeyError(
                 f"the record has no signal {name!r}; it has {', '.join(self.signals) or 'none'}."
@@ -157,7 +158,7 @@ class Record:
         return tuple(self.rows(slice(*ends)) for ends in pairwise([0, *cuts.tolist(), len(self)]))
 
     @property
-    def independent_pieces(self) -> list[NDArray[np.integer]]:
+    def independent_pieces(self) -> list[IntArray]:
         """The rows of each stretch between gaps, across which errors are not correlated; each row without a time."""
         cuts = (
             np.cumsum([len(piece) for piece in self.pieces])[:-1]
@@ -253,7 +254,7 @@ class Record:
         }
         return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
 
-    def rows(self, rows: NDArray[np.integer] | slice) -> "Record":
+    def rows(self, rows: IntArray | slice) -> "Record":
         """Return the samples of these indices, (m,), or of a slice, which takes no memory of its own."""
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
@@ -427,7 +428,7 @@ def share_samples(a: Record, b: Record) -> bool:
     )
 
 
-def _range(values: NDArray[np.float64]) -> tuple[str, str, str]:
+def _range(values: Array) -> tuple[str, str, str]:
     """Return the lowest and the highest value, and how many are missing, as text."""
     known = values[np.isfinite(values)]
     low, high = (
@@ -436,14 +437,14 @@ def _range(values: NDArray[np.float64]) -> tuple[str, str, str]:
     return low, high, str(values.size - known.size)
 
 
-def _row_numbers(signals: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+def _row_numbers(signals: Mapping[str, ArrayLike]) -> Array:
     """Return the number of every row; as many as the first signal has."""
     return np.arange(
         next((np.size(np.asarray(values)) for values in signals.values()), 0), dtype=float
     )
 
 
-def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
+def _read_only(values: ArrayLike, name: str) -> Array:
     # An array that nobody can write to is kept, or a part of one: records of long logs are made
     # without a copy.
     owner = values.base if isinstance(values, np.ndarray) and values.base is not None else values
@@ -468,7 +469,7 @@ def _printable(thing: Any) -> Any:
     return thing
 
 
-def _digest(time: NDArray[np.float64], signals: Mapping[str, NDArray[np.float64]]) -> str:
+def _digest(time: Array, signals: Mapping[str, Array]) -> str:
     digest = hashlib.sha256(time.tobytes())
     for name, values in signals.items():
         digest.update(name.encode())

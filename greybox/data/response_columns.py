@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.magnitude_phase import angular_frequency, complex_response
+from greybox.files.arrays import Array
 from greybox.files.heading import heading
 from greybox.files.text_table import alternatives
 
@@ -64,7 +64,7 @@ def stated_columns(columns: Mapping[str, str], header: Sequence[str]) -> dict[st
 
 
 def assembled(
-    values: Mapping[str, NDArray[np.float64]], columns: Mapping[str, Column], **others: Any
+    values: Mapping[str, Array], columns: Mapping[str, Column], **others: Any
 ) -> FrequencyResponse:
     """Return the response of these columns (n,) by role; `others` are names and the like.
 
@@ -82,7 +82,7 @@ def assembled(
     return FrequencyResponse(omega, response, **extras(values), **others)
 
 
-def extras(values: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]:
+def extras(values: Mapping[str, Array]) -> dict[str, Any]:
     """Return what columns (n,) by name say beside the response, as a `FrequencyResponse` takes it.
 
     Raises

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.numerical_range import out_of_range
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line, printable
 
 # Share of a line of the grid by which a frequency may be off it: rounding.
@@ -47,9 +48,9 @@ class TransientSpectrum:
         For frequencies off the grid, lengths that differ, or numbers that are not finite.
     """
 
-    omega: NDArray[np.float64]
-    inputs: Mapping[str, NDArray[np.complex128]]
-    outputs: Mapping[str, NDArray[np.complex128]]
+    omega: Array
+    inputs: Mapping[str, ComplexArray]
+    outputs: Mapping[str, ComplexArray]
     duration: float
     step: float
     input_change: Mapping[str, float] = field(default_factory=dict)
@@ -117,7 +118,7 @@ class TransientSpectrum:
         )
 
     @property
-    def signals(self) -> Mapping[str, NDArray[np.complex128]]:
+    def signals(self) -> Mapping[str, ComplexArray]:
         """Inputs, then outputs."""
         return {**self.inputs, **self.outputs}
 
@@ -134,7 +135,7 @@ class TransientSpectrum:
         """Return the last less the first value of an input."""
         return float(self.input_change.get(name, 0.0))
 
-    def delayed_input(self, name: str, delay: float) -> NDArray[np.complex128]:
+    def delayed_input(self, name: str, delay: float) -> ComplexArray:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
         It is taken to have had its first value before the manoeuvre, and its last one during the

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from greybox.files.arrays import Array
 
 FOOT = 0.3048  # m, exact, SP 811 B.8, as the next four
 MILE = 5280 * FOOT  # m
@@ -168,7 +167,7 @@ class Conversion:
         """True when numbers change."""
         return self.factor != 1 or self.zero != 0
 
-    def apply(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, values: Array) -> Array:
         """Return the values in SI."""
         return self.factor * values + self.zero if self.changes else values
 

@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
 from greybox.estimate.identifiability import KnownDirections
+from greybox.files.arrays import Array, BoolArray
 from greybox.formulation.held_estimate import HeldEstimate
-
-Array = NDArray[np.float64]
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
 # unit length before the initial states are fitted along.
@@ -456,7 +454,7 @@ def _contributions(
     correlation: Sequence[ColoredErrors | None],
     root: Array,
     slope: Array,
-) -> tuple[tuple[tuple[Array, float], ...], NDArray[np.bool_]]:
+) -> tuple[tuple[tuple[Array, float], ...], BoolArray]:
     """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error.
 
     The meat of correlated errors is known in the directions of the root of the inverse `before` the

@@ -4,13 +4,11 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import listed, number, text_table
 from greybox.solve.minima import Multistart
-
-Array = NDArray[np.float64]
 
 APART = 0.05  # of a parameter's size, from which two vectors are clearly different, as in `Minimum.variants`
 SAME = 1e-6  # relative difference of two responses of one formula with its parameters exchanged: rounding
@@ -40,7 +38,7 @@ def _is_new(vector: Array, found: Sequence[Array]) -> bool:
     return all(_apart(vector, other).any() for other in found)
 
 
-def _apart(a: Array, b: Array) -> NDArray[np.bool_]:
+def _apart(a: Array, b: Array) -> BoolArray:
     """Tell which parameters (..., p) are clearly different."""
     return np.abs(a - b) > APART * np.maximum(np.abs(a), np.abs(b)) + 1e-9
 

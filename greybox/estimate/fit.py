@@ -14,7 +14,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
@@ -45,6 +44,7 @@ from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, w
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities, slopes_of_parameters
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
@@ -71,8 +71,6 @@ from greybox.solve.multistart import BATCHED, GLOBAL_SEARCH, SEARCHES, multistar
 from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
 from greybox.solve.time_limits import TimeLimits, current_limits, is_search_over, limited
 from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, Waves
-
-Array = NDArray[np.float64]
 
 FittedPart = FittedRecord | FittedResponse | FittedSpectrum
 
@@ -550,9 +548,7 @@ def _nothing(nlp: Nlp) -> Accuracy:
     )
 
 
-def _response(
-    problem: Problem, values: dict[str, float], response: NDArray[np.complex128]
-) -> FittedResponse:
+def _response(problem: Problem, values: dict[str, float], response: ComplexArray) -> FittedResponse:
     data = problem.response
     curve = error = None
     if np.all(np.isfinite(response)):
@@ -582,9 +578,7 @@ def _response(
     )
 
 
-def _curve(
-    response: Callable[[NDArray[np.float64]], FrequencyResponse], omega: NDArray[np.float64]
-) -> FrequencyResponse:
+def _curve(response: Callable[[Array], FrequencyResponse], omega: Array) -> FrequencyResponse:
     """Evaluate on a grid over the band of `omega`, halved where a step is coarse, as at a resonance."""
     grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
     curve = response(grid)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.formulation.prior import Prior
@@ -69,8 +69,8 @@ class FittedPart:
     model: Mapping[str, Any]
     label: str
     equation: str
-    information: NDArray[np.float64] | None = None
-    information_alone: NDArray[np.float64] | None = None
+    information: Array | None = None
+    information_alone: Array | None = None
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), self.label, self.criterion)
@@ -105,7 +105,7 @@ class FittedResponse(FittedPart):
     """
 
     data: FrequencyResponse
-    response: NDArray[np.complex128]
+    response: ComplexArray
     curve: FrequencyResponse | None
     at: Mapping[str, float]
     pade_error: float | None
@@ -157,18 +157,18 @@ class FittedRecord(FittedPart):
     data: Record
     simulated: Record
     outputs: tuple[str, ...]
-    noise: NDArray[np.float64]
-    initial: Mapping[str, NDArray[np.float64]]
+    noise: Array
+    initial: Mapping[str, Array]
     method: str
     inputs: Inputs = "record"
     biases: tuple[str, ...] = ()
     gains: tuple[tuple[str, str], ...] = ()
     driven: tuple[str, ...] = ()
-    gain: NDArray[np.float64] | None = None
-    gain_slope: NDArray[np.float64] | None = None
+    gain: Array | None = None
+    gain_slope: Array | None = None
     nuisances: int = 0
     is_static: bool = False
-    error: NDArray[np.float64] | None = None
+    error: Array | None = None
 
     @property
     def compared(self) -> int:
@@ -201,7 +201,7 @@ class FittedRecord(FittedPart):
         names = [name for name in self.data.signals if name not in self.outputs]
         return described_inputs(self.inputs, names, self.data)
 
-    def residual(self, output: str) -> NDArray[np.float64]:
+    def residual(self, output: str) -> Array:
         """Return measured less fitted values of an output, (n,)."""
         return self.data[output] - self.simulated[output]
 
@@ -230,14 +230,14 @@ class FittedSpectrum(FittedPart):
     """
 
     data: TransientSpectrum
-    fitted: Mapping[str, NDArray[np.complex128]]
+    fitted: Mapping[str, ComplexArray]
     outputs: tuple[str, ...]
-    noise: NDArray[np.float64]
+    noise: Array
     ends: Mapping[str, float]
     at: Mapping[str, float]
     nuisances: int = 0
 
-    def residual(self, output: str) -> NDArray[np.complex128]:
+    def residual(self, output: str) -> ComplexArray:
         """Return the measured less the fitted transform of an output, (n,)."""
         return self.data.outputs[output] - self.fitted[output]
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.data.record import Record
 from greybox.estimate.fitted_part import FittedRecord
+from greybox.files.arrays import Array
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.model import equation
@@ -105,7 +105,7 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
     )
 
 
-def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, NDArray[np.float64]]:
+def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, Array]:
     """Return the outputs at the times of the record; NaN where none was compared."""
     data = part.model.record
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}

@@ -5,14 +5,12 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.outcome import Outcome
-
-Array = NDArray[np.float64]
 
 
 class NoMinimumError(ValueError):

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, number, one_line, text_table, with_error
-
-Array = NDArray[np.float64]
 
 # Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
 # Identification, ch. 12.
@@ -71,7 +69,7 @@ class KnownDirections:
         """Return those (m, p) of the logarithms of products of powers `rows` (m, p), or of sums with these factors."""
         return rows / np.where(self.at == 0, 1.0, self.at) if is_product else rows
 
-    def hold_elsewhere(self, rows: Array, *, is_product: bool) -> NDArray[np.bool_]:
+    def hold_elsewhere(self, rows: Array, *, is_product: bool) -> BoolArray:
         """Tell which combinations are determined beside the estimate too, (m,)."""
         if self.elsewhere is None:
             return np.ones(len(rows), dtype=bool)
@@ -194,7 +192,7 @@ def identifiability(
     )
 
 
-def correlation(told: KnownDirections, inside: NDArray[np.bool_]) -> Array:
+def correlation(told: KnownDirections, inside: BoolArray) -> Array:
     """Return the correlation matrix (p, p) of the estimates; NaN for those without a standard error."""
     errors = np.where(inside, told.errors(np.eye(len(inside))), np.nan)
     errors = np.where(errors > 0, errors, np.nan)
@@ -225,7 +223,7 @@ def _combinations(
     units: Sequence[str],
     told: KnownDirections,
     errors: Array,
-    inside: NDArray[np.bool_],
+    inside: BoolArray,
 ) -> list[DeterminedCombination]:
     """Return the simplest independent combinations of what is not determined that are determined."""
     value = told.at

@@ -31,7 +31,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp
 from greybox.compiled.record_part import RecordPart
@@ -42,6 +41,7 @@ from greybox.estimate.held_records import HeldRecords, NoMinimumError, best_of_r
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
+from greybox.files.arrays import Array
 from greybox.files.progress import counted_off
 from greybox.files.text_table import alternatives, number
 from greybox.formulation.starts import Sobol
@@ -49,8 +49,6 @@ from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import TOLERANCE, BatchedSolver
 from greybox.solve.executors import call_all, require_executor
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
-
-Array = NDArray[np.float64]
 
 STEP = 0.35  # of the limit of |r|, from one point to the next: three points to a crossing, as few as show a curve
 BEYOND = 1.2  # of the limit, to where a profile goes on: the crossing lies between two points

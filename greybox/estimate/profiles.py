@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.json_numbers import all_finite, finite
 from greybox.files.text_table import alternatives, number, one_line
-
-Array = NDArray[np.float64]
 
 End = Literal["crossed", "bound", "flat", "failed"]
 

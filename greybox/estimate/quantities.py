@@ -7,11 +7,11 @@ from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp
 from greybox.estimate.covariance import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
+from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 
 
@@ -27,7 +27,7 @@ class Formula(NamedTuple):
 
 def quantities(
     nlp: Nlp, accuracy: Accuracy, estimate: Mapping[str, float]
-) -> tuple[tuple[Quantity, ...], tuple[str, ...], NDArray[np.float64]]:
+) -> tuple[tuple[Quantity, ...], tuple[str, ...], Array]:
     """Return all lines, and the names and covariance matrix of free, fixed and tied parameters.
 
     Errors of tied and derived quantities follow to first order from the gradient. NaN stands for
@@ -60,9 +60,7 @@ def quantities(
     return tuple(lines), tuple(parameters), covariance
 
 
-def slopes_of_parameters(
-    nlp: Nlp, estimate: Mapping[str, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def slopes_of_parameters(nlp: Nlp, estimate: Mapping[str, float]) -> tuple[Array, Array]:
     """Return the values (m,) of free, fixed and tied parameters, and their derivatives (m, k) by all values."""
     of_all = np.array([estimate[name] for name in nlp.names])
     ties = _tied(nlp.problem)
@@ -109,7 +107,7 @@ def _formula(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
 
 def _evaluated(
     nlp: Nlp, formulas: list[Formula], estimate: Mapping[str, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Return the values (f,) and gradients (f, k) with respect to all values."""
     symbols = ca.SX.sym("x", len(nlp.names))
     named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))

@@ -6,19 +6,16 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
 from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import Sine
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +48,7 @@ class ResponseBand:
     dof: float
     covariance: Array
     relative_error: Array
-    bias: Complexes
+    bias: ComplexArray
 
     def __len__(self) -> int:
         return len(self.response)
@@ -62,14 +59,14 @@ class ResponseBand:
         return self.response.omega
 
     @property
-    def _center(self) -> Complexes:
+    def _center(self) -> ComplexArray:
         return self.response.response - self.bias
 
     @property
     def offset(self) -> Array:
         """The middle of the band from the response on, (2, n): logarithm of the magnitude, and phase in rad."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            away: Complexes = np.log(self._center / self.response.response)
+            away: ComplexArray = np.log(self._center / self.response.response)
         return np.array([away.real, away.imag])
 
     @property
@@ -90,7 +87,7 @@ class ResponseBand:
         phase = np.angle(self._center)
         return phase - self.half_width[1], phase + self.half_width[1]
 
-    def ellipses(self, points: int = 48) -> Complexes:
+    def ellipses(self, points: int = 48) -> ComplexArray:
         """Return the ellipse (n, points) in the complex plane that holds real and imaginary part at this level."""
         turn = np.linspace(0, 2 * np.pi, points)
         circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
@@ -141,7 +138,7 @@ def radius(level: float, dof: float) -> float:
 
 def band_of(
     response: FrequencyResponse,
-    slope: Complexes,
+    slope: ComplexArray,
     known: KnownDirections,
     places: Sequence[int],
     level: float,
@@ -152,7 +149,7 @@ def band_of(
 
     `bias` (k,) is that of these parameters.
     """
-    gradient: Complexes = np.zeros((len(response), len(known.at)), dtype=complex)
+    gradient: ComplexArray = np.zeros((len(response), len(known.at)), dtype=complex)
     for k, place in enumerate(places):
         gradient[:, place] += slope[:, k]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -177,7 +174,7 @@ def response_and_slope(
     sine: Sine | None,
     measured: Array,
     **signals: Any,
-) -> tuple[FrequencyResponse, Complexes]:
+) -> tuple[FrequencyResponse, ComplexArray]:
     """Return the response at `omega` (n,) rad/s and its derivatives (n, k) by the parameters of the model.
 
     The arguments are those of `greybox.modeling.periodic_motions.response_of_test`.

@@ -31,6 +31,7 @@ from greybox.estimate.response_band import (
 )
 from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
+from greybox.files.arrays import Array
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import (
     alternatives,
@@ -164,7 +165,7 @@ class Fit:
     quantities: tuple[Quantity, ...]
     free: tuple[str, ...]
     names: tuple[str, ...]
-    covariance: NDArray[np.float64]
+    covariance: Array
     dof: float
     cost: float
     costs: Mapping[str, float]
@@ -177,14 +178,14 @@ class Fit:
     versions: Mapping[str, str]
     models: tuple[Model, ...] | None = field(default=None, repr=False)
     given: tuple[Model | type[Model], ...] = field(default=(), repr=False)
-    white: NDArray[np.float64] | None = field(default=None, repr=False)
-    independent: tuple[NDArray[np.float64], float] | None = field(default=None, repr=False)
+    white: Array | None = field(default=None, repr=False)
+    independent: tuple[Array, float] | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
     directions: KnownDirections | None = field(default=None, repr=False)
     profiles: Profiles | None = field(default=None, repr=False)
     known: KnownDirections | None = field(default=None, repr=False)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    equivalents: NDArray[np.float64] | None = field(default=None, repr=False)
+    equivalents: Array | None = field(default=None, repr=False)
     command: tuple[str, ...] = field(default=(), repr=False)
 
     @property
@@ -307,7 +308,7 @@ class Fit:
         )
 
     @property
-    def correlation(self) -> NDArray[np.float64]:
+    def correlation(self) -> Array:
         """Correlation matrix (p, p) of the free parameters; NaN for those without a standard error."""
         at_bound = {q.name for q in self.quantities if q.at_bound}
         return correlation(
@@ -343,7 +344,7 @@ class Fit:
             intervals[q.name] = (center - half, center + half)
         return intervals
 
-    def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def covariance_of(self, names: Sequence[str]) -> Array:
         """Return the covariance matrix of the named parameters."""
         for name in names:
             if name not in self.names:
@@ -544,7 +545,7 @@ class Fit:
 
     def output_band(
         self, level: float = 0.95, part: int | None = None
-    ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    ) -> dict[str, tuple[Array, Array]]:
         """Return the lower and upper limit (n,) of the confidence band of every fitted output of a record, by its name.
 
         To first order in the errors of the parameters and of the initial states: within lies, at
@@ -1048,7 +1049,7 @@ def _at_estimate(
     )
 
 
-def _through(slope: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _through(slope: Array, covariance: Array) -> Array:
     """Return the covariance (m, m) of what has derivatives (m, k) by values whose covariance may have NaN."""
     unknown = np.isnan(np.diag(covariance))
     found = slope @ np.where(unknown | unknown[:, None], 0.0, covariance) @ slope.T

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, number, one_line, text_table
-
-Array = NDArray[np.float64]
 
 INNER = 0.8  # of what is told of a parameter: the smallest stretch that holds it is named
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
 from greybox.compiled.part import Trajectory
@@ -16,6 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy, Combination, assess, known_directions
 from greybox.estimate.identifiability import identifiability
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
@@ -25,8 +25,6 @@ from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
-
-Array = NDArray[np.float64]
 
 FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
 BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
@@ -253,7 +251,7 @@ def _of_record(
 
 def _times(
     model: Model, values: Mapping[str, float], random: np.random.Generator
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, BoolArray]:
     """Return uniform times that the poles of the model ask for, and which of them are gaps between stretches."""
     system = dynamics(model)
     n = len(system.states)

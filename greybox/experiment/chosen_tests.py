@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.experiment.expected_errors import expected_errors
 from greybox.experiment.optimal_design import (
@@ -18,11 +17,10 @@ from greybox.experiment.optimal_design import (
     time_needed,
     variances,
 )
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,14 +187,12 @@ def _spread(information: Array, own: tuple[str, ...], names: tuple[str, ...]) ->
     return found
 
 
-def _all_of(repeats: NDArray[np.int64], once: Array) -> Array:
+def _all_of(repeats: IntArray, once: Array) -> Array:
     """Return the information of all tests together."""
     return np.einsum("k,kij->ij", repeats, once)
 
 
-def _without_surplus(
-    repeats: NDArray[np.int64], once: Array, duration: Array, target: Array
-) -> NDArray[np.int64]:
+def _without_surplus(repeats: IntArray, once: Array, duration: Array, target: Array) -> IntArray:
     """Return fewer repeats, the longest left out first, as long as the errors stay as wanted."""
     for k in np.argsort(-duration):
         while repeats[k]:
@@ -208,8 +204,8 @@ def _without_surplus(
 
 
 def _filled(
-    repeats: NDArray[np.int64], once: Array, duration: Array, seconds: float, optimal: Optimality
-) -> NDArray[np.int64]:
+    repeats: IntArray, once: Array, duration: Array, seconds: float, optimal: Optimality
+) -> IntArray:
     """Return more repeats, as long as there is time: each time the one that is worth most."""
     while True:
         more = [repeats + (np.arange(len(repeats)) == k) for k in range(len(repeats))]

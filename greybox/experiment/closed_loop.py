@@ -4,14 +4,13 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.experiment.controller import Controller
 from greybox.experiment.multisine import multisine
 from greybox.experiment.virtual_flight import virtual_flight
+from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling import Model
-
-Complex = NDArray[np.complex128]
 
 # Of the lowest frequency: so many of its periods make neighboring candidates distinct lines.
 PERIODS = 4
@@ -29,7 +28,7 @@ def loop_gains(
     controller: Controller | Sequence[Controller] | None,
     amplitude: float,
     rate: float,
-) -> tuple[NDArray[np.float64], dict[str, Complex]]:
+) -> tuple[Array, dict[str, ComplexArray]]:
     """Return frequencies (n,) next to `omega`, and the gains (n,) from the excitation to the signals.
 
     They are read from a virtual flight with a small sum of sines, so they are those of the sampled

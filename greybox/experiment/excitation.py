@@ -7,12 +7,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record
+from greybox.files.arrays import Array
 from greybox.files.text_table import one_line
-
-Array = NDArray[np.float64]
 
 
 class Maneuver(NamedTuple):

@@ -4,17 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.transcription import Transcription
 from greybox.estimate.covariance import assess
+from greybox.files.arrays import Array
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.solve.multistart import solver_for
-
-Array = NDArray[np.float64]
 
 SMALLEST = 1e-13  # of the largest variance, in units that the data notice: rounding is below, knowledge above
 

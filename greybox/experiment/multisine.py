@@ -4,11 +4,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, IntArray
 
 # Half of the exponents of the norms that the phases minimize, one after another. The 64-norm is
 # within 12 % of the peak for a period of 1000 samples, most of which are small: n**(1/64) = 1.11.
@@ -87,11 +85,11 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
 
 def _assigned(
     low: float, high: float, period: float, signals: int, points: int | None
-) -> list[NDArray[np.int64]]:
+) -> list[IntArray]:
     """Assign the harmonics in the band to the signals in turn."""
     step = 2 * math.pi / period
     harmonics = np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    assigned = [harmonics[k::signals] for k in range(signals)]
+    assigned: list[IntArray] = [harmonics[k::signals] for k in range(signals)]
     fewest = min(h.size for h in assigned) if assigned else 0
     if fewest < max(points or 2, 2):
         raise ValueError(
@@ -101,7 +99,7 @@ def _assigned(
     return assigned if points is None else [_log_spaced(h, points) for h in assigned]
 
 
-def _log_spaced(harmonics: NDArray[np.int64], points: int) -> NDArray[np.int64]:
+def _log_spaced(harmonics: IntArray, points: int) -> IntArray:
     """Choose about log spaced ones, all different."""
     places = np.searchsorted(harmonics, np.geomspace(harmonics[0], harmonics[-1], points) - 1e-9)
     for k in range(1, points):
@@ -111,7 +109,7 @@ def _log_spaced(harmonics: NDArray[np.int64], points: int) -> NDArray[np.int64]:
     return harmonics[places]
 
 
-def _phases(harmonics: NDArray[np.int64]) -> Array:
+def _phases(harmonics: IntArray) -> Array:
     """Return phases (n,) for which the sum of equal sines has a low peak and rises through zero at time zero."""
     from scipy.optimize import minimize  # noqa: PLC0415 - takes longer to import than this whole package
 
@@ -138,7 +136,7 @@ def _phases(harmonics: NDArray[np.int64]) -> Array:
     return _from_zero(harmonics, phases, count)
 
 
-def _from_zero(harmonics: NDArray[np.int64], phases: Array, count: int) -> Array:
+def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
     """Shift time to the rising zero crossing."""
     values = _sum(harmonics, phases, count)
     k = int(np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0])
@@ -150,7 +148,7 @@ def _from_zero(harmonics: NDArray[np.int64], phases: Array, count: int) -> Array
     return phases + 2 * math.pi * harmonics * low
 
 
-def _sum(harmonics: NDArray[np.int64], phases: Array, count: int) -> Array:
+def _sum(harmonics: IntArray, phases: Array, count: int) -> Array:
     """One period, (count,), of unit root mean square."""
     spectrum = np.zeros(count // 2 + 1, dtype=complex)
     spectrum[harmonics] = -0.5j * count * math.sqrt(2 / harmonics.size) * np.exp(1j * phases)

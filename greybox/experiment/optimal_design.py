@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 # What a share may be off by: a thousandth of the flight is less than the rounding of a sine to
 # whole periods.

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp, compile_problem
 from greybox.compiled.response_part import ResponsePart
@@ -17,14 +16,13 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sines import sine_schedule
+from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
 from greybox.spectral.uniform_stretches import uniform_stretches
 from greybox.spectral.welch import HZ
-
-Array = NDArray[np.float64]
 
 CANDIDATES = 40  # frequencies in the band; twice as many change the flight time of the tilt model by less than 1 %
 AVERAGED = 15  # lines of a spectrum: its relative error is a quarter, that of the standard errors an eighth
@@ -294,7 +292,7 @@ def _sensitivities(
     *,
     free: Sequence[str],
     fixed: Mapping[str, float],
-) -> tuple[Nlp, NDArray[np.complex128]]:
+) -> tuple[Nlp, ComplexArray]:
     """Return the compiled problem and the derivatives (n, p) of the response by its free parameters."""
     exact = frequency_response(
         model, {**values, **fixed}, omega, input=signals[0], output=signals[1]
@@ -309,7 +307,7 @@ def _sensitivities(
     return nlp, part.sensitivity(x)[:, : len(nlp.free)]
 
 
-def _sizes(sensitivity: NDArray[np.complex128], weight: Array) -> Array:
+def _sizes(sensitivity: ComplexArray, weight: Array) -> Array:
     """Return sizes (p,) in which parameters that do not matter can be compared with those that do."""
     norm = np.sqrt((weight[:, None] * np.abs(sensitivity) ** 2).sum(axis=0))
     return 1 / np.where(norm > 0, norm, 1.0)
@@ -360,16 +358,14 @@ def _lines_around(omega: Array, length: float) -> Array:
     return np.maximum(omega[:, None] + np.linspace(-1, 1, AVERAGED) * reach[:, None], apart)
 
 
-def _fewest(
-    omega: Array, information: Array, target: Array, card: _Card
-) -> tuple[NDArray[np.int64], Array]:
+def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tuple[IntArray, Array]:
     """Return which sines, and how long each, s: every further one costs what it needs to settle.
 
     The optimal shares sit on few frequencies, or on neighbors of these; the smallest share is given
     up as long as that makes the flight shorter.
     """
     chosen = np.flatnonzero(shares(information, target))
-    best: tuple[float, NDArray[np.int64], Array] | None = None
+    best: tuple[float, IntArray, Array] | None = None
     while len(chosen):
         part = information[chosen]
         if np.linalg.cond(part.sum(axis=0)) > 1e14:
@@ -388,8 +384,8 @@ def _fewest(
 
 
 def _with_spare(
-    omega: Array, chosen: NDArray[np.int64], duration: Array, count: int, periods: int
-) -> tuple[NDArray[np.int64], Array]:
+    omega: Array, chosen: IntArray, duration: Array, count: int, periods: int
+) -> tuple[IntArray, Array]:
     """Return so many sines at least: short ones are added in the middle of the widest gaps of the band."""
     seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
     while len(seconds) < min(count, len(omega)):

@@ -4,11 +4,10 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
+from greybox.files.arrays import Array
 
-Array = NDArray[np.float64]
 DWELL = 2  # periods of the lowest frequency before a sweep: ArduPilot's SystemID mode; Tischler and Remple, section 5.6
 
 

@@ -8,17 +8,17 @@ from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, updated
 from greybox.experiment.excitation import Excitation
+from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, state_sizes, substep_growth
 
-Array = NDArray[np.float64]
 Signals = dict[str, ca.SX]
 NOTHING: Mapping[str, float] = MappingProxyType({})
 
@@ -381,7 +381,7 @@ def _runge_kutta(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, cou
 
 
 def _divergence(
-    loop: _Loop, names: Sequence[str], values: Array, wrong: NDArray[np.bool_], moment: float
+    loop: _Loop, names: Sequence[str], values: Array, wrong: BoolArray, moment: float
 ) -> str:
     row = len(wrong) - 1 - int(np.argmax(wrong[::-1]))  # a state, if one is wrong
     what = (

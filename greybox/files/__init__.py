@@ -2,6 +2,7 @@
 
 | file | contents |
 | --- | --- |
+| `arrays` | types of numpy arrays for annotations |
 | `text_table` | tables and numbers as people read them |
 | `delimited_text` | how a table of numbers was written: separator, decimal mark, comments |
 | `heading` | name and unit of a column |

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.progress import waiting
 from greybox.files.subprocess_main import REFUSED
 from greybox.files.text_table import printable
 
-Answer = tuple[dict[str, Any], list[NDArray[np.float64]]]
+Answer = tuple[dict[str, Any], list[Array]]
 
 SCRIPT = Path(__file__).with_name("subprocess_main.py")
 

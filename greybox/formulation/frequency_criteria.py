@@ -13,9 +13,9 @@ from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.relative_score import ROUNDING, relative_score
 from greybox.modeling.complex_arithmetic import Complex
@@ -91,10 +91,10 @@ class Criterion(AnyCriterion):
     @abstractmethod
     def jacobian(
         self,
-        model: NDArray[np.complex128],
-        sensitivity: NDArray[np.complex128],
+        model: ComplexArray,
+        sensitivity: ComplexArray,
         data: FrequencyResponse,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the Jacobian (2n, p) of the real residuals, from the response (n,) and its derivatives (n, p).
 
         Those along the response stand first, then those across: errors of neighboring points may be
@@ -103,23 +103,19 @@ class Criterion(AnyCriterion):
 
     @abstractmethod
     def spread(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
-    ) -> tuple[float, NDArray[np.float64]]:
+        self, model: ComplexArray, data: FrequencyResponse, correction: float
+    ) -> tuple[float, Array]:
         """Return `bread` and `meat` (2n,); `correction` scales the noise size for the parameters estimated."""
 
-    def score_correlation(self, correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+    def score_correlation(self, correlation: Array) -> Array:
         """Return how the gradients of two points are correlated whose errors are: as these, for sums of squares."""
         return correlation
 
-    def error_size(
-        self, model: NDArray[np.complex128], data: FrequencyResponse
-    ) -> NDArray[np.float64]:
+    def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:
         """Return what the errors of the points are in proportion to, (n,): by default the model's magnitude."""
         return np.abs(model)
 
-    def noise(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float = 1.0
-    ) -> float:
+    def noise(self, model: ComplexArray, data: FrequencyResponse, correction: float = 1.0) -> float:
         """Return the standard deviation of one component of the relative errors, about what noise makes of the gain.
 
         `correction` scales it for the parameters estimated.
@@ -134,11 +130,11 @@ class Criterion(AnyCriterion):
                 break
         return size
 
-    def size_of(self, errors: NDArray[np.complex128], correction: float) -> float:
+    def size_of(self, errors: ComplexArray, correction: float) -> float:
         """Return the standard deviation of one component of errors (n,): by default from their squares."""
         return correction * math.sqrt(float(np.mean(np.abs(errors) ** 2)) / 2)
 
-    def noise_ratio(self, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
+    def noise_ratio(self, model: ComplexArray, data: FrequencyResponse) -> float:
         """Return how many times as large as the given noise the residuals are, in squares; of `known_noise` alone."""
         return float(self.cost(Complex(model.real, model.imag), data)) / len(data)
 
@@ -179,18 +175,18 @@ class _Relative(Criterion):
 
     def jacobian(
         self,
-        model: NDArray[np.complex128],
-        sensitivity: NDArray[np.complex128],
+        model: ComplexArray,
+        sensitivity: ComplexArray,
         data: FrequencyResponse,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the derivatives of the relative errors along and across the response, the normalization held."""
         return _stack(
             sensitivity / (self.magnitude(model, data) * np.exp(1j * np.angle(model)))[:, None]
         )
 
     def spread(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
-    ) -> tuple[float, NDArray[np.float64]]:
+        self, model: ComplexArray, data: FrequencyResponse, correction: float
+    ) -> tuple[float, Array]:
         """Mean curvature, and variances of the gradient along and across the response, for errors of this size."""
         score = relative_score(
             self.noise(model, data, correction), len(data), self.power, self.normalized
@@ -222,12 +218,12 @@ class RelativeError(_Relative):
         """Return Σ sqrt(|e|² + smoothing)."""
         return _total(sqrt(_squares(self.errors(model, data)) + smoothing))
 
-    def size_of(self, errors: NDArray[np.complex128], correction: float) -> float:
+    def size_of(self, errors: ComplexArray, correction: float) -> float:
         """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2) (1 - p/(π n))."""
         paid = 1 - 1 / correction**2  # p / (2n)
         return float(np.abs(errors).mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * paid)
 
-    def score_correlation(self, correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+    def score_correlation(self, correlation: Array) -> Array:
         """Return the correlation of the directions of errors, E e₁ e₂* / |e₁ e₂|, of a correlation from 0 to 1.
 
         (E(k) - (1 - k²) K(k)) / k with the complete elliptic integrals, k the correlation of
@@ -306,16 +302,16 @@ class RelativeLikelihood(Criterion):
 
     def jacobian(
         self,
-        model: NDArray[np.complex128],
-        sensitivity: NDArray[np.complex128],
+        model: ComplexArray,
+        sensitivity: ComplexArray,
         data: FrequencyResponse,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the derivatives of the relative errors along and across the response, the normalization held."""
         return _stack(sensitivity / model[:, None])
 
     def spread(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
-    ) -> tuple[float, NDArray[np.float64]]:
+        self, model: ComplexArray, data: FrequencyResponse, correction: float
+    ) -> tuple[float, Array]:
         """Weights of the variance that the cost took, and the corrected one of the errors."""
         s2 = max(self.size_of(1 - data.response / model, 1.0), ROUNDING) ** 2
         bread = 1 / s2
@@ -360,18 +356,18 @@ class MagnitudePhase(Criterion):
 
     def jacobian(
         self,
-        model: NDArray[np.complex128],
-        sensitivity: NDArray[np.complex128],
+        model: ComplexArray,
+        sensitivity: ComplexArray,
         data: FrequencyResponse,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the derivatives of weighted log magnitude and phase."""
         relative = sensitivity / model[:, None]
         magnitude, phase = self._weights(data)
         return np.vstack([magnitude[:, None] * relative.real, phase[:, None] * relative.imag])
 
     def spread(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
-    ) -> tuple[float, NDArray[np.float64]]:
+        self, model: ComplexArray, data: FrequencyResponse, correction: float
+    ) -> tuple[float, Array]:
         """Noise size of one component relative to the magnitude, times the weights."""
         shape = self._relative_variance(data)
         s2 = shape / 2
@@ -388,13 +384,11 @@ class MagnitudePhase(Criterion):
             )
         return 2.0, 4 * np.concatenate([w**2 * s2 for w in self._weights(data)])
 
-    def error_size(
-        self, model: NDArray[np.complex128], data: FrequencyResponse
-    ) -> NDArray[np.float64]:
+    def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:
         """Return the roots of the given variances, or of those by the coherence."""
         return np.abs(model) * np.sqrt(self._relative_variance(data))
 
-    def _relative_variance(self, data: FrequencyResponse) -> NDArray[np.float64]:
+    def _relative_variance(self, data: FrequencyResponse) -> Array:
         """Return the relative variances (n,), both components together, up to a factor where they are not given."""
         if data.variance is not None:
             return data.variance / np.abs(data.response) ** 2
@@ -402,7 +396,7 @@ class MagnitudePhase(Criterion):
             return np.ones(len(data))
         return (1 - data.coherence) / data.coherence
 
-    def _weights(self, data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _weights(self, data: FrequencyResponse) -> tuple[Array, Array]:
         """Square roots of the weights of log magnitude and phase, with the units and 20/n inside."""
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
         common = math.sqrt(20 / len(data)) * 1.58 * (1 - exp(-coherence))
@@ -459,10 +453,10 @@ class MaximumLikelihood(Criterion):
 
     def jacobian(
         self,
-        model: NDArray[np.complex128],
-        sensitivity: NDArray[np.complex128],
+        model: ComplexArray,
+        sensitivity: ComplexArray,
         data: FrequencyResponse,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the derivatives of the errors over their standard deviations, weighted for estimated variances.
 
         Along and across the response.
@@ -473,20 +467,18 @@ class MaximumLikelihood(Criterion):
         return _stack(sensitivity * (np.sqrt(weight) * np.exp(-1j * np.angle(model)))[:, None])
 
     def spread(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
-    ) -> tuple[float, NDArray[np.float64]]:
+        self, model: ComplexArray, data: FrequencyResponse, correction: float
+    ) -> tuple[float, Array]:
         """Each component holds half of the variance, or what the residuals say where that is more."""
         ratio = max(self.noise_ratio(model, data) * correction**2, 1.0)
         few = np.ones(len(data)) if data.dof is None else (data.dof + 2) / data.dof
         return 2.0, 4 * 0.5 * ratio * np.tile(few, 2)
 
-    def error_size(
-        self, model: NDArray[np.complex128], data: FrequencyResponse
-    ) -> NDArray[np.float64]:
+    def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:
         """Return the roots of the given variances."""
         return np.sqrt(_variance(data))
 
-    def noise_ratio(self, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
+    def noise_ratio(self, model: ComplexArray, data: FrequencyResponse) -> float:
         """Return how many times as large as the given variances the squared residuals are, by maximum likelihood."""
         squares = self._squares(model, data)
         if data.dof is None or not squares.any():
@@ -496,13 +488,11 @@ class MaximumLikelihood(Criterion):
             scale *= float(np.mean((data.dof + 2) * squares / (data.dof * scale + 2 * squares)))
         return scale
 
-    def _squares(
-        self, model: NDArray[np.complex128], data: FrequencyResponse
-    ) -> NDArray[np.float64]:
+    def _squares(self, model: ComplexArray, data: FrequencyResponse) -> Array:
         return np.abs(model - data.response) ** 2 / _variance(data)
 
 
-def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
+def evaluate(criterion: Criterion, model: ComplexArray, data: FrequencyResponse) -> float:
     """Return the cost of a response (n,) in numbers; NaN where the data do not hold what the criterion needs."""
     try:
         criterion.check(data)
@@ -514,7 +504,7 @@ def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: Frequenc
         return float(criterion.cost(Complex(model.real, model.imag), data))
 
 
-def _variance(data: FrequencyResponse) -> NDArray[np.float64]:
+def _variance(data: FrequencyResponse) -> Array:
     assert data.variance is not None
     return data.variance
 
@@ -527,5 +517,5 @@ def _total(values: Any) -> Any:
     return np.sum(values) if isinstance(values, np.ndarray) else ca.sum1(values)
 
 
-def _stack(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _stack(values: ComplexArray) -> Array:
     return np.vstack([values.real, values.imag])

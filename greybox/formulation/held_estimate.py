@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
+from greybox.files.arrays import Array
 
 
 @runtime_checkable
@@ -21,6 +20,6 @@ class HeldEstimate(Protocol):
         """Degrees of freedom of the covariance."""
         ...
 
-    def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def covariance_of(self, names: Sequence[str]) -> Array:
         """Return the covariance matrix of the named parameters."""
         ...

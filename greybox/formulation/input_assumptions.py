@@ -10,10 +10,10 @@ from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
+from greybox.files.arrays import Array
 from greybox.files.text_table import listed, number
 from greybox.modeling.parameter import Parameter
 
@@ -114,8 +114,8 @@ def assumption_warning(
 
 def effect_of(
     parameters: Mapping[str, Parameter],
-    shift: NDArray[np.float64],
-    errors: NDArray[np.float64],
+    shift: Array,
+    errors: Array,
     delays: Collection[str],
 ) -> str:
     """Say by how much another assumption moves the estimates, (p,), in units and in standard errors.

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 Knowledge = tuple[float, float] | HeldEstimate
 """Mean and standard deviation of one parameter, or an earlier answer that has its estimate and covariance."""

@@ -15,7 +15,8 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from greybox.files.arrays import Array
 
 FEWEST, MOST = 8, 100  # points: means over errors up to 2.4 σ at least, and 3.3 σ at most
 RADII = 12  # of errors, in a quadrature of Gauss
@@ -49,7 +50,7 @@ class RelativeScore:
 
     gain_bias: float
     curvature: float
-    variance: NDArray[np.float64]
+    variance: Array
 
 
 @lru_cache(maxsize=64)

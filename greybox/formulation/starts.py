@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.parameter import Parameter
 
@@ -18,7 +18,7 @@ class Starts(ABC):
     seed: int | None = None
 
     @abstractmethod
-    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the starts, (number, p), for the free parameters in their order."""
 
     @abstractmethod
@@ -42,7 +42,7 @@ class RandomStarts(Starts):
     seed: int = 0  # type: ignore[assignment]
 
     @abstractmethod
-    def unit_points(self, size: int) -> NDArray[np.float64]:
+    def unit_points(self, size: int) -> Array:
         """Return points in the unit cube, (number, size)."""
 
     def __post_init__(self) -> None:
@@ -57,7 +57,7 @@ class RandomStarts(Starts):
     def __str__(self) -> str:
         return f"{self.number} by {type(self).__name__}, seed {self.seed}"
 
-    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the starts, (number, p)."""
         for name, parameter in parameters.items():
             _require_finite_box(name, parameter)
@@ -69,7 +69,7 @@ class RandomStarts(Starts):
 class Sobol(RandomStarts):
     """Scrambled Sobol points; more of them with the same seed begin with the same points."""
 
-    def unit_points(self, size: int) -> NDArray[np.float64]:
+    def unit_points(self, size: int) -> Array:
         """Return the first `number` points of the sequence."""
         from scipy.stats import qmc  # noqa: PLC0415  (scipy.stats takes a third of a second to import)
 
@@ -112,7 +112,7 @@ class UntilFoundAgain(Sobol):
 class LatinHypercube(RandomStarts):
     """Latin hypercube: every parameter's interval is divided into `number` layers, one point in each."""
 
-    def unit_points(self, size: int) -> NDArray[np.float64]:
+    def unit_points(self, size: int) -> Array:
         """Return one random hypercube."""
         from scipy.stats import qmc  # noqa: PLC0415  (scipy.stats takes a third of a second to import)
 
@@ -123,7 +123,7 @@ class LatinHypercube(RandomStarts):
 class Uniform(RandomStarts):
     """Independent uniform draws."""
 
-    def unit_points(self, size: int) -> NDArray[np.float64]:
+    def unit_points(self, size: int) -> Array:
         """Return uniform draws."""
         return np.random.default_rng(self.seed).random((self.number, size))
 
@@ -140,7 +140,7 @@ class Listed(Starts):
     def __str__(self) -> str:
         return f"{len(self.points)} listed"
 
-    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the listed points, (number, p)."""
         if not self.points:
             raise ValueError(
@@ -173,7 +173,7 @@ class Chained(Starts):
     def __str__(self) -> str:
         return " + ".join(map(str, self.rules))
 
-    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the points of every rule, (sum of numbers, p)."""
         return np.vstack([rule.draw(parameters) for rule in self.rules])
 

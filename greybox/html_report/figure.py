@@ -8,11 +8,9 @@ from typing import Any, Literal
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.html_report.elements import Child, tag
-
-Array = NDArray[np.float64]
 
 DIGITS = 5  # of numbers in a figure: a pixel is a thousandth of a panel
 

@@ -3,17 +3,15 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import in_greek
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.long_lines import drawn_line
 from greybox.plotting.style import shown_unit
 from greybox.plotting.time_history import DOTS, History, along, gapless_rows, histories, shown_scale
 from greybox.simulation.prediction import Prediction
-
-Array = NDArray[np.float64]
 
 GRAY, BLACK = -1, -2
 
@@ -92,7 +90,7 @@ def _curve(
     values: Array,
     color: int,
     columns: int,
-    pieces: Sequence[NDArray[np.integer]],
+    pieces: Sequence[IntArray],
 ) -> Series:
     if not history.data.has_time:
         return Series(label, "points", along(history.data), values, color)

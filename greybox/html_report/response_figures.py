@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, IntArray
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.bode import band_limits, error_bars, phases
 from greybox.plotting.nyquist import UNLIKE, panels
@@ -20,8 +20,6 @@ from greybox.plotting.response_series import (
     response_series,
 )
 from greybox.plotting.style import COLORS, GRAYS, MARKERS
-
-Array = NDArray[np.float64]
 
 LEVEL = 0.95  # of bands
 BLACK, GRAY = -2, -1
@@ -210,6 +208,6 @@ def _thinned(one: ResponseSeries) -> ResponseSeries:
     return replace(one, response=one.response.where(kept))
 
 
-def _spread(count: int) -> NDArray[np.integer]:
+def _spread(count: int) -> IntArray:
     """Return at most so many of the rows as can be seen."""
     return np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
+from greybox.files.arrays import Array
 from greybox.logs.ardupilot.loop_rate import thinning, thinning_error
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.spectral.test_quality import SATURATED, Finding
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
 
 # Of the response: an error that is smaller everywhere is not worth a word. A tenth of what sine

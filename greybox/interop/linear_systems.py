@@ -6,18 +6,16 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import pade_states
 from greybox.modeling.rational import Rational, rational
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
+from greybox.files.arrays import Array
 from greybox.files.text_table import alternatives
 from greybox.logs.segment_detection import SETPOINTS, whole_turn
 from greybox.logs.sine_detection import sines_and_sweeps
-
-Array = NDArray[np.float64]
 
 # Searched when no signal is named.
 STICKS = (

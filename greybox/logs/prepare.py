@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.units import to_si
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
-
-Array = NDArray[np.float64]
 
 # Of the new rate: the anti-alias filter passes up to the first and stops from the second, the new
 # Nyquist frequency. A wider pass band takes more samples from the ends of a stretch: the filter has

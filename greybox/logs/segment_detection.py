@@ -5,17 +5,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.test_segment import Segment
 from greybox.data.units import to_si
+from greybox.files.arrays import Array, IntArray
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.logs.sine_detection import sines_and_sweeps
 
-Array = NDArray[np.float64]
 ANNOUNCED = {"segment": "Seg", "axis": "Ax", "omega": "W", "amplitude": "Eta", "offset": "Th0"}
 SETPOINTS = (  # searched when none is named
     *ATTITUDE_SETPOINTS,
@@ -168,7 +167,7 @@ def _announced(
     ]
 
 
-def _tests(time: Array, columns: Mapping[str, Array]) -> list[NDArray[np.intp]]:
+def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
     """Return the rows of each test: cut where a field changes or the message pauses; omega 0 or NaN is no test."""
     change = np.zeros(max(time.size - 1, 0), dtype=bool)
     if time.size > 1:
@@ -181,7 +180,7 @@ def _tests(time: Array, columns: Mapping[str, Array]) -> list[NDArray[np.intp]]:
 
 
 def _one_test(
-    record: Record, rows: NDArray[np.intp], columns: Mapping[str, Array], unit: str, message: str
+    record: Record, rows: IntArray, columns: Mapping[str, Array], unit: str, message: str
 ) -> Segment:
     value = {key: float(values[rows[0]]) for key, values in columns.items()}
     return Segment(

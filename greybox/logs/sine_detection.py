@@ -5,11 +5,9 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.test_segment import Segment
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, IntArray
 
 # What the following constants decide is measured by `benchmarks/signal_constants.py`: "of 20" are
 # pairs of noisy sines, "of 15" clean, offset, quantized or held schedules, "of 24" sweeps, "of 16"
@@ -121,7 +119,7 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
     return sorted(alone, key=lambda s: s.start)
 
 
-def _turning_points(values: Array, corners: NDArray[np.intp], height: float) -> NDArray[np.intp]:
+def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray:
     """Return those of the indices `corners` where the signal turns by at least `height`, and both ends."""
     turns = []
     direction = 0  # not known yet; then 1 on the way up, -1 on the way down
@@ -146,7 +144,7 @@ def _turning_points(values: Array, corners: NDArray[np.intp], height: float) -> 
     return np.array([corners[0], *turns, extreme], dtype=np.intp)
 
 
-def _crossings(time: Array, values: Array, corners: NDArray[np.intp]) -> tuple[Array, Array]:
+def _crossings(time: Array, values: Array, corners: IntArray) -> tuple[Array, Array]:
     """Return when the signal crosses the middle between successive turning points, s, and how far apart these are."""
     times = []
     for a, b in pairwise(corners):
@@ -276,7 +274,7 @@ def _sweeps(pieces: list[Segment]) -> list[Segment]:
 def _whole(
     time: Array,
     values: Array,
-    corners: NDArray[np.intp],
+    corners: IntArray,
     crossings: Array,
     swings: Array,
     sweep: Segment,

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, BoolArray
+
 ACCURATE = 1e-10  # relative error of the solution at which an order is good enough: six digits of rounding are lost
 ORDERS = 200  # orders to try: all of five states are 120, and of more states many are good
 
@@ -45,10 +47,10 @@ def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[
 
 
 def elimination_order(
-    samples: NDArray[np.float64],
-    b: NDArray[np.float64],
-    zero: NDArray[np.bool_],
-    omega: NDArray[np.float64],
+    samples: Array,
+    b: Array,
+    zero: BoolArray,
+    omega: Array,
 ) -> tuple[int, ...]:
     """Return the order in which to eliminate.
 

@@ -22,8 +22,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_jumps, has_switches, interval_mean, separated
 from greybox.modeling.functions import exp
@@ -76,7 +76,7 @@ WIDTH = 0.05  # of a switch whose argument rests there
 
 def harmonic_function(
     model: Model,
-    omega: NDArray[np.float64],
+    omega: Array,
     sine: Sine,
     *,
     input: str = "",
@@ -103,7 +103,7 @@ def harmonic_function(
 
 def enough_harmonics(
     model: Model,
-    omega: NDArray[np.float64],
+    omega: Array,
     sine: Sine,
     values: Mapping[str, float] | None = None,
     **signals: Any,
@@ -120,13 +120,13 @@ def enough_harmonics(
 def directly_found(
     model: Model,
     values: Mapping[str, float] | None,
-    omega: NDArray[np.float64],
+    omega: Array,
     sine: Sine,
     *,
     least: int = 1,
     most: int = MOST_HARMONICS,
     **signals: Any,
-) -> tuple[NDArray[np.complex128], int]:
+) -> tuple[ComplexArray, int]:
     """Return the response as a fit evaluates it, NaN where no motion is found, and the number of harmonics."""
     vector = list(model.values(values).values())
     numbers = (
@@ -148,13 +148,13 @@ def directly_found(
     return response, numbers[-1]
 
 
-def _agree(few: NDArray[np.complex128], many: NDArray[np.complex128]) -> NDArray[np.bool_]:
+def _agree(few: ComplexArray, many: ComplexArray) -> BoolArray:
     """Tell where the response with more harmonics is the same, or missing as well."""
     same = np.abs(many - few) <= ENOUGH * np.abs(many)
     return same | (np.isnan(few) & np.isnan(many))
 
 
-def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64]) -> None:
+def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
     """Raise ValueError, naming the cure, where model, data and sine do not fit together."""
     if not isinstance(model, StateSpace):
         raise ValueError(
@@ -237,9 +237,9 @@ class Balance:
     switches: bool
     jumps: bool
     linear: bool
-    places: NDArray[np.int_]
-    orders: NDArray[np.float64]
-    mirror: NDArray[np.float64]
+    places: IntArray
+    orders: Array
+    mirror: Array
     amplitude: Any
     slopes: ca.Function
 
@@ -428,7 +428,7 @@ def _transforms(harmonics: int, least: int, shift: float) -> tuple[ca.DM, ca.DM]
     return ca.DM(to_samples), ca.DM(to_series)
 
 
-def _mean_conditions(balance: Balance, given: NDArray[np.float64]) -> tuple[int, ...] | None:
+def _mean_conditions(balance: Balance, given: Array) -> tuple[int, ...] | None:
     """Choose what fixes the means: the first conditions that the balance, at some orbit, does not determine already.
 
     The mean of the sine's own signal comes first. It determines nothing where an integrator follows
@@ -579,7 +579,7 @@ class CompiledBalance(Newton):
     def at(
         cls,
         model: Model,
-        omega: NDArray[np.float64],
+        omega: Array,
         sine: Sine,
         *,
         input: str = "",
@@ -637,13 +637,13 @@ class CompiledBalance(Newton):
         assert self.fewer is not None
         return many + (many - few) * (self.fewer + 1) / (self.harmonics - self.fewer)
 
-    def response(self, omega: NDArray[np.float64]) -> ca.Function:
+    def response(self, omega: Array) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part of the response (n,)."""
         p = ca.MX.sym("p", len(self.model.parameters))
         parts = self._responses(self.given(p, omega))
         return ca.Function("response", [p], [parts[0, :].T, parts[1, :].T])
 
-    def given(self, p: Any, omega: NDArray[np.float64]) -> Any:
+    def given(self, p: Any, omega: Array) -> Any:
         """Return what is given at every frequency, as columns: parameters `p`, operating point, frequency, sine."""
         columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
         amplitudes = ca.DM(self.sine.amplitudes(omega)).T

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from greybox.files.arrays import Array
 from greybox.modeling.function_of_s import polynomial_value
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -159,7 +160,7 @@ class KnownStateSpace(StateSpace):
 
 def _coefficients(values: Sequence[float], what: str) -> list[float]:
     """Return the coefficients without leading zeros."""
-    numbers: NDArray[np.float64] = np.atleast_1d(np.array(values, dtype=float))
+    numbers: Array = np.atleast_1d(np.array(values, dtype=float))
     if numbers.ndim != 1 or not numbers.size or not np.all(np.isfinite(numbers)):
         raise ValueError(
             f"the {what} is {values!r:.60}: give finite coefficients, highest power of s first."

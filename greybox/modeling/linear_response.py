@@ -5,9 +5,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import elimination_order, solve, solve_pencils
 from greybox.modeling.functions import exp
@@ -68,8 +69,8 @@ def frequency_response(
 
 
 def _transfer_function_values(
-    model: TransferFunction, omega: NDArray[np.float64], p: Names, pade: int | None
-) -> NDArray[np.complex128]:
+    model: TransferFunction, omega: Array, p: Names, pade: int | None
+) -> ComplexArray:
     s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
     result = model.response(s, p)
     if isinstance(result, Complex):
@@ -87,8 +88,8 @@ def _transfer_function_values(
 
 
 def _state_space_values(
-    system: LinearSystem, omega: NDArray[np.float64], input: str, output: str, pade: int | None
-) -> NDArray[np.complex128]:
+    system: LinearSystem, omega: Array, input: str, output: str, pade: int | None
+) -> ComplexArray:
     i = system.inputs.index(input)
     k = system.outputs.index(output)
     pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
@@ -101,7 +102,7 @@ def _state_space_values(
 
 def response_formula(
     model: Model,
-    omega: NDArray[np.float64],
+    omega: Array,
     symbol: ca.SX | None = None,
     *,
     input: str = "",
@@ -150,9 +151,7 @@ def response_formula(
     return Trimmed(trim.root, ca.Function("response", [p, w, *symbols], both))
 
 
-def formula_at_one_frequency(
-    model: Model, omega: NDArray[np.float64], **options: Any
-) -> ca.Function | None:
+def formula_at_one_frequency(model: Model, omega: Array, **options: Any) -> ca.Function | None:
     """Compile the frequency response at one frequency: (parameters, frequency) to real and imaginary part.
 
     The arguments are those of `response_formula`. None where the formula has numbers of its own for
@@ -166,7 +165,7 @@ def formula_at_one_frequency(
 
 
 def _elimination_order(
-    model: StateSpace, matrices: ca.Function, trim: Trimmed, input: int, omega: NDArray[np.float64]
+    model: StateSpace, matrices: ca.Function, trim: Trimmed, input: int, omega: Array
 ) -> tuple[int, ...]:
     """Choose the order of elimination from the matrices at the start values and at draws from the start boxes."""
     random = np.random.default_rng(0)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
@@ -29,14 +29,14 @@ class LinearSystem:
         States and inputs at the operating point.
     """
 
-    A: NDArray[np.float64]
-    B: NDArray[np.float64]
-    C: NDArray[np.float64]
-    D: NDArray[np.float64]
+    A: Array
+    B: Array
+    C: Array
+    D: Array
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    delays: NDArray[np.float64]
+    delays: Array
     point: Mapping[str, float]
 
     def __repr__(self) -> str:
@@ -58,7 +58,7 @@ class LinearSystem:
         return "\n".join([*names, signals, f"about {point}", *matrices, f"delay = {self.delays} s"])
 
     @property
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> ComplexArray:
         """Eigenvalues of A, (n,), rad/s."""
         return np.linalg.eigvals(self.A).astype(complex)
 

@@ -16,17 +16,16 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling.harmonic_balance import ENOUGH, HARMONICS, CompiledBalance, directly_found
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.symbolic_reading import traced_derivative
-
-Array = NDArray[np.float64]
 
 RANGE = 1e3  # from where, relative to the amplitude, a motion is followed
 # How far a curve is followed past the amplitude, to where it may turn and come back: a resonance
@@ -125,9 +124,7 @@ def _with_order(signals: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _require_finite(
-    model: Model, omega: Array, sine: Sine, response: NDArray[np.complex128]
-) -> None:
+def _require_finite(model: Model, omega: Array, sine: Sine, response: ComplexArray) -> None:
     finite = np.isfinite(response)
     if not finite.all():
         k = int(np.argmin(finite))
@@ -144,7 +141,7 @@ class PeriodicMotions:
     The first frequency without a motion ends the search.
     """
 
-    response: NDArray[np.complex128]
+    response: ComplexArray
     several: tuple[str, ...]
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import ComplexArray
 from greybox.modeling.function_of_s import (
     CASADI_TYPES,
     FunctionOfS,
@@ -130,12 +130,12 @@ class Rational(FunctionOfS):
         )
 
     @property
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> ComplexArray:
         """Roots of a numeric denominator, rad/s."""
         return np.roots([float(c) for c in self.denominator]).astype(complex)
 
     @property
-    def zeros(self) -> NDArray[np.complex128]:
+    def zeros(self) -> ComplexArray:
         """Roots of a numeric numerator, rad/s."""
         return np.roots([float(c) for c in self.numerator]).astype(complex)
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
 
 # Five times what a strong kink needs, see `Sine`.
@@ -38,7 +38,7 @@ class Sine:
     """
 
     signal: str
-    amplitude: float | NDArray[np.float64]
+    amplitude: float | Array
     harmonics: int | None = None
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class Sine:
         harmonics = None if self.harmonics is None else int(self.harmonics)
         return {"signal": self.signal, "amplitude": amplitude, "harmonics": harmonics}
 
-    def amplitudes(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+    def amplitudes(self, omega: Array) -> Array:
         """Return the amplitude at every frequency, (n,).
 
         Raises
@@ -107,7 +107,7 @@ class Sine:
             )
         return np.broadcast_to(self.amplitude, omega.shape)
 
-    def between(self, measured: NDArray[np.float64], omega: NDArray[np.float64]) -> "Sine":
+    def between(self, measured: Array, omega: Array) -> "Sine":
         """Return the sine at other frequencies, its amplitude interpolated over the logarithm of the `measured`."""
         if not np.ndim(self.amplitude):
             return self

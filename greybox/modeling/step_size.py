@@ -18,9 +18,8 @@ Richardson's error estimate (4.4), the step size that meets a tolerance, and lim
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, ComplexArray
 
 # Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170
 # per sample; a model with faster ones is stiff, and the implicit `Rosenbrock` takes fewer steps.
@@ -37,7 +36,7 @@ NEGLIGIBLE = 1e-6
 
 
 def stable_substeps(
-    poles: NDArray[np.complex128],
+    poles: ComplexArray,
     step: float,
     *,
     reach: float,

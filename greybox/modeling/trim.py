@@ -6,8 +6,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.model import Names, require_known
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -161,9 +161,9 @@ def _presolve(
     model: StateSpace,
     at: Mapping[str, float],
     residual: ca.Function,
-    start: NDArray[np.float64],
+    start: Array,
     size: int,
-) -> tuple[NDArray[np.float64], list[int]]:
+) -> tuple[Array, list[int]]:
     """Solve the trim at the start values; return it with as many independent equations as there are unknowns."""
     from scipy.optimize import least_squares  # noqa: PLC0415  (takes a fifth of a second to import)
 
@@ -206,7 +206,7 @@ def _presolve(
     )
 
 
-def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+def _pivots(jacobian: ca.DM) -> tuple[Array, IntArray]:
     """Pivots of a Jacobian, largest first, and the order in which its rows were taken."""
     from scipy.linalg import qr  # noqa: PLC0415  (see `_presolve`)
 
@@ -221,7 +221,7 @@ def _rootfinder(
     p: ca.SX,
     point: ca.SX,
     rest: ca.SX,
-    guess: NDArray[np.float64],
+    guess: Array,
     rows: list[int],
 ) -> Trimmed:
     options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}

@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.plotting.response_series import (
     BAND_ALPHA,
     CROWD,
@@ -46,9 +46,7 @@ HEIGHTS = {
     "phase error": 1.3,
 }  # inches
 
-_Phase = tuple[
-    NDArray[np.float64], NDArray[np.float64]
-]  # sorted omega (n,) in rad/s, phase (n,) in degrees
+_Phase = tuple[Array, Array]  # sorted omega (n,) in rad/s, phase (n,) in degrees
 
 
 def bode(
@@ -181,9 +179,7 @@ def draw_bode(
     _frequency_axes(drawn)
 
 
-def _draw_series(
-    place: Mapping[str, Axes], one: ResponseSeries, phase: NDArray[np.float64]
-) -> None:
+def _draw_series(place: Mapping[str, Axes], one: ResponseSeries, phase: Array) -> None:
     """Draw magnitude, `phase` (n,) in degrees, and what is known of coherence, variance and band."""
     response = one.response
     size = np.abs(response.response)
@@ -243,7 +239,7 @@ def _draw_errors(
 
 def band_limits(
     band: ResponseBand,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array, Array]:
     """Return rising frequencies (n,), and the limits (2, n) from the response on, in dB and degrees, along them."""
     order = np.argsort(band.omega)
     factors = np.array([[DB_PER_NEPER], [180 / np.pi]])
@@ -257,7 +253,7 @@ def _band_look(color: str) -> dict[str, Any]:
 
 def error_bars(
     data: FrequencyResponse,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array, Array]:
     """Return one standard deviation of one component, (n,): down and up in dB, and in degrees."""
     assert data.variance is not None
     relative = np.sqrt(data.variance / 2) / np.maximum(np.abs(data.response), 1e-300)
@@ -292,7 +288,7 @@ def _frequency_axes(drawn: AxesArray) -> None:
     label_horizontal(drawn, "ω, rad/s")
 
 
-def phases(series: Sequence[ResponseSeries]) -> list[NDArray[np.float64]]:
+def phases(series: Sequence[ResponseSeries]) -> list[Array]:
     """Return the phase (n,) of each series in degrees, within each input-output pair next to each other."""
     first: dict[tuple[str, str], _Phase] = {}
     guides: dict[ResponseSeries, _Phase] = {}
@@ -324,7 +320,7 @@ def _moved(alone: _Phase, beside: _Phase) -> _Phase:
     return alone[0], alone[1] + 360 * np.round(apart / 360)
 
 
-def _wrapped_to(guide: _Phase, response: FrequencyResponse) -> NDArray[np.float64]:
+def _wrapped_to(guide: _Phase, response: FrequencyResponse) -> Array:
     """Return the phase (n,) in degrees, each within half a turn of the guide."""
     phase = np.degrees(np.angle(response.response))
     return phase + 360 * np.round((interpolated(response.omega, *guide) - phase) / 360)

@@ -3,22 +3,25 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.integer]
+from greybox.files.arrays import Array, IntArray
 
 COLUMNS = 2000  # a figure 10 inches wide has these many pixels at 200 dpi; each shows a smallest and a largest value
 
 
-def pieces(time: Array, gap: float) -> list[Rows]:
+def pieces(time: Array, gap: float) -> list[IntArray]:
     """Return the rows between the gaps: the steps of `time` (n,) that are longer than `gap`, in s."""
     cuts = np.flatnonzero(np.diff(time) > gap) + 1
     return np.split(np.arange(time.size), cuts)
 
 
 def drawn_line(
-    time: Array, values: Array, rows: Sequence[Rows], *, thin: bool = True, columns: int = COLUMNS
+    time: Array,
+    values: Array,
+    rows: Sequence[IntArray],
+    *,
+    thin: bool = True,
+    columns: int = COLUMNS,
 ) -> tuple[Array, Array]:
     """Return the pieces of a line, one after the other with a NaN between.
 
@@ -39,7 +42,7 @@ def drawn_line(
     return np.concatenate(times)[:-1], np.concatenate(kept_values)[:-1]
 
 
-def _extremes(values: Array, size: int) -> Rows:
+def _extremes(values: Array, size: int) -> IntArray:
     """Return the rows of the smallest and largest of every `size` values (n,), and of both ends."""
     if values.size < size:
         return np.arange(values.size)

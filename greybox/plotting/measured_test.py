@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure, SubFigure
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
@@ -43,8 +42,6 @@ from greybox.plotting.style import (
 )
 from greybox.spectral.demodulation import least_squares, whole_periods
 from greybox.spectral.test_quality import at_limit
-
-Array = NDArray[np.float64]
 
 WIDTH, BODE_WIDTH, PANEL, SINES, SPECTRUM = 8.2, 6.2, 1.25, 1.6, 2.6  # inches
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from greybox.data.record import Record
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.plotting.style import (
     COLORS,
     DARK,
@@ -27,8 +27,6 @@ from greybox.plotting.style import (
     symbol,
 )
 from greybox.statistics.metrics import CorrelationTest, input_correlation, whiteness
-
-Array = NDArray[np.float64]
 
 BINS = 40  # of a histogram, at most: narrower ones show chance
 MOST_INPUTS = 3  # that have a panel for each output: those that the residuals are most clearly correlated with

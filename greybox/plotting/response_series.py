@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
+from greybox.files.arrays import ComplexArray
 from greybox.plotting.style import COLORS, DARK, GRAYS, MARKERS, plain, symbol
 
 LINE_STYLES = ("-", "--", "-.", ":")
@@ -88,7 +89,7 @@ class ErrorSeries:
     """
 
     data: FrequencyResponse
-    ratio: NDArray[np.complex128]
+    ratio: ComplexArray
     look: dict[str, Any]
 
 

@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
 from greybox.plotting.style import (
     COLORS,
@@ -185,7 +185,7 @@ def _has_noise(fitted: FittedSpectrum) -> bool:
     return fitted.criterion == "output-error" and bool(np.all(np.isfinite(fitted.noise)))
 
 
-def _size(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _size(values: ComplexArray) -> Array:
     """Return magnitudes, NaN for zero, which has no logarithm."""
     size = np.abs(values)
     return np.where(size > 0, size, np.nan)

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from greybox.data.record import GAP, Record
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
-from greybox.plotting.long_lines import Rows, drawn_line, pieces
+from greybox.files.arrays import Array, IntArray
+from greybox.plotting.long_lines import drawn_line, pieces
 from greybox.plotting.style import (
     TITLE_SIZE,
     AxesArray,
@@ -34,7 +34,6 @@ from greybox.plotting.style import (
 )
 from greybox.simulation.prediction import Prediction
 
-Array = NDArray[np.float64]
 MEASURED = "#AAAAAA"
 INPUT = "#222222"
 DOTS = 400  # measured samples up to which each is a dot: more would touch
@@ -52,8 +51,8 @@ class History:
     inputs: tuple[str, ...]
     values: dict[str, Array]
     half_width: dict[str, Array]
-    pieces: list[Rows]
-    window_starts: Rows
+    pieces: list[IntArray]
+    window_starts: IntArray
 
 
 def time_history(
@@ -240,7 +239,7 @@ def _of_prediction(prediction: Prediction) -> History:
     )
 
 
-def gapless_rows(data: Record) -> list[Rows]:
+def gapless_rows(data: Record) -> list[IntArray]:
     """Return the rows between the gaps; rows without a time are not joined."""
     if not data.has_time:
         return [np.array([row]) for row in range(len(data))]

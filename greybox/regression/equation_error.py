@@ -15,10 +15,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record, require_time
+from greybox.files.arrays import Array
 from greybox.files.text_table import number, one_line, text_table, with_error
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -39,8 +39,6 @@ from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
 from greybox.regression.smoothing import regular
 from greybox.regression.variable_projection import Projection, project
-
-Array = NDArray[np.float64]
 
 POOR = 0.5  # R² below which most of the target's variation is not explained, and a sentence says so
 # Standard errors of bias from which a sentence names it: with 0.5 a 95 % interval still covers 92

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 # Singular value of the matrix with unit columns below which a combination is not determined: the
 # root of the rounding, at which the normal equations lose it.

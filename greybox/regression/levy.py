@@ -14,9 +14,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.regression.poles_and_zeros import (
@@ -48,8 +49,8 @@ class RationalFit:
     when one unknown is superfluous.
     """
 
-    numerator: NDArray[np.float64]
-    denominator: NDArray[np.float64]
+    numerator: Array
+    denominator: Array
     integrator: bool
     data: FrequencyResponse
     iterations: int
@@ -68,12 +69,12 @@ class RationalFit:
         return len(self.numerator) - 1
 
     @property
-    def zeros(self) -> NDArray[np.complex128]:
+    def zeros(self) -> ComplexArray:
         """Zeros, (m,) or fewer when leading coefficients vanish, rad/s."""
         return np.roots(self.numerator).astype(complex)
 
     @property
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> ComplexArray:
         """Poles, (n,), rad/s."""
         return np.roots(self.denominator).astype(complex)
 
@@ -208,8 +209,8 @@ def levy(
 
 
 def _solve(
-    data: FrequencyResponse, n: int, m: int, integrator: bool, weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    data: FrequencyResponse, n: int, m: int, integrator: bool, weights: Array
+) -> tuple[Array, Array, float]:
     """Return numerator (m + 1,), denominator (n + 1,) and condition number of the equations with `weights` (n_ω,)."""
     powers = (1j * data.omega[:, None]) ** np.arange(n, -1, -1) * weights[:, None]
     response = data.response[:, None] * powers
@@ -229,7 +230,7 @@ def _solve(
     )
 
 
-def _aic(model: NDArray[np.complex128], data: FrequencyResponse, unknowns: int) -> float:
+def _aic(model: ComplexArray, data: FrequencyResponse, unknowns: int) -> float:
     """Return Akaike's criterion.
 
     -2 ln L of circular complex normal relative errors at their most likely size is 2 n ln(mean
@@ -259,7 +260,7 @@ def _check_whole(name: str, value: int, least: int) -> None:
         raise ValueError(f"{name} is {value!r}: give a whole number of at least {least}.")
 
 
-def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> NDArray[np.float64]:
+def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> Array:
     weights = np.ones(len(data)) if weight is None else np.asarray(weight, dtype=float)
     if weights.shape != (len(data),):
         raise ValueError(

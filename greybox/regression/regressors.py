@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
+from greybox.files.arrays import Array
 from greybox.regression.least_squares import Block
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -19,8 +19,6 @@ from greybox.regression.smoothing import (
     stretches,
     without_holes,
 )
-
-Array = NDArray[np.float64]
 
 # Cutoff of an equation's terms over the lowest of its signals: with 1 what the signals have lost
 # biases the tilt model by many standard errors, with 0.7 and 0.5 the intervals cover, with 0.35

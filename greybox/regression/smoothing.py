@@ -18,12 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.record import GAP, Record
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted
-
-Array = NDArray[np.float64]
 
 POWER = 8  # twice the order of the smoothing spline
 SHORTEST = 12  # samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows
@@ -195,7 +194,7 @@ def require_uniform(time: Array) -> None:
         raise _uneven(float(time[odd[0]]), float(steps[odd[0]]), step)
 
 
-def _base(time: Array, places: NDArray[np.int_]) -> Array:
+def _base(time: Array, places: IntArray) -> Array:
     """Return the uniform base through a piece whose samples lie at these places of it."""
     if places[-1] == 0:
         return time
@@ -216,7 +215,7 @@ def _uneven(time: float, step: float, usual: float) -> ValueError:
     )
 
 
-def _placed(values: Array, places: NDArray[np.int_]) -> Array:
+def _placed(values: Array, places: IntArray) -> Array:
     column = np.full(places[-1] + 1, np.nan)
     column[places] = values
     return column

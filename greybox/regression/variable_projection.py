@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.formulation.starts import Sobol
 from greybox.modeling.parameter import Parameter
 from greybox.regression.least_squares import (
@@ -20,8 +20,6 @@ from greybox.regression.least_squares import (
 )
 from greybox.regression.regressors import Regressors
 from greybox.regression.smoothing import reach, stretches
-
-Array = NDArray[np.float64]
 
 # Points in the box of the nonlinear unknowns, of which there are one to three, a delay or a lag
 # each: with two, four along each.

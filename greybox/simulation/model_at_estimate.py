@@ -5,16 +5,14 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record, require_time
+from greybox.files.arrays import Array, IntArray
 from greybox.formulation.input_assumptions import Inputs, between_samples, require_inputs
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
-
-Array = NDArray[np.float64]
 
 
 class FittedTo(Protocol):
@@ -107,7 +105,7 @@ class ModelAtEstimate:
         return np.asarray(self.system.delay(self.p).full()).ravel()
 
     @property
-    def uncertain(self) -> NDArray[np.integer]:
+    def uncertain(self) -> IntArray:
         """Indices of the values that have a standard error, or one that is not known."""
         if self.covariance is None:
             return np.zeros(0, dtype=int)

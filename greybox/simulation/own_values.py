@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import gapless
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import WIDEST_BIAS
 from greybox.modeling.integrators import Integrator
@@ -23,8 +23,6 @@ from greybox.modeling.model import require_known
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.simulator import Simulator, WindowLinearization
 from greybox.simulation.windows import Windows, cut
-
-Array = NDArray[np.float64]
 
 ITERATIONS = 15  # of Gauss-Newton: biases and trims are nearly linear, and settle in two or three
 SETTLED = 1e-2  # of a standard error: a step that does not matter
@@ -146,7 +144,7 @@ class _Found:
     information: "_Information | None"
 
     @property
-    def places(self) -> NDArray[np.integer]:
+    def places(self) -> IntArray:
         return np.array([self.model.names.index(name) for name in self.names], dtype=int)
 
     def errors(self) -> Array:
@@ -272,7 +270,7 @@ def _minimized(
     simulator: Simulator,
     model: ModelAtEstimate,
     windows: Windows,
-    places: NDArray[np.integer],
+    places: IntArray,
     limits: Sequence[tuple[float, float]],
 ) -> tuple[ModelAtEstimate, _Information] | None:
     """Return the model at the best values of `places`, with the information there; None where nothing is finite."""
@@ -300,7 +298,7 @@ def _searched(
     at: Callable[[Array], _Information],
     q: Array,
     now: _Information,
-    places: NDArray[np.integer],
+    places: IntArray,
     step: Array,
     limits: tuple[Array, Array],
 ) -> tuple[Array, _Information, Array]:
@@ -316,9 +314,7 @@ def _searched(
     return q, now, np.zeros(len(places))
 
 
-def _information(
-    simulator: Simulator, windows: Windows, places: NDArray[np.integer]
-) -> _Information:
+def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _Information:
     """Return the normal equations at the simulator's values.
 
     The first state of a window is a mean of all windows, which is not known, and a deviation with

@@ -5,14 +5,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
 
-Array = NDArray[np.float64]
 AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is reported
 
 
@@ -74,7 +73,7 @@ class Prediction:
     states: tuple[str, ...]
     lead: float
     horizon: float
-    rows: NDArray[np.integer]
+    rows: IntArray
     predicted: Array
     error: Array
     noise: Array
@@ -123,7 +122,7 @@ class Prediction:
         """What a window is called: of rows without a time each is one."""
         return "window" if self.data.has_time else "row"
 
-    def kept(self, windows: NDArray[np.bool_]) -> "Prediction":
+    def kept(self, windows: BoolArray) -> "Prediction":
         """Return the prediction of some of the windows, (w,)."""
         named = {
             name: getattr(self, name)[:, windows]

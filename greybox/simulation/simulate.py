@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator, RungeKutta
@@ -18,7 +19,6 @@ from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimulations, diverged
 from greybox.simulation.windows import Windows, cut, default_length, require_lengths
 
-Array = NDArray[np.float64]
 # In SI units: a signal that was larger than this before it ceased to be finite diverged; one that
 # was smaller met a formula outside its domain.
 GROWN = 1e6
@@ -186,7 +186,7 @@ def predict_windows(
     outputs: tuple[str, ...],
     integrator: Integrator | None = None,
     own: Sequence[str] | None = None,
-) -> tuple[Prediction, NDArray[np.bool_], str]:
+) -> tuple[Prediction, BoolArray, str]:
     """Predict `outputs`, which the record has, over given windows: the same ones for models that are compared.
 
     Values `own` of the record are estimated first, by default those that the model has where the

@@ -7,11 +7,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Segments
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.step_size import (
@@ -29,8 +29,6 @@ from greybox.simulation.state_estimation import (
     without_states,
 )
 from greybox.simulation.windows import Windows, sample_data
-
-Array = NDArray[np.float64]
 
 # Of a state's size: what halving the substeps may change in one sample. A thousand such errors in
 # one direction add up to 1e-4 of the state, below the noise of any sensor.
@@ -69,7 +67,7 @@ class WindowSimulations:
     unknown: tuple[str, ...]
 
     @property
-    def not_finite(self) -> NDArray[np.bool_]:
+    def not_finite(self) -> BoolArray:
         """Windows (w,) in which an output is not finite."""
         return self.initial.not_finite | ~np.all(np.isfinite(self.outputs), axis=(1, 2))
 
@@ -92,7 +90,7 @@ class WindowLinearization:
     initial: StateEstimates
     residuals: Array
     slopes: Array
-    used: NDArray[np.bool_]
+    used: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,9 +209,7 @@ class Simulator:
         )
         return WindowSimulations(estimates, outputs, states, error, one_step, unknown)
 
-    def linearize_windows(
-        self, windows: Windows, active: NDArray[np.integer]
-    ) -> WindowLinearization:
+    def linearize_windows(self, windows: Windows, active: IntArray) -> WindowLinearization:
         """Linearize every window by its state and the `active` values, from the state that its lead-in gives."""
         data, _, result = self._from_lead_ins(windows, active)
         assert result.estimates is not None
@@ -232,8 +228,8 @@ class Simulator:
         )
 
     def _from_lead_ins(
-        self, windows: Windows, active: NDArray[np.integer]
-    ) -> tuple[dict[str, Array], NDArray[np.bool_], _Run]:
+        self, windows: Windows, active: IntArray
+    ) -> tuple[dict[str, Array], BoolArray, _Run]:
         """Run every window from the state that its lead-in gives; derivatives are to be by the `active` values.
 
         Returns the data, which outputs were measured within lead-ins (k, w, samples), and the run.
@@ -318,9 +314,7 @@ class Simulator:
         change = fine - coarse
         return relative_change(np.where(np.isfinite(change), change, 0.0), state_sizes(x))
 
-    def _segments_of(
-        self, step: SampleStep, count: int, length: int, active: NDArray[np.integer]
-    ) -> Segments:
+    def _segments_of(self, step: SampleStep, count: int, length: int, active: IntArray) -> Segments:
         """Return segments of this shape, whose functions are compiled once."""
         key = (id(step), count, length, active.tobytes())
         if key not in self._segments:
@@ -342,7 +336,7 @@ class Simulator:
         return self._steps[substeps]
 
 
-def diverged(signals: Mapping[str, Array]) -> NDArray[np.bool_]:
+def diverged(signals: Mapping[str, Array]) -> BoolArray:
     """Return at which samples a signal is not finite or larger than any physical one."""
     return ~np.all([np.abs(values) < DIVERGED for values in signals.values()], axis=0)
 
@@ -366,7 +360,7 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
     return stable_substeps(np.linalg.eigvals(matrix), step, reach=FIRST_REACH, most=MOST_AT_FIRST)
 
 
-def _columns(segments: Segments, data: Mapping[str, Array], present: NDArray[np.bool_]) -> Array:
+def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) -> Array:
     """Return the data of all windows as far as the segments reach, with the outputs that are `present` as measured."""
     rows = [
         data["whole"],
@@ -444,7 +438,7 @@ def _standard_errors(
     return np.sqrt(np.maximum(variance, 0.0)), unknown
 
 
-def _depends(by_value: Array, q: Array) -> NDArray[np.bool_]:
+def _depends(by_value: Array, q: Array) -> BoolArray:
     """Tell which samples of an output depend on which values (..., k, a), beyond rounding."""
     effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
     largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
@@ -454,7 +448,7 @@ def _depends(by_value: Array, q: Array) -> NDArray[np.bool_]:
 def _window_errors(
     estimates: StateEstimates,
     slopes: Array,
-    in_lead: NDArray[np.bool_],
+    in_lead: BoolArray,
     model: ModelAtEstimate,
     n: int,
 ) -> tuple[Array, tuple[str, ...]]:

@@ -15,9 +15,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, BoolArray
+
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
 Sensitivities = Callable[
     [Array], Array
@@ -64,7 +64,7 @@ class StateEstimates:
     noise: Array
     mean: Array
     precision: Array
-    not_finite: NDArray[np.bool_]
+    not_finite: BoolArray
 
 
 def estimate_states(
@@ -174,7 +174,7 @@ class _LeadIns:
         e = self.measured - self.outputs(x)
         return np.where(np.isfinite(self.measured), np.where(np.isfinite(e), e, np.inf), 0.0)
 
-    def begin(self, guesses: Sequence[Array]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    def begin(self, guesses: Sequence[Array]) -> tuple[Array, Array, Array, BoolArray]:
         """Return x, e, S and which windows are finite, from the first guess that makes each of them so."""
         x = guesses[0]
         e, S, finite = self._at(x)
@@ -185,19 +185,19 @@ class _LeadIns:
             e, S, finite = self._at(x)
         return self._completed(x, e, S, finite)
 
-    def linear(self, x: Array, e: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    def linear(self, x: Array, e: Array) -> tuple[Array, Array, Array, BoolArray]:
         """Return x, e, S and which windows are finite where the residuals are `e`; x is changed where one is not."""
         S = self.sensitivities(x)
         return self._completed(x, e, S, _finite(e, S))
 
-    def _at(self, x: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _at(self, x: Array) -> tuple[Array, Array, BoolArray]:
         e = self.residual(x)
         S = self.sensitivities(x)
         return e, S, _finite(e, S)
 
     def _completed(
-        self, x: Array, e: Array, S: Array, finite: NDArray[np.bool_]
-    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        self, x: Array, e: Array, S: Array, finite: BoolArray
+    ) -> tuple[Array, Array, Array, BoolArray]:
         """Begin windows that are not finite where the others are on average; where that fails they do not count."""
         if not finite.all() and finite.any():
             x = np.where(finite[:, None], x, x[finite].mean(axis=0))
@@ -210,7 +210,7 @@ class _LeadIns:
         )
 
 
-def _finite(e: Array, S: Array) -> NDArray[np.bool_]:
+def _finite(e: Array, S: Array) -> BoolArray:
     return np.all(np.isfinite(e), axis=(1, 2)) & np.all(np.isfinite(S), axis=(1, 2, 3))
 
 
@@ -254,7 +254,7 @@ def _prior(
 
 
 def _noise_of(
-    e: Array, S: Array, present: NDArray[np.bool_], posterior: Array, R: Array, spread: Array
+    e: Array, S: Array, present: BoolArray, posterior: Array, R: Array, spread: Array
 ) -> Array:
     """Return the variances of the residuals, corrected for what the states have fitted away, as a diagonal (k, k).
 
@@ -291,7 +291,7 @@ def _line_search(
     x: Array,
     e: Array,
     step: Array,
-    finite: NDArray[np.bool_],
+    finite: BoolArray,
 ) -> tuple[Array, Array, Array]:
     """Take the step of every window that is finite, halved until it does not cost more.
 

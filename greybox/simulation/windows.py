@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
+from greybox.files.arrays import Array, IntArray
 
-Array = NDArray[np.float64]
 FEWEST = 10  # samples of a default length: two or more for each state of the models here, which have 2 to 5
 DELAYS = 2.0  # longest delays that a default lead-in lasts: within the first, outputs answer to inputs before it
 ROUNDING = 1e-6  # of a sample, by which a length may fall short of it: times are rounded
@@ -30,7 +29,7 @@ class Windows:
     """
 
     record: Record
-    rows: NDArray[np.integer]
+    rows: IntArray
     lead: int
     horizon: int
 

@@ -15,13 +15,11 @@ are not met much better than before (Nocedal and Wright, Numerical Optimization,
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.response_part import SMOOTHING
+from greybox.files.arrays import Array
 from greybox.solve.batched_newton import INSIDE, LOOSE, BatchedNewton, Ends
 from greybox.solve.interruption import reason_to_end
-
-Array = NDArray[np.float64]
 
 FEASIBLE = 1e-8  # how far a constraint may be missed, in the solver's variables: as IPOPT may leave its bounds
 

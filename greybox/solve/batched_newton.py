@@ -20,11 +20,11 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.alike_terms import FEWEST_COLUMNS, SecondOrder
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.vectorized import Columns
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
@@ -38,9 +38,6 @@ from greybox.solve.newton_iteration import (
     advanced,
     bounded,
 )
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Factors of the barrier, and smoothings of a cost with kinks, one after the other. The first
 # smoothing rounds off what is smaller than the measured response. Without a barrier 81 % instead of
@@ -80,21 +77,21 @@ class Ends:
     """
 
     z: Array
-    at_minimum: Flags
-    iterations: NDArray[np.int_]
+    at_minimum: BoolArray
+    iterations: IntArray
 
 
 @dataclass(eq=False)
 class _Searches:
     """The searches that are under way, a column for each, and some that fill up to a width."""
 
-    owner: NDArray[np.int_]  # of the column, where it is live
-    path: NDArray[np.int_]  # row of the barriers
+    owner: IntArray  # of the column, where it is live
+    path: IntArray  # row of the barriers
     numbers: Array  # see `newton_iteration`
-    live: Flags
+    live: BoolArray
     given: Array  # (g, m), what the function takes besides, of each search
 
-    def taken(self, columns: NDArray[np.int_]) -> "_Searches":
+    def taken(self, columns: IntArray) -> "_Searches":
         """Return those in some columns, and one of them as often as a width takes."""
         live = np.arange(_width(len(columns))) < len(columns)
         columns = _filled(columns)
@@ -211,7 +208,7 @@ class BatchedNewton:
             every
         )
 
-    def _end(self, searches: _Searches, which: Flags, ends: Ends) -> None:
+    def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
         """Take searches out."""
         owner, numbers = searches.owner[which], searches.numbers[:, which]
         ends.z[:, owner] = numbers[self._rows.z]
@@ -242,7 +239,7 @@ class BatchedNewton:
             numbers[rows.trial, others] = trials[:, : others.size]
 
 
-def _filled(columns: NDArray[np.int_]) -> NDArray[np.int_]:
+def _filled(columns: IntArray) -> IntArray:
     """Return the columns, the first of them repeated up to a power of two, so that few layouts serve."""
     return np.concatenate([columns, np.full(_width(len(columns)) - len(columns), columns[0])])
 

@@ -12,9 +12,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array
 from greybox.solve.augmented_lagrangian import ConstrainedNewton
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end, stop_requested
@@ -24,8 +24,6 @@ from greybox.solve.outcome import IMPROVED, Outcome, Run
 from greybox.solve.runs import Runs
 from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.time_limits import one_run
-
-Array = NDArray[np.float64]
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 

@@ -4,11 +4,10 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, BoolArray
 from greybox.solve.quadratic_program import solve_small_qp
 
-Array = NDArray[np.float64]
 ROUNDING = 1e-9  # of the terms of a constraint: it counts as satisfied
 RESTORATIONS = 20
 ON_BOUND = 1e-12  # of a step, which ends at the bound
@@ -61,7 +60,7 @@ class Limits:
         below = -value.ravel()
         return float(np.where(below > allowed, below, 0.0).sum())
 
-    def linearized(self, z: Array, held: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+    def linearized(self, z: Array, held: BoolArray | None = None) -> tuple[Array, Array]:
         """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits; `held` (p,) do not move.
 
         Constraints are linearized, so that a step leads back to one that is violated.

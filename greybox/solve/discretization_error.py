@@ -12,19 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_group import Groups
+from greybox.files.arrays import Array
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.outcome import TOO_COARSE, Outcome, Run
 from greybox.solve.runs import Runs
-
-Array = NDArray[np.float64]
 
 # Of states and outputs: what finer steps change below this is rounding.
 EXACT = 1e-7

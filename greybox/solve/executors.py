@@ -28,8 +28,8 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.solve.interruption import interrupt_noted, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
@@ -37,7 +37,6 @@ from greybox.solve.outcome import INTERRUPTED, SEARCH_OVER, WORKER_LOST, Outcome
 from greybox.solve.time_limits import TimeLimits, current_limits, limited, one_run
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
-Array = NDArray[np.float64]
 R = TypeVar("R")
 
 # Work of one task, s: two hundred times what a distributed scheduler takes to hand out a task, and

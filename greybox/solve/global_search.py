@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array
 from greybox.solve.executors import packed
 from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
@@ -26,8 +26,6 @@ from greybox.solve.outcome import SCREENED, Outcome
 from greybox.solve.runs import Ended
 from greybox.solve.screened_ipopt import merits
 from greybox.solve.time_limits import one_run
-
-Array = NDArray[np.float64]
 
 # The values of the reference, section 3 and table 1, and of MATLAB's GlobalSearch.
 TRIAL_POINTS = 1000

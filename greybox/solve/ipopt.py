@@ -11,16 +11,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
+from greybox.files.arrays import Array
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import AT_ONCE, Minimum, Multistart
 from greybox.solve.outcome import CUT_SHORT, STAGNATED, Outcome
-
-Array = NDArray[np.float64]
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 

@@ -4,12 +4,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.solve.outcome import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
 from greybox.solve.time_limits import current_limits
-
-Array = NDArray[np.float64]
 
 
 class KeptRunsError(ValueError):

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import stop_requested
@@ -21,8 +21,6 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import same_cost
 from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome
 from greybox.solve.time_limits import one_run
-
-Array = NDArray[np.float64]
 
 
 class LocalSearch:

@@ -5,16 +5,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
+from greybox.files.arrays import Array, IntArray
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Outcome
 from greybox.solve.runs import Runs
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +61,7 @@ class Screened:
         Where runs from them begin: there, or where the comparison has led.
     """
 
-    order: NDArray[np.integer]
+    order: IntArray
     costs: Array
     begins: Array
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, one_line
 from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
 from greybox.solve.runs import AT_ONCE, Runs
@@ -40,7 +41,7 @@ class Minimum:
     """
 
     cost: float
-    estimate: NDArray[np.float64]
+    estimate: Array
     runs: tuple[int, ...]
     variants: int
 
@@ -64,8 +65,8 @@ class Multistart:
     runs: Runs
     minima: tuple[Minimum, ...]
     seconds: float
-    nodes: tuple[NDArray[np.float64], ...] | None = None
-    ends: tuple[tuple[NDArray[np.float64], ...] | None, ...] = ()
+    nodes: tuple[Array, ...] | None = None
+    ends: tuple[tuple[Array, ...] | None, ...] = ()
 
     def __post_init__(self) -> None:
         """Have the runs in columns."""
@@ -156,7 +157,7 @@ def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Signatures) -> tuple[
     return tuple(minima)
 
 
-def _differences(signatures: Signatures, of: int, indices: NDArray[np.int_]) -> NDArray[np.float64]:
+def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:
     """Return the root mean squares of the differences of some responses from that of one, relative to it."""
     reference = np.asarray(signatures[of], dtype=float)
     size = np.maximum(np.abs(reference), 1.0)  # signatures come in units of the measured signals
@@ -180,7 +181,7 @@ def same_cost(nlp: Nlp, cost: float) -> float:
     return SAME_COST * max(cost, 5e-4 * sum(part.numbers for part in nlp.parts))
 
 
-def _variants(nlp: Nlp, ends: NDArray[np.float64]) -> int:
+def _variants(nlp: Nlp, ends: Array) -> int:
     """Count the parameter vectors (r, p) of one minimum that lie more than 5 % of the parameters' size apart."""
     z = nlp.scaling.to_solver(ends)
     distinct = 0

@@ -9,10 +9,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.strategies import with_options
+from greybox.files.arrays import Array
 from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.executors import packed, run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -27,8 +27,6 @@ from greybox.solve.runs import Ended, Runs
 from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.transcribed_program import TranscribedProgram
 from greybox.solve.waves import AllAtOnce, Waves
-
-Array = NDArray[np.float64]
 
 ProgressReport = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""

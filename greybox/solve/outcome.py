@@ -3,13 +3,8 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
-
-Array = NDArray[np.float64]
-
 
 NOT_FINITE = "not finite at the start"  # status of a run that could not begin
 TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias

@@ -1,9 +1,9 @@
 """A small convex quadratic program, as every Gauss-Newton step has one for its parameters."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
+
 FLOOR = 1e-13  # of the largest eigenvalue of the scaled Hessian: flatter directions move only where a limit needs it
 FLAT = 1e-5  # of its root: what such a move counts
 

@@ -7,10 +7,10 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.text_table import counted, one_line
 from greybox.solve.outcome import SCREENED, Outcome, Run
 
-Array = NDArray[np.float64]
 Texts = NDArray[np.object_]
 
 AT_ONCE = 4096  # runs that are looked at together: what fits into the cache
@@ -40,13 +40,13 @@ class Runs(Sequence[Run]):
         All as in `Run`.
     """
 
-    indices: NDArray[np.int_]
+    indices: IntArray
     start: Array
     estimate: Array
     cost: Array
     status: Texts
-    converged: NDArray[np.bool_]
-    iterations: NDArray[np.int_]
+    converged: BoolArray
+    iterations: IntArray
     seconds: Array
     reason: Texts
     stage: Texts
@@ -147,7 +147,7 @@ class Ended:
         )
 
     @property
-    def rows(self) -> NDArray[np.int_]:
+    def rows(self) -> IntArray:
         """Those that runs have filled."""
         return np.flatnonzero(self._is_there)
 

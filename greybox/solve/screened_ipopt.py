@@ -1,14 +1,12 @@
 """IPOPT, behind a comparison of the starts: each is evaluated once before the promising ones are run."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
+from greybox.files.arrays import Array
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.local_solver import Screened
-
-Array = NDArray[np.float64]
 
 VIOLATION_WEIGHT = 1e3  # of what a constraint is missed by, beside the cost
 

@@ -13,16 +13,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.outcome import NOT_FINITE, Outcome
-
-Array = NDArray[np.float64]
 
 # Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful rate
 # needs far fewer.

@@ -5,15 +5,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array
 from greybox.solve.local_solver import LocalSolver, Screened
 from greybox.solve.minima import Minimum, agreeing_runs
 from greybox.solve.outcome import Run
-
-Array = NDArray[np.float64]
 
 
 class Waves(ABC):

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.files.arrays import Array
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 from greybox.spectral.welch import (
@@ -27,8 +28,6 @@ from greybox.spectral.welch import (
     transforms,
     without_incoherent,
 )
-
-Array = NDArray[np.float64]
 
 # Periods in the longest stretch: below, a band of polynomials would reach to the frequencies that
 # removing a trend changes.

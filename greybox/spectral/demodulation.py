@@ -3,13 +3,10 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 METHODS = ("least-squares", "quadrature")
 
@@ -93,7 +90,7 @@ def known_method(method: str) -> str:
 
 def whole_periods(
     time: Array, omega: float, settle: float, periods: int | None
-) -> tuple[NDArray[np.bool_], int]:
+) -> tuple[BoolArray, int]:
     """Return the rows of the last whole periods after `settle`, and how many periods they are.
 
     Raises
@@ -128,7 +125,7 @@ def whole_periods(
 
 def least_squares(
     t: Array, x: Array, omega: float, origin: float, harmonics: int
-) -> tuple[Complex, Array, Array]:
+) -> tuple[ComplexArray, Array, Array]:
     """Fit constant, trend and harmonics to the rows of `x`.
 
     Returns
@@ -150,7 +147,7 @@ def least_squares(
     return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
 
 
-def quadrature(t: Array, x: Array, omega: float, origin: float) -> Complex:
+def quadrature(t: Array, x: Array, omega: float, origin: float) -> ComplexArray:
     """Return the sums of (3.16) over all samples, each weighted by half the distance between its neighbors."""
     step = np.diff(t)
     weight = np.concatenate([[step[0]], (step[1:] + step[:-1]) / 2, [step[-1]]])
@@ -158,7 +155,7 @@ def quadrature(t: Array, x: Array, omega: float, origin: float) -> Complex:
     return sums[..., 0] + 1j * sums[..., 1]
 
 
-def spectral_line(t: Array, x: Array, omega: float, origin: float) -> Complex:
+def spectral_line(t: Array, x: Array, omega: float, origin: float) -> ComplexArray:
     """Return the complex amplitudes (rows,) at one frequency, fitted with a constant alone."""
     columns = np.vstack([np.ones_like(t), sine_and_cosine(t, omega, origin)])
     c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]

@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, number, one_line, text_table
 
 # Harmonics over fundamental. Of a cubic nonlinearity, y = x + k x³, harmonics of a share h come
@@ -96,7 +96,7 @@ class FiniteFrequency:
             *(f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out),
         )
 
-    def with_variance(self, variance: NDArray[np.float64] | None) -> "FiniteFrequency":
+    def with_variance(self, variance: Array | None) -> "FiniteFrequency":
         """Return the points with other variances (n,); None changes nothing."""
         if variance is None:
             return self

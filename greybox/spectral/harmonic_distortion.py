@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.demodulation import spectral_line
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # Error of P(kω), relative: read off between measured frequencies, where the magnitude of a plant is
 # nearly straight over their logarithm, and beyond the highest, where another pole may begin: that
@@ -44,13 +42,13 @@ class Harmonics(NamedTuple):
 
     omega: float
     sine: complex
-    control: Complex
-    output: Complex
-    beside: Complex
+    control: ComplexArray
+    output: ComplexArray
+    beside: ComplexArray
 
 
 def harmonics_of(
-    t: Array, amplitudes: Complex, residual: Array, omega: float, periods: int
+    t: Array, amplitudes: ComplexArray, residual: Array, omega: float, periods: int
 ) -> Harmonics:
     """Return the harmonics in a window of whole periods, given the fitted amplitudes and what they leave."""
     orders = range(2, amplitudes.shape[1] + 1)
@@ -65,7 +63,7 @@ def harmonics_of(
 
 
 def unexplained(
-    omega: Array, response: Complex, measured: Sequence[tuple[complex, Harmonics]]
+    omega: Array, response: ComplexArray, measured: Sequence[tuple[complex, Harmonics]]
 ) -> Array:
     """Return the harmonics that the plant does not explain, as a share of the control's sine, for each test.
 
@@ -85,7 +83,7 @@ def unexplained(
     return np.array([_share(omega, response, abs(u), found) for u, found in measured])
 
 
-def _share(omega: Array, response: Complex, u: float, found: Harmonics) -> float:
+def _share(omega: Array, response: ComplexArray, u: float, found: Harmonics) -> float:
     if not found.control.size or not found.beside.shape[2] or u == 0:
         return math.nan
     at = found.omega * np.arange(2, found.control.size + 2)
@@ -100,7 +98,7 @@ def _share(omega: Array, response: Complex, u: float, found: Harmonics) -> float
     return float(np.sqrt(np.sum(excess**2)) / u)
 
 
-def _read_off(omega: Array, response: Complex, at: NDArray[np.floating]) -> Complex:
+def _read_off(omega: Array, response: ComplexArray, at: NDArray[np.floating]) -> ComplexArray:
     """Return the response at other frequencies: straight lines of log magnitude and phase over log frequency."""
     x, wanted = np.log(omega), np.log(at)
     known = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))

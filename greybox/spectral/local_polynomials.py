@@ -33,11 +33,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.spectral.uniform_stretches import UniformStretch
 from greybox.spectral.welch import EPS, HZ, STRONG, WORST_CONDITION, WindowedPoint
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # Of the response in a band. The error of order R in a band of half-width b beside a pole at the
 # distance ρ goes as (b/ρ)**(R + 1), and the lines that 2R + 2 unknowns need widen the band: orders
@@ -108,8 +106,8 @@ class Lines(NamedTuple):
     """
 
     omega: Array
-    values: Complex
-    stretch: NDArray[np.int64]
+    values: ComplexArray
+    stretch: IntArray
     spacing: float
     same: bool
 
@@ -137,15 +135,15 @@ class Fitted(NamedTuple):
 
     center: float
     half: float
-    rows: NDArray[np.int64]
+    rows: IntArray
     x: Array
-    regressors: Complex
-    basis: Complex
-    solution: Complex
+    regressors: ComplexArray
+    basis: ComplexArray
+    solution: ComplexArray
     transients: Array
     order: int
 
-    def weights(self, omega: Array) -> Complex:
+    def weights(self, omega: Array) -> ComplexArray:
         """From the output at the lines to the response at `omega` (k,): (k, n)."""
         powers = np.vander((omega - self.center) / self.half, self.order + 1, increasing=True)
         return powers @ self.solution[: self.order + 1]
@@ -155,7 +153,7 @@ class Fitted(NamedTuple):
         """How many residuals are left."""
         return self.rows.size - self.basis.shape[1] - self.transients.shape[1]
 
-    def residuals(self, y: Complex) -> Complex:
+    def residuals(self, y: ComplexArray) -> ComplexArray:
         """Return what the polynomials do not explain, (n,)."""
         return _without(self.transients, y) - self.regressors @ (self.solution @ y)
 
@@ -185,7 +183,7 @@ class Band(NamedTuple):
 
     fitted: Fitted
     omega: Array
-    correction: Complex
+    correction: ComplexArray
     squared_error: Array
     pole_noise: tuple[float, float] | None
 
@@ -336,7 +334,7 @@ def _fit(
     return Fitted(center, half, rows, x, regressors, basis, solution, transients, order)
 
 
-def _transients(stretch: NDArray[np.int64], stretches: Sequence[int], powers: Array) -> Array:
+def _transients(stretch: IntArray, stretches: Sequence[int], powers: Array) -> Array:
     """Return an orthonormal basis (n, t) of polynomials of one stretch each; their columns are powers (n, k)."""
     width = powers.shape[1]
     basis = np.zeros((len(powers), width * len(stretches)))
@@ -346,15 +344,15 @@ def _transients(stretch: NDArray[np.int64], stretches: Sequence[int], powers: Ar
     return basis
 
 
-def _without(basis: Array, columns: Complex) -> Complex:
+def _without(basis: Array, columns: ComplexArray) -> ComplexArray:
     """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
-    left: Complex = columns - basis @ (basis.T @ columns)
+    left: ComplexArray = columns - basis @ (basis.T @ columns)
     return left
 
 
 def _rows(
     lines: Lines, center: float, half: float, transient_order: int
-) -> tuple[NDArray[np.int64], list[int]]:
+) -> tuple[IntArray, list[int]]:
     """Return the lines of a band, and the stretches they are of."""
     first, last = np.searchsorted(
         lines.omega, [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)]
@@ -367,7 +365,9 @@ def _rows(
     return rows, stretches.tolist()
 
 
-def _solved(regressors: Complex, instruments: Complex) -> tuple[Complex, Complex] | None:
+def _solved(
+    regressors: ComplexArray, instruments: ComplexArray
+) -> tuple[ComplexArray, ComplexArray] | None:
     """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None where that is ill conditioned."""
     x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):
@@ -448,7 +448,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
 
 def _with_pole(
     lines: Lines, fitted: Fitted, omega: Array
-) -> tuple[Complex, tuple[float, float]] | None:
+) -> tuple[ComplexArray, tuple[float, float]] | None:
     """Return the error of the polynomials at `omega` if there is a pole, and the residuals with that pole.
 
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
@@ -520,10 +520,10 @@ class _Residual(NamedTuple):
     """
 
     center: float
-    rows: NDArray[np.int64]
+    rows: IntArray
     squares: Array
     number: int
-    projection: Complex
+    projection: ComplexArray
 
 
 def _noise(
@@ -642,7 +642,7 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
     rest = np.hstack([fitted.transients, np.linalg.qr(fitted.regressors[:, fitted.order + 1 :])[0]])
     everything = np.hstack([fitted.transients, fitted.basis])
 
-    def unexplained(signal: Complex, basis: NDArray[Any]) -> float:
+    def unexplained(signal: ComplexArray, basis: NDArray[Any]) -> float:
         left = signal - basis @ (basis.conj().T @ signal)
         return float(np.sum(np.abs(left) ** 2)) / (n - basis.shape[1])
 

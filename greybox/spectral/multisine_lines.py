@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.files.arrays import Array
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 from greybox.spectral.welch import HZ, estimates, response_at, transforms, without_incoherent
-
-Array = NDArray[np.float64]
 
 # Of the largest amplitude, for a multiple of the fundamental to count as excited.
 # `greybox.experiment.multisine` gives all its lines one amplitude; the limit of -30 dB only has to

@@ -9,16 +9,13 @@ the outputs at all lines together are one linear system for all responses at the
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
 from greybox.spectral.multisine_lines import EXCITED, whole_periods
 from greybox.spectral.uniform_stretches import uniform_stretches
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # Condition number of that system, with rows and columns of length one, from which the inputs cannot
 # be told apart: an error of a thousandth in the inputs is then one of a tenth in the responses.
@@ -139,7 +136,7 @@ def _interpolation(own: Array, wanted: Array) -> Array:
     return np.asarray(spline(np.log(np.clip(wanted, own[0], own[-1]))))
 
 
-def _solved(inputs: Complexes, outputs: Complexes, between: Sequence[Array]) -> Complexes:
+def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array]) -> ComplexArray:
     """Return the responses (own lines of all inputs, outputs) from inputs (m, lines) and outputs (k, lines)."""
     system = np.concatenate(
         [u[:, None] * way for u, way in zip(inputs, between, strict=True)], axis=1

@@ -10,9 +10,9 @@ the levels differ by more than chance, the curve has few, and each test keeps it
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 LEAST = (
     5  # tests, below which three that are left beside a line do not tell how much levels scatter

@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record, require_time
 from greybox.data.test_segment import Segment, checked_segments
+from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.demodulation import (
     UnusableSegmentError,
     known_method,
@@ -29,9 +29,6 @@ from greybox.spectral.frequency_points import (
 )
 from greybox.spectral.harmonic_distortion import Harmonics, harmonics_of, unexplained
 from greybox.spectral.pooled_noise import pooled_levels
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # Lines beside the frequency, on either side, that the noise is taken from: with six there are 20
 # degrees of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
@@ -252,7 +249,7 @@ def _frequency_error(t: Array, r: Array, omega: float) -> float:
 
 
 def _by_lines(
-    t: Array, amplitudes: Complex, residual: Array, omega: float, origin: float, q: int
+    t: Array, amplitudes: ComplexArray, residual: Array, omega: float, origin: float, q: int
 ) -> SinePoint:
     """Estimate with the lines beside `omega`, all of one phase at both ends of the window: leakage is smooth in m."""
     u, y = amplitudes[:2] * np.exp(1j * omega * (t[0] - origin))
@@ -286,7 +283,7 @@ def _by_lines(
 
 
 def _by_periods(
-    t: Array, x: Array, amplitudes: Complex, omega: float, origin: float, q: int
+    t: Array, x: Array, amplitudes: ComplexArray, omega: float, origin: float, q: int
 ) -> SinePoint:
     """Estimate as printed, from the amplitudes over the whole window, with the scatter of the periods."""
     u, y = amplitudes[:2]

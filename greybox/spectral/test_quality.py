@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, number, one_line, text_table
 
 Severity = Literal["note", "warning", "refusal"]
@@ -224,9 +224,7 @@ def _saturation(record: Record, name: str, limits: tuple[float, float] | None) -
         yield Finding("saturation", severity, share, f"{text}; use a smaller amplitude.")
 
 
-def at_limit(
-    values: NDArray[np.float64], limits: tuple[float, float] | None = None
-) -> NDArray[np.bool_]:
+def at_limit(values: Array, limits: tuple[float, float] | None = None) -> BoolArray:
     """Tell which of the values (n,) are at their limits, or in flat tops where these are not known."""
     low, high = limits or (np.nanmin(values), np.nanmax(values))
     margin = AT_LIMIT * (high - low)

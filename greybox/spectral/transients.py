@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.uniform_stretches import uniform_stretches
 
 # Of the sampling rate: signals have little above, and less of the alias of what they have below
@@ -91,7 +91,7 @@ def transient_spectrum(
     )
 
 
-def _grid(band: tuple[float, float], duration: float, step: float) -> NDArray[np.float64]:
+def _grid(band: tuple[float, float], duration: float, step: float) -> Array:
     low, high = (float(edge) for edge in band)
     spacing = 2 * np.pi / duration
     if not 0 <= low < high:
@@ -114,9 +114,7 @@ def _grid(band: tuple[float, float], duration: float, step: float) -> NDArray[np
     return lines * spacing
 
 
-def _sums(
-    values: NDArray[np.float64], omega: NDArray[np.float64], step: float
-) -> NDArray[np.complex128]:
+def _sums(values: Array, omega: Array, step: float) -> ComplexArray:
     """Return Σ x_k exp(-jω t_k) on the uniform grid `omega`, by the chirp-z transform."""
     from scipy.signal import CZT  # noqa: PLC0415  (takes a tenth of a second to import)
 
@@ -127,16 +125,12 @@ def _sums(
     return np.asarray(zoom(values))
 
 
-def _held(
-    values: NDArray[np.float64], omega: NDArray[np.float64], step: float
-) -> NDArray[np.complex128]:
+def _held(values: Array, omega: Array, step: float) -> ComplexArray:
     one_step = (1 - np.exp(-1j * omega * step)) / (1j * omega)
     return one_step * _sums(values[:-1] - values[:-1].mean(), omega, step)
 
 
-def _interpolated(
-    values: NDArray[np.float64], omega: NDArray[np.float64], step: float
-) -> NDArray[np.complex128]:
+def _interpolated(values: Array, omega: Array, step: float) -> ComplexArray:
     # Constants are nothing on this grid. Without the line, the rest is the sum of a periodic signal
     # without a jump.
     change = values[-1] - values[0]

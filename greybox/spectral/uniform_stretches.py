@@ -5,12 +5,10 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 # Sampling intervals by which a sample may be off a uniform time base. At 0.4 of the sampling rate,
 # where the automatic frequencies end, the phase of such a sample is wrong by 2π · 0.4 · 0.05 = 0.13

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record, Recording
+from greybox.files.arrays import Array
 from greybox.files.text_table import number, text_table
-
-Array = NDArray[np.float64]
 
 WINDOW = 1024  # samples, or less where the batches are shorter or few: 1 Hz at 1 kHz
 AVERAGES = 12  # windows, half overlapping, at least: the spectrum of noise then scatters by ±1.5 dB

@@ -26,14 +26,11 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 HZ = 2 * math.pi  # rad/s
 EPS = np.finfo(float).eps
@@ -82,11 +79,11 @@ class Transforms(NamedTuple):
         How many of the regressors are inputs, not leakage.
     """
 
-    u: Complex
-    y: Complex
-    r: Complex
-    regressors: list[Complex]
-    instruments: list[Complex]
+    u: ComplexArray
+    y: ComplexArray
+    r: ComplexArray
+    regressors: list[ComplexArray]
+    instruments: list[ComplexArray]
     correlation: Any
     inputs: int
 
@@ -244,7 +241,7 @@ def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
-def _dropped(omega: Array, gone: NDArray[np.bool_], why: str) -> str:
+def _dropped(omega: Array, gone: BoolArray, why: str) -> str:
     """Say which points are left out, and why."""
     low, high = omega[gone].min(), omega[gone].max()
     where = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
@@ -270,7 +267,7 @@ def _correlation(window: Array, hop: int, count: int) -> Any:
     return diags_array([lags[abs(d)] for d in offsets], offsets=offsets, shape=(count, count))
 
 
-def _solvable(z: Complex, x: Complex) -> bool:
+def _solvable(z: ComplexArray, x: ComplexArray) -> bool:
     """Tell whether ZᴴX, with columns scaled to length one, is well conditioned."""
     tiny = np.finfo(float).tiny
     z_length, x_length = (
@@ -281,14 +278,14 @@ def _solvable(z: Complex, x: Complex) -> bool:
     return bool(np.linalg.cond((z / z_length).conj().T @ (x / x_length)) < WORST_CONDITION)
 
 
-def _unexplained(c: Any, input: Complex, z: Complex) -> float:
+def _unexplained(c: Any, input: ComplexArray, z: ComplexArray) -> float:
     """Return the spectral density of what the instruments leave of an input."""
     basis = np.linalg.qr(z)[0].astype(complex)
     left = input - basis @ (basis.conj().T @ input)
     return float(np.sum(np.abs(left) ** 2)) / _traces(c, basis, basis)[0]
 
 
-def _traces(c: Any, left: Complex, right: Complex) -> tuple[float, float]:
+def _traces(c: Any, left: ComplexArray, right: ComplexArray) -> tuple[float, float]:
     """Return tr M and tr M² of M = QCQᴴ with Q = I - left rightᴴ, without forming M."""
     cr = c @ right
     inner = right.conj().T @ cr
@@ -304,7 +301,7 @@ def _traces(c: Any, left: Complex, right: Complex) -> tuple[float, float]:
     return float(trace), float(trace_of_square)
 
 
-def _coherence(x: Complex, z: Complex, y: Complex) -> float:
+def _coherence(x: ComplexArray, z: ComplexArray, y: ComplexArray) -> float:
     """Return the partial γ² of first instrument and output, or of it and the first regressor if that is lower."""
     basis = np.linalg.qr(x[:, 1:])[0]
     r, *others = (v - basis @ (basis.conj().T @ v) for v in (z[:, 0], y, x[:, 0]))

@@ -1,9 +1,8 @@
 """What linear parameters can take from residuals: the space of the columns of a Jacobian."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rounding errors
 

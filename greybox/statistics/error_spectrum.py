@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from greybox.files.arrays import Array, ComplexArray
 
 ROUNDING = 1e-9  # of spectra, in units of an output's variance: what is below is rounding
 
@@ -33,7 +31,7 @@ class ErrorSpectrum:
     """
 
     omega: Array
-    density: Complex
+    density: ComplexArray
     deviation: Array
 
     def enlarged(self, factor: float) -> "ErrorSpectrum":
@@ -77,12 +75,12 @@ class ErrorSpectrum:
         wanted = np.einsum("bij,bij,b->i", roots, roots.conj(), width, optimize=True).real
         return ErrorSpectrum(self.omega, self.density, np.sqrt(wanted / drawn) * self.deviation)
 
-    def _roots(self, power: float) -> Complex:
+    def _roots(self, power: float) -> ComplexArray:
         size, vectors = self._principal
         return (vectors * size[:, None] ** power) @ vectors.conj().transpose(0, 2, 1)
 
     @cached_property
-    def _principal(self) -> tuple[Array, Complex]:
+    def _principal(self) -> tuple[Array, ComplexArray]:
         size, vectors = np.linalg.eigh(self.density.transpose(2, 0, 1))
         return np.maximum(size, ROUNDING), vectors
 

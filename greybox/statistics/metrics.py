@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from greybox.files.arrays import Array, IntArray
 from greybox.statistics.residual_autocorrelation import autoregression
 
-Array = NDArray[np.float64]
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
 RANK = 1e-6  # relative eigenvalue of the input's correlations below which a direction holds no information
 NORMAL_99 = 2.576  # standard deviations that 99 % of normal values stay within
@@ -237,7 +237,7 @@ def _present(values: ArrayLike) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, NDArray[np.int64]]:
+def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, IntArray]:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and how many pairs there were."""
     sums = np.zeros(lags + 1)
     pairs = np.zeros(lags + 1, dtype=np.int64)

@@ -22,12 +22,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, ComplexArray
 from greybox.statistics.column_space import column_basis
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 INDEPENDENT = 0.5  # how likely independent errors are before
 # How likely afterwards, where they are taken for sure: intervals then change by less than 8 %, and
@@ -84,7 +81,7 @@ class NeighborCorrelation:
 
 
 def neighbor_correlation(
-    errors: Complex, design: Array, inflation: float | None = None
+    errors: ComplexArray, design: Array, inflation: float | None = None
 ) -> NeighborCorrelation | None:
     """Return what the residuals of a fit tell of the correlation of their errors.
 
@@ -148,7 +145,7 @@ def neighbor_correlation(
 
 
 def averaged_meat(
-    scores: Complex,
+    scores: ComplexArray,
     root: Array,
     known: NeighborCorrelation,
     correlation: Callable[[Array], Array],

@@ -1,9 +1,8 @@
 """The correlation of a series in time, as an autoregression."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 HIGHEST_ORDER = 50  # of an autoregression
 SAMPLES_PER_TERM = 20  # at least

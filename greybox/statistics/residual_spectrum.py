@@ -26,6 +26,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.residual_autocorrelation import levinson
 from greybox.statistics.variance_components import (
@@ -34,9 +35,6 @@ from greybox.statistics.variance_components import (
     variance_components,
     whittle_score,
 )
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 HIGHEST_ORDER = 50  # of an autoregression
 SAMPLES_PER_ORDER = 4  # at least, so that AICc is defined
@@ -237,7 +235,7 @@ class _Grid:
 
     size: int
     longest: int
-    starts: NDArray[np.integer]
+    starts: IntArray
     weight: Array
     band_weight: Array
     omega: Array
@@ -272,7 +270,7 @@ class _Grid:
         )
 
     @cached_property
-    def delays(self) -> Complex:
+    def delays(self) -> ComplexArray:
         """Responses (l, b) of delays of 0 to `HIGHEST_ORDER` samples."""
         return np.exp(-1j * np.outer(np.arange(HIGHEST_ORDER + 1), self.omega))
 
@@ -280,7 +278,7 @@ class _Grid:
         """Return the mean over all frequencies of values (..., b) of the bands."""
         return values @ self.band_weight
 
-    def transform(self, weighted: Array, deviation: Array) -> Complex:
+    def transform(self, weighted: Array, deviation: Array) -> ComplexArray:
         """Return the transforms (k, p, frequencies) of sensitivities (k, p, n) times deviations (k,)."""
         result = np.empty((*weighted.shape[:2], len(self.weight)), dtype=complex)
         for out, J, size in zip(result, weighted, deviation, strict=True):
@@ -288,8 +286,8 @@ class _Grid:
         return result
 
     def covariances(
-        self, density: Callable[[int, int], Complex], k: int, order: int
-    ) -> tuple[Array, Complex]:
+        self, density: Callable[[int, int], ComplexArray], k: int, order: int
+    ) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k, k) and means over the bands (k, k, b) of a periodogram of k outputs.
 
         `density` gives it at all frequencies for two outputs, in both orders the conjugate.
@@ -306,7 +304,7 @@ class _Grid:
             banded[j, i] = banded[i, j].conj()
         return lags, banded
 
-    def score_covariance(self, transforms: Iterable[Complex], density: Complex) -> Array:
+    def score_covariance(self, transforms: Iterable[ComplexArray], density: ComplexArray) -> Array:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
         total: Array | float = 0.0
         for transform in transforms:
@@ -344,7 +342,7 @@ class _Mixture:
         Variance of its logarithm.
     """
 
-    density: Complex
+    density: ComplexArray
     typical: Array
     taken: float
     uncertainty: float
@@ -401,14 +399,14 @@ class _Sandwich:
     inverse: Array
     noise: Array
     grid: _Grid
-    periodogram: tuple[Array, Complex]
+    periodogram: tuple[Array, ComplexArray]
     root: Array
-    power: Complex
+    power: ComplexArray
     deviation: Array
     counts: Array
     seen: Array
     families: Sequence[Sequence[_Family]]
-    kept: list[Complex]
+    kept: list[ComplexArray]
     initial: Sequence[Array] | None = None
     shocks: Callable[[], Array] | None = None
 
@@ -438,7 +436,7 @@ class _Sandwich:
         values, vectors = np.linalg.eigh((inverse + inverse.T) / 2)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         power = np.zeros((k, k, len(grid.starts)), dtype=complex)
-        kept: list[Complex] = []
+        kept: list[ComplexArray] = []
         keeps = len(weighted) * weighted[0].shape[1] * k * len(grid.weight) <= MOST_KEPT
         product = np.empty(len(grid.weight), dtype=complex)
         for J in weighted:
@@ -480,7 +478,7 @@ class _Sandwich:
             shocks,
         )
 
-    def transforms(self) -> Iterator[Complex]:
+    def transforms(self) -> Iterator[ComplexArray]:
         """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch."""
         if self.kept:
             yield from self.kept
@@ -492,7 +490,7 @@ class _Sandwich:
         """Free the memory of the transforms."""
         self.kept.clear()
 
-    def mixture(self, lags: Array, banded: Complex) -> _Mixture:
+    def mixture(self, lags: Array, banded: ComplexArray) -> _Mixture:
         """Return the average of the spectra that may have made a periodogram, as in `periodogram`."""
         k = len(self.counts)
         candidates = [
@@ -534,7 +532,7 @@ class _Sandwich:
             uncertainty,
         )
 
-    def _judged_on_residuals(self, one: "_Evidence", banded: Complex) -> "_Evidence":
+    def _judged_on_residuals(self, one: "_Evidence", banded: ComplexArray) -> "_Evidence":
         """Return what the residuals say of a spectrum, with its penalty, instead of a periodogram of the errors."""
         errors = whittle_score(
             one.density.transpose(2, 0, 1), banded.transpose(2, 0, 1), self._numbers
@@ -556,7 +554,7 @@ class _Sandwich:
         return self.counts.max() * self.grid.band_weight
 
     @cached_property
-    def _of_residuals(self) -> Complex:
+    def _of_residuals(self) -> ComplexArray:
         return self.periodogram[1].transpose(2, 0, 1)
 
     def _process_noise(self, parts: "_NoiseParts") -> "_Evidence":
@@ -669,7 +667,7 @@ class _Sandwich:
             density, typical, float(scores[best]), self._taken(density), 2 * (best + 1) / n
         )
 
-    def hidden(self, meat: Array, density: Complex) -> float:
+    def hidden(self, meat: Array, density: ComplexArray) -> float:
         """Return how many times larger the variances would be by the worst spectra that the residuals do not exclude.
 
         The geometric mean over all directions, so that a bias, which a slow error is not told from
@@ -702,8 +700,8 @@ class _Sandwich:
         return math.exp(max(*worst, found) - found)
 
     def _process_noise_not_excluded(
-        self, parts: "_NoiseParts", likely: Complex
-    ) -> Iterator[Complex]:
+        self, parts: "_NoiseParts", likely: ComplexArray
+    ) -> Iterator[ComplexArray]:
         """Yield the spectrum with most process noise that the residuals do not exclude beside a likely one, if any."""
         k = len(self.counts)
         found = self._variances
@@ -716,7 +714,7 @@ class _Sandwich:
                 yield np.tensordot(variance, parts.density, 1)
                 return
 
-    def _score(self, density: Complex) -> float:
+    def _score(self, density: ComplexArray) -> float:
         """Return -2 log likelihood of the residuals for errors of a spectrum (k, k, b)."""
         left = density - self.taken_power(density)[1]
         return whittle_score(_positive(left.transpose(2, 0, 1)), self._of_residuals, self._numbers)
@@ -768,10 +766,10 @@ class _Sandwich:
         meats = np.tensordot(shapes[order] * scale[order, None] / given**2, moments[:, 1:, 1:], 1)
         return told, meats
 
-    def _taken(self, density: Complex) -> float:
+    def _taken(self, density: ComplexArray) -> float:
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
-    def _unmasked(self, density: Complex) -> Complex:
+    def _unmasked(self, density: ComplexArray) -> ComplexArray:
         """Return the spectrum of errors of which a share `seen` (k,) was present, at random.
 
         Missing samples multiply covariances at all lags but zero by the share, as if part of the
@@ -785,7 +783,7 @@ class _Sandwich:
         density = density / np.sqrt(seen * seen[:, None])[:, :, None]
         return _positive(density.transpose(2, 0, 1)).transpose(1, 2, 0)
 
-    def taken_power(self, density: Complex) -> tuple[Array, Complex]:
+    def taken_power(self, density: ComplexArray) -> tuple[Array, ComplexArray]:
         """Return the periodogram, as in `periodogram`, of what the fit took from errors of this spectrum.
 
         Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
@@ -832,7 +830,7 @@ class _Sandwich:
             one = np.tensordot(sizes / self.deviation / unit[:, None], transform, 1)
             pairs.append((one, np.fft.rfft(half, self.grid.size).conj()))
 
-        def product(i: int, j: int) -> Complex:
+        def product(i: int, j: int) -> ComplexArray:
             total = np.zeros(len(self.grid.weight), dtype=complex)
             for one, other in pairs:
                 total += (one[i] * other[j]).sum(axis=0) + (one[j] * other[i]).sum(axis=0).conj()
@@ -840,7 +838,7 @@ class _Sandwich:
 
         return self.grid.covariances(product, len(unit), _highest_order(self.counts))
 
-    def _in_time(self, transform: Complex, like: Array) -> Array:
+    def _in_time(self, transform: ComplexArray, like: Array) -> Array:
         """Return the samples (k, p, n) of a transform, as many as another array has."""
         return np.fft.irfft(transform, self.grid.size)[..., : like.shape[2]]
 
@@ -856,8 +854,8 @@ class _NoiseParts:
         Of what the fit leaves of errors as long as the record, and with its missing samples.
     """
 
-    density: Complex
-    of_residuals: Complex
+    density: ComplexArray
+    of_residuals: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -871,7 +869,7 @@ class _Evidence:
     uncertainty: float
 
 
-def _filtered(density: NDArray, transform: Complex) -> Complex:
+def _filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
     """Return the product of a density (k, k, f) and transforms (k, p, f), frequency by frequency."""
     result = density[:, 0, None] * transform[0]
     for j in range(1, len(transform)):
@@ -884,12 +882,12 @@ def _products(one: Array, other: Array) -> Array:
     return (one @ other.transpose(0, 2, 1)).sum(axis=0)
 
 
-def _real_products(one: Complex, other: Complex) -> Array:
+def _real_products(one: ComplexArray, other: ComplexArray) -> Array:
     """Return the real part of the same with `one` conjugated: that of pairs of real numbers."""
     return _products(one.view(float), other.view(float))
 
 
-def _positive(matrices: Complex) -> Complex:
+def _positive(matrices: ComplexArray) -> ComplexArray:
     """Return Hermitian matrices (b, k, k) without their negative parts, which approximations leave."""
     values, vectors = np.linalg.eigh(matrices)
     return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
@@ -985,7 +983,7 @@ def _whittle(r: Array) -> Iterator[tuple[Array, Array]]:
         yield forward, ahead
 
 
-def _changes(values: NDArray[np.integer]) -> NDArray[np.integer]:
+def _changes(values: IntArray) -> IntArray:
     """Return where each of the sorted values stands first; np.unique imports masked arrays, 8 ms."""
     return np.flatnonzero(np.diff(values, prepend=-1))
 

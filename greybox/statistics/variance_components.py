@@ -14,10 +14,8 @@ JASA 72.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from greybox.files.arrays import Array, ComplexArray
 
 WHITE = 0.7  # share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same variances
 ITERATIONS = 50  # five to fifteen are needed
@@ -52,7 +50,7 @@ class VarianceComponents:
     score: float
 
 
-def whittle_score(spectrum: Complex, periodogram: Complex, numbers: Array) -> float:
+def whittle_score(spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array) -> float:
     """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (b,), for an expected one (b, k, k)."""
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
     ratio = np.linalg.solve(spectrum, periodogram)
@@ -60,7 +58,7 @@ def whittle_score(spectrum: Complex, periodogram: Complex, numbers: Array) -> fl
 
 
 def variance_components(
-    expected: Complex, periodogram: Complex, numbers: Array, sensors: int
+    expected: ComplexArray, periodogram: ComplexArray, numbers: Array, sensors: int
 ) -> VarianceComponents:
     """Return the variances that make a periodogram most likely.
 
@@ -80,7 +78,7 @@ def variance_components(
     variance = np.full(len(expected), WHITE)
     variance[sensors:] = (1 - WHITE) / max(len(expected) - sensors, 1)
 
-    def spectrum(variance: Array) -> Complex:
+    def spectrum(variance: Array) -> ComplexArray:
         return np.tensordot(variance, expected, 1)
 
     def slopes(variance: Array) -> tuple[Array, Array]:

@@ -18,7 +18,6 @@ from typing import Any, Literal, get_args
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp
@@ -27,6 +26,7 @@ from greybox.estimate.covariance import assess, known_covariances
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import formulas
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.files.json_numbers import finite
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.solve.discretization_error import refine_discretization
@@ -42,8 +42,6 @@ from greybox.study.resampling import acceleration, bca_interval, percentile_inte
 from greybox.study.response_replicates import response_draws, response_replicates
 from greybox.study.run_files import RunFiles
 from greybox.study.study_folder import locked
-
-Array = NDArray[np.float64]
 
 Resampling = Literal["residuals", "points", "parametric", "parts", "blocks"]
 Method = Literal["bca", "percentile"]

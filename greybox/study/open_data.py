@@ -12,17 +12,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp, response_options, solver_weights
 from greybox.compiled.limits import limits_of, stacked
 from greybox.compiled.response_map import LARGE
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.linear_response import formula_at_one_frequency
-
-Array = NDArray[np.float64]
 
 ROWS = ("omega", "re", "im", "coherence", "variance", "dof")
 

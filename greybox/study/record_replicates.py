@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.study.resampling import drawn_blocks
-
-Array = NDArray[np.float64]
 
 Drawn = Literal["blocks", "parametric", "parts"]
 

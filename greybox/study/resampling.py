@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array, IntArray
 
 
 def percentile_interval(
@@ -66,9 +66,7 @@ def acceleration(left_out: ArrayLike) -> Array:
     )
 
 
-def drawn_blocks(
-    random: np.random.Generator, count: int, size: int, length: int
-) -> NDArray[np.int_]:
+def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int) -> IntArray:
     """Return `count` places of a series of `size` samples, in blocks of so many that follow each other on a circle."""
     first = random.integers(0, size, -(-count // length))
     return ((first[:, None] + np.arange(length)) % size).ravel()[:count]

@@ -14,11 +14,11 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.scaling import Scaling
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import (
     AT_MINIMUM,
@@ -32,9 +32,6 @@ from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import IMPROVED, Outcome
 from greybox.study.open_data import data_table, formulas_of_frequency, given, open_program
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 Drawn = Literal["residuals", "points", "parametric", "parts"]
 
@@ -86,12 +83,12 @@ class ResponseDraws:
     drawn: Drawn
     seed: int
     tables: tuple[Array, ...]
-    responses: tuple[Complexes, ...]
+    responses: tuple[ComplexArray, ...]
     sizes: tuple[Array, ...]
-    errors: tuple[Complexes, ...]
+    errors: tuple[ComplexArray, ...]
     deviations: tuple[float, ...]
     dofs: tuple[Array | None, ...]
-    common: tuple[Complexes | None, ...]
+    common: tuple[ComplexArray | None, ...]
     constants: Array
     root: Array
     unknowns: int
@@ -136,7 +133,7 @@ class ResponseDraws:
     def _constants(self, random: np.random.Generator) -> Array:
         return self.constants + self.root @ random.standard_normal(self.root.shape[1])
 
-    def _errors(self, random: np.random.Generator, k: int) -> Complexes:
+    def _errors(self, random: np.random.Generator, k: int) -> ComplexArray:
         """Return errors of part k over their sizes: with the residuals' magnitudes, or normal ones, at any angle."""
         count = self.tables[k].shape[1]
         if self.drawn == "residuals":
@@ -176,7 +173,7 @@ class ResponseDraws:
 def response_draws(
     nlp: Nlp,
     x: Array,
-    at_bound: NDArray[np.bool_],
+    at_bound: BoolArray,
     covariance: Array,
     drawn: Drawn,
     seed: int,
@@ -259,7 +256,7 @@ def response_draws(
     )
 
 
-def _leverages(slopes: Sequence[Complexes], scale: Array) -> list[Array]:
+def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
     """Return the leverage (n,) of the points of every part, from the derivatives (n, p) of their errors."""
     stacked = np.vstack([np.vstack([slope.real, slope.imag]) for slope in slopes]) / scale
     left, singular, _ = np.linalg.svd(stacked, full_matrices=False)

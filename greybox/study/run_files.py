@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.files.sealed_files import Node, Stored, open_sealed, write_sealed
 from greybox.files.text_table import printable
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
 from greybox.solve.outcome import IMPROVED, POLISHED, SCREENED, Outcome
 
-Array = NDArray[np.float64]
 Row = tuple[int, Array, Outcome]
 
 KIND = "runs"

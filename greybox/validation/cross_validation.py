@@ -10,12 +10,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted, number
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -23,8 +23,6 @@ from greybox.modeling.periodic_motions import response_of_test
 from greybox.statistics.metrics import rms
 from greybox.validation.common_likelihood import has_responses_alone
 from greybox.validation.comparison import FREQUENCIES, PARTS, SIGNIFICANT, Row, p_text
-
-Array = NDArray[np.float64]
 
 FEWEST_FOLDS = 2
 FEWEST_FREQUENCIES = (
@@ -78,7 +76,7 @@ def _known(values: Iterable[float]) -> tuple[float | None, ...]:
     return tuple(value if math.isfinite(value) else None for value in values)
 
 
-def _folds(fit: Fit, folds: int | str) -> list[list[NDArray[np.bool_]]]:
+def _folds(fit: Fit, folds: int | str) -> list[list[BoolArray]]:
     """Return for every fold which points of every part it leaves out: every `folds`-th frequency."""
     omega = np.unique(np.concatenate([part.data.omega for part in fit.responses]))
     if (
@@ -102,8 +100,8 @@ def _folds(fit: Fit, folds: int | str) -> list[list[NDArray[np.bool_]]]:
 
 
 def _frequencies_left_out(
-    fit: Fit, problem: AnyProblem, folds: Sequence[Sequence[NDArray[np.bool_]]]
-) -> tuple[list[NDArray[np.complex128]], int]:
+    fit: Fit, problem: AnyProblem, folds: Sequence[Sequence[BoolArray]]
+) -> tuple[list[ComplexArray], int]:
     """Return the predicted responses of all parts, each point by the fit without its fold."""
     predicted = [np.full(len(part.data), np.nan, dtype=complex) for part in fit.responses]
     for left_out in folds:
@@ -118,9 +116,7 @@ def _frequencies_left_out(
     return predicted, 0
 
 
-def _parts_left_out(
-    fit: Fit, problem: AnyProblem, label: str
-) -> tuple[list[NDArray[np.complex128]], int]:
+def _parts_left_out(fit: Fit, problem: AnyProblem, label: str) -> tuple[list[ComplexArray], int]:
     """Return the responses of all parts, each predicted by the fit to the others, and how many values were its own."""
     if len(problem.parts) < FEWEST_FOLDS:
         raise ValueError(
@@ -160,14 +156,14 @@ def _refitted(problem: AnyProblem, fit: Fit) -> Fit | None:
     return found if found.converged else None
 
 
-def _sine(part: Problem, kept: NDArray[np.bool_]) -> object:
+def _sine(part: Problem, kept: BoolArray) -> object:
     sine = part.amplitude
     if sine is None or not np.ndim(sine.amplitude):
         return sine
     return replace(sine, amplitude=np.asarray(sine.amplitude)[kept])
 
 
-def _response(part: Problem, values: dict[str, float]) -> NDArray[np.complex128]:
+def _response(part: Problem, values: dict[str, float]) -> ComplexArray:
     data = part.response
     inside = {name: values[part.outside(name)] for name in part.model.parameters}
     signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
+from greybox.files.arrays import BoolArray
 from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Prediction
@@ -135,7 +135,7 @@ def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[
 
 
 def _where_all_are_finite(
-    results: Sequence[tuple[Prediction, NDArray[np.bool_], str]], labels: Sequence[str]
+    results: Sequence[tuple[Prediction, BoolArray, str]], labels: Sequence[str]
 ) -> tuple[list[Prediction], list[str]]:
     """Return the predictions in the windows in which all are finite, and a note on the windows left out.
 

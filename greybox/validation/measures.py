@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.simulation.prediction import Prediction, reported_shares, samples_ahead
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import (
@@ -24,8 +24,6 @@ from greybox.validation.common_likelihood import Likelihoods
 from greybox.validation.comparison import Row
 from greybox.validation.held_out import Predictions
 from greybox.validation.same_data import LIKELIHOOD, count_numbers, count_unknowns, is_likelihood
-
-Array = NDArray[np.float64]
 
 
 def fit_rows(

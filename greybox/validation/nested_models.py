@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.files.text_table import listed, number, one_line
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import Nesting, NotNestedError, nesting
@@ -281,7 +281,7 @@ def _scaled_for(fit: Fit) -> str:
     return SIZE if fit.responses else BEYOND
 
 
-def _null_space(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _null_space(matrix: Array) -> Array:
     """Return orthonormal columns on which a matrix (m, r) of full row rank is zero."""
     _, _, right = np.linalg.svd(matrix)
     return right[len(matrix) :].T

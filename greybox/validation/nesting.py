@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.result import Fit, Quantity
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, listed
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
@@ -26,8 +27,6 @@ from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.transfer_function import TransferFunction
-
-Array = NDArray[np.float64]
 
 # Points at which formulas are compared: one would do where formulas are analytic; more see both
 # sides of a branch.

@@ -27,6 +27,7 @@ from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.identifiability import ERROR_GUIDELINE
 from greybox.estimate.result import Fit, FittedRecord
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
@@ -403,7 +404,7 @@ def _has_limit(problem: AnyProblem, before: AnyProblem, fit: Fit) -> bool:
     return True
 
 
-def _measured(part: Problem, fit: Fit, k: int) -> NDArray[np.float64]:
+def _measured(part: Problem, fit: Fit, k: int) -> Array:
     """Return the size of what was measured: of every point of a response (n,), of every output (outputs, 1)."""
     if not isinstance(part.data, Record):
         return np.abs(part.response.response)
@@ -459,9 +460,7 @@ def _is_stiff(problem: AnyProblem, before: AnyProblem, fit: Fit) -> bool:
     return False
 
 
-def _fastest(
-    model: Model, values: Mapping[str, float], initial: Mapping[str, NDArray[np.float64]]
-) -> float:
+def _fastest(model: Model, values: Mapping[str, float], initial: Mapping[str, Array]) -> float:
     """Return the largest |pole| about the first initial state, with the inputs at rest."""
     system = dynamics(model)
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, listed, number, with_error
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
@@ -19,8 +19,6 @@ from greybox.validation.held_out import Predictions
 from greybox.validation.nested_models import NestedTest, nested_test_at
 from greybox.validation.nesting import NotNestedError, nesting
 from greybox.validation.same_data import count_unknowns, is_likelihood, other_samples
-
-Array = NDArray[np.float64]
 
 ESTIMATION = "estimation"  # what the data that fits were made with say of them by their likelihoods
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.strategies import Strategies
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.modeling.integrators import Integrator
 
@@ -39,7 +38,7 @@ class Transcribed:
     residuals: ca.MX
     equations: ca.MX
     initial: ca.MX
-    start: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    start: Callable[[Array], Array]
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,14 @@ independent of zᵀz and has the mean tr MW / k and the variance 2 (tr (MW)² - 
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.covariance import Accuracy
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
 from greybox.statistics.column_space import column_basis
-
-Array = NDArray[np.float64]
 
 # Of fits with independent errors, the share that is warned.
 SIZE = 0.01
@@ -78,7 +76,7 @@ def _correlated(what: str, correlation: float) -> str:
     )
 
 
-def _is_correlated(residuals: NDArray[np.complex128], jacobian: Array) -> float | None:
+def _is_correlated(residuals: ComplexArray, jacobian: Array) -> float | None:
     """Return the correlation of neighbors beyond that of independent errors; None where these may have it."""
     found = lag_one_correlation(residuals, jacobian)
     if found is None:
@@ -97,7 +95,7 @@ def chance_of_more(r: float, mean: float, variance: float) -> float:
 
 
 def lag_one_correlation(
-    residuals: NDArray[np.complex128], jacobian: Array
+    residuals: ComplexArray, jacobian: Array
 ) -> tuple[float, float, float] | None:
     """Return the correlation of neighbors, and its mean and variance if the errors are independent.
 
@@ -138,16 +136,14 @@ def lag_one_correlation(
 
 def _of_spectrum(
     nlp: Nlp, part: TransientPart, x: Array
-) -> Iterator[tuple[str, tuple[NDArray[np.complex128], Array]]]:
+) -> Iterator[tuple[str, tuple[ComplexArray, Array]]]:
     """Return the errors of every output of a manoeuvre, (n,), and their derivatives by what was fitted, (2n, ...)."""
     for name, errors, jacobian in part.errors_by_output(nlp.scaling.to_solver(x)):
         where = f" of {part.problem.name!r}" if len(nlp.parts) > 1 else ""
         yield f"errors of {name}{where}", (errors, np.vstack([jacobian.real, jacobian.imag]))
 
 
-def _residuals(
-    part: ResponsePart, values: Array, free: int
-) -> tuple[NDArray[np.complex128], Array]:
+def _residuals(part: ResponsePart, values: Array, free: int) -> tuple[ComplexArray, Array]:
     """Return the residuals over their sizes by frequency, (n,), and their derivatives, (2n, free)."""
     data = part.data
     order = np.argsort(data.omega)

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Information
 from greybox.estimate.covariance import Accuracy
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
@@ -26,8 +26,6 @@ from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.periodic_motions import periodic_motions
 from greybox.modeling.sine import MOST_HARMONICS
-
-Array = NDArray[np.float64]
 
 # Shift of a parameter, in standard errors, that does not matter: it adds 0.5 % to the root mean
 # square error.
@@ -124,9 +122,7 @@ def _signals(problem: Problem) -> dict[str, Any]:
     return {"input": data.input, "output": data.output, "at": problem.at}
 
 
-def _response(
-    problem: Problem, values: dict[str, float], harmonics: int | None
-) -> NDArray[np.complex128]:
+def _response(problem: Problem, values: dict[str, float], harmonics: int | None) -> ComplexArray:
     response, _ = directly_found(
         problem.model,
         dict(problem.local_values(values)),
@@ -140,8 +136,8 @@ def _response(
 
 def _shift(
     information: Information,
-    few: NDArray[np.complex128],
-    many: NDArray[np.complex128],
+    few: ComplexArray,
+    many: ComplexArray,
     inverse: Array,
 ) -> Array:
     """Return the Newton step (p,) of the unknowns to first order in the change of the response."""

@@ -13,17 +13,16 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import RecordPart
 from greybox.data.intersample import Intersample
 from greybox.estimate.covariance import Accuracy
+from greybox.files.arrays import Array
 from greybox.formulation.input_assumptions import assumption_warning, effect_of, other_assumptions
 from greybox.solve.gauss_newton.driver import GaussNewton
 
-Array = NDArray[np.float64]
 Others = Mapping[str, Intersample]
 
 

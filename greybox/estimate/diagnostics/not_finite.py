@@ -6,12 +6,12 @@ from functools import singledispatch
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
 from greybox.solve.local_solver import LocalSolver
@@ -19,7 +19,6 @@ from greybox.solve.minima import Multistart
 from greybox.solve.outcome import NOT_FINITE, Run
 from greybox.solve.runs import Runs
 
-Array = NDArray[np.float64]
 NAMED = 4  # values of parameters in a sentence
 EDGE = "next to where"  # of an end beyond which the model is not finite
 FEW = 0.5  # share of converged runs below which a sentence is due
@@ -143,9 +142,7 @@ def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     )
 
 
-def _of_model(
-    part: RecordPart, trajectory: Trajectory, samples: NDArray[np.integer]
-) -> Trouble | None:
+def _of_model(part: RecordPart, trajectory: Trajectory, samples: IntArray) -> Trouble | None:
     """Return the derivative or output that is not finite at one of the samples, if one is."""
     x, data = (
         part.segments.in_order(values)[:, samples]

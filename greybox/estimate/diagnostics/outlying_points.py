@@ -14,17 +14,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp, compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, assess
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import number, with_error
 from greybox.formulation.problem import Problem
 from greybox.solve.multistart import multistart, solver_for
 from greybox.statistics.column_space import column_basis
-
-Array = NDArray[np.float64]
 
 # Of fits to clean data, the share in which any point is called an outlier.
 SIZE = 0.01
@@ -118,9 +116,7 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
     return Deviation(int(kept[worst]), float(probability[worst]), relative)
 
 
-def _ratios(
-    residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128], least: float
-) -> tuple[Array, float]:
+def _ratios(residual: ComplexArray, sensitivity: ComplexArray, least: float) -> tuple[Array, float]:
     """Return Q/2 over the mean square of the rest, at least `least`, (n,), and its dof; NaN where nothing is left."""
     n = residual.size
     jacobian = np.vstack([sensitivity.real, sensitivity.imag])

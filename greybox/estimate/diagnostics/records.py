@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.kalman_gain import kalman_gain
@@ -18,6 +17,7 @@ from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Found, once
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, some
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
@@ -233,7 +233,7 @@ def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory], *, alone: bool) -> It
             yield "limit", name, text
 
 
-def _successive(error: NDArray[np.float64]) -> tuple[float, int]:
+def _successive(error: Array) -> tuple[float, int]:
     """Return the correlation of successive residuals, and of how many pairs."""
     both, squares = np.isfinite(error[1:]) & np.isfinite(error[:-1]), float(np.nansum(error**2))
     return float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0, int(both.sum())

@@ -22,7 +22,6 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.logs.ardupilot.filters import CONTROLLERS, named_filters
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
 
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often

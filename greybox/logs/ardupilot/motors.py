@@ -22,11 +22,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.record import Record, Recording
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
 SHARE = (

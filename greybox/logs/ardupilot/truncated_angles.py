@@ -10,9 +10,8 @@ centidegrees) and the format letter c of https://ardupilot.org/copter/docs/logme
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 STEP = 0.01  # deg
 MESSAGES = ("ATT", "AHR2", "EKF1", "NKF1", "XKF1")

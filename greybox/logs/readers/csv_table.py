@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Recording
+from greybox.files.arrays import Array
 from greybox.files.delimited_text import MISSING, DecimalMark, DelimitedText, read_delimited
 from greybox.files.heading import Heading, heading
 from greybox.files.progress import counted_off
@@ -17,8 +17,6 @@ from greybox.files.text_table import counted, is_number, printable
 from greybox.logs.readers.betaflight import with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import SECONDS, TIMES, name_list, of_rows, seconds, table
-
-Floats = NDArray[np.float64]
 
 LONGEST = 30  # characters of a cell that is shown in a finding
 
@@ -134,7 +132,7 @@ def _headings(text: DelimitedText) -> list[Heading]:
 
 def _columns(
     headings: Sequence[Heading], text: DelimitedText
-) -> tuple[dict[str, Floats], tuple[str, ...]]:
+) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Return the numeric columns by name, and findings."""
     try:
         lines = counted_off(text.lines, f"reading {printable(text.path.name)}", "line")
@@ -181,7 +179,7 @@ def _columns(
     return columns, (*findings, *_infinite(columns, numbers))
 
 
-def _numbers(cells: Sequence[str], mark: DecimalMark) -> tuple[Floats | None, list[int]]:
+def _numbers(cells: Sequence[str], mark: DecimalMark) -> tuple[Array | None, list[int]]:
     """Convert a column, NaN for missing cells, and return the rows with text; None for a column that is not numeric."""
     values = np.full(len(cells), np.nan)
     odd = []
@@ -200,7 +198,7 @@ def _numbers(cells: Sequence[str], mark: DecimalMark) -> tuple[Floats | None, li
     return values, odd
 
 
-def _infinite(columns: Mapping[str, Floats], line_numbers: Sequence[int]) -> tuple[str, ...]:
+def _infinite(columns: Mapping[str, Array], line_numbers: Sequence[int]) -> tuple[str, ...]:
     """Say which columns have infinite values, and where."""
     places = {name: np.flatnonzero(np.isinf(values)) for name, values in columns.items()}
     named = [
@@ -214,8 +212,8 @@ def _infinite(columns: Mapping[str, Floats], line_numbers: Sequence[int]) -> tup
 
 
 def _time_first(
-    headings: Sequence[Heading], columns: Mapping[str, Floats], path: Path
-) -> dict[str, Floats]:
+    headings: Sequence[Heading], columns: Mapping[str, Array], path: Path
+) -> dict[str, Array]:
     """Return the columns; where none is named as a time, the first serves if it increases and has a unit of time.
 
     Raises

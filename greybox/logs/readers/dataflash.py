@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
+from greybox.files.arrays import Array, IntArray
 from greybox.files.progress import counted_off
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
@@ -124,7 +125,7 @@ def _contents(data: mmap.mmap, messages: Collection[str] | None) -> tuple[Clocke
 
 def _decoded(
     data: mmap.mmap, found: Index, messages: Collection[str] | None
-) -> "tuple[list[_Columns], NDArray[np.float64]]":
+) -> "tuple[list[_Columns], Array]":
     """Decode every type that is requested, of the others the times; return the columns, and the times of all, s.
 
     Piece by piece of the file, so that nothing else of it is ever in memory.
@@ -192,9 +193,7 @@ class _Columns:
             if whole and letter not in "anNZ"
         }
 
-    def take(
-        self, offsets: NDArray[np.int64], numbers: NDArray[np.intp], stamps: NDArray[np.float64]
-    ) -> None:
+    def take(self, offsets: IntArray, numbers: IntArray, stamps: Array) -> None:
         """Decode the messages of these offsets and numbers."""
         here = slice(self._filled, self._filled + numbers.size)
         for i, name in enumerate(self.layout.columns):
@@ -211,7 +210,7 @@ class _Columns:
             self._order[here] = numbers
             self._filled += numbers.size
 
-    def messages(self, units: Units, stamps: NDArray[np.float64]) -> Messages:
+    def messages(self, units: Units, stamps: Array) -> Messages:
         """Return the messages; of those that are not wanted as a whole, how many there are."""
         if not self._whole:
             nothing = np.broadcast_to(np.intp(0), (self.count,))
@@ -228,7 +227,7 @@ class _Columns:
         )
 
 
-def _numbers(values: NDArray[np.generic], scale: float | None) -> NDArray[np.float64]:
+def _numbers(values: NDArray[np.generic], scale: float | None) -> Array:
     with np.errstate(invalid="ignore"):  # damaged floats
         return values.astype(float) if scale is None else values.astype(float) / scale
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
+from greybox.files.arrays import IntArray
 from greybox.files.progress import reading
 from greybox.logs.readers.mapped_file import Bytes, release
 
@@ -73,14 +74,14 @@ class Index:
     """
 
     layouts: tuple[Layout, ...]
-    offsets: NDArray[np.integer]
+    offsets: IntArray
     which: NDArray[np.uint16]
     skipped: int
     places: int
     first: int
     cut: str
 
-    def of(self, layout: int) -> NDArray[np.intp]:
+    def of(self, layout: int) -> IntArray:
         """Numbers of the messages of one layout, in the order of the file."""
         return np.flatnonzero(self.which == layout)
 
@@ -174,7 +175,7 @@ class _Walk:
         self._take(np.array([at]), self.current[head[2] : head[2] + 1])
         return at + length
 
-    def _take(self, offsets: NDArray[np.int64], which: NDArray[np.uint16]) -> None:
+    def _take(self, offsets: IntArray, which: NDArray[np.uint16]) -> None:
         self.offsets.append(offsets)
         self.which.append(which)
 
@@ -264,7 +265,7 @@ def text(raw: bytes) -> str:
         return raw.decode("iso-8859-1")
 
 
-def _heads(raw: NDArray[np.uint8], start: int) -> NDArray[np.int64]:
+def _heads(raw: NDArray[np.uint8], start: int) -> IntArray:
     """Return the offsets in the piece at `start` of the two bytes of a header with room for a third."""
     piece = raw[start : min(start + PIECE, raw.size - 2) + 1]
     at = np.flatnonzero(piece[:-1] == HEAD[0])

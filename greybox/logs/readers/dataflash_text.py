@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from greybox.data.record import Recording
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import is_number
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash import ALWAYS, CLOCKS, TABLES, clock_column, recording
@@ -81,7 +81,7 @@ class _Columns:
         self._whole = whole
         self._numbers: list[int] = []
         self._bodies: list[str] = []
-        self._batches: list[tuple[Layout, NDArray[np.int64], dict[str, Column]]] = []
+        self._batches: list[tuple[Layout, IntArray, dict[str, Column]]] = []
 
     def take(self, number: int, body: str, layout: Layout | None) -> None:
         """Keep a line."""
@@ -206,7 +206,7 @@ def _with_times(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]
     )
 
 
-def _numbers(values: Sequence[str]) -> NDArray[np.float64]:
+def _numbers(values: Sequence[str]) -> Array:
     """Convert a column, NaN where it is not a number."""
     try:
         return np.array(values, dtype=float)

@@ -3,10 +3,8 @@
 from collections.abc import Collection
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from greybox.data.record import Recording
+from greybox.files.arrays import Array
 from greybox.logs.readers import named_arrays
 
 
@@ -47,7 +45,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     return named_arrays.recording(path, found._replace(variables=rows), messages)
 
 
-def _rows(values: NDArray[np.float64], matlab: bool) -> NDArray[np.float64]:
+def _rows(values: Array, matlab: bool) -> Array:
     """Return a vector as such, a matrix with the samples in rows; MATLAB's matrices lie transposed in the file."""
     if values.ndim == 2 and 1 in values.shape:
         return values.ravel()

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, IntArray
 from greybox.logs.readers.messages import Messages
 
 HEADER, DATA = "ISBH", "ISBD"
@@ -82,7 +82,7 @@ def _holds_samples(data: Messages) -> bool:
 
 
 def _joined(
-    parts: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.integer], str]],
+    parts: Sequence[tuple[Array, Array, IntArray, str]],
 ) -> Messages:
     time, values, order = (np.concatenate([part[k] for part in parts], axis=-1) for k in range(3))
     sorting = np.argsort(time, kind="stable")

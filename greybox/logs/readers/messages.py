@@ -5,12 +5,10 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Record
+from greybox.files.arrays import Array, IntArray
 from greybox.logs.readers import time_stamps
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +35,9 @@ class Messages:
     """
 
     name: str
-    order: NDArray[np.integer]
-    time: Floats | None
-    columns: Mapping[str, Floats]
+    order: IntArray
+    time: Array | None
+    columns: Mapping[str, Array]
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     instance: str = ""
@@ -48,7 +46,7 @@ class Messages:
     def __len__(self) -> int:
         return self.order.size
 
-    def rows(self, rows: NDArray[np.intp]) -> "Messages":
+    def rows(self, rows: IntArray) -> "Messages":
         """Return the messages of these indices."""
         return replace(
             self,
@@ -121,7 +119,7 @@ class Clocked:
     span: tuple[float, float]
 
 
-def on_one_clock(groups: Iterable[Messages], stamps: Floats | None = None) -> Clocked:
+def on_one_clock(groups: Iterable[Messages], stamps: Array | None = None) -> Clocked:
     """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`.
 
     The `stamps` are the times of all messages of the log by their number, where not all are among
@@ -143,7 +141,7 @@ def on_one_clock(groups: Iterable[Messages], stamps: Floats | None = None) -> Cl
     return Clocked(groups, findings, span if there.any() else (0.0, 0.0))
 
 
-def stamps_of(groups: Iterable[Messages]) -> Floats:
+def stamps_of(groups: Iterable[Messages]) -> Array:
     """Return the times of all messages by their number, NaN for those without."""
     timed = [group for group in groups if group.time is not None and len(group)]
     stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
@@ -203,7 +201,7 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
     rest, name = replace(group, columns={}), group.name
     del group  # whose columns go one by one
     rows = {value: np.flatnonzero(values == value) for value in np.unique(values).tolist()}
-    split: dict[object, dict[str, Floats]] = {value: {} for value in rows}
+    split: dict[object, dict[str, Array]] = {value: {} for value in rows}
     for column in list(columns):
         whole = columns.pop(column)
         for value, own in rows.items():
@@ -238,7 +236,7 @@ def _record(
     return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)
 
 
-def _dropped(name: str, dropped: int, time: Floats) -> str:
+def _dropped(name: str, dropped: int, time: Array) -> str:
     wrong = int(np.count_nonzero(~np.isfinite(time)))
     reasons = [f"{wrong} with implausible times"] if wrong else []
     reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []

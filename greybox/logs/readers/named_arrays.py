@@ -5,10 +5,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from greybox.data.record import Recording
+from greybox.files.arrays import Array
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import on_one_clock, records
@@ -21,7 +19,7 @@ class Variable(NamedTuple):
     group: str
     name: str
     unit: str
-    values: NDArray[np.float64]
+    values: Array
 
 
 class Contents(NamedTuple):
@@ -97,7 +95,7 @@ def recording(
     """
     with open(path, "rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
-    columns: dict[str, dict[str, NDArray[np.float64]]] = {}
+    columns: dict[str, dict[str, Array]] = {}
     units: dict[str, dict[str, str]] = {}
     for variable in found.variables:
         name = variable.group or path.stem

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
+from greybox.files.arrays import Array
 from greybox.logs.readers.messages import Messages
-
-Floats = NDArray[np.float64]
 
 SECONDS = {
     "s": 1.0,
@@ -56,7 +55,7 @@ def seconds(name: str, unit: str = "") -> float | None:
 
 
 def table(
-    name: str, columns: Mapping[str, Floats], units: Mapping[str, str]
+    name: str, columns: Mapping[str, Array], units: Mapping[str, str]
 ) -> tuple[Messages | None, tuple[str, ...]]:
     """Make messages of columns that share a time column; None where there is no time or nothing beside it.
 
@@ -113,7 +112,7 @@ def table(
 
 
 def of_rows(
-    name: str, columns: Mapping[str, Floats], units: Mapping[str, str], **about: Any
+    name: str, columns: Mapping[str, Array], units: Mapping[str, str], **about: Any
 ) -> Record:
     """Return a record of rows without a time; `about` are its source, checksum and findings."""
     named = {key: _unit_and_hold(units.get(key, ""))[0] for key in columns}
@@ -127,7 +126,7 @@ def _unit_and_hold(text: str) -> tuple[str, float | None]:
     return (text, None) if hold is None else (unit.strip(), hold)
 
 
-def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Floats]]:
+def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Array]]:
     """Return the signals of one variable: itself, or the columns of a matrix; none if the length is another."""
     if values.shape[:1] != (size,):
         return []

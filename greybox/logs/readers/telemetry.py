@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
+from greybox.files.arrays import Array
 from greybox.logs.readers import telemetry_metadata, time_stamps
 from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.messages import Messages, bare, records
 from greybox.logs.readers.telemetry_frames import KINDS, SAMPLED, Frames, find_packets, payloads
-
-Floats = NDArray[np.float64]
 
 TICKS = {
     "time_boot_ms": 1e3,
@@ -99,7 +98,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     return Recording(found, path.name, checksum, about, findings)
 
 
-def _sender_times(data: mmap.mmap, frames: Frames) -> Floats:
+def _sender_times(data: mmap.mmap, frames: Frames) -> Array:
     """Time of every packet by its sender's clock since the sender's start, s; NaN where it carries none."""
     sender_time = np.full(frames.kinds.size, np.nan)
     for kind in np.unique(frames.kinds).tolist():
@@ -113,8 +112,8 @@ def _sender_times(data: mmap.mmap, frames: Frames) -> Floats:
 
 
 def _common_clock(
-    frames: Frames, sender_time: Floats, vehicle: int
-) -> tuple[Floats, tuple[str, ...]]:
+    frames: Frames, sender_time: Array, vehicle: int
+) -> tuple[Array, tuple[str, ...]]:
     """Return the time of every packet, s since the vehicle's first start, and where senders restarted.
 
     The median difference between reception and the sender's time is the sender's start; it changes
@@ -145,7 +144,7 @@ def _common_clock(
     return time, tuple(findings)
 
 
-def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messages:
+def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Array) -> Messages:
     """Return the packets of one kind, in the order of their times: a link may deliver them in another."""
     known = KINDS[kind]
     rows = np.flatnonzero(frames.kinds == kind)
@@ -154,7 +153,7 @@ def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messa
         sorting = np.argsort(time[rows], kind="stable")
         rows, packets = rows[sorting], packets[sorting]
 
-    columns: dict[str, Floats] = {}
+    columns: dict[str, Array] = {}
     texts: dict[str, Sequence[str]] = {}
     units: dict[str, str] = {}
     for name in known.fieldnames:
@@ -185,7 +184,7 @@ def _columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
 def _labels(
     senders: NDArray[np.uint16],
     instance: str | None,
-    columns: dict[str, Floats],
+    columns: dict[str, Array],
     texts: dict[str, Sequence[str]],
 ) -> list[str]:
     """Return the labels of senders and instances of one kind; nothing if there is only one.

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.progress import reading
 from greybox.logs.readers.mapped_file import release
 
@@ -60,14 +61,14 @@ class Frames:
 
     kinds: NDArray[np.uint32]
     senders: NDArray[np.uint16]
-    starts: NDArray[np.integer]
+    starts: IntArray
     lengths: NDArray[np.uint8]
-    received: NDArray[np.float64]
+    received: Array
     skipped: int
     places: int
     unknown: int
 
-    def only(self, chosen: NDArray[np.bool_]) -> "Frames":
+    def only(self, chosen: BoolArray) -> "Frames":
         """Return some packets, chosen (n,), of the same file."""
         arrays = ("kinds", "senders", "starts", "lengths", "received")
         return replace(self, **{name: getattr(self, name)[chosen] for name in arrays})

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
+from greybox.files.arrays import Array, IntArray
 from greybox.logs.readers.ardupilot_metadata import VEHICLES, armed_intervals, mode_name
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.telemetry_frames import Frames, payloads
@@ -38,7 +39,7 @@ def vehicle_sender(data: mmap.mmap, frames: Frames) -> int:
     return int(frames.senders[rows[0]]) if beats.size else -1
 
 
-def metadata(data: mmap.mmap, frames: Frames, time: NDArray[np.float64]) -> dict[str, Any]:
+def metadata(data: mmap.mmap, frames: Frames, time: Array) -> dict[str, Any]:
     """Return the metadata of a recording, as far as they were sent; times in s, see `telemetry`."""
     beats, rows = _heartbeats(data, frames)
     texts = _texts(data, frames, time)
@@ -52,7 +53,7 @@ def metadata(data: mmap.mmap, frames: Frames, time: NDArray[np.float64]) -> dict
     return {key: value for key, value in known.items() if value}
 
 
-def _heartbeats(data: mmap.mmap, frames: Frames) -> tuple[NDArray[Any], NDArray[np.intp]]:
+def _heartbeats(data: mmap.mmap, frames: Frames) -> tuple[NDArray[Any], IntArray]:
     """Return the heartbeats of the first autopilot, and which packets they are."""
     rows = np.flatnonzero(frames.kinds == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
     beats = payloads(data, frames, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
@@ -85,9 +86,7 @@ def _parameters(data: mmap.mmap, frames: Frames, beats: NDArray[Any]) -> dict[st
     return values
 
 
-def _texts(
-    data: mmap.mmap, frames: Frames, time: NDArray[np.float64]
-) -> tuple[tuple[float, str], ...]:
+def _texts(data: mmap.mmap, frames: Frames, time: Array) -> tuple[tuple[float, str], ...]:
     """Return (time, text); long ones, sent in pieces of one id and sender, put together."""
     rows = np.flatnonzero(frames.kinds == mavlink.MAVLINK_MSG_ID_STATUSTEXT)
     joined: list[tuple[float, str]] = []
@@ -105,9 +104,7 @@ def _texts(
     return tuple(joined)
 
 
-def _modes(
-    beats: NDArray[Any], time: NDArray[np.float64], vehicle: str
-) -> tuple[tuple[float, str], ...]:
+def _modes(beats: NDArray[Any], time: Array, vehicle: str) -> tuple[tuple[float, str], ...]:
     """Return (time, name) at every change."""
     modes: list[tuple[float, str]] = []
     for at, base, custom in zip(
@@ -119,7 +116,7 @@ def _modes(
     return tuple(modes)
 
 
-def _armed(beats: NDArray[Any], time: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
+def _armed(beats: NDArray[Any], time: Array) -> tuple[tuple[float, float], ...]:
     """Return (start, end), s, from the first armed heartbeat to the first disarmed one."""
     armed = (beats["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) > 0
     since = int(armed.argmax()) if armed.any() else armed.size

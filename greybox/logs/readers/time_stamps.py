@@ -6,9 +6,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import GAP
+from greybox.files.arrays import Array, IntArray
 
 BACK = 1.0  # s by which stamps must fall at a clock restart; between messages of one boot they fall by up to 4 ms
 WINDOW = 50  # messages before and after, whose medians must agree that the clock restarted: 24 damaged ones do not matter
@@ -25,7 +25,7 @@ IRREGULAR = (
 )
 
 
-def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
+def restarts(stamps: Array) -> tuple[int, ...]:
     """Return where the clock restarted, as indices into the stamps (s) of all messages in the order of the file.
 
     A single damaged stamp is not a restart: the median stamp after must lie below the median
@@ -44,7 +44,7 @@ def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
     return tuple(found)
 
 
-def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the stamps (s) on one clock that continues at a restart, NaN where they are implausible, and findings.
 
     They are the stamps given where these are so already. After a restart the clock is set to
@@ -78,7 +78,7 @@ def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[s
     return shifted, tuple(findings)
 
 
-def _plausible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _plausible(stamps: Array) -> Array:
     """Return the stamps of one boot, NaN where they lie far outside of those at its start and its end."""
     if not stamps.size:
         return stamps
@@ -89,7 +89,7 @@ def _plausible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _edge(stamps: NDArray[np.float64], side: int) -> float:
+def _edge(stamps: Array, side: int) -> float:
     """Return the first (side -1) or last (1) of some stamps that mostly increase evenly; a quarter may be wrong.
 
     A quarter of the stamps lies between the median and a quartile: the edge is twice as far from
@@ -99,7 +99,7 @@ def _edge(stamps: NDArray[np.float64], side: int) -> float:
     return float(middle + side * 2 * (high - middle if side > 0 else middle - low))
 
 
-def increasing(time: NDArray[np.float64]) -> NDArray[np.intp]:
+def increasing(time: Array) -> IntArray:
     """Return the rows to keep so that time strictly increases: as many as possible, none with NaN."""
     rows = np.flatnonzero(np.isfinite(time))
     kept = time[rows]
@@ -108,7 +108,7 @@ def increasing(time: NDArray[np.float64]) -> NDArray[np.intp]:
     return rows[_longest_increase(kept)]
 
 
-def _longest_increase(values: NDArray[np.float64]) -> NDArray[np.intp]:
+def _longest_increase(values: Array) -> IntArray:
     """Longest strictly increasing subsequence, by patience sorting in O(n log n); of equal values the first stays."""
     tails: list[float] = []
     last: list[int] = []
@@ -141,7 +141,7 @@ class Gaps(NamedTuple):
         return f"{number} {self.longest:.3g} s at {self.at:.1f} s (its usual interval is {self.usual:.3g} s)."
 
 
-def gaps(time: NDArray[np.float64]) -> Gaps | None:
+def gaps(time: Array) -> Gaps | None:
     """Return the gaps of a message that comes at regular times; None without one, and for other messages.
 
     Each long interval is held against those around it: a stretch that was logged slowly has no

@@ -6,17 +6,15 @@ from copy import copy
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_group import Groups
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.strategies import Strategies
+from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
-
-Array = NDArray[np.float64]
 
 # A second-order correction goes on as long as it halves the penalty of the gaps, and until what is
 # left of it is a hundredth of the predicted decrease, which no decision of the line search depends

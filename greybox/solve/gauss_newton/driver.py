@@ -10,12 +10,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_group import excerpts
 from greybox.compiled.strategies import Strategies
+from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.damping import after_failure, next_damping
@@ -31,8 +31,6 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
 from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome
-
-Array = NDArray[np.float64]
 
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")

@@ -10,12 +10,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.strategies import Strategies
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
-
-Array = NDArray[np.float64]
 
 # Multipliers and penalties exceed the largest multiplier so far by this factor: an l1 merit is
 # exact when they are larger, and 1 would leave the sign of the directional derivative to rounding

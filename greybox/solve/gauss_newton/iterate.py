@@ -4,12 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from greybox.compiled.part import Condensed, Trajectory
-
-Array = NDArray[np.float64]
+from greybox.files.arrays import Array
 
 Nodes = Sequence[Array]
 """The nodes (s, n) of every part."""

@@ -8,15 +8,12 @@ Numerical Optimization, 2nd ed., section 18.3).
 import math
 from collections.abc import Callable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.homotopy import Progress
 from greybox.solve.gauss_newton.iterate import Iterate
 from greybox.solve.gauss_newton.stability import are_stable
 
-Array = NDArray[np.float64]
 Merit = Callable[[Iterate], float]
 
 

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array, BoolArray
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.homotopy import EXACTNESS, Progress
 from greybox.solve.gauss_newton.iterate import Iterate, Step
 from greybox.solve.gauss_newton.stability import stability_constraints
 from greybox.solve.quadratic_program import solve_small_qp
-
-Array = NDArray[np.float64]
 
 # Slack, in scaled variables, of a constraint that holds a step: what the quadratic program leaves
 # of zero.
@@ -25,7 +23,7 @@ def gauss_newton_step(
     linearizations: Sequence[Any],
     progress: Progress,
     *,
-    held: NDArray[np.bool_],
+    held: BoolArray,
     states_only: bool,
 ) -> Step:
     """Return the step of nodes and z from an iterate; with `states_only` of the nodes alone.

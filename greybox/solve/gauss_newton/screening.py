@@ -16,15 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Segments
+from greybox.files.arrays import Array, BoolArray
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
-
-Array = NDArray[np.float64]
 
 # Segments, evenly over all records: they say enough of a dozen of parameters, and an evaluation
 # takes less than a millisecond a start. Of many records as many stand for the others.
@@ -249,7 +247,7 @@ def _lower(points: Points, others: Points) -> Points:
     return _chosen(others.cost < points.cost, others, points)
 
 
-def _chosen(flags: NDArray[np.bool_], those: Points, others: Points | None) -> Points:
+def _chosen(flags: BoolArray, those: Points, others: Points | None) -> Points:
     """Return those points where there is a flag, and the others elsewhere; None is a flat model."""
 
     def select(a: Array, b: Array | None) -> Array:

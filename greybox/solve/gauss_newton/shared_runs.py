@@ -18,13 +18,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import CUT_SHORT, Outcome
-
-Array = NDArray[np.float64]
 
 # Samples of a record over those of its excerpts. An iteration on a quarter takes about 0.4 of the
 # time.

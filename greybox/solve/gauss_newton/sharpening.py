@@ -11,13 +11,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate, Step
-
-Array = NDArray[np.float64]
 
 # Least eigenvalue of a Hessian with unit diagonal, relative to the largest, below which it is not
 # enough: rounding of some 1e-14 is then more than the hundred-thousandth part of a step.

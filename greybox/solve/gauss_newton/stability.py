@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate
-
-Array = NDArray[np.float64]
 
 # Decades of process noise, from the variance by which a state moves at all downward, for which
 # steady Kalman filters are tried: 1e-12 of a variance is a state without noise.
