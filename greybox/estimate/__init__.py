@@ -1,18 +1,24 @@
 """The answer and how far it can be believed.
 
-Begin with `fit`, then `result`, which holds `Fit` and what it prints, and `fitted_part`, what it
-keeps of each part. `quantities` makes the lines of the answer, `fitted_record` and
-`fitted_spectrum` the parts of records and manoeuvres, `harmonic_numbers` chooses the harmonics of
-sine tests. `covariance` computes the standard errors from the sandwich. Its bread and meat differ
-from criterion to criterion: for responses they are the `spread` of each one in
-`greybox.formulation.frequency_criteria`, for records they come from
-`greybox.compiled.record_information`. `identifiability` says how well each parameter is determined,
-and which combinations are although their members are not. `equivalent_minima` finds the parameter
-vectors of one response, `response_band` has the confidence band of a fitted response,
-`structural_identifiability` asks the same before any data, `sensitivity` which frequencies or times
-tell of each parameter. `profile` follows the lowest cost along one quantity, for intervals that
-need not be symmetric, which are `profiles`, of records by `held_records`; `fitted_problem` is the
-problem again from its answer. The folder `diagnostics` holds the warnings, `storage` writes and
-reads fits, `verdict` judges them in three sentences, and `summary` gives their numbers as plain
-values.
+Begin with `fit`.
+
+| file | contents |
+| --- | --- |
+| `fit` | from a problem to its answer: search, accuracy, warnings |
+| `result` | `Fit`, the answer as values |
+| `fitted_part` | the values that an answer keeps of each part of its problem |
+| `fitted_record`, `fitted_spectrum` | how these are made for records and for spectra of manoeuvres |
+| `fitted_problem` | the problem again, from its answer |
+| `quantities` | estimates, tied values and derived quantities with their standard errors |
+| `covariance` | standard errors from the sandwich, for all criteria |
+| `identifiability` | how well each parameter is determined, and which combinations are |
+| `structural_identifiability` | the same before there are data |
+| `equivalent_minima` | different parameters that give one response |
+| `sensitivity` | where the information on each parameter comes from |
+| `response_band` | confidence band of a fitted response |
+| `profile`, `profiles`, `held_records` | likelihood profiles, their values, and how records are refitted |
+| `harmonic_numbers` | how many harmonics a sine test needs |
+| `diagnostics` | the folder of warnings |
+| `verdict`, `summary` | the answer in three sentences, and as plain values for JSON |
+| `storage`, `stored_values` | fits in HDF5 files, and how their fields are stored |
 """

@@ -27,10 +27,8 @@ from numpy.testing import assert_array_equal, assert_equal
 
 import greybox as gb
 from greybox.data.record_file import read_record, write_record
-from greybox.estimate import storage
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.sealed_files import seal
-from greybox.formulation.included_criteria import CRITERIA
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
@@ -234,40 +232,6 @@ def test_names_of_signals_may_hold_what_hdf5_takes_for_a_path(tmp_path):
     assert (found.units, found.name) == ({"a": "m/s"}, "r")
 
 
-def older(layout, criterion):
-    def change(file):
-        file.attrs["layout"] = layout
-        part = file["parts/0"].attrs
-        part["criterion"] = criterion
-        for name in ("criterion_class", "settings", "is_likelihood"):
-            del part[name]
-        described = {criterion.name: criterion.description for criterion in CRITERIA}
-        costs = json.loads(file.attrs["costs"])
-        file.attrs["costs"] = json.dumps({described[name]: value for name, value in costs.items()})
-        if layout == 1:
-            del file["covariance/white"]
-
-    return change
-
-
-def test_a_file_of_the_first_layout_is_read(tmp_path):
-    loaded = gb.load(edited(tmp_path, older(1, "RelativeError(normalized='measured')")))
-    assert str(loaded) == str(LAG)
-    assert loaded.white is None
-    assert loaded.parts[0].has_criterion_of(LAG.parts[0])
-
-
-def test_the_criterion_of_an_older_layout_is_read_from_its_text(tmp_path):
-    path = edited(tmp_path, older(2, "SquaredRelativeError(normalized='model')"))
-    assert gb.load(path).criterion == "squared-relative-error:model"
-    path = edited(
-        tmp_path, older(2, "OutputError(noise='full', initial={'x': <function f at 0x7f>})")
-    )
-    (part,) = gb.load(path).parts
-    assert (part.criterion, part.is_likelihood) == ("output-error", True)
-    assert not part.has_criterion_of(LAG.parts[0])
-
-
 def test_a_failed_fit_comes_back(tmp_path):
     fit = gb.fit(LAG_PROBLEM, starts=3, solver_options={"max_iter": 1})
     gb.save(fit, tmp_path / "a.h5")
@@ -310,15 +274,12 @@ def test_any_hdf5_reader_understands_the_file(tmp_path):
         assert_array_equal(file["parts/0/data/omega"][()], TWO_LAGS_OMEGA)
 
 
-def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "a.h5"
     gb.save(LAG, path)
     before = path.read_bytes()
-    monkeypatch.setattr(
-        storage, "_write_runs", lambda *_: (_ for _ in ()).throw(OSError("disk full"))
-    )
-    with pytest.raises(OSError, match="disk full"):
-        gb.save(LAG, path)
+    with pytest.raises(TypeError):
+        gb.save(dataclasses.replace(LAG, starts=object()), path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
 
@@ -371,8 +332,9 @@ def forget(place):
     [
         (
             lambda file: file.attrs.__setitem__("layout", 99),
-            "has layout 99 and this version reads up to 3: install a",
+            "has layout 99 .* install a newer",
         ),
+        (lambda file: file.attrs.__setitem__("layout", 3), "has layout 3 .* fit again"),
         (lambda file: file.attrs.__setitem__("layout", "x"), "damaged"),
         (lambda file: file.attrs.__delitem__("layout"), "damaged"),
         (lambda file: file.attrs.__delitem__("format"), "not a greybox fit or is damaged"),
@@ -502,11 +464,9 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
 
     expected = fit.response([1.0, 2.0]).response
     assert_array_equal(loaded.response([1.0, 2.0], model=model).response, expected)
-    for given in (module.Mine, str(file)):
+    for given in (module.Mine, model, module, str(file)):
         again = gb.load(tmp_path / "a.h5", models=[given])
         assert_array_equal(again.response([1.0, 2.0]).response, expected)
-    assert storage._models(model) == [model]
-    assert storage._models(module) == storage._models(file) == [module.Mine]
     with pytest.raises(TypeError, match="models has 5: give model classes"):
         gb.load(tmp_path / "a.h5", models=[5])
 
@@ -575,29 +535,28 @@ def flown(**changes):
             lambda fit: {"quantities": (*fit.quantities, fit.quantities[0])},
             "two quantities have the same name",
         ),
-        (lambda fit: {"free": (*fit.free, "lost")}, "a parameter has no value"),
         (lambda fit: {"names": (*fit.names, "lost")}, "a parameter has no value"),
         (
             lambda fit: {"names": (*fit.names, fit.names[0])},
             "a parameter appears twice in the covariance",
         ),
-        (lambda fit: {"parts": ()}, "it has no data or no runs"),
+        (lambda fit: {"parts": ()}, "damaged"),
         (lambda fit: {"runs": fit.runs[fit.runs.cost < 0]}, "it has no data or no runs"),
-        (lambda fit: part(fit, information=np.zeros(2)), "what its data tell is incomplete"),
-        (lambda fit: part(fit, information=np.zeros((3, 4))), "what its data tell is incomplete"),
+        (lambda fit: part(fit, information=np.zeros(2)), "shape"),
+        (lambda fit: part(fit, information=np.zeros((3, 4))), "shape"),
         (
             lambda fit: part(fit, information_alone=np.zeros((1, 4))),
-            "what its data tell is incomplete",
+            "shape",
         ),
         (
             lambda fit: part(fit, response=np.zeros(2, complex)),
-            "the fitted response and the data differ in length",
+            "shape",
         ),
         (lambda fit: part(fit, sine=gb.modeling.Sine("u", [1.0, 2.0])), "an amplitude is missing"),
-        (lambda fit: {"parts": (flown(outputs=("z",)),)}, "an output is not in the record"),
+        (lambda fit: {"parts": (flown(outputs=("z",)),)}, "an output is not in the data"),
         (
             lambda fit: {"parts": (flown(inputs="guessed"),)},
-            "how its inputs run between samples is not known",
+            "'guessed' is none of",
         ),
         (
             lambda fit: {
@@ -609,82 +568,21 @@ def flown(**changes):
             lambda fit: {
                 "parts": (flown(simulated=gb.Record(np.arange(6.0), {"u": np.arange(6.0)})),)
             },
-            "an output is not in the record",
+            "an output is not in the data",
         ),
         (lambda fit: {"parts": (flown(),)}, ""),
         (lambda fit: part(fit, sine=gb.modeling.Sine("u", 1.0)), ""),
         (lambda fit: part(fit, information=None, information_alone=np.zeros((2, 4))), ""),
     ],
 )
-def test_what_does_not_fit_together_is_refused(change, said):
-    assert LAG.free == ("K", "T")
-    changed = dataclasses.replace(LAG, **change(LAG))
+def test_what_does_not_fit_together_is_refused(tmp_path, change, said):
+    gb.save(dataclasses.replace(LAG, **change(LAG)), tmp_path / "a.h5")
     if said:
-        with pytest.raises(ValueError, match=f"^{said}$"):
-            storage._checked(changed)
+        with pytest.raises(ValueError, match=said):
+            gb.load(tmp_path / "a.h5")
     else:
-        assert storage._checked(changed) is changed
+        assert gb.load(tmp_path / "a.h5").free == LAG.free
 
 
 def part(fit, **changes):
     return {"parts": (dataclasses.replace(fit.parts[0], **changes),)}
-
-
-def test_minima_are_those_of_their_runs_the_best_run_first():
-    runs = LAG.runs[np.zeros(5, int)]
-    runs = dataclasses.replace(runs, cost=np.array([3.0, 1.0, 2.0, 9.0, 1.5]))
-    estimate = np.array([[1.0, 2.0], [3.0, 4.0]])
-    file = {
-        "minima": {
-            "cost": np.array([1.0, 1.5]),
-            "variants": np.array([2, 1]),
-            "estimate": estimate,
-        },
-        "runs/minimum": np.array([0, 0, 1, -1, 1]),
-    }
-    first, second = storage._read_minima(file, runs, 2)
-    assert (first.cost, first.runs, first.variants) == (1.0, (1, 0), 2)
-    assert (second.cost, second.runs, second.variants) == (1.5, (4, 2), 1)
-    assert second.estimate.tolist() == [3.0, 4.0]
-    file["runs/minimum"] = np.array([0, 0, 2, -1, 1])
-    with pytest.raises(ValueError, match=r"^a run ended at a minimum that it does not have$"):
-        storage._read_minima(file, runs, 2)
-    file["runs/minimum"] = np.array([0, 0, 0, -1, -1])
-    with pytest.raises(ValueError, match=r"^no run ended at one of its minima$"):
-        storage._read_minima(file, runs, 2)
-
-
-@pytest.mark.parametrize(
-    ("read", "value", "said"),
-    [
-        (storage._text, 3, "3 is not text"),
-        (storage._json_object, "[1]", r"\[1\] has no names"),
-        (storage._json_names, '{"a": 1}', r"\{'a': 1\} is not a list"),
-        (storage._json_names, "[1]", "1 is not text"),
-        (storage._json_texts, '{"a": 1}', "1 is not text"),
-        (lambda v: storage._array(v, (2,)), np.zeros(3), r"its shape is not \(2,\)"),
-        (
-            lambda v: storage._read_equivalents(v, 2),
-            np.zeros((1, 3)),
-            "the parameter vectors of one response are not",
-        ),
-        (
-            lambda v: storage._read_equivalents(v, 2),
-            np.zeros((0, 2)),
-            "the parameter vectors of one response are not",
-        ),
-        (
-            lambda v: storage._read_equivalents(v, 2),
-            np.zeros(2),
-            "the parameter vectors of one response are not",
-        ),
-        (
-            lambda v: storage._read_priors(v, ("a",)),
-            {"priors": '{"b": [1, 2]}'},
-            "a parameter with a prior was not free",
-        ),
-    ],
-)
-def test_values_of_another_kind_are_refused(read, value, said):
-    with pytest.raises(ValueError, match=f"^{said}"):
-        read(value)

@@ -44,20 +44,20 @@ def model(target, arguments=(), keywords=None):
 
 
 def virtual(file):
-    shape = file["covariance/values"].shape
-    del file["covariance/values"]
+    shape = file["covariance"].shape
+    del file["covariance"]
     layout = h5py.VirtualLayout(shape=shape, dtype="f8")
     layout[:] = h5py.VirtualSource("other.h5", "x", shape=shape)
-    file.create_virtual_dataset("covariance/values", layout)
+    file.create_virtual_dataset("covariance", layout)
 
 
 def external_numbers(name):
     def change(file):
-        shape = file["covariance/values"].shape
-        del file["covariance/values"]
+        shape = file["covariance"].shape
+        del file["covariance"]
         size = 8 * shape[0] * shape[1]
         file.create_dataset(
-            "covariance/values", shape=shape, dtype="f8", external=[(name, 0, size)]
+            "covariance", shape=shape, dtype="f8", external=[(name, 0, size)]
         )
 
     return change
@@ -65,9 +65,9 @@ def external_numbers(name):
 
 def compressed_zeros(file):
     """1 GB of zeros in a file of 1 MB."""
-    del file["covariance/values"]
+    del file["covariance"]
     made = file.create_dataset(
-        "covariance/values",
+        "covariance",
         shape=(16000, 8000),
         dtype="f8",
         chunks=(4000, 4000),
@@ -82,9 +82,9 @@ def compressed_zeros(file):
 
 def inflated_chunk(file):
     """A chunk that holds far more than its size says."""
-    del file["covariance/values"]
+    del file["covariance"]
     made = file.create_dataset(
-        "covariance/values", shape=(4, 4), dtype="f8", chunks=(4, 4), compression="gzip"
+        "covariance", shape=(4, 4), dtype="f8", chunks=(4, 4), compression="gzip"
     )
     packed = zlib.compressobj(1)
     zeros = bytes(2**24)
@@ -126,7 +126,7 @@ def written(place, value):
     return lambda file: file[place].__setitem__(0, value)
 
 
-ARRAY = "covariance/values"
+ARRAY = "covariance"
 CRAFTED = {
     "external link": linked(ARRAY, h5py.ExternalLink("other.h5", "x")),
     "external link to a group": linked("parts", h5py.ExternalLink("other.h5", "/")),
@@ -163,16 +163,16 @@ CRAFTED = {
     "names for arguments": model("greybox.models.tilt:Tilt", {"a": 1}),
     "a list for versions": attributes(versions="[1]"),
     "texts for costs": attributes(costs='{"a": "b"}'),
-    "a number for names": attributes("runs", free="5"),
-    "numbers for names": attributes("runs", free="[1, 2, 3, 4, 5, 6]"),
+    "a number for names": replaced("free", data=5),
+    "numbers for names": replaced("free", data=np.arange(6)),
     "bytes for a name": attributes(name=np.void(b"abc")),
     "a layout below zero": attributes(layout=-1),
     "no finite cost": attributes(cost=float("nan"), seconds=float("inf")),
     "two equal names": lambda file: file["quantities/name"].__setitem__(
         0, file["quantities/name"][1]
     ),
-    "a minimum that is not there": written("runs/minimum", 99),
-    "a minimum far away": written("runs/minimum", 2**40),
+    "a minimum that is not there": written("minima/members", 99),
+    "a minimum far away": written("minima/members", 2**40),
     "complex numbers": replaced(ARRAY, data=np.ones((4, 4)) * 1j),
     "references": lambda file: replaced(ARRAY, data=np.array([file.ref] * 4, dtype=h5py.ref_dtype))(
         file
