@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.result import Fit, Quantity
 from greybox.estimate.stored_values import (
     fields_of,
@@ -42,9 +43,7 @@ LAYOUT = 4
 # What is not stored (the models), or not field by field.
 TABLES = ("parts", "quantities", "minima")
 FIELDS = {
-    name: kind
-    for name, kind in fields_of(Fit).items()
-    if name not in (*TABLES, "models", "given")
+    name: kind for name, kind in fields_of(Fit).items() if name not in (*TABLES, "models", "given")
 }
 MINIMUM = {"cost": float, "variants": int}
 
@@ -148,7 +147,8 @@ def _read_minima(group: Stored) -> tuple[Minimum, ...]:
     members = np.split(group["members"][()], np.cumsum(group["count"][()]).astype(int))[:-1]
     rows = zip(read_table(group, MINIMUM), group["estimate"][()], members, strict=True)
     return tuple(
-        Minimum(**row, estimate=estimate, runs=tuple(runs.astype(int).tolist())) for row, estimate, runs in rows
+        Minimum(**row, estimate=estimate, runs=tuple(runs.astype(int).tolist()))
+        for row, estimate, runs in rows
     )
 
 
@@ -183,59 +183,68 @@ def _require_consistent(fit: Fit) -> None:
     for name, prior in fit.priors.items():
         as_prior(prior, f"the prior of {name!r:.40}")
 
-    p, r, m = len(fit.free), len(fit.runs.cost), len(fit.minima)
-    runs = {name: (r,) for name in fields_of(type(fit.runs))} | {"start": (r, p), "estimate": (r, p)}
-    for name, shape in runs.items():
-        _require_shape(getattr(fit.runs, name), shape)
-    require(np.array_equal(fit.runs.indices, np.arange(r)), "its runs are not in order")
-    for minimum in fit.minima:
-        _require_shape(minimum.estimate, (p,))
-        require(bool(minimum.runs), "no run ended at one of its minima")
-        require(
-            0 <= min(minimum.runs) <= max(minimum.runs) < r,
-            "a minimum belongs to a run that it does not have",
-        )
-
-    _require_shape(fit.covariance, (len(fit.names),) * 2)
-    _require_shape(fit.white, (p, p))
-    if fit.independent is not None:
-        _require_shape(fit.independent[0], (p, p))
+    p = len(fit.free)
+    _require_shapes(
+        (fit.covariance, (len(fit.names),) * 2),
+        (fit.white, (p, p)),
+        (fit.independent and fit.independent[0], (p, p)),
+    )
     if fit.equivalents is not None:
-        _require_shape(fit.equivalents, (max(len(fit.equivalents), 1), p))
-    for known, size in ((fit.directions, p), (fit.known, len(fit.names))):
-        while known is not None:
-            _require_shape(known.covariance, (size, size))
-            _require_shape(known.unseen, (size, known.unseen.shape[-1]))
-            _require_shape(known.size, (size,))
-            _require_shape(known.at, (size,))
-            known = known.elsewhere
-    for profile in fit.profiles.profiles if fit.profiles else ():
-        n = len(profile.values)
-        for column in (profile.values, profile.costs, profile.roots):
-            _require_shape(column, (n,))
-        _require_shape(profile.others, (n, len(fit.profiles.free) if fit.profiles else 0))
+        _require_shapes((fit.equivalents, (max(len(fit.equivalents), 1), p)))
+    _require_consistent_directions(fit.directions, p)
+    _require_consistent_directions(fit.known, len(fit.names))
+    _require_consistent_runs(fit)
     for part in fit.parts:
         _require_consistent_part(part, p)
+    if fit.profiles is not None:
+        for profile in fit.profiles.profiles:
+            n = len(profile.values)
+            others = (n, len(fit.profiles.free))
+            _require_shapes((profile.costs, (n,)), (profile.roots, (n,)), (profile.others, others))
+
+
+def _require_consistent_runs(fit: Fit) -> None:
+    p, r = len(fit.free), len(fit.runs.cost)
+    shapes = dict.fromkeys(fields_of(type(fit.runs)), (r,)) | dict.fromkeys(
+        ("start", "estimate"), (r, p)
+    )
+    _require_shapes(*((getattr(fit.runs, name), shape) for name, shape in shapes.items()))
+    require(np.array_equal(fit.runs.indices, np.arange(r)), "its runs are not in order")
+    for minimum in fit.minima:
+        _require_shapes((minimum.estimate, (p,)))
+        ends = (0, *sorted(minimum.runs), r - 1)
+        require(len(ends) > 2, "no run ended at one of its minima")
+        require(sorted(ends) == [*ends], "a minimum belongs to a run that it does not have")
+
+
+def _require_consistent_directions(directions: KnownDirections | None, size: int) -> None:
+    if directions is None:
+        return
+    _require_shapes(
+        (directions.covariance, (size, size)),
+        (directions.unseen, (size, directions.unseen.shape[-1])),
+        (directions.size, (size,)),
+        (directions.at, (size,)),
+    )
+    _require_consistent_directions(directions.elsewhere, size)
 
 
 def _require_consistent_part(part: FittedResponse | FittedRecord | FittedSpectrum, p: int) -> None:
     for information in (part.information, part.information_alone):
         if information is not None:
-            _require_shape(information, (p, information.shape[-1]))
+            _require_shapes((information, (p, information.shape[-1])))
     size = len(part.data)
     if isinstance(part, FittedResponse):
-        _require_shape(part.response, (size,))
-        sizes = (1, size)
-        require(
-            part.sine is None or np.size(part.sine.amplitude) in sizes, "an amplitude is missing"
-        )
+        _require_shapes((part.response, (size,)))
+        amplitudes = 1 if part.sine is None else np.size(part.sine.amplitude)
+        require(amplitudes in (1, size), "an amplitude is missing")
         return
+
     outputs = len(part.outputs)
-    _require_shape(part.noise, (outputs, outputs))
+    _require_shapes((part.noise, (outputs, outputs)))
     if isinstance(part, FittedSpectrum):
         known = {*part.data.outputs} & {*part.fitted}
-        for values in part.fitted.values():
-            _require_shape(values, (size,))
+        _require_shapes(*((values, (size,)) for values in part.fitted.values()))
     else:
         known = {*part.data.signals} & {*part.simulated.signals}
         require(
@@ -243,14 +252,14 @@ def _require_consistent_part(part: FittedResponse | FittedRecord | FittedSpectru
             "the simulated record has other times than its data",
         )
         gains = len(part.gains)
-        _require_shape(part.gain, (gains,))
-        _require_shape(part.error, (outputs, size))
+        _require_shapes((part.gain, (gains,)), (part.error, (outputs, size)))
         if part.gain_slope is not None:
-            _require_shape(part.gain_slope, (gains, part.gain_slope.shape[-1]))
-        for values in part.initial.values():
-            _require_shape(values, values.shape[:1])
+            _require_shapes((part.gain_slope, (gains, part.gain_slope.shape[-1])))
+        _require_shapes(*((values, (values.size,)) for values in part.initial.values()))
     require({*part.outputs} <= known, "an output is not in the data")
 
 
-def _require_shape(array: Any, shape: tuple[int, ...]) -> None:
-    require(array is None or array.shape == shape, f"the shape of an array is not {shape}")
+def _require_shapes(*arrays: tuple[Any, tuple[int, ...]]) -> None:
+    """Require the shape of every array that is there."""
+    for array, shape in arrays:
+        require(array is None or array.shape == shape, f"the shape of an array is not {shape}")

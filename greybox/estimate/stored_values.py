@@ -39,6 +39,7 @@ DATA: dict[Any, tuple[Any, Any]] = {
     Record: (write_record, read_record),
     TransientSpectrum: (write_spectrum, read_spectrum),
 }
+ITEMS = {np.bool_: bool, np.integer: int, np.floating: float}
 LINES = "\n\t"  # control characters of docstrings, source and warnings
 
 
@@ -78,7 +79,7 @@ def write(group: Node, name: str, value: Any, kind: Any) -> None:
     elif _is_text_list(kind):
         _write_texts(group, name, value)
     elif _is_array(kind):
-        array = np.asarray(value)
+        array: Any = np.asarray(value)
         group[name] = np.array([array.real, array.imag]) if array.dtype.kind == "c" else array
     elif (members := _members(kind, value)) is not None:
         inner = group.create_group(name, track_order=True)
@@ -97,29 +98,32 @@ def read(group: Stored, name: str, kind: Any) -> Any:
         If it is of another kind.
     """
     inner = _without_none(kind)
-    if inner is not kind and name not in group and name not in group.attrs:
-        return None
+    if name not in group:
+        if inner is not kind and name not in group.attrs:
+            return None
+        value = group.attrs[name]
+        return as_kind(value if _is_scalar(inner) else json.loads(value), inner)
+
+    stored = group[name]
     if inner in DATA:
-        return DATA[inner][1](group[name])
+        return DATA[inner][1](stored)
     if _is_text_list(inner):
-        texts = [as_kind(text, str) for text in group[name][()]]
+        texts = [as_kind(text, str) for text in stored[()]]
         return np.array(texts, dtype=object) if get_origin(inner) is np.ndarray else tuple(texts)
-    if _is_array(inner):
-        return _read_array(group[name][()], inner)
-    if dataclasses.is_dataclass(inner) and inner is not Sine:
-        return inner(**read_fields(group[name], fields_of(inner)))
-    if _is_mapping_of_arrays(inner):
-        kinds = dict.fromkeys(group[name].members, get_args(inner)[1])
-        arrays = read_fields(group[name], kinds)
+    return _read_array(stored[()], inner) if _is_array(inner) else _read_group(stored, inner)
+
+
+def _read_group(group: Stored, kind: Any) -> Any:
+    """Return a dataclass, a mapping of arrays or a tuple from the members of its group."""
+    if dataclasses.is_dataclass(kind):
+        return kind(**read_fields(group, fields_of(kind)))  # type: ignore[operator, arg-type]
+    kinds = get_args(kind)
+    if get_origin(kind) is Mapping:
+        arrays = read_fields(group, dict.fromkeys(group.members, kinds[1]))
         return {as_kind(unescaped(key), str): array for key, array in arrays.items()}
-    if name in group:
-        stored = group[name]
-        kinds = get_args(inner)
-        if kinds[-1] is Ellipsis:
-            kinds = kinds[:1] * len(stored)
-        return tuple(read(stored, str(k), member) for k, member in enumerate(kinds))
-    value = group.attrs[name]
-    return as_kind(value if _is_scalar(inner) else json.loads(value), inner)
+    if kinds[-1] is Ellipsis:
+        kinds = kinds[:1] * len(group)
+    return tuple(read(group, str(k), member) for k, member in enumerate(kinds))
 
 
 def write_table(group: Node, rows: Any, kinds: Mapping[str, Any]) -> None:
@@ -138,7 +142,9 @@ def read_table(group: Stored, kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
     columns = [group[name][()] for name in kinds]
     return [
         {
-            name: as_kind(value.tolist() if isinstance(value, np.generic | np.ndarray) else value, kind)
+            name: as_kind(
+                value.tolist() if isinstance(value, np.generic | np.ndarray) else value, kind
+            )
             for (name, kind), value in zip(kinds.items(), row, strict=True)
         }
         for row in zip(*columns, strict=True)
@@ -153,26 +159,30 @@ def as_kind(value: Any, kind: Any) -> Any:
     ValueError, TypeError
         If it is something else.
     """
-    origin = get_origin(kind)
-    members = get_args(kind)
     if kind is Any:
         return value
-    if kind is str:
-        require(isinstance(value, str), f"{value!r:.40} is not text")
-        return printable(value, LINES)
-    if kind is Sine:
-        return Sine(**value)
-    if kind in (float, int, bool):
-        return math.nan if value is None and kind is float else kind(value)
-    if origin is Literal:
-        require(value in members, f"{value!r:.40} is none of {', '.join(map(repr, members))}")
-        return value
-    if origin is tuple:
+    if _is_scalar(kind):
+        return _as_scalar(value, kind)
+    members = get_args(kind)
+    if get_origin(kind) is tuple:
         require(isinstance(value, list), f"{value!r:.40} is not a list")
         kinds = members[:1] * len(value) if members[-1] is Ellipsis else members
         return tuple(as_kind(item, k) for item, k in zip(value, kinds, strict=True))
     require(isinstance(value, dict), f"{value!r:.40} has no names")
+    if kind is Sine:
+        return Sine(**value)
     return {printable(name): as_kind(item, members[1]) for name, item in value.items()}
+
+
+def _as_scalar(value: Any, kind: Any) -> Any:
+    if kind is str:
+        require(isinstance(value, str), f"{value!r:.40} is not text")
+        return printable(value, LINES)
+    if get_origin(kind) is Literal:
+        options = get_args(kind)
+        require(value in options, f"{value!r:.40} is none of {', '.join(map(repr, options))}")
+        return value
+    return math.nan if value is None and kind is float else kind(value)
 
 
 def _members(kind: Any, value: Any) -> list[tuple[str, Any, Any]] | None:
@@ -232,7 +242,7 @@ def _read_array(values: Any, kind: Any) -> Any:
     if issubclass(item, np.complexfloating):
         require(values.ndim == 2 and len(values) == 2, "complex numbers have two rows")
         return values[0] + 1j * values[1]
-    return values.astype(item)
+    return values.astype(next(kind for scalar, kind in ITEMS.items() if issubclass(item, scalar)))
 
 
 def _plain(value: Any) -> Any:

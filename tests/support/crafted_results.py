@@ -56,9 +56,7 @@ def external_numbers(name):
         shape = file["covariance"].shape
         del file["covariance"]
         size = 8 * shape[0] * shape[1]
-        file.create_dataset(
-            "covariance", shape=shape, dtype="f8", external=[(name, 0, size)]
-        )
+        file.create_dataset("covariance", shape=shape, dtype="f8", external=[(name, 0, size)])
 
     return change
 
