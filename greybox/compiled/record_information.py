@@ -72,7 +72,7 @@ def colored_errors(
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
     factor = max(found.taken / max(paid * squares, 1e-300), 1.0)
 
-    independent = independent_numbers(numbers, initial_states, math.ceil(paid), factor)
+    independent = independent_numbers(numbers, initial_states, paid, factor)
     larger = independent / (independent - initial_states)
     left = max(independent - initial_states - paid, 0.5)
     if not found.corrected:
@@ -95,10 +95,11 @@ def colored_errors(
 
 
 def independent_numbers(
-    measured: int, initial_states: int, parameters: int, factor: float
+    measured: int, initial_states: int, parameters: float, factor: float
 ) -> float:
     """Return as how many independent numbers the measured ones count.
 
+    `parameters` is not rounded to a whole number: rounding errors would then decide which one.
     `factor` is how many times more of the residuals the parameters take than they would of white
     ones.
     """

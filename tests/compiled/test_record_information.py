@@ -100,7 +100,7 @@ def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monk
     paid = np.trace(inverse @ bread)
     white = sum(((weight @ e) ** 2).sum() for e in residuals) / numbers
     times = told.taken / (paid * white)
-    assert 1 < times < numbers / (initial_states + np.ceil(paid) + 4)
+    assert 1 < times < numbers / (initial_states + paid + 4)
     independent = numbers / times
     larger = independent / (independent - initial_states)
     left = independent - initial_states - paid
@@ -136,3 +136,17 @@ def test_independent_numbers_are_no_fewer_than_a_variance_needs():
     assert independent_numbers(100, 3, 5, 9.0) == pytest.approx(3 + 5 + 4)
     assert independent_numbers(11, 3, 5, 9.0) == 11
     assert independent_numbers(3, 8, 2, 5.0) == 8.5
+
+
+@pytest.mark.parametrize("rounding", [-1e-15, 1e-15])
+def test_rounding_of_the_inverse_does_not_change_the_errors(rounding):
+    """One parameter of one record pays exactly one number; a bit more must not count as two."""
+    n = 120
+    errors = lfilter([1], [1, -0.98], np.random.default_rng(3).normal(size=n))[None]
+    deviation = np.std(errors)
+    J, weight = np.ones((1, 1, n)) / deviation**2, np.eye(1) / deviation
+    inverse = np.eye(1) * deviation**2 / n
+    exact = colored_errors([J], [errors], inverse, weight, 2, 0.02)
+    rounded = colored_errors([J], [errors], inverse * (1 + rounding), weight, 2, 0.02)
+    assert_allclose(rounded.meat, exact.meat, rtol=1e-9)
+    assert_allclose(rounded.dof, exact.dof, rtol=1e-9)
