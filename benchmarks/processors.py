@@ -29,8 +29,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.formulation.included_criteria import CRITERIA
 
-SUPPORT = Path(__file__).parents[1] / "tests" / "support"
-sys.path.insert(0, str(SUPPORT))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from hardening_spring import Spring, driven
 from lateral_aircraft import disturbed, doublets
@@ -57,9 +56,7 @@ class ShortDelay(LagLagDelay):
 def points(seed: int) -> gb.FrequencyResponse:
     """Return a response with a relative error of 5 %."""
     columns = {"variance": (0.1 * np.ones(TWO_LAGS_OMEGA.size)) ** 2}
-    return measured(
-        LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05, seed=seed, columns=columns
-    )
+    return measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05, seed=seed, columns=columns)
 
 
 def response(seed: int) -> gb.Fit:
