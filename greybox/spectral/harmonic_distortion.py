@@ -87,7 +87,7 @@ def _share(omega: Array, response: ComplexArray, u: float, found: Harmonics) -> 
     if not found.control.size or not found.beside.shape[2] or u == 0:
         return math.nan
     at = found.omega * np.arange(2, found.control.size + 2)
-    plant = _read_off(omega, response, at)
+    plant = interpolated(omega, response, at)
     error = np.where(at > omega[-1], BEYOND, BETWEEN)
     e = np.abs(found.output / plant - found.control)
     noise = np.sqrt(
@@ -98,7 +98,7 @@ def _share(omega: Array, response: ComplexArray, u: float, found: Harmonics) -> 
     return float(np.sqrt(np.sum(excess**2)) / u)
 
 
-def _read_off(omega: Array, response: ComplexArray, at: NDArray[np.floating]) -> ComplexArray:
+def interpolated(omega: Array, response: ComplexArray, at: NDArray[np.floating]) -> ComplexArray:
     """Return the response at other frequencies: straight lines of log magnitude and phase over log frequency."""
     x, wanted = np.log(omega), np.log(at)
     known = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))

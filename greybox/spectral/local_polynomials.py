@@ -276,7 +276,7 @@ def _narrowest(
                 "the records are too short for any polynomial in frequency: record longer."
             )
         fits = [
-            _fit(lines, center + shift * lines.spacing, half, residuals=residuals)
+            fit_band(lines, center + shift * lines.spacing, half, residuals=residuals)
             for shift in (0.0, 0.25, 0.5)
         ]
         found = [
@@ -301,7 +301,7 @@ def _edges(low: float, high: float, count: int, least: float) -> Array:
     return np.array(edges)
 
 
-def _fit(
+def fit_band(
     lines: Lines, center: float, half: float, *, extra: int = 0, residuals: int = 1
 ) -> Fitted | None:
     """Fit polynomials in a band, of orders raised by `extra`; None where they are not determined.
@@ -382,10 +382,10 @@ def _solved(
 def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band]:
     """Return the band, or its halves where its polynomials are visibly wrong."""
     center, half = (low + high) / 2, (high - low) / 2
-    fitted = _fit(lines, center, half, residuals=LEAST_RESIDUALS)
+    fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
     if fitted is None:
         return []
-    band, wrong = _judged(lines, fitted, _gauss_nodes(lines, fitted))
+    band, wrong = _judged(lines, fitted, gauss_nodes(lines, fitted))
     if wrong and high - low >= 2 * widths.point:
         halves = [_halved(lines, low, center, widths), _halved(lines, center, high, widths)]
         if all(halves):
@@ -396,7 +396,7 @@ def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band
 def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band | None:
     """Return the widest band around `center`, up to `half`, whose polynomials are not visibly wrong."""
     while True:
-        fitted = _fit(lines, center, half, residuals=LEAST_RESIDUALS)
+        fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
         if fitted is None:
             return None
         band, wrong = _judged(lines, fitted, np.array([center]))
@@ -405,7 +405,7 @@ def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band
         half = max(half / 2, widths.point / 2)
 
 
-def _gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
+def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
     """Return the zeros of the next polynomial that is orthogonal over the lines, weighted by the excitation.
 
     They are the eigenvalues of the multiplication by x, seen among the polynomials of the fitted
@@ -422,8 +422,8 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     """Return the band read at `omega`, and whether its polynomials are visibly wrong there."""
     plain = Band(fitted, omega, np.zeros(omega.size, complex), np.zeros(omega.size), None)
     wide, wider_half = fitted.center, DOUBLED * fitted.half
-    quadratic = _fit(lines, wide, wider_half)
-    quartic = _fit(lines, wide, wider_half, extra=EXTRA)
+    quadratic = fit_band(lines, wide, wider_half)
+    quartic = fit_band(lines, wide, wider_half, extra=EXTRA)
     if quadratic is None or quartic is None or not np.array_equal(quadratic.rows, quartic.rows):
         return plain, False
 
@@ -601,7 +601,7 @@ def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -
     instrument too weak to give a response in the narrow band does no harm; without one this is the
     residual of least squares.
     """
-    fitted = _fit(lines, center, half)
+    fitted = fit_band(lines, center, half)
     if fitted is None:
         return None
     u, y, *_ = lines.values[:, fitted.rows]

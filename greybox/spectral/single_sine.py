@@ -190,9 +190,9 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
     amplitudes, drift, residual = least_squares(t, x, omega, segment.start, settings.harmonics)
     if settings.method == "quadrature":
         amplitudes[:, 0] = quadrature(t, x, omega, segment.start)
-        estimate = _by_periods(t, x, amplitudes[:, 0], omega, segment.start, q)
+        estimate = estimate_by_periods(t, x, amplitudes[:, 0], omega, segment.start, q)
     else:
-        estimate = _by_lines(t, amplitudes[:, 0], residual, omega, segment.start, q)
+        estimate = estimate_by_lines(t, amplitudes[:, 0], residual, omega, segment.start, q)
 
     u, y, *r = map(complex, amplitudes[:, 0])
     noise = estimate.control_noise
@@ -248,7 +248,7 @@ def _frequency_error(t: Array, r: Array, omega: float) -> float:
     return float(np.angle(second / first) / half) if abs(first) > 0 else 0.0
 
 
-def _by_lines(
+def estimate_by_lines(
     t: Array, amplitudes: ComplexArray, residual: Array, omega: float, origin: float, q: int
 ) -> SinePoint:
     """Estimate with the lines beside `omega`, all of one phase at both ends of the window: leakage is smooth in m."""
@@ -282,7 +282,7 @@ def _by_lines(
     return SinePoint(complex(response), float(variance), 2.0 * free, control_noise)
 
 
-def _by_periods(
+def estimate_by_periods(
     t: Array, x: Array, amplitudes: ComplexArray, omega: float, origin: float, q: int
 ) -> SinePoint:
     """Estimate as printed, from the amplitudes over the whole window, with the scatter of the periods."""

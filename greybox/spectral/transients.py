@@ -62,7 +62,7 @@ def transient_spectrum(
     assert stretch.origin is not None
     duration = stretch.origin.end - stretch.origin.start
     step = duration / (stretch.values.shape[1] - 1)
-    omega = _grid(band, duration, step)
+    omega = lines_in_band(band, duration, step)
 
     transforms = {}
     for name, values in zip(names, stretch.values, strict=True):
@@ -91,7 +91,8 @@ def transient_spectrum(
     )
 
 
-def _grid(band: tuple[float, float], duration: float, step: float) -> Array:
+def lines_in_band(band: tuple[float, float], duration: float, step: float) -> Array:
+    """Return the multiples of 2π / duration within the band, rad/s; refuse a band without any."""
     low, high = (float(edge) for edge in band)
     spacing = 2 * np.pi / duration
     if not 0 <= low < high:

@@ -124,14 +124,14 @@ def transforms(
         # Whole hops through the room that is left: the last window reaches the end, up to fewer
         # samples than hops.
         hop = max(room // max(math.ceil(room / (count * (1 - overlap))), 1), 1)
-        tapers = _hann_tapers(count, leakage_terms) if taper else np.ones((1, count))
+        tapers = hann_tapers(count, leakage_terms) if taper else np.ones((1, count))
         frames = np.lib.stride_tricks.sliding_window_view(stretch.values, count, axis=1)[:, ::hop]
         wave = np.exp(-1j * np.outer(np.arange(count) * stretch.step, omega)) * stretch.step
         shift = np.exp(-1j * np.outer(np.arange(frames.shape[1]) * hop * stretch.step, omega))
         per_stretch.append(
             np.array([frames @ (window[:, None] * wave) * shift for window in tapers])
         )
-        correlations.append(_correlation(tapers[0], hop, frames.shape[1]) * stretch.step)
+        correlations.append(window_correlation(tapers[0], hop, frames.shape[1]) * stretch.step)
 
     (u, y, r, *conditioned), *leaked = np.concatenate(per_stretch, axis=2)
     regressors = [u, *conditioned, *(x for d in leaked for x in (d[0], *d[3:]))]
@@ -154,16 +154,16 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     """
     x = np.array([column[:, k] for column in spectra.regressors]).T
     z = np.array([column[:, k] for column in spectra.instruments]).T
-    if not _solvable(z, x):
+    if not solvable(z, x):
         x = x[:, : spectra.inputs]
         z = z[:, : spectra.inputs]
-        if not _solvable(z, x):
+        if not solvable(z, x):
             return WindowedPoint()
 
     y = spectra.y[:, k]
     c = spectra.correlation
     solution = np.linalg.solve(z.conj().T @ x, z.conj().T)
-    trace, trace_of_square = _traces(c, x, solution.conj().T.astype(complex))
+    trace, trace_of_square = traces(c, x, solution.conj().T.astype(complex))
     dof = 2 * trace**2 / trace_of_square
     if (
         trace < 1e-9 * c.trace() or dof < LEAST_DOF
@@ -171,7 +171,7 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
         return WindowedPoint()
 
     spread = (solution[0] @ c @ solution[0].conj()).real
-    if not np.array_equal(z, x) and STRONG * spread * _unexplained(c, x[:, 0], z) > 1:
+    if not np.array_equal(z, x) and STRONG * spread * unexplained(c, x[:, 0], z) > 1:
         return WindowedPoint(weak=True)
     noise = np.sum(np.abs(y - x @ (solution @ y)) ** 2) / trace
     variance = noise * spread
@@ -248,7 +248,7 @@ def _dropped(omega: Array, gone: BoolArray, why: str) -> str:
     return f"{gone.sum()} of {counted(omega.size, 'point')}, {why}, at {where}"
 
 
-def _hann_tapers(count: int, derivatives: int) -> Array:
+def hann_tapers(count: int, derivatives: int) -> Array:
     """Return the Hann window and its derivatives by the phase of a whole window, (derivatives + 1, count)."""
     phase = HZ * (np.arange(count) + 0.5) / count
     return np.array(
@@ -256,7 +256,7 @@ def _hann_tapers(count: int, derivatives: int) -> Array:
     )
 
 
-def _correlation(window: Array, hop: int, count: int) -> Any:
+def window_correlation(window: Array, hop: int, count: int) -> Any:
     """Σ w_k w_l of windows some hops apart, (count, count), sparse."""
     from scipy.sparse import diags_array  # noqa: PLC0415 - as above
 
@@ -267,7 +267,7 @@ def _correlation(window: Array, hop: int, count: int) -> Any:
     return diags_array([lags[abs(d)] for d in offsets], offsets=offsets, shape=(count, count))
 
 
-def _solvable(z: ComplexArray, x: ComplexArray) -> bool:
+def solvable(z: ComplexArray, x: ComplexArray) -> bool:
     """Tell whether ZᴴX, with columns scaled to length one, is well conditioned."""
     tiny = np.finfo(float).tiny
     z_length, x_length = (
@@ -278,14 +278,14 @@ def _solvable(z: ComplexArray, x: ComplexArray) -> bool:
     return bool(np.linalg.cond((z / z_length).conj().T @ (x / x_length)) < WORST_CONDITION)
 
 
-def _unexplained(c: Any, input: ComplexArray, z: ComplexArray) -> float:
+def unexplained(c: Any, input: ComplexArray, z: ComplexArray) -> float:
     """Return the spectral density of what the instruments leave of an input."""
     basis = np.linalg.qr(z)[0].astype(complex)
     left = input - basis @ (basis.conj().T @ input)
-    return float(np.sum(np.abs(left) ** 2)) / _traces(c, basis, basis)[0]
+    return float(np.sum(np.abs(left) ** 2)) / traces(c, basis, basis)[0]
 
 
-def _traces(c: Any, left: ComplexArray, right: ComplexArray) -> tuple[float, float]:
+def traces(c: Any, left: ComplexArray, right: ComplexArray) -> tuple[float, float]:
     """Return tr M and tr M² of M = QCQᴴ with Q = I - left rightᴴ, without forming M."""
     cr = c @ right
     inner = right.conj().T @ cr

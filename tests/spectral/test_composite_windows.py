@@ -11,28 +11,27 @@ from scipy.signal import freqz, lfilter
 from greybox.data.record import Record
 from greybox.spectral import composite_windows
 from greybox.spectral.composite_windows import spectral_response
-from greybox.spectral.uniform_stretches import UniformStretch
 
 
 @pytest.mark.parametrize(("kind", "windows"), [("noise", [12.0]), ("noise", None), ("sweep", None)])
 def test_intervals_cover(kind, windows):
-    """95 % intervals over 30 records whose output has white noise; the noise is stationary, as the formula assumes."""
+    """95 % intervals over 15 records whose output has white noise; the noise is stationary, as the formula assumes."""
     b, a = resonance()
     omega = np.array([2.5, 3.5, 4.5, 7.5, 9.0, 10.5])  # three below and three above the resonance
     rng = np.random.default_rng(1)
     hits = []
-    for _ in range(30):
+    for _ in range(15):
         u = rng.standard_normal(60 * RATE) if kind == "noise" else flown_sweep()
         y = lfilter(b, a, u) + 0.1 * rng.standard_normal(u.size)
         got = spectral_response(record(u=u, theta=y), omega=omega, windows=windows)
         hits.append(covered(got, freqz(b, a, omega / RATE)[1]))
     hits = np.concatenate(hits)  # records, frequencies
-    assert 0.92 <= hits.mean() <= 0.97
+    assert 0.9 <= hits.mean() <= 0.99  # 90 intervals: 0.95 ± 0.023 by chance
     for side in (hits[:, :3], hits[:, 3:]):
-        assert 0.88 <= side.mean() <= 0.985
+        assert side.mean() >= 0.85
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     natural=st.floats(3, 12),
     damping=st.floats(0.25, 1.2),
@@ -305,110 +304,25 @@ def test_dropped_points_are_told():
     assert spectral_response(record(u=u, theta=lfilter(b, a, u))).about == {}
 
 
-@pytest.mark.parametrize(
-    ("band", "inside"),
-    [((0.1, 5), (1, 5)), ((2, 50), (2, 20)), ((2, 5), (2, 5)), ((0.1, 50), (1, 20))],
-)
-def test_of_a_band_is_left_what_the_records_resolve(band, inside):
-    assert composite_windows._within(band, 1, 20) == inside
-    for outside in ((0.1, 1), (20, 30)):
-        with pytest.raises(
-            ValueError, match="lies outside of what these records resolve, 1 to 20 rad/s"
-        ):
-            composite_windows._within(outside, 1, 20)
-
-
-def test_estimates_of_several_windows_are_weighted_by_their_errors():
-    """By the formula; what they differ beyond the noise of the longest is added."""
-    point = composite_windows.WindowedPoint
-    known = [point(1.0 + 0j, 0.01, 10.0, 0.9), point(1.4 + 0j, 0.0025, 20.0, 0.8)]
-    found = composite_windows._combined([*known, point(weak=True)])
-    error = np.array([0.1 / 1.0, 0.05 / 1.4])
-    weight = (error / error.min()) ** -composite_windows.SHARPNESS
-    weight /= weight.sum()
-    assert found.response == pytest.approx(weight @ [1.0, 1.4])
-    smeared = (weight[1] * 0.4) ** 2 - 0.01
-    assert smeared > 0
-    assert found.variance == pytest.approx((weight @ [0.1, 0.05]) ** 2 + smeared)
-    assert (found.dof, found.coherence) == (
-        pytest.approx(weight @ [10, 20]),
-        pytest.approx(weight @ [0.9, 0.8]),
-    )
-    assert composite_windows._combined([point(weak=True), point()]).weak
-    assert not composite_windows._combined([point(), point()]).weak
-
-
 # --- which frequencies, and which windows
 
 
-def excited_between(*bands, rest):
-    """Lines from 1 to 1000 rad/s whose power falls with the frequency, and between bands is a `rest` of that."""
-    omega = np.arange(1.0, 1001.0)
-    inside = np.any([(omega >= low) & (omega <= high) for low, high in bands], axis=0)
-    values = np.sqrt(np.where(inside, 1.0, rest) / omega)
-    return composite_windows.Lines(
-        omega, np.array([values, values, -1j * values]), np.zeros(1000, int), 1.0, True
-    )
-
-
-@pytest.mark.parametrize(
-    ("bands", "rest", "ends"),
-    [
-        (((50, 300),), 0.0065, (50 / 1.15, 300 / 0.85)),
-        (((50, 300),), 0.015, (10, 800)),  # 20 dB below the excitation ends
-        (
-            ((50, 100), (115, 300)),
-            0.005,
-            (50 / 1.15, 300 / 0.85),
-        ),  # a gap no wider than what is averaged
-        (((50, 100), (190, 300)), 0.005, (190 / 1.15, 300 / 0.85)),
-        (((30, 100), (250, 300)), 0.005, (30 / 1.15, 100 / 0.85)),
-    ],
-)
-def test_a_sweep_is_excited_up_to_the_first_gap_around_its_strongest_part(bands, rest, ends):
-    lines = excited_between(*bands, rest=rest)
-    if len(bands) == 2:
-        strong = (
-            slice(bands[0][0] - 1, bands[0][1])
-            if ends[0] < 100
-            else slice(bands[1][0] - 1, bands[1][1])
-        )
-        lines.values[2, strong] *= 1.5
-    found = composite_windows._excited_band(lines, 10.0, 800.0)
-    assert found == pytest.approx(ends, rel=(800 / 10) ** (1 / 199) - 1 + 0.01)
-
-
-def test_noise_is_averaged_over_two_lines_on_either_side_at_least():
-    """Where lines are few, a hole of three of them is none, and one of six is."""
-    for hole, low in ((3, 3.0), (6, 12.2)):
-        lines = excited_between((1, 1000), rest=1.0)
-        lines.values[2, 7 : 7 + hole] = 0.0
-        lines.values[2, 100:200] *= 2
-        assert composite_windows._excited_band(lines, 3.0, 400.0)[0] == pytest.approx(low, abs=0.4)
-    with pytest.raises(
-        ValueError,
-        match=r"their lowest frequency, 5 rad/s, is above the highest .* allows, 5 rad/s",
+def test_windows_bands_and_frequencies_must_fit_the_record():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(20 * RATE)
+    flown = record(u=u, theta=u + 0.01 * rng.standard_normal(u.size))
+    for wrong, sentence in (
+        ({"windows": [1e-3, 2.0]}, "windows"),
+        ({"windows": [30.0]}, "windows"),
+        ({"windows": []}, "windows"),
+        ({"band": (1e-3, 1e-2)}, "band"),
+        ({"band": (5.0, 1.0)}, "band"),
+        ({"omega": [1.0, 2 * HZ / 10 * (1 - 1e-6)], "windows": [10.0]}, "periods"),
+        ({"omega": [np.nan]}, "periods"),
     ):
-        composite_windows._excited_band(lines, 5.0, 5.0)
-
-
-def test_windows_have_eight_samples_at_least_and_fit_into_the_longest_stretch():
-    stretches = [UniformStretch(np.zeros((3, n)), step, "") for n, step in ((50, 0.1), (60, 0.05))]
-    assert composite_windows._window_lengths(stretches, [0.8, 5.0, 2.0]) == [5.0, 2.0, 0.8]
-    for windows, said in (([0.79, 2.0], "0.79, 2"), ([2.0, 5.01], "2, 5.01"), ([], "no")):
-        sentence = f"windows of {said} s do not fit: give lengths from 0.8 to 5 s, from 8 samples to the longest stretch"
         with pytest.raises(ValueError, match=sentence):
-            composite_windows._window_lengths(stretches, windows)
-
-
-def test_frequencies_have_as_many_periods_as_an_estimate_needs():
-    composite_windows._check_periods(np.array([2.0, 1.0 - 1e-10]), 1.0, 6 * HZ)
-    for wrong in (1.0 - 1e-8, np.nan):
-        with pytest.raises(
-            ValueError,
-            match=r"rad/s has fewer than 6 periods in the longest .* window, 37\.7 s: leave",
-        ):
-            composite_windows._check_periods(np.array([2.0, wrong]), 1.0, 6 * HZ)
+            spectral_response(flown, **wrong)
+    assert len(spectral_response(flown, omega=[2 * HZ / 10], windows=[10.0])) == 1
 
 
 def test_the_grid_reaches_from_two_periods_of_the_longest_window_to_four_tenths_of_the_sampling_rate():

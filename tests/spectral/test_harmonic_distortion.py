@@ -125,5 +125,5 @@ def test_a_plant_is_read_off_along_straight_lines_of_its_logarithm():
     at = np.array([1.0, 3.3, 8.0, 30.0])
     exact = 3 / (1j * at) ** 1.5
     np.testing.assert_allclose(
-        harmonic_distortion._read_off(omega, 3 / (1j * omega) ** 1.5, at), exact
+        harmonic_distortion.interpolated(omega, 3 / (1j * omega) ** 1.5, at), exact
     )

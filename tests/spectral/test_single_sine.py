@@ -2,7 +2,6 @@
 
 import functools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from scipy import signal, stats
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
 from greybox.spectral import single_sine
-from greybox.spectral.pooled_noise import pooled_levels
 from greybox.spectral.single_sine import _frequency_error, _saturation, finite_frequency
 
 STEP = 1 / 400  # s
@@ -421,13 +419,13 @@ def test_periods_scatter_about_the_response_of_all():
         ]
     )
     amplitudes = np.array([u.mean(), y.mean()])
-    found = single_sine._by_periods(t, x, amplitudes, omega, origin, q)
+    found = single_sine.estimate_by_periods(t, x, amplitudes, omega, origin, q)
     assert found.response == pytest.approx(y.mean() / u.mean())
     error = y - found.response * u
     assert found.variance == pytest.approx(np.var(error, ddof=1) / q / abs(u.mean()) ** 2, rel=0.02)
     assert found.control_noise == pytest.approx(np.sqrt(np.var(u, ddof=1) / q), rel=0.02)
     assert found.dof == 6
-    alone = single_sine._by_periods(t[:n], x[:, :n], amplitudes, omega, origin, 1)
+    alone = single_sine.estimate_by_periods(t[:n], x[:, :n], amplitudes, omega, origin, 1)
     assert (alone.response, np.isnan(alone.variance), alone.dof) == (found.response, True, 0)
 
 
@@ -441,7 +439,7 @@ def test_the_lines_beside_a_sine_tell_leakage_and_noise(q, count):
     y = 2 * np.cos(omega * t) + np.exp(-2 * (t - t[0])) + 0.05 * random.normal(size=t.size)
     x = np.array([u, y])
     amplitudes, _, residual = single_sine.least_squares(t, x, omega, origin, 3)
-    found = single_sine._by_lines(t, amplitudes[:, 0], residual, omega, origin, q)
+    found = single_sine.estimate_by_lines(t, amplitudes[:, 0], residual, omega, origin, q)
     m = np.array([k for k in range(-count, count + 1) if k])
     lines = np.array(
         [single_sine.spectral_line(t, residual, omega * (1 + k / q), t[0]) for k in m]
@@ -498,14 +496,16 @@ def test_one_period_has_a_response_and_white_noise_of_its_control():
     """Amplitudes over one another, and 4 σ²/N of the residual's variance; nothing of a control that does not move."""
     t = 2 + np.arange(50) * 0.02
     residual = np.array([0.3, -0.1] * 25), np.zeros(50)
-    found = single_sine._by_lines(
+    found = single_sine.estimate_by_lines(
         t, np.array([2 - 1j, 3j]), np.array(residual), 2 * math.pi, 1.3, 1
     )
     assert found.response == pytest.approx(3j / (2 - 1j))
     assert found.control_noise == pytest.approx(math.sqrt(4 * 0.05 / 50))
     assert math.isnan(found.variance)
     assert found.dof == 0
-    still = single_sine._by_lines(t, np.array([0j, 3j]), np.array(residual), 2 * math.pi, 1.3, 4)
+    still = single_sine.estimate_by_lines(
+        t, np.array([0j, 3j]), np.array(residual), 2 * math.pi, 1.3, 4
+    )
     assert (still.response, still.dof, still.control_noise) == (0, 0, found.control_noise)
 
 
@@ -548,34 +548,7 @@ def test_the_frequency_of_the_setpoint_is_used_where_its_phase_drifts_by_a_twent
     )
 
 
-def test_several_tests_of_one_flight_pool_the_power_of_their_noise():
-    """Of six, of other amplitudes and durations: the square of the error of the output, times the duration."""
-    omega = np.array([1.0, 2.0, 4.0, 7.0, 11.0, 16.0])
-    error, dof = np.array([0.02, 0.05, 0.01, 0.03, 0.06, 0.02]), np.array([8.0, 20, 8, 8, 20, 12])
-    u, lasts = np.array([1, 0.5j, 2, -1, 0.3, 1 + 1j]), np.array([30.0, 20, 15, 40, 10, 12])
-    nothing = {
-        "periods": 9,
-        "y": 1j,
-        "r": 1j,
-        "distortion": (0.0, 0.0),
-        "drift": (0.0, 0.0),
-        "saturation": 0.0,
-    }
-    points = [
-        single_sine.FrequencyPoint(w, 1 + 1j, e, d, u=a, start=3.0, end=3.0 + s, **nothing)
-        for w, e, d, a, s in zip(omega, error, dof, u, lasts, strict=True)
-    ]
-    level, freedom = pooled_levels(omega, (error * np.abs(u)) ** 2 * lasts, dof)
-    found = single_sine._with_pooled_noise(points)
-    wanted = np.sqrt(level / lasts) / np.abs(u)
-    assert np.abs(wanted / error - 1).max() > 0.1
-    assert_allclose([p.standard_error for p in found], wanted)
-    assert_allclose([p.dof for p in found], freedom)
-    exact = single_sine._with_pooled_noise([replace(p, standard_error=0.0) for p in points])
-    assert [p.standard_error for p in exact] == [0.0] * 6
-
-
-def test_a_response_is_that_of_the_points_with_no_error_below_rounding():
+def test_a_response_names_its_record_units_and_stretches():
     t = np.arange(0.0, 50.0, 0.01)
     u = np.sin(2 * math.pi * t)
     record = Record(
@@ -590,12 +563,6 @@ def test_a_response_is_that_of_the_points_with_no_error_below_rounding():
         "r.csv",
         {"u": "N"},
     )
-    exact = replace(point, response=3 - 4j, standard_error=1e-15, dof=7.0)
-    response = single_sine._response(
-        (exact, replace(exact, omega=9.0, standard_error=0.1)), record, "u", "theta"
-    )
-    assert_allclose(response.variance, [25e-24, 0.01])
-    assert_allclose(response.dof, [7, 7])
     (stretch,) = found.response.stretches
     assert (stretch.checksum, stretch.start, stretch.end) == (
         record.checksum,

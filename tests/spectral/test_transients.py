@@ -110,13 +110,19 @@ def test_a_band_from_line_to_line_holds_both(duration):
     """Whatever rounding makes of their frequencies; one that ends between two holds those inside."""
     spacing = 2 * np.pi / duration
     for first, last in ((1, 2), (3, 7), (11, 49)):
-        found = transients._grid((first * 2 * np.pi / duration, last * spacing), duration, 1e-3)
+        found = transients.lines_in_band(
+            (first * 2 * np.pi / duration, last * spacing), duration, 1e-3
+        )
         assert found / spacing == pytest.approx(np.arange(first, last + 1))
-        inside = transients._grid((first * spacing * 1.001, last * spacing * 1.001), duration, 1e-3)
+        inside = transients.lines_in_band(
+            (first * spacing * 1.001, last * spacing * 1.001), duration, 1e-3
+        )
         assert inside / spacing == pytest.approx(np.arange(first + 1, last + 1))
         tight = (first * spacing * (1 + 1e-12), last * spacing * (1 - 1e-12))
-        assert transients._grid(tight, duration, 1e-3).size == last - first + 1
-    assert transients._grid((0.0, 2.5 * spacing), duration, 1e-3) / spacing == pytest.approx([1, 2])
+        assert transients.lines_in_band(tight, duration, 1e-3).size == last - first + 1
+    assert transients.lines_in_band(
+        (0.0, 2.5 * spacing), duration, 1e-3
+    ) / spacing == pytest.approx([1, 2])
 
 
 def test_a_manoeuvre_may_begin_at_any_time_and_reach_to_the_highest_frequency():

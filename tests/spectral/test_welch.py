@@ -31,7 +31,7 @@ def test_traces_are_those_of_the_matrices(order):
     q = np.eye(n) - left @ right.conj().T
     m = q @ c @ q.conj().T
     np.testing.assert_allclose(
-        welch._traces(csr_array(c), left, right), [np.trace(m).real, np.trace(m @ m).real]
+        welch.traces(csr_array(c), left, right), [np.trace(m).real, np.trace(m @ m).real]
     )
 
 
@@ -90,15 +90,15 @@ def test_what_instruments_leave_of_an_input_is_its_density():
     c = np.corrcoef(rng.standard_normal((12, 60)))
     q = np.eye(12) - z @ np.linalg.pinv(z)
     expected = np.linalg.norm(q @ u) ** 2 / np.trace(q @ c @ q.conj().T).real
-    assert welch._unexplained(csr_array(c), u, z) == pytest.approx(expected)
+    assert welch.unexplained(csr_array(c), u, z) == pytest.approx(expected)
 
 
 def test_columns_are_solvable_whatever_their_length():
     rng = np.random.default_rng(4)
     x, z = complexes(rng, 6, 2), complexes(rng, 6, 2)
-    assert welch._solvable(z * [1e8, 1e-8], x * [1e-9, 1e9])
-    assert not welch._solvable(z, x[:, [0, 0]])
-    assert not welch._solvable(z[:2], x[:2])
+    assert welch.solvable(z * [1e8, 1e-8], x * [1e-9, 1e9])
+    assert not welch.solvable(z, x[:, [0, 0]])
+    assert not welch.solvable(z[:2], x[:2])
 
 
 def test_windows_are_transformed_at_the_time_of_the_stretch():
@@ -155,7 +155,9 @@ def test_windows_some_hops_apart_share_what_their_product_holds(hop, count):
     placed = np.zeros((count, 12 + hop * count))
     for k in range(count):
         placed[k, hop * k : hop * k + 12] = window
-    assert welch._correlation(window, hop, count).toarray() == pytest.approx(placed @ placed.T)
+    assert welch.window_correlation(window, hop, count).toarray() == pytest.approx(
+        placed @ placed.T
+    )
 
 
 @pytest.mark.parametrize(
@@ -175,13 +177,13 @@ def test_windows_hop_through_the_whole_stretch(overlap, samples, begins):
 
 
 def test_tapers_are_derivatives_of_the_hann_window_by_its_phase():
-    one, first, second = welch._hann_tapers(4000, 2)
+    one, first, second = welch.hann_tapers(4000, 2)
     step = 2 * np.pi / 4000
     np.testing.assert_allclose(np.gradient(one, step)[1:-1], first[1:-1], atol=1e-5)
     np.testing.assert_allclose(np.gradient(first, step)[1:-1], second[1:-1], atol=1e-5)
     assert one.max() == pytest.approx(1, abs=1e-5)
     assert one[0] == pytest.approx(0, abs=1e-5)
-    assert welch._hann_tapers(10, 0).shape == (1, 10)
+    assert welch.hann_tapers(10, 0).shape == (1, 10)
 
 
 def spectra_of(x, y, z=None, inputs=1, c=None):
@@ -313,4 +315,4 @@ def test_columns_are_solvable_up_to_a_condition_number_of_a_million(apart, solva
     """Of a and a + εb, orthogonal and of length one, the products have 4/ε²."""
     a, b = np.linalg.qr(complexes(np.random.default_rng(0), 6, 2))[0].T
     columns = np.array([a, a + apart * b]).T
-    assert welch._solvable(columns, columns) == solvable
+    assert welch.solvable(columns, columns) == solvable
