@@ -17,11 +17,6 @@ def reading(size: int, what: str) -> Any:
     )
 
 
-def waiting(what: str) -> Any:
-    """Return a line that says for how long something takes whose end is not known; ``bar.update()`` renews it."""
-    return tqdm(desc=what, bar_format="{desc}: {elapsed}", disable=None, delay=DELAY, leave=False)
-
-
 def counted_off(items: Iterable[Item], what: str, unit: str) -> Iterable[Item]:
     """Yield the items, with a bar of how many are done."""
     return tqdm(items, desc=what, unit=unit, disable=None, delay=DELAY, leave=False)

@@ -1,9 +1,6 @@
 """The subprocess in which files are read: what ends it, and what it may not do."""
 
-import time
 import tracemalloc
-from contextlib import contextmanager
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -19,33 +16,19 @@ def reading(tmp_path, monkeypatch):
     path = tmp_path / "bad.h5"
     path.write_bytes(b"contents")
 
-    def read(code, patience=0.5):
+    def read(code):
         script = tmp_path / "script.py"
         script.write_text(code)
         monkeypatch.setattr(subprocess_reader, "SCRIPT", script)
-        monkeypatch.setattr(subprocess_reader, "PATIENCE", patience)
         return read_in_subprocess("hdf5", path)
 
     return read
 
 
-def test_a_reading_that_waits_is_ended(reading):
-    began = time.perf_counter()
-    with pytest.raises(ValueError, match="took longer than 1 s"):
-        reading("import time; time.sleep(60)")
-    assert time.perf_counter() - began < 10
-
-
-def test_a_reading_that_takes_its_time_is_seen_to(reading, monkeypatch):
-    lines = []
-
-    @contextmanager
-    def noted(what):
-        yield SimpleNamespace(update=lambda: lines.append(what))
-
-    monkeypatch.setattr(subprocess_reader, "waiting", noted)
-    reading("import json, time; time.sleep(0.5); print(json.dumps({'shapes': []}))", patience=10.0)
-    assert set(lines) == {"reading bad.h5"}
+def test_a_slow_reading_is_no_damage(reading):
+    """However long a process waits, as on a busy machine or after Ctrl-Z."""
+    code = "import json, time; time.sleep(1); print(json.dumps({'items': [], 'shapes': []}))"
+    assert reading(code) == ({"items": []}, [])
 
 
 def test_a_reading_that_crashes_is_a_sentence(reading):
@@ -67,13 +50,13 @@ subprocess_main._allow_memory(1000)
 )
 def test_a_reading_that_computes_without_end_is_ended_by_its_processor_time(reading):
     with pytest.raises(ValueError, match="reading it takes too long for its size"):
-        reading(LIMITED + "while True: pass", patience=30.0)
+        reading(LIMITED + "while True: pass")
 
 
 @pytest.mark.skipif(not subprocess_reader.TOO_LONG, reason="the system has no limit of memory")
 def test_a_reading_that_takes_memory_without_end_is_ended(reading):
     with pytest.raises(ValueError, match="is damaged"):
-        reading(LIMITED + "kept = bytearray(300_000_000)", patience=30.0)
+        reading(LIMITED + "kept = bytearray(300_000_000)")
 
 
 def test_a_reason_is_printed_without_what_a_terminal_obeys(reading):

@@ -7,7 +7,7 @@ loads neither pymavlink nor h5py nor scipy.
 Formats
     `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file),
     `dataflash_units` and `imu_batches` (raw samples of the IMU); `dataflash_text` (ArduPilot,
-    text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
+    text); `telemetry` (MAVLink), with `telemetry_packets` (finds the packets in a file) and
     `telemetry_metadata`; `ulog` (PX4); `csv_table`, with `betaflight` (of its blackbox); `hdf5`;
     `matlab`.
 Shared by several

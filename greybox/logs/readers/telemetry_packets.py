@@ -1,0 +1,146 @@
+"""Finds the packets of a telemetry log; pymavlink decodes them and checks their checksums.
+
+Every packet follows 8 bytes with the time of reception, in µs since 1970, big-endian.
+"""
+
+import math
+import mmap
+import re
+from array import array
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from greybox.files.arrays import Array
+from greybox.files.progress import reading
+
+STAMP = 8  # bytes of time before a packet
+MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
+TICKS = {"time_boot_ms": 1e3, "time_boot_us": 1e6, "time_usec": 1e6}  # sender's ticks per second
+EPOCH = 1e9  # s; a larger time counts from 1970, not from the sender's start
+
+
+class Packets:
+    """The packets of a file; iterating counts what is damaged.
+
+    Attributes
+    ----------
+    skipped, places : int
+        Bytes that belong to no packet, and the number of places where they are.
+    unknown : int
+        Packets of kinds that pymavlink does not know.
+    """
+
+    def __init__(self, data: mmap.mmap) -> None:
+        self.skipped = 0
+        self.places = 0
+        self.unknown = 0
+        self._data = data
+        self._link = mavlink.MAVLink(None)
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        """Yield the time of reception, µs since 1970, and the packet."""
+        at = 0
+        with reading(len(self._data), "reading packets") as bar:
+            while at + STAMP < len(self._data):
+                packet, end = self._decoded(at + STAMP)
+                if packet is None:
+                    end = self._next_known(at + STAMP + 1) - STAMP
+                    self.skipped += end - at
+                    self.places += 1
+                elif isinstance(packet, mavlink.MAVLink_unknown):
+                    self.unknown += 1
+                else:
+                    # Some ground stations use the highest bit as a flag.
+                    yield int.from_bytes(self._data[at : at + STAMP], "big") & 2**63 - 1, packet
+                at = end
+                if at - bar.n > 2**20:
+                    bar.update(at - bar.n)
+
+    def _decoded(self, at: int) -> tuple[Any, int]:
+        """Return the packet at a byte, None for none, and where it ends."""
+        head = self._data[at : at + 3]
+        if len(head) < 3 or head[0] not in b"\xfd\xfe":
+            return None, at
+        signature = 13 * (head[2] & mavlink.MAVLINK_IFLAG_SIGNED)
+        end = at + head[1] + (8 if head[0] == 0xFE else 12 + signature)
+        try:
+            packet = self._link.decode(bytearray(self._data[at:end]))
+        except (mavlink.MAVError, UnicodeError):
+            return None, at
+        if isinstance(packet, mavlink.MAVLink_unknown):
+            # Its checksum cannot be verified, so another packet or the end must follow.
+            following = end + STAMP
+            if end != len(self._data) and not MARK.match(self._data, following):
+                return None, at
+        return packet, end
+
+    def _next_known(self, at: int) -> int:
+        """Return where the next packet of a known kind starts, or the end and a stamp."""
+        for mark in MARK.finditer(self._data, at):
+            packet, _ = self._decoded(mark.start())
+            if packet is not None and not isinstance(packet, mavlink.MAVLink_unknown):
+                return mark.start()
+        return len(self._data) + STAMP
+
+
+class Kind:
+    """The packets of one kind: their senders, their times, and their fields if they are stored.
+
+    Attributes
+    ----------
+    definition : type
+        pymavlink's class of the message.
+    numbers, senders : (n,) array
+        Number of each packet among all packets of the file, and 256 · system + component.
+    received, sent : (n,) array
+        Time of reception, µs since 1970; time since the sender's start by its own clock, s, NaN
+        without one.
+    texts : dict of str to list of str
+        The fields of text.
+    """
+
+    def __init__(self, definition: Any, is_stored: bool) -> None:
+        self.definition = definition
+        self.texts: dict[str, list[str]] = {}
+        self.timer = next((name for name in TICKS if name in definition.fieldnames), "")
+        self._is_stored = is_stored
+        self._labels: list[str] = []
+        self.numbers = array("q")
+        self.senders = array("H")
+        self.received = array("d")
+        self.sent = array("d")
+        self._values = array("d")
+
+    def append(self, number: int, received: float, packet: Any) -> None:
+        """Append a packet; kinds without a time of their own that are not stored keep nothing."""
+        if not (self.timer or self._is_stored):
+            return
+        self.numbers.append(number)
+        self.senders.append(packet.get_srcSystem() << 8 | packet.get_srcComponent())
+        self.received.append(received)
+        seconds = getattr(packet, self.timer) / TICKS[self.timer] if self.timer else math.nan
+        self.sent.append(seconds if 0 < seconds < EPOCH else math.nan)
+        if self._is_stored:
+            self._append_fields(packet)
+
+    def _append_fields(self, packet: Any) -> None:
+        first = len(self.numbers) == 1
+        for name in self.definition.fieldnames:
+            value = getattr(packet, name)
+            if isinstance(value, str):
+                self.texts.setdefault(name, []).append(value)
+            elif isinstance(value, list):
+                self._values.extend(value)
+                self._labels += [f"{name}[{i}]" for i in range(len(value))] if first else []
+            else:
+                self._values.append(value)
+                self._labels += [name] if first else []
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """The numeric fields, (n,) arrays; elements of an array field are ``name[0]``, ``name[1]``."""
+        table = np.asarray(self._values).reshape(len(self.numbers), -1)
+        return {label: table[:, k].copy() for k, label in enumerate(self._labels)}
