@@ -23,7 +23,7 @@ import greybox as gb
 from greybox.estimate.fit import fingerprint
 from greybox.models.tilt import LinearTilt
 from greybox.problems import pitch_hover, rotors
-from greybox.study.run_files import RunFiles
+from greybox.study.store import StoredRuns, is_study, read_members
 
 # Of the time of the study in one process, after which it is killed: thirty kills go through all of
 # it on two workers.
@@ -66,18 +66,17 @@ def work(folder, starts):
 
 
 def kept(folder, starts):
-    """Open every file, and return how many runs are kept."""
+    """Read every run and every fit, and return how many runs are kept."""
+    if not is_study(folder):
+        return 0
     count = 0
-    for k, member in enumerate(members(starts)):
-        own = (
-            next((folder / "members").glob(f"{k + 1:03d}-*"), None)
-            if (folder / "members").exists()
-            else None
-        )
-        if own is not None:
-            count += len(RunFiles(own).known(fingerprint(member.problem, member.by)))
-            if (own / "answer.json").exists():
-                gb.load(own / "fit.h5")
+    stored = {member.name: member for member in read_members(folder)}
+    for member in members(starts):
+        if member.name in stored and stored[member.name].runs:
+            runs = StoredRuns(folder, member.name).known(fingerprint(member.problem, member.by))
+            count += len(list(runs.values()))
+        if member.name in stored and stored[member.name].answer:
+            gb.load(stored[member.name].fit_file(folder))
     return count
 
 

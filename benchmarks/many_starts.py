@@ -18,7 +18,7 @@ from pathlib import Path
 
 import greybox as gb
 from greybox.problems import pitch_hover
-from greybox.study.run_files import count_runs
+from greybox.study.store import DATABASE, read_members
 
 
 def peak():
@@ -33,13 +33,12 @@ def work(folder, starts):
     study = gb.batch([gb.study.Member(pitch_hover.problem(), starts)], folder, progress=False)
     seconds, used = time.perf_counter() - began, time.process_time() - used
     (member,) = study.members
-    assert count_runs(member.folder) >= starts
-    files = [*member.folder.glob("runs-*.h5")]
-    stored = sum(path.stat().st_size for path in files) / 1e6
-    saved = (member.folder / "fit.h5").stat().st_size / 1e6
+    assert read_members(study.folder)[0].runs >= starts
+    stored = (study.folder / DATABASE).stat().st_size / 1e6
+    saved = member.file.stat().st_size / 1e6
     print(
         f"{starts:7d} starts: {seconds:6.1f} s ({used:.1f} s of the processor), peak {peak():.0f} MB, "
-        f"runs {stored:.2f} MB in {len(files)} files, fit {saved:.2f} MB, {member.answer['agreeing']} agree",
+        f"runs {stored:.2f} MB, fit {saved:.2f} MB, {member.answer['agreeing']} agree",
         end="",
     )
 

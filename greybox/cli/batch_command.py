@@ -12,12 +12,18 @@ from greybox.cli.options import (
 )
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.startup import INTERRUPTED
-from greybox.cli.study_file import INCLUDED, find_study, read_study_file
+from greybox.cli.study_file import (
+    INCLUDED,
+    find_study,
+    read_json,
+    read_study_file,
+    write_json,
+)
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.batch import BatchInterrupted, batch
+from greybox.study.store import is_study
 from greybox.study.study import Study
-from greybox.study.study_folder import is_study, read_json, write_json
 
 ORIGIN = "origin.json"  # of a study: the study file it was begun with
 

@@ -31,7 +31,7 @@ from greybox.solve.interruption import Response, responding, take_interrupt
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED, SEARCHES
 from greybox.solve.time_limits import TimeLimits, is_search_over, limited
-from greybox.study.unfinished_fit import RunsBesideFit, kept_beside, runs_beside
+from greybox.study.store import StoredRuns, folder_beside, runs_beside
 
 EXAMPLES = (
     "pitch_hover",
@@ -81,7 +81,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Fit the stated problem; save and draw the result where asked to."""
-    goes_on = options.out is not None and runs_beside(options.out).is_dir()
+    goes_on = options.out is not None and folder_beside(options.out).is_dir()
     require_fit_file(options.out, options.force or goes_on)
     require_figure(options.plot, options.force or goes_on)
     make = _stated_fit(options)
@@ -112,13 +112,13 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     )
 
 
-def _kept(options: argparse.Namespace) -> AbstractContextManager[RunsBesideFit | None]:
+def _kept(options: argparse.Namespace) -> AbstractContextManager[StoredRuns | None]:
     """Return what keeps the runs of a fit that is saved."""
-    return nullcontext() if options.out is None else kept_beside(options.out)
+    return nullcontext() if options.out is None else runs_beside(options.out)
 
 
 def _fitted(
-    make: Callable[..., Fit], kept: RunsBesideFit | None, options: argparse.Namespace
+    make: Callable[..., Fit], kept: StoredRuns | None, options: argparse.Namespace
 ) -> tuple[Fit, bool]:
     """Return the fit, or the best so far if it was interrupted, and whether it was."""
     try:
@@ -130,7 +130,7 @@ def _fitted(
     except KeptRunsError as error:
         if kept is None or not options.force:
             raise UsageError(
-                f"{runs_beside(options.out)} has runs of another fit to {options.out} that did not end: give what that "
+                f"{folder_beside(options.out)} has runs of another fit to {options.out} that did not end: give what that "
                 "was begun with, or --force to begin anew."
             ) from error
         kept.remove()
@@ -138,7 +138,7 @@ def _fitted(
 
 
 def _answer(
-    options: argparse.Namespace, kept: RunsBesideFit | None, result: Fit, interrupted: bool
+    options: argparse.Namespace, kept: StoredRuns | None, result: Fit, interrupted: bool
 ) -> Answer:
     """Save and draw a fit, and return what there is to say; runs are kept until it is complete and saved."""
     answer = summary(result)

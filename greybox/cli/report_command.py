@@ -11,9 +11,9 @@ from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.study_file import read_json
 from greybox.data.record import Record
 from greybox.study.study import read_study
-from greybox.study.study_folder import read_json
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of

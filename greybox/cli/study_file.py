@@ -3,6 +3,7 @@
 import argparse
 import importlib
 import itertools
+import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.stated_problem import METHODS, stated_problem
-from greybox.files.safe_files import require_file
+from greybox.files.safe_files import require_file, write_text
 from greybox.files.text_table import alternatives
 from greybox.modeling.model_file import module_from_file
 from greybox.solve.multistart import BATCHED
@@ -88,6 +89,28 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     if starts is None:
         return members
     return [replace(member, starts=starts) for member in members]
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the object in a JSON file.
+
+    Raises
+    ------
+    ValueError
+        If the file has none.
+    """
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        values = None
+    if not isinstance(values, dict):
+        raise ValueError(f"{path} is damaged: it has no JSON object.")
+    return values
+
+
+def write_json(path: Path, values: dict[str, Any]) -> None:
+    """Write a JSON file, whole or not at all."""
+    write_text(path, json.dumps(values, indent=1, allow_nan=False) + "\n")
 
 
 def _stated_in_python(path: Path) -> list[Member]:

@@ -155,7 +155,7 @@ def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
             member.name,
             member.fit if member.name in shown else None,
             member.answer,
-            str(member.folder),
+            str(member.file),
             "" if member.status == "done" else member.error or "unfinished",
         )
         for member in study.members

@@ -23,7 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_jumps, has_switches, interval_mean, separated
 from greybox.modeling.functions import exp
@@ -221,10 +221,8 @@ class Balance:
     means of the other inputs, about the operating point, divided by the amplitude; `given` holds
     parameters, operating point, omega, amplitude and the `WIDTH` of switches; `balance` must
     vanish; of the conditions `means` on the means as many must vanish as the ODE leaves open;
-    `response` is real and imaginary part; `coefficients` (signals, 2h + 1) are those of states and
-    inputs in their own units; `slopes` gives the derivatives of `balance` and `means` by the
-    unknown. `places` tell signal and coefficient of an unknown, `orders` the square of the
-    harmonic's number, `mirror` -1 for even ones.
+    `response` is real and imaginary part; `slopes` gives the derivatives of `balance` and `means` by
+    the unknown.
     """
 
     harmonics: int
@@ -233,14 +231,9 @@ class Balance:
     balance: Any
     means: Any
     response: Any
-    coefficients: Any
     switches: bool
     jumps: bool
     linear: bool
-    places: IntArray
-    orders: Array
-    mirror: Array
-    amplitude: Any
     slopes: ca.Function
 
     @classmethod
@@ -302,16 +295,7 @@ class Balance:
             balance=balance,
             means=means,
             response=ca.vertcat(first.re, first.im),
-            coefficients=series,
             switches=switches,
-            places=np.array(
-                [k // columns * (2 * MOST_HARMONICS + 1) + k % columns for k in places.row()]
-            ),
-            orders=np.array(
-                [max((k % columns + 1) // 2, 1) ** 2 for k in places.row()], dtype=float
-            ),
-            mirror=np.array([1.0 if (k % columns + 1) // 2 % 2 else -1.0 for k in places.row()]),
-            amplitude=amplitude,
             jumps=switches
             and has_jumps(
                 rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])
@@ -458,17 +442,14 @@ class Newton:
     """Newton's method on the balance, by functions of the harmonics and what is given, in this order.
 
     `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
-    the response and whether the harmonics are a motion; `linearized` what is left of the balance,
-    its Jacobian and its derivative by the logarithm of the amplitude; `coefficients` (signals, 2h +
-    1) those of all signals. `guess` finds harmonics from what is given alone.
+    the response and whether the harmonics are a motion. `guess` finds harmonics from what is given
+    alone.
     """
 
     balance: Balance
     newton: ca.Function
     careful: ca.Function
     finish: ca.Function
-    linearized: ca.Function
-    coefficients: ca.Function
     guess: ca.Function
 
     @classmethod
@@ -484,7 +465,6 @@ class Newton:
             "show_eval_warnings": False,
         }
         size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
-        by_logarithm = balance.amplitude * ca.jacobian(equations, balance.amplitude)
         both = [x, balance.given]
         newton = ca.rootfinder(
             "newton", "newton", statement, {**options, "line_search": False}
@@ -496,10 +476,6 @@ class Newton:
             newton=newton,
             careful=careful,
             finish=finish,
-            linearized=ca.Function(
-                "linearized", both, [equations, ca.jacobian(equations, x), by_logarithm]
-            ),
-            coefficients=ca.Function("coefficients", both, [balance.coefficients]),
             guess=_guess(newton, careful, finish, switches=balance.switches),
         )
 

@@ -1,10 +1,17 @@
-"""Many fits, kept in a folder as they are made.
+"""Many fits, kept in a folder as they are made, and the bootstrap of one fit.
 
-Begin with `batch`, which makes them; `study` is what they have come to so far, also while they run.
-`study_folder` says what is in the folder, `run_files` how the runs of one problem are kept.
-`unfinished_fit` keeps those of a single fit. `bootstrap` repeats one fit on data that are drawn
-anew (`response_replicates`, `record_replicates`), with the data left open in the compiled problem
-(`open_data`); `resampling` has intervals from replicates, and blocks of a series.
+Begin with `batch`.
+
+| file | contents |
+| --- | --- |
+| `batch` | fit many problems; a batch that was killed resumes |
+| `study` | members and answers of a study, also while it runs |
+| `store` | a study on disk: one SQLite database and a file for each fit |
+| `bootstrap` | repeat one fit on data that are drawn anew |
+| `response_replicates` | drawn frequency responses and their refits |
+| `record_replicates` | drawn records and their refits |
+| `open_data` | a compiled problem whose data are an input |
+| `resampling` | intervals from replicates, blocks of a series |
 """
 
 from greybox.study.batch import Member as Member

@@ -25,17 +25,8 @@ from greybox.solve.interruption import Response, listening, responding
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED
 from greybox.solve.time_limits import TimeLimits, is_search_over, limited
-from greybox.study.run_files import RunFiles
+from greybox.study.store import StoredMember, StoredRuns, add_members, locked, write_answer
 from greybox.study.study import Study, read_study
-from greybox.study.study_folder import (
-    ANSWER,
-    FIT,
-    locked,
-    member_folder,
-    read_json,
-    write_index,
-    write_json,
-)
 
 DISPLAY = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}  {desc}"
 SHARE = (
@@ -123,7 +114,7 @@ def batch(
     ----------
     members : sequence of Member, Problem or sums of problems
     folder : str or Path
-        Is made where it does not exist; see `greybox.study.study_folder` for what is in it.
+        Is made where it does not exist; see `greybox.study.store` for what is in it.
     executor : concurrent.futures.Executor, optional
         What makes the runs, as of `greybox.fit`.
     seconds : float, optional
@@ -159,13 +150,13 @@ def batch(
     limits = TimeLimits.from_now(seconds, start_seconds)
     folder = Path(folder)
     with locked(folder), limited(limits):
-        own = write_index(folder, [member.name for member in listed])
+        stored = add_members(folder, [member.name for member in listed])
         try:
             with listening(), _shown(listed, progress) as bar:
                 for member in listed:
                     if is_search_over():
                         break
-                    _fit_member(member, member_folder(folder, own[member.name]), executor, bar)
+                    _fit_member(member, folder, stored[member.name], executor, bar)
         except KeyboardInterrupt as pressed:
             raise BatchInterrupted(read_study(folder)) from pressed
         return read_study(folder)
@@ -231,12 +222,14 @@ class _Display:
         return f", {self._failed} failed" if self._failed else ""
 
 
-def _fit_member(member: Member, folder: Path, executor: Executor | None, bar: _Display) -> None:
+def _fit_member(
+    member: Member, folder: Path, stored: StoredMember, executor: Executor | None, bar: _Display
+) -> None:
     """Fit a member, unless it is done; an error of its own is its answer."""
-    if _is_done(member, folder):
+    if _is_done(member, stored):
         bar.end(failed=False)
         return
-    kept = RunFiles(folder)
+    kept = StoredRuns(folder, member.name)
     report = bar.begin(member.name)
     result, error = None, ""
     try:
@@ -251,13 +244,19 @@ def _fit_member(member: Member, folder: Path, executor: Executor | None, bar: _D
             kept.write()
     if is_search_over():  # its runs are kept, and the rest of it is left for the next time
         return
+
+    marks = {"fingerprint": kept.fingerprint, "asked": _asked(member)}
+    answer = {**(summary(result) if result else {}), **marks}
     with responding(Response.FINISH):
-        _write_answer(folder, kept.fingerprint, _asked(member), result, error)
+        if result is not None:
+            save(result, stored.fit_file(folder))
+        # The answer says that the member is done, so it comes last.
+        write_answer(folder, member.name, {**answer, "error": error} if error else answer)
     bar.end(failed=bool(error))
 
 
 def _fitted(
-    member: Member, kept: RunFiles, executor: Executor | None, report: Callable[[int, int], None]
+    member: Member, kept: StoredRuns, executor: Executor | None, report: Callable[[int, int], None]
 ) -> Fit:
     return fit_keeping(
         kept,
@@ -271,34 +270,22 @@ def _fitted(
     )
 
 
-def _write_answer(folder: Path, mark: str, asked: str, result: Fit | None, error: str) -> None:
-    """Write what a member has come to; that it is done is said last."""
-    marks = {"fingerprint": mark, "asked": asked}
-    if result is not None:
-        save(result, folder / FIT)
-        marks = {**summary(result), **marks}
-    write_json(folder / ANSWER, {**marks, "error": error} if error else marks)
-
-
-def _is_done(member: Member, folder: Path) -> bool:
-    """Tell whether a member has a usable answer from the starts that are asked for.
+def _is_done(member: Member, stored: StoredMember) -> bool:
+    """Return whether a member has a usable answer from the starts that are asked for.
 
     Raises
     ------
     ValueError
         If it is the answer to another problem.
     """
-    if not (folder / ANSWER).is_file() or not (folder / FIT).is_file():
+    if not stored.answer or stored.answer.get("error"):
         return False
-    answer = read_json(folder / ANSWER)
-    if answer.get("error"):
-        return False
-    if answer.get("fingerprint") != fingerprint(member.problem, member.by):
+    if stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(
-            f"{folder} has the answer to another problem than that of {member.name!r}, or of other options or another "
-            "version of greybox or CasADi: give what the study was begun with, or begin another one."
+            f"the study has the answer to another problem under the name {member.name!r}, or to other options, or of "
+            "another version of greybox or CasADi: give what the study was begun with, or begin another one."
         )
-    return answer.get("asked") == _asked(member)
+    return stored.answer.get("asked") == _asked(member)
 
 
 def _asked(member: Member) -> str:

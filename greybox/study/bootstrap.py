@@ -40,8 +40,7 @@ from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.resampling import acceleration, bca_interval, percentile_interval, tail
 from greybox.study.response_replicates import response_draws, response_replicates
-from greybox.study.run_files import RunFiles
-from greybox.study.study_folder import locked
+from greybox.study.store import StoredRuns, locked
 
 Resampling = Literal["residuals", "points", "parametric", "parts", "blocks"]
 Method = Literal["bca", "percentile"]
@@ -615,13 +614,13 @@ def _made(
 
 
 @contextmanager
-def _kept(folder: str | Path | None) -> Iterator[RunFiles | None]:
+def _kept(folder: str | Path | None) -> Iterator[StoredRuns | None]:
     """Give the files that keep the replicates, None where nothing is kept."""
     if folder is None:
         yield None
         return
     with locked(Path(folder)):
-        yield RunFiles(Path(folder))
+        yield StoredRuns(Path(folder), "bootstrap")
 
 
 @contextmanager

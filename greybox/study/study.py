@@ -7,8 +7,7 @@ from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, number, one_line, printable, text_table, with_error
-from greybox.study.run_files import count_runs
-from greybox.study.study_folder import ANSWER, FIT, member_folder, read_index, read_json
+from greybox.study.store import StoredMember, read_members
 
 Status = Literal["done", "failed", "unfinished"]
 
@@ -20,8 +19,8 @@ class StudyMember:
     Attributes
     ----------
     name : str
-    folder : Path
-        Where its files are.
+    file : Path
+        The file of its fit, once it is done.
     status : str
         "done" with a usable answer; "failed" without one, for the reason in `error`; "unfinished".
     error : str
@@ -33,7 +32,7 @@ class StudyMember:
     """
 
     name: str
-    folder: Path
+    file: Path
     status: Status
     error: str
     runs: int
@@ -50,7 +49,7 @@ class StudyMember:
         """
         from greybox.estimate.storage import load  # noqa: PLC0415  (few look at more than the numbers)
 
-        return load(self.folder / FIT)
+        return load(self.file)
 
     def __repr__(self) -> str:
         return one_line(self, self.name, self.status, counted(self.runs, "run"))
@@ -112,31 +111,25 @@ def read_study(folder: str | Path) -> Study:
         If a file of it is damaged.
     """
     folder = Path(folder)
-    return Study(
-        folder,
-        tuple(
-            _member(name, member_folder(folder, own)) for name, own in read_index(folder).items()
-        ),
-    )
+    return Study(folder, tuple(_member(stored, folder) for stored in read_members(folder)))
 
 
-def _member(name: str, folder: Path) -> StudyMember:
-    runs = count_runs(folder) if folder.is_dir() else 0
-    if not (folder / ANSWER).is_file():
-        return StudyMember(name, folder, "unfinished", "", runs, {})
-    answer = read_json(folder / ANSWER)
-    error = answer.get("error", "")
+def _member(stored: StoredMember, folder: Path) -> StudyMember:
+    name, answer, file = stored.name, stored.answer, stored.fit_file(folder)
+    if not answer:
+        return StudyMember(name, file, "unfinished", "", stored.runs, {})
+    if error := str(answer.get("error", "")):
+        return StudyMember(name, file, "failed", error, stored.runs, answer)
     try:
-        if not error:
-            _row(StudyMember(name, folder, "done", "", runs, answer))
-            _cells(answer)
-            _require_labels(answer)
-            runs = int(answer["starts"])
+        member = StudyMember(name, file, "done", "", int(answer["starts"]), answer)
+        _row(member)
+        _cells(answer)
+        _require_labels(answer)
     except (LookupError, TypeError, ValueError, AttributeError):
         raise ValueError(
-            f"{folder / ANSWER} is damaged: delete it to have it made again."
+            f"the answer of {name!r} in {folder} is damaged: restore the folder, or begin another study."
         ) from None
-    return StudyMember(name, folder, "failed" if error else "done", str(error), runs, answer)
+    return member
 
 
 def _require_labels(answer: Mapping[str, Any]) -> None:

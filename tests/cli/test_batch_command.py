@@ -9,9 +9,9 @@ import pytest
 from greybox.cli.batch_command import ORIGIN, _stated
 from greybox.cli.main import main
 from greybox.cli.options import UsageError
+from greybox.cli.study_file import write_json
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.run_files import RunFiles
-from greybox.study.study_folder import write_index, write_json
+from greybox.study.store import StoredRuns, add_members
 
 STUDY = """
 starts = 12
@@ -188,15 +188,15 @@ def test_usage(study, tmp_path, capsys):
 
 def test_ctrl_c_says_how_to_go_on(study, capsys, monkeypatch, press_ctrl_c):
     study.write_text('[[member]]\nproblem = "rotors"\nstarts = 12\nseed = [0, 1]\n')
-    add = RunFiles.add
+    add = StoredRuns.add
     monkeypatch.setattr(
-        RunFiles, "add", lambda self, *run: (add(self, *run), run[0] == 7 and press_ctrl_c())
+        StoredRuns, "add", lambda self, *run: (add(self, *run), run[0] == 7 and press_ctrl_c())
     )
     assert main(["batch", str(study), "--out", "out"]) == 130
     shown = capsys.readouterr()
     assert "greybox: interrupted; `greybox batch --resume out` goes on." in shown.err
     assert "2 members: 2 unfinished" in shown.out
-    monkeypatch.setattr(RunFiles, "add", add)
+    monkeypatch.setattr(StoredRuns, "add", add)
     status, found, _ = answer(capsys, "batch", "--resume", "out")
     assert status == 0
     assert all(member["runs"] == 12 for member in found["members"])
@@ -238,7 +238,7 @@ def test_where_a_study_is_and_what_it_was_begun_with(tmp_path):
     file, begun = tmp_path / "file", tmp_path / "begun"
     file.write_text("")
     begun.mkdir()
-    write_index(begun, ["one"])
+    add_members(begun, ["one"])
     stated = options(study="paper", out=tmp_path / "new", starts=7)
     assert _stated(stated) == ("paper", tmp_path / "new", 7)
     goes_on = options(resume=begun)

@@ -19,7 +19,7 @@ from greybox.cli.fit_command import _stated_fit
 from greybox.estimate.fit import Interrupted
 from greybox.formulation.starts import UntilFoundAgain
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.run_files import RunFiles, count_runs
+from greybox.study.store import StoredRuns, read_members
 
 
 def test_the_main_job(capsys):
@@ -87,7 +87,7 @@ def test_a_full_disk_costs_the_file_but_not_the_answer(capsys, tmp_path, monkeyp
     from full_disk import limited_files
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 0.0)
+    monkeypatch.setattr("greybox.study.store.UNWRITTEN", 0.0)
     with limited_files(8192):
         status, out, err = run(capsys, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5")
     assert status == 1
@@ -241,7 +241,7 @@ def test_a_filter_that_the_response_states_is_named(capsys, tmp_path):
 # --- fits that were ended
 
 # Runs are on disk at once.
-EAGER = "import greybox.study.run_files\ngreybox.study.run_files.UNWRITTEN = 0.0\n" + OWN
+EAGER = "import greybox.study.store\ngreybox.study.store.UNWRITTEN = 0.0\n" + OWN
 
 
 def command(name, *words):
@@ -260,12 +260,14 @@ def command(name, *words):
 
 
 def kept_runs():
-    folder = Path("own.h5.runs")
-    return count_runs(folder) if folder.is_dir() else 0
+    try:
+        return sum(member.runs for member in read_members(Path("own.h5.runs")))
+    except (FileNotFoundError, ValueError):  # there are no tables yet
+        return 0
 
 
 def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
-    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 2.0)  # is put back afterwards
+    monkeypatch.setattr("greybox.study.store.UNWRITTEN", 2.0)  # is put back afterwards
     name = own(EAGER)
     with subprocess.Popen(command(name, "--starts", "2000")) as process:
         while kept_runs() < 8 and process.poll() is None:
@@ -273,13 +275,13 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
         refusal = refused(capsys, *command(name)[3:])
         process.kill()
     assert process.returncode == -signal.SIGKILL
-    assert "another process is at work in own.h5.runs" in refusal
+    assert "another process is writing to own.h5.runs" in refusal
     before = kept_runs()
     assert not Path("own.h5").exists()
 
     made = []
-    add = RunFiles.add
-    monkeypatch.setattr(RunFiles, "add", lambda self, *run: (made.append(run), add(self, *run)))
+    add = StoredRuns.add
+    monkeypatch.setattr(StoredRuns, "add", lambda self, *run: (made.append(run), add(self, *run)))
     count = before + 20
     assert "--force to begin anew" in refused(
         capsys, *command(name, "--starts", count, "--seed", "1")[3:]
@@ -300,17 +302,17 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
 
 
 def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
-    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 2.0)
+    monkeypatch.setattr("greybox.study.store.UNWRITTEN", 2.0)
     name = own()
-    add = RunFiles.add
+    add = StoredRuns.add
     monkeypatch.setattr(
-        RunFiles, "add", lambda self, *run: (run[0] == 7 and press_ctrl_c(), add(self, *run))
+        StoredRuns, "add", lambda self, *run: (run[0] == 7 and press_ctrl_c(), add(self, *run))
     )
     status, out, err = run(capsys, *command(name, "--starts", 30)[3:])
     assert (status, err) == (130, "greybox: interrupted.\n")
     assert "the same command goes on with 8 runs" in out
     assert len(gb.load("own.h5").runs) == kept_runs() == 8
-    monkeypatch.setattr(RunFiles, "add", add)
+    monkeypatch.setattr(StoredRuns, "add", add)
 
     # Of another problem only with --force, which then begins anew.
     other = command(f"{name}:other", "--starts", 4)[3:]

@@ -11,7 +11,7 @@ from command_line import OWN, RECORD, refused, run
 import greybox as gb
 from greybox.cli.batch_command import ORIGIN
 from greybox.cli.report_command import _batch_command
-from greybox.study.study_folder import write_json
+from greybox.cli.study_file import write_json
 
 QUICK = "--starts", "4"
 
@@ -70,7 +70,7 @@ def test_of_a_large_study_the_best_or_chosen_members_are_read_and_drawn(
     load = gb.load
     monkeypatch.setattr(
         "greybox.estimate.storage.load",
-        lambda path, *a: loaded.append(path.parent.name) or load(path, *a),
+        lambda path, *a: loaded.append(path.stem) or load(path, *a),
     )
     page = tmp_path / "study.html"
 

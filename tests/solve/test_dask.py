@@ -10,7 +10,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from numpy.testing import assert_array_equal
 
 import greybox as gb
-from greybox.study.run_files import RunFiles
+from greybox.study.store import StoredRuns
 
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
 RESPONSE = gb.Problem(
@@ -81,7 +81,7 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
 
         # The scheduler is lost in mid-study: that is said, and the study goes on without it.
         made = []
-        add = RunFiles.add
+        add = StoredRuns.add
 
         def noted(self, number, start, outcome):
             add(self, number, start, outcome)
@@ -89,7 +89,7 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
             if len(made) == 20:
                 head.kill()
 
-        monkeypatch.setattr(RunFiles, "add", noted)
+        monkeypatch.setattr(StoredRuns, "add", noted)
         member = gb.study.Member(RESPONSE, 150, name="response", search="multistart")
         with pytest.raises(
             RuntimeError,

@@ -1,154 +1,84 @@
-"""A pool of workers that are lost: which task is tried again, how often, and what is handed out meanwhile.
+"""A pool of worker processes: what becomes of calls whose worker is killed; `test_executors` has whole searches."""
 
-The processes are stood in for; `test_executors` has pools of real ones.
-"""
-
-from concurrent.futures import BrokenExecutor, Future
+import os
+import signal
+from pathlib import Path
 
 import pytest
 
-from greybox.solve.worker_pool import (
-    TRIALS,
-    TRIALS_AT_FIRST,
-    NoWorkerError,
-    WorkerLostError,
-    WorkerPool,
-)
+from greybox.solve.worker_pool import WorkerLostError, WorkerPool
 
 
-class Workers:
-    """Holds what was handed to it until it is told how that ends."""
-
-    def __init__(self):
-        self.begun, self.ended, self.broken = [], None, False
-
-    def submit(self, name):
-        if self.broken:
-            raise BrokenExecutor
-        future = Future()
-        self.begun.append((name, future))
-        return future
-
-    def shutdown(self, wait, *, cancel_futures):
-        self.ended = (wait, cancel_futures)
+@pytest.fixture(scope="module")
+def pool():
+    with WorkerPool(2) as pool:
+        yield pool
 
 
-@pytest.fixture
-def pool(monkeypatch):
-    made = []
-    monkeypatch.setattr(WorkerPool, "_new_pool", lambda self: made.append(Workers()) or made[-1])
-    pool = WorkerPool(2)
-    pool.made = made
-    # Tasks are handed to the stand-in by their name alone.
-    return pool
+def end_worker(file):
+    """End the worker, the first time that the file is seen."""
+    if not Path(file).exists():
+        Path(file).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "second time"
 
 
-def submit(pool, *names):
-    return [pool.submit(name) for name in names]
+def test_calls_return_their_results_and_errors(pool):
+    assert [call.result() for call in [pool.submit(divmod, k, 3) for k in range(9)]] == [
+        divmod(k, 3) for k in range(9)
+    ]
+    assert pool.submit(int, "11", base=2).result() == 3
+    with pytest.raises(ValueError, match="invalid literal"):
+        pool.submit(int, "x").result()
 
 
-def names(workers):
-    return [name for name, _ in workers.begun]
+def test_a_call_whose_worker_is_killed_is_made_again(pool, tmp_path):
+    pool.submit(abs, -1).result()
+    assert pool.submit(end_worker, str(tmp_path / "seen")).result() == "second time"
 
 
-def end(workers, name, result=None, *, lost=False):
-    """End the last task of this name."""
-    future = next(future for one, future in reversed(workers.begun) if one == name)
-    if lost:
-        future.set_exception(BrokenExecutor())
-    else:
-        future.set_result(result)
+def test_a_call_that_always_ends_its_worker_is_lost_and_no_other(pool):
+    pool.submit(abs, -1).result()
+    calls = [pool.submit(abs, -k) for k in range(4)]
+    deadly = pool.submit(os._exit, 1)
+    calls += [pool.submit(abs, -k) for k in range(4)]
+    assert isinstance(deadly.exception(), WorkerLostError)
+    assert [call.result() for call in calls] == [0, 1, 2, 3] * 2
 
 
-def test_each_worker_has_a_task_and_one_is_ready(pool):
-    a, b, *_ = submit(pool, *"abcde")
-    (workers,) = pool.made
-    assert names(workers) == ["a", "b", "c"]
-    end(workers, "b", 5)
-    assert b.result(0) == 5
-    assert names(workers) == ["a", "b", "c", "d"]
-    assert not a.done()
+def test_a_worker_that_is_killed_between_two_calls_is_replaced():
+    with WorkerPool(1) as pool:
+        number = pool.submit(os.getpid).result()
+        os.kill(number, signal.SIGKILL)
+        assert pool.submit(os.getpid).result() != number
 
 
-def test_tasks_of_a_lost_worker_are_tried_alone_before_others_go_on(pool):
-    a, b, c, d, e = submit(pool, *"abcde")
-    (first,) = pool.made
-    end(first, "a", 1)
-    assert a.result(0) == 1
-    for name in "bcd":
-        end(first, name, lost=True)
-    second = pool.made[1]
-    assert len(pool.made) == 2
-    assert names(second) == ["b"]
-    end(second, "b", 2)
-    assert names(second) == ["b", "c"]
-    end(second, "c", lost=True)  # it ends its worker: the others were there by chance
-    third = pool.made[2]
-    assert names(third) == ["d"]
-    end(third, "d", 4)
-    assert names(third) == ["d", "c"]
-    end(third, "c", lost=True)
-    assert names(pool.made[3]) == ["e"]
-    assert isinstance(c.exception(0), WorkerLostError)
-    end(pool.made[3], "e", 5)
-    assert [one.result(0) for one in (b, d, e)] == [2, 4, 5]
-    assert c.trials == TRIALS == 3
-
-
-def test_a_pool_of_which_no_worker_began_says_so_sooner(pool):
-    (task,) = submit(pool, "a")
-    end(pool.made[0], "a", lost=True)
-    assert not task.done()
-    end(pool.made[1], "a", lost=True)
-    assert isinstance(task.exception(0), NoWorkerError)
-    assert task.trials == TRIALS_AT_FIRST == 2
-
-
-def test_workers_that_were_lost_while_nothing_was_done_are_replaced(pool):
-    pool.made[0].broken = True
-    (task,) = submit(pool, "a")
-    assert names(pool.made[1]) == ["a"]
-    end(pool.made[1], "a", 3)
-    assert task.result(0) == 3
-
-
-def test_an_error_of_a_task_is_its_own(pool):
-    (task,) = submit(pool, "a")
-    pool.made[0].begun[0][1].set_exception(ZeroDivisionError("own"))
-    assert str(task.exception(0)) == "own"
-    assert len(pool.made) == 1
-
-
-def test_what_has_not_begun_is_taken_back(pool):
-    tasks = submit(pool, *"abcde")
-    (workers,) = pool.made
-    assert tasks[4].cancel()
-    assert tasks[2].cancel()  # handed out, and not begun
-    workers.begun[0][1].set_running_or_notify_cancel()
-    assert not tasks[0].cancel()
-    assert names(workers) == ["a", "b", "c", "d"]
-    end(workers, "a", 1)
-    end(workers, "b", 2)
-    end(workers, "d", 4)
-    assert names(workers) == ["a", "b", "c", "d"]
-    assert [task.cancelled() for task in tasks] == [False, False, True, False, True]
-    assert tasks[3].result(0) == 4
-
-
-@pytest.mark.parametrize("wait", [True, False])
-def test_all_pools_end_with_it(pool, wait):
-    tasks = submit(pool, *"abcde")
-    end(pool.made[0], "a", lost=True)
-    pool.shutdown(wait, cancel_futures=True)
-    assert [one.ended for one in pool.made] == [(wait, True)] * 2
-    assert tasks[4].cancelled()
+def test_calls_that_have_not_begun_are_cancelled(tmp_path):
+    pool = WorkerPool(1)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    at_work = pool.submit(Path(pipe).read_text)  # until something is written
+    waiting = pool.submit(abs, -1)
+    assert waiting.cancel()
+    pipe.write_text("go on")
+    assert at_work.result() == "go on"
+    pool.shutdown()
     with pytest.raises(RuntimeError, match="was shut down"):
-        pool.submit("f")
+        pool.submit(abs, -1)
 
 
-def test_its_size_is_that_of_the_machine_unless_stated(pool, monkeypatch):
-    assert (pool.num_workers, repr(pool)) == (2, "WorkerPool(2)")
+def test_its_size_is_that_of_the_machine_unless_stated(monkeypatch):
+    assert repr(WorkerPool(2)) == "WorkerPool(2)"
     monkeypatch.setattr("greybox.solve.worker_pool.os.cpu_count", lambda: 7)
     assert WorkerPool().num_workers == 7
-    monkeypatch.setattr("greybox.solve.worker_pool.os.cpu_count", lambda: None)
-    assert WorkerPool().num_workers == 1
+
+
+def test_workers_use_one_thread_unless_the_environment_says_more(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with WorkerPool(1) as pool:
+        threads = [
+            pool.submit(os.getenv, name).result() for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
+        ]
+    assert threads == ["3", "1"]
+    assert "MKL_NUM_THREADS" not in os.environ

@@ -16,8 +16,7 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.estimate.fit import fingerprint, fit_keeping
-from greybox.study.run_files import NAME, RunFiles, count_runs
-from greybox.study.study_folder import locked
+from greybox.study.store import StoredRuns, locked, read_members
 
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
@@ -54,14 +53,14 @@ def require_same(fit, other):
 def made(monkeypatch):
     """The numbers of the starts from which runs are made, in their order."""
     numbers = []
-    add = RunFiles.add
+    add = StoredRuns.add
 
     def noted(self, number, start, outcome):
         if number >= 0:  # the others are the solver's own idea
             numbers.append(number)
         add(self, number, start, outcome)
 
-    monkeypatch.setattr(RunFiles, "add", noted)
+    monkeypatch.setattr(StoredRuns, "add", noted)
     return numbers
 
 
@@ -121,54 +120,18 @@ def test_a_member_that_fails_does_not_stop_the_rest(tmp_path):
 def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_path):
     gb.batch(members()[:1], tmp_path, progress=False)
     files = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    with pytest.raises(
-        ValueError, match="has the answer to another problem than that of 'response'"
-    ):
+    with pytest.raises(ValueError, match="answer to another problem under the name 'response'"):
         gb.batch([gb.study.Member(OTHER, 12, name="response")], tmp_path, progress=False)
-    (tmp_path / "members/001-response/answer.json").unlink()
-    with pytest.raises(ValueError, match="was made for another problem, with other options"):
-        gb.batch([gb.study.Member(OTHER, 12, name="response")], tmp_path, progress=False)
-    with pytest.raises(
-        ValueError, match="began at other starts, from number 0 on: give the same rule and seed"
-    ):
+    other = StoredRuns(tmp_path, "response")
+    with pytest.raises(ValueError, match="those of another problem"):
+        other.known(fingerprint(OTHER))
+    with pytest.raises(ValueError, match="began at other starts, from number 0 on"):
         gb.batch(
             [gb.study.Member(RESPONSE, 12, seed=5, name="response", search="multistart")],
             tmp_path,
             progress=False,
         )
-    (tmp_path / "members/001-response/answer.json").write_bytes(
-        files[tmp_path / "members/001-response/answer.json"]
-    )
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == files
-
-
-def test_a_damaged_file_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 1e9)  # one file, on a slow machine too
-    gb.batch(members()[:1], tmp_path, progress=False)
-    folder = tmp_path / "members/001-response"
-    (path,) = folder.glob("runs-*.h5")
-    whole = path.read_bytes()
-    for damaged in (whole[:-100], b"", whole[:2000] + b"\xff" * 100 + whole[2100:]):
-        path.write_bytes(damaged)
-        (folder / "answer.json").unlink(missing_ok=True)
-        with pytest.raises(ValueError, match=rf"{path.name} is (damaged|not a greybox runs)"):
-            gb.batch(members()[:1], tmp_path, progress=False)
-    path.write_bytes(whole)
-    (folder / "answer.json").write_text("[")
-    with pytest.raises(ValueError, match=r"answer\.json is damaged: delete it"):
-        gb.study.read_study(tmp_path)
-    (folder / "answer.json").write_text('{"cost": 1.0}')
-    with pytest.raises(ValueError, match=r"answer\.json is damaged: delete it"):
-        gb.study.read_study(tmp_path)
-    (tmp_path / "study.json").write_text('{"format": "greybox study", "layout": 9, "members": []}')
-    with pytest.raises(ValueError, match="has layout 9 and this version reads up to 1"):
-        gb.study.read_study(tmp_path)
-    escaping = (
-        '{"format": "greybox study", "layout": 1, "members": [{"name": "a", "folder": "../../a"}]}'
-    )
-    (tmp_path / "study.json").write_text(escaping)
-    with pytest.raises(ValueError, match=r"study\.json is damaged"):
-        gb.study.read_study(tmp_path)
 
 
 def test_what_is_no_study_is_said(tmp_path):
@@ -183,18 +146,6 @@ def test_what_is_no_study_is_said(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("unwritten", "files"), [(0.0, [1, 4, 16]), (60.0, [21])])
-def test_runs_are_files_of_a_binary_number_of_them_or_one_of_all_that_end_together(
-    tmp_path, monkeypatch, unwritten, files
-):
-    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", unwritten)
-    study = gb.batch([gb.study.Member(RESPONSE, 21, name="a")], tmp_path, progress=False)
-    folder = study["a"].folder
-    counts = sorted(int(NAME.fullmatch(path.name)[2]) for path in folder.glob("runs-*"))
-    assert counts == files
-    assert count_runs(folder) == 21
-
-
 # --- processes that are killed
 
 SCRIPT = """
@@ -202,7 +153,7 @@ import sys, time
 sys.path[:0] = {paths!r}
 import greybox as gb
 from greybox.solve.ipopt import IpoptSolver
-from greybox.study import run_files
+from greybox.study import store
 from test_batch import members
 
 run = IpoptSolver.run
@@ -210,7 +161,7 @@ def slow(self, start, *others):
     time.sleep(0.05)
     return run(self, start, *others)
 IpoptSolver.run = slow
-run_files.UNWRITTEN = 0.2
+store.UNWRITTEN = 0.2
 
 if __name__ == "__main__":
     workers = gb.solve.WorkerPool(2) if {workers} else None
@@ -234,10 +185,10 @@ def at_work(tmp_path, folder, *, workers):
     assert kept(folder) > before
 
 
-def test_a_batch_that_was_killed_goes_on_and_none_joins_it_while_it_is_at_work(tmp_path):
+def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path):
     folder = tmp_path / "study"
     with at_work(tmp_path, folder, workers=False):
-        with pytest.raises(BlockingIOError, match="another process is at work in"):
+        with pytest.raises(BlockingIOError, match="another process is writing to"):
             gb.batch(members(), folder, progress=False)
         assert len(gb.study.read_study(folder).members) == 3  # reading is free
     with at_work(tmp_path, folder, workers=True):
@@ -262,24 +213,21 @@ def test_a_lock_that_is_let_go_in_a_moment_is_waited_for(tmp_path):
 
 def kept(folder):
     """How many runs are on disk."""
-    return (
-        sum(count_runs(own) for own in (folder / "members").iterdir())
-        if (folder / "members").exists()
-        else 0
-    )
+    try:
+        return sum(member.runs for member in read_members(folder))
+    except (FileNotFoundError, ValueError):  # there are no tables yet
+        return 0
 
 
 def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
-    display = sys.modules["greybox.study.batch"]._Display
+    add = StoredRuns.add
 
-    def begin(self, name):
-        def pressed(done, count):
-            if name == "other seed" and done == 5:
-                press_ctrl_c()
+    def press(self, number, start, outcome):
+        add(self, number, start, outcome)
+        if sum(at == number for at in made) == 2 and number == 4:
+            press_ctrl_c()
 
-        return pressed
-
-    monkeypatch.setattr(display, "begin", begin)
+    monkeypatch.setattr(StoredRuns, "add", press)
     with pytest.raises(KeyboardInterrupt) as stopped:
         gb.batch(members(), tmp_path, progress=False)
     assert [member.status for member in stopped.value.study.members] == [
@@ -301,7 +249,7 @@ def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
 
     with (
         limited_files(8000),
-        pytest.raises(OSError, match=r"cannot be written \(File too large\): free space"),
+        pytest.raises(OSError, match=r"cannot be written"),
     ):
         gb.batch(members(), tmp_path, progress=False)
     study = gb.batch(members(), tmp_path, progress=False)
@@ -316,15 +264,15 @@ def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
 def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
     found = {}
 
-    class Noted(RunFiles):
+    class Noted(StoredRuns):
         def add(self, number, start, outcome):
             found[number] = start, outcome
             super().add(number, start, outcome)
 
-    kept = Noted(tmp_path)
+    kept = Noted(tmp_path, "fit")
     fit = fit_keeping(kept, problem, 4, progress=False)
     kept.write()
-    known = RunFiles(tmp_path).known(fingerprint(problem))
+    known = StoredRuns(tmp_path, "fit").known(fingerprint(problem))
     assert sorted(known) == sorted(found)
     assert [number for number in sorted(known) if number >= 0] == [0, 1, 2, 3]
     assert (min(known) < 0) == (problem is not RESPONSE)  # the neighborhood of the best
@@ -339,5 +287,5 @@ def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
         for array, other in zip(outcome.nodes or (), wanted.nodes or (), strict=True):
             assert_array_equal(array, other)
     found.clear()
-    require_same(fit_keeping(Noted(tmp_path), problem, 4, progress=False), fit)
+    require_same(fit_keeping(Noted(tmp_path, "fit"), problem, 4, progress=False), fit)
     assert found == {}

@@ -111,10 +111,10 @@ def _several_motions(problem: Problem, values: dict[str, float]) -> Iterator[str
     if not searched.size:
         return
     sine = problem.amplitude.between(omega, omega[searched])
-    motions = periodic_motions(
+    _, messages = periodic_motions(
         problem.model, local, omega[searched], sine, **_signals(problem), delay=problem.delay
     )
-    yield from motions.several[:1]
+    yield from messages[:1]
 
 
 def _signals(problem: Problem) -> dict[str, Any]:

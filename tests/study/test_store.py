@@ -1,0 +1,219 @@
+"""The store of a study: runs come back to the last bit, and damage is refused in a sentence."""
+
+import sqlite3
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from greybox.solve.kept_runs import KeptRunsError
+from greybox.solve.outcome import IMPROVED, Outcome
+from greybox.study.store import (
+    DATABASE,
+    LOCK,
+    UNWRITTEN,
+    StoredRuns,
+    add_members,
+    folder_beside,
+    locked,
+    read_members,
+    runs_beside,
+    write_answer,
+)
+
+START = np.array([0.1, 1 / 3])
+NODES = (np.array([[0.1, -0.0, np.nan], [np.inf, 1e-320, 2.0]]), np.ones((2, 0)))
+PLAIN = Outcome(np.array([1.0, 2.0]), "Solve_Succeeded", 3, 0.5, True, stage=IMPROVED)
+WHOLE = Outcome(np.array([3.0, np.pi]), "stagnated", 9, 1.5, False, 2.5, np.array([1.0, 3]), NODES)
+
+
+def stored(folder, *outcomes):
+    """The runs of a member, on disk."""
+    runs = StoredRuns(folder, "fit")
+    runs.known("a problem")
+    for number, outcome in enumerate(outcomes):
+        runs.add(number, START + number, outcome)
+    runs.write()
+    return runs
+
+
+def require_same(outcome, wanted):
+    for name in ("status", "iterations", "seconds", "converged", "stage"):
+        assert getattr(outcome, name) == getattr(wanted, name)
+    assert_array_equal(outcome.estimate, wanted.estimate)
+    assert_array_equal(outcome.cost, wanted.cost)
+    assert (outcome.signature is None) == (wanted.signature is None)
+    assert wanted.signature is None or np.array_equal(outcome.signature, wanted.signature)
+    assert (outcome.nodes is None) == (wanted.nodes is None)
+    for array, states in zip(outcome.nodes or (), wanted.nodes or (), strict=True):
+        assert array.shape == states.shape
+        assert array.tobytes() == states.tobytes()
+
+
+def test_runs_come_back_to_the_last_bit(tmp_path):
+    stored(tmp_path, PLAIN, WHOLE)
+    runs = StoredRuns(tmp_path, "fit")
+    known = runs.known("a problem")
+    assert sorted(known) == [0, 1]
+    for number, wanted in enumerate((PLAIN, WHOLE)):
+        start, outcome = known[number]
+        assert_array_equal(start, START + number)
+        require_same(outcome, wanted)
+    assert runs.count == len(known) == 2
+    assert 7 not in known
+
+
+def test_a_run_that_is_made_again_replaces_the_first(tmp_path):
+    stored(tmp_path, PLAIN, PLAIN)
+    stored(tmp_path, WHOLE)
+    known = StoredRuns(tmp_path, "fit").known("a problem")
+    require_same(known[0][1], WHOLE)
+    require_same(known[1][1], PLAIN)
+
+
+def test_runs_that_took_long_or_are_old_are_written(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("greybox.study.store.time", SimpleNamespace(monotonic=lambda: now[0]))
+    runs = stored(tmp_path)
+    runs.add(0, START, replace(PLAIN, seconds=0.6 * UNWRITTEN))
+    now[0] += 0.9 * UNWRITTEN
+    runs.look()
+    assert runs.count == 0
+    runs.add(1, START, replace(PLAIN, seconds=0.5 * UNWRITTEN))  # together they took long
+    assert runs.count == 2
+    runs.add(2, START, replace(PLAIN, seconds=0.0))
+    now[0] += 1.1 * UNWRITTEN
+    runs.look()
+    assert runs.count == 3
+
+
+def test_runs_that_are_removed_are_gone(tmp_path):
+    runs = stored(tmp_path, PLAIN, WHOLE)
+    runs.remove()
+    assert runs.count == 0
+    assert StoredRuns(tmp_path, "fit").known("another problem") == {}
+
+
+def test_runs_of_another_problem_are_refused(tmp_path):
+    stored(tmp_path, PLAIN)
+    with pytest.raises(KeptRunsError, match="those of another problem"):
+        StoredRuns(tmp_path, "fit").known("another problem")
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE runs SET run = replace(run, 'Solve', 'Solvd')",
+        "UPDATE runs SET run = 3",
+        "UPDATE runs SET run = NULL",
+        "UPDATE runs SET checksum = NULL",
+    ],
+)
+def test_a_changed_run_is_refused(tmp_path, statement):
+    stored(tmp_path, PLAIN)
+    change(tmp_path, statement)
+    with pytest.raises(KeptRunsError, match=f"{DATABASE} is damaged"):
+        StoredRuns(tmp_path, "fit").known("a problem")[0]
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        ("UPDATE members SET answer = '[]'", "is damaged"),
+        ("UPDATE members SET checksum = 5", "is damaged"),
+        ("DROP TABLE members", "is damaged"),
+        ("PRAGMA application_id = 5", "is damaged or not a study"),
+        ("PRAGMA user_version = 9", "has layout 9, and this version reads layout 1"),
+    ],
+)
+def test_a_changed_study_is_refused(tmp_path, statement, message):
+    stored(tmp_path, PLAIN)
+    write_answer(tmp_path, "fit", {"cost": 1.0})
+    change(tmp_path, statement)
+    with pytest.raises(ValueError, match=message):
+        read_members(tmp_path)
+
+
+def test_a_cut_or_overwritten_database_is_refused(tmp_path):
+    stored(tmp_path, PLAIN, WHOLE)
+    path = tmp_path / DATABASE
+    whole = path.read_bytes()
+    for damaged in (whole[:5000], b"\xff" * len(whole), whole[:4096] + b"\xff" * 4096):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=f"{DATABASE} is damaged"):
+            read_members(tmp_path)
+
+
+def change(folder, statement):
+    with sqlite3.connect(folder / DATABASE) as database:
+        database.execute(statement)
+
+
+def test_members_have_files_with_safe_names_and_keep_their_numbers(tmp_path):
+    names = ["pitch, 5°", "a" * 80, "../.."]
+    members = add_members(tmp_path, names)
+    files = [members[name].fit_file(tmp_path).name for name in names]
+    assert files == ["001-pitch-5.h5", f"002-{'a' * 60}.h5", "003-.h5"]
+    again = add_members(tmp_path, ["yaw", "pitch, 5°"])
+    assert [member.name for member in again.values()] == [*names, "yaw"]
+
+
+def test_names_are_printed_without_control_characters(tmp_path):
+    add_members(tmp_path, ["a\x1b[0m"])
+    assert [member.name for member in read_members(tmp_path)] == ["a\\x1b[0m"]
+
+
+def test_a_folder_is_written_to_by_one_process_at_a_time(tmp_path, monkeypatch):
+    monkeypatch.setattr("greybox.study.store.PATIENCE", 0.01)
+    with (
+        locked(tmp_path),
+        pytest.raises(BlockingIOError, match="another process is writing to"),
+        locked(tmp_path),
+    ):
+        pass
+    with locked(tmp_path):
+        pass
+
+
+def test_a_folder_that_cannot_be_made_is_refused_with_the_reason(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(NotADirectoryError, match="Not a directory"),
+        locked(tmp_path / "file" / "runs"),
+    ):
+        pass
+
+
+def test_runs_of_a_fit_that_an_error_ends_are_written(tmp_path):
+    def fit():
+        with runs_beside(tmp_path / "fit.h5") as runs:
+            runs.known("a problem")
+            runs.add(4, START, PLAIN)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fit()
+    folder = folder_beside(tmp_path / "fit.h5")
+    assert folder == tmp_path / "fit.h5.runs"
+    assert [member.runs for member in read_members(folder)] == [1]
+
+
+def test_a_folder_without_runs_is_removed(tmp_path):
+    with runs_beside(tmp_path / "fit.h5"):
+        assert (folder_beside(tmp_path / "fit.h5") / LOCK).exists()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_does_not_end_a_fit_and_runs_are_written_once_there_is_space(tmp_path):
+    from full_disk import limited_files
+
+    with runs_beside(tmp_path / "fit.h5") as runs:
+        runs.known("a problem")
+        with limited_files(4096):
+            runs.add(0, START, replace(PLAIN, seconds=10 * UNWRITTEN))
+        assert "cannot be written" in runs.trouble
+        runs.write()
+        assert runs.trouble == ""
+        assert runs.count == 1
