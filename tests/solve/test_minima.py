@@ -144,3 +144,15 @@ def test_what_failed_is_counted_by_its_reason_but_not_what_was_left_out():
     assert search.failures == "2 × lost, 1 × not finite (at t = 3 s)"
     assert (search.converged, len(search.brought)) == (1, 4)
     assert "1 of 4 runs converged, 1 minimum" in repr(search)
+
+
+@pytest.mark.parametrize("rounding", [-1e-13, 1e-13])
+def test_the_first_start_decides_between_equivalent_estimates_of_equal_cost(rounding):
+    """And of its own kind the lowest cost is reported."""
+    ends = [(1, 2), (2, 1), (1.001, 2)]
+    costs = [3.0, 3.0 + rounding, 3.0 - 1e-12]
+    runs = [run_to(k, cost, x) for k, (cost, x) in enumerate(zip(costs, ends, strict=True))]
+    (minimum,) = find_minima(problem(), runs, [np.ones(2)] * 3)
+    assert minimum.runs[0] == 2
+    assert minimum.estimate.tolist() == [1.001, 2]
+    assert minimum.variants == 2
