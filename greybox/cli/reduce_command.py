@@ -29,35 +29,35 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--starts",
         type=positive,
         default=8,
-        help="of every structure, beside the estimate; 8 by default",
+        help="Sobol points for every structure, beside the estimate (default: 8)",
     )
     add_out_option(parser, "save the fit of the smaller structure to this HDF5 file")
     add_common_options(parser, writes=True)
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Read the fit, reduce it, and save what is left."""
+    """Read the fit, reduce it, and save the fit of the smaller structure."""
     require_fit_file(options.out, options.force)
     fit, problem = stated_fit(options)
-    found = reduce(fit, problem=problem, starts=options.starts)
-    notes = save_fit(found.fit, options.out if found.taken else None)
-    return _summary(found), "\n".join([str(found), *notes]), USABLE
+    reduction = reduce(fit, problem=problem, starts=options.starts)
+    notes = save_fit(reduction.fit, options.out if reduction.taken else None)
+    return _summary(reduction), "\n".join([str(reduction), *notes]), USABLE
 
 
-def _summary(found: Reduction) -> dict[str, Any]:
+def _summary(reduction: Reduction) -> dict[str, Any]:
     return {
-        "taken": [str(candidate) for candidate in found.taken],
+        "verdict": reduction.verdict,
+        "taken": [str(candidate) for candidate in reduction.taken],
         "tried": [
             {
-                "limit": str(one.candidate),
-                "cost": None if one.fit is None else finite(one.fit.cost),
-                "p_value": None if one.test is None else finite(one.test.p_value),
-                "taken": one.taken,
+                "limit": str(trial.candidate),
+                "cost": None if trial.fit is None else finite(trial.fit.cost),
+                "p_value": None if trial.test is None else finite(trial.test.p_value),
+                "taken": trial.taken,
             }
-            for one in found.tried
+            for trial in reduction.tried
         ],
-        "p_value": None if found.test is None else finite(found.test.p_value),
-        "verdict": "" if found.comparison is None else found.comparison.verdict,
-        "large": {"cost": finite(found.large.cost), "free": list(found.large.free)},
-        "fit": summary(found.fit),
+        "p_value": None if reduction.test is None else finite(reduction.test.p_value),
+        "large": {"cost": finite(reduction.large.cost), "free": list(reduction.large.free)},
+        "fit": summary(reduction.fit),
     }

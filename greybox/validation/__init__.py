@@ -1,15 +1,23 @@
 """Fits held against each other and against data that they have not seen.
 
-Begin with `compare`, which fills a `comparison` (table and sentences that print themselves).
-`same_data` tells whether fits have the same data and comparable costs, `held_out` predicts the same
-windows by all of them, on their own data and on records that none has seen, `measures` makes the
-rows of the table, and `significance` the sentences: which of two models is closer to the data and
-which terms the data determine. `nested_models` tests terms that one model has more than another,
-and `nesting` shows that it is the other with terms removed. Fits of responses by different criteria
-meet in a `common_likelihood`, `cross_validation` predicts what a fit was not given, and `parsimony`
-names the smallest structure that the data support. `reduction` fits the smaller structure that a
-fit suggests, and `stepwise` chooses terms from a list. `differences` tests which parameters of fits
-to different data differ.
+Begin with `compare`.
+
+| file | contents |
+| --- | --- |
+| `compare` | fits side by side, on their own data and on records that none has seen |
+| `comparison` | the result: a table and sentences that print themselves |
+| `same_data` | whether fits have the same data and comparable costs |
+| `measures` | the rows of the table |
+| `significance` | the sentences: which of two models is closer to the data |
+| `parsimony` | the smallest structure that the data support |
+| `nested_models` | the test of terms that only the larger of two models has |
+| `nesting` | whether one model is another with terms removed |
+| `common_likelihood` | one likelihood for fits of responses by different criteria |
+| `held_out` | predictions of the same windows by all fits |
+| `cross_validation` | frequency responses predicted by fits that have not seen them |
+| `reduction` | the smaller structure that a fit suggests |
+| `stepwise` | terms chosen from a list of candidates |
+| `differences` | which parameters differ between fits to different data |
 """
 
 from greybox.validation.compare import compare as compare

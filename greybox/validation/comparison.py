@@ -19,6 +19,9 @@ PARTS = "parts"
 # p-value below which a difference counts: the customary 5 %, one false alarm in twenty comparisons.
 SIGNIFICANT = 0.05
 
+# Difference of AIC below which neither of two models is preferred: Burnham and Anderson (2002),
+# section 2.6.
+EQUAL_AIC = 2.0
 
 # Rows of the table beyond which its text leaves out details: what a page holds beside titles and
 # sentences.

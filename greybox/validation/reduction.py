@@ -1,55 +1,34 @@
-"""The smaller structure that a fit suggests: what its data do not determine goes to zero or infinity.
+"""The smaller structure that a fit suggests: parameters that its data leave open go to a limit.
 
-Where the data determine combinations of parameters and not their members, the members can move
-together along a direction that leaves the combinations as they are, and nothing tells how far. Its
-two ends are structures without that direction: a₂ → ∞ with a₁/a₂ and a₃/a₂ kept. A parameter that
-the data do not determine has two ends of its own. Of all ends at which the response of the model
-has a limit the fits are compared with that of the larger structure, and the best one that no test
-rejects is taken; then the same is asked again.
+Where the data determine only ratios or products of parameters, their members can move together
+without a change of the cost. The two ends of that direction are structures with one parameter less:
+a₂ → ∞ with a₁/a₂ and a₃/a₂ kept. A parameter that the data do not determine has two ends of its own.
+`reduce` fits every end at which the response has a limit, takes the best one that no test rejects,
+and asks again.
 
 Source: Transtrum and Qiu (2014), Model reduction by manifold boundaries, Physical Review Letters
 113.
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
-from typing import Any
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.data.record import Record
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.identifiability import ERROR_GUIDELINE
-from greybox.estimate.result import Fit, FittedRecord
-from greybox.files.arrays import Array
+from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
-from greybox.modeling.limit import at_limit, invariant_name
+from greybox.modeling.limit import Limit, invariant_name
 from greybox.modeling.linear_response import frequency_response
-from greybox.modeling.model import Model
-from greybox.modeling.realization import dynamics
-from greybox.simulation.simulate import simulate
+from greybox.modeling.transfer_function import TransferFunction
 from greybox.validation.compare import compare
 from greybox.validation.comparison import SIGNIFICANT, Comparison, p_text
 from greybox.validation.nested_models import NestedTest, ratio_test
-
-# Relative difference of two responses a factor of ten apart on the way to a limit, below which
-# there is one: a hundred times what `Limit` leaves out.
-ARRIVED = 1e-6
-
-# Times the fastest pole that there was: a limit with a faster one is too stiff for records. The
-# limit is 2^26 away.
-STIFF = 1e3
-STIFF_IN_TIME = "too stiff in time"
-
-Direction = dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -59,9 +38,9 @@ class Candidate:
     Attributes
     ----------
     powers : mapping of name to int
-        The parameters that move together, the first one to its end, and by which power of it each
-        of them goes.
+        The parameters that move together, as powers of the first one.
     end : "infinity" or "zero"
+        Where the first one goes.
     """
 
     powers: Mapping[str, int]
@@ -69,43 +48,42 @@ class Candidate:
 
     def __str__(self) -> str:
         name, *others = self.powers
-        text = (
-            f"{name} → ∞" if self.end == "infinity" else f"{name} → 0" if others else f"{name} = 0"
-        )
-        kept = [
-            f"{other}{'/' if self.powers[other] > 0 else '·'}{name}{_exponent(self.powers[other])}"
-            for other in others
-        ]
-        return f"{text}, {' and '.join(kept)} kept" if kept else text
+        ends = "→ ∞" if self.end == "infinity" else "→ 0" if others else "= 0"
+        kept = []
+        for member in others:
+            power = self.powers[member]
+            exponent = "" if abs(power) == 1 else f"^{abs(power)}"
+            kept.append(f"{member}{'/' if power > 0 else '·'}{name}{exponent}")
+        return f"{name} {ends}, {' and '.join(kept)} kept" if kept else f"{name} {ends}"
 
 
 @dataclass(frozen=True)
 class Tried:
-    """One candidate, with its fit and the test of it, and what was fitted; None where it failed, or why it was not."""
+    """A candidate with its fit and its test, both None where no start converged."""
 
     candidate: Candidate
     fit: Fit | None
     test: NestedTest | None
     taken: bool = False
-    problem: AnyProblem | None = None
-    why_not: str = ""
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether the test does not reject it."""
+        return self.test is not None and self.test.p_value >= SIGNIFICANT
 
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """A fit and the smaller structures that its data support as well. Printing it says what went where.
+    """A fit and the smaller structure that its data support as well. Printing it gives the verdict.
 
     Attributes
     ----------
-    large : Fit
-        The fit that was reduced.
-    fit : Fit
-        That of the reduced structure; the same where none was found.
+    large, fit : Fit
+        The fit that was reduced, and that of the smaller structure; the same where there is none.
     tried : tuple of Tried
-        All ends at which what the model says of the data has a limit, in the order in which they
-        were fitted.
+        The limits that were fitted, in this order.
     test : NestedTest or None
-        Of the reduced structure against the large one.
+        The test of the smaller structure against the large one.
     comparison : Comparison or None
     """
 
@@ -117,362 +95,242 @@ class Reduction:
 
     @property
     def taken(self) -> tuple[Candidate, ...]:
-        """What went to its limit, in this order."""
-        return tuple(one.candidate for one in self.tried if one.taken)
+        """The limits that were taken, in this order."""
+        return tuple(trial.candidate for trial in self.tried if trial.taken)
+
+    @property
+    def verdict(self) -> str:
+        """The smaller structure, or why there is none, in one sentence."""
+        if not self.tried:
+            return (
+                f"{self.large.name}: not reduced; no parameter with an error above "
+                f"{100 * ERROR_GUIDELINE:.0f} % has a limit at which the response has one."
+            )
+        if not self.taken:
+            size = 100 * SIGNIFICANT
+            return f"{self.large.name}: not reduced; the data reject every limit at {size:.0f} %."
+        return (
+            f"{self.large.name}: {counted(len(self.fit.free), 'parameter')} instead of "
+            f"{len(self.large.free)}, cost {number(self.fit.cost, 4)} against "
+            f"{number(self.large.cost, 4)}: {'; '.join(map(str, self.taken))}."
+        )
 
     def __repr__(self) -> str:
         return one_line(self, self.large.name, "; ".join(map(str, self.taken)) or "not reduced")
 
     def __str__(self) -> str:
-        lines = [self._title, ""]
         rows = []
-        for one in self.tried:
-            failed = one.fit is None or one.test is None
-            cells = ["-", "-"] if failed else [number(one.fit.cost), p_text(one.test.p_value)]  # type: ignore[union-attr]
-            rejected = not failed and one.test.p_value < SIGNIFICANT  # type: ignore[union-attr]
-            rows.append(
-                [
-                    str(one.candidate),
-                    *cells,
-                    "taken" if one.taken else "rejected" if rejected else one.why_not,
-                ]
-            )
+        for trial in self.tried:
+            cells = ["-", "-", "no fit"]
+            if trial.fit is not None and trial.test is not None:
+                outcome = "taken" if trial.taken else "" if trial.is_supported else "rejected"
+                cells = [number(trial.fit.cost), p_text(trial.test.p_value), outcome]
+            rows.append([str(trial.candidate), *cells])
+        lines = [self.verdict, ""]
         if rows:
             table = text_table(["limit", "cost", "test", ""], rows, left=(0, 3))
             lines += [*("  " + line for line in table.splitlines()), ""]
-        if self.comparison is not None and self.test is not None:
+        if self.comparison is not None:
             lines += [f"  {self.test}", f"  {self.comparison.verdict}", "", str(self.fit)]
         return "\n".join(lines).rstrip()
 
-    @property
-    def _title(self) -> str:
-        free = len(self.large.free)
-        stiff = [str(one.candidate) for one in self.tried if one.why_not]
-        if not self.tried:
-            return (
-                f"{self.large.name}: not reduced; no parameter with an error above {100 * ERROR_GUIDELINE:.0f} % has "
-                "an end at which what the model says of the data has a limit."
-            )
-        if not self.taken:
-            rejected = f"the data reject every {'other ' if stiff else ''}limit at {100 * SIGNIFICANT:.0f} %"
-            said = [] if len(stiff) == len(self.tried) else [rejected]
-            if stiff:
-                said.append(
-                    f"the equations are too stiff in time for {' or '.join(stiff)}: write those of the limit"
-                )
-            return f"{self.large.name}: not reduced; {', and '.join(said)}."
-        return (
-            f"{self.large.name}: {counted(len(self.fit.free), 'parameter')} instead of {free}, cost "
-            f"{number(self.fit.cost, 4)} against {number(self.large.cost, 4)}: {'; '.join(map(str, self.taken))}."
-        )
-
 
 def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> Reduction:
-    """Fit the smaller structure that the determined combinations suggest, and compare it with the fit.
+    """Fit the smaller structure that the determined combinations suggest, and compare it.
+
+    A structure is taken where the ratio of the costs does not reject it at 5 %, and of several the
+    one with the lowest cost. At a limit the ratio tends to be smaller than its distribution, so the
+    p-value is an upper limit.
 
     Parameters
     ----------
     fit : Fit
-        Of frequency responses, of records, or of both. In time a limit with poles far above those
-        of the structure is told and not fitted: it asks for other equations.
+        Of transfer functions to frequency responses.
     problem : Problem or Sum, optional
-        What was fitted; needed where it has ties, constraints, or values fixed by an earlier fit.
+        The problem that was fitted; needed where it has ties, constraints, or values fixed by an
+        earlier fit.
     starts : int
         Sobol points from which every candidate is fitted, beside the estimate.
-
-    Returns
-    -------
-    Reduction
-        A structure is taken where the ratio of the costs does not reject it at 5 %, and of several
-        the one with the lowest cost. At the end of a range the ratio tends to be smaller than its
-        distribution says, so the p-value is an upper limit.
 
     Raises
     ------
     ValueError
-        For a fit without an estimate, with manoeuvres or a-priori knowledge, or whose problem
-        cannot be stated again.
+        For a fit without an estimate, of other models or data, with a-priori knowledge, or whose
+        problem cannot be stated again.
     """
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to reduce: {fit.status}.")
-    if fit.spectra or fit.priors:
-        what = "manoeuvres" if fit.spectra else "a-priori knowledge"
+    current = problem_of(fit) if problem is None else problem
+    if set(_free(current)) != set(fit.free):
         raise ValueError(
-            f"the fit {fit.name!r} has {what}, with which nothing is reduced: fix parameters instead."
+            f"problem {current.name!r} has other unknowns than the fit: give the one fitted."
         )
-    stated = problem_of(fit) if problem is None else problem
-    if set(_free(stated)) != set(fit.free):
+    if len(fit.responses) < len(fit.parts) or not all(
+        isinstance(part.model, TransferFunction) for part in current.parts
+    ):
         raise ValueError(
-            f"problem {stated.name!r} has other unknowns than the fit: give the one fitted."
+            f"{fit.name!r} can only be reduced as transfer functions fitted to frequency responses: "
+            "write the equations of the limit, fit them and compare."
         )
 
     tried: list[Tried] = []
-    current = fit
-    while found := _step(current, stated, starts):
-        best = min((one for one in found if _is_supported(one)), key=_cost, default=None)
-        tried += [replace(one, taken=one is best) for one in found]
-        if best is None or best.fit is None or best.problem is None:
+    reduced = fit
+    while trials := _trials(reduced, current, starts):
+        supported = [(t, stated) for t, stated in trials if t.is_supported]
+        best, stated = min(supported, key=lambda pair: _cost(pair[0]), default=(None, current))
+        tried += [replace(t, taken=t is best) for t, _ in trials]
+        if best is None or best.fit is None:
             break
-        current, stated = best.fit, best.problem
-    if current is fit:
+        reduced = best.fit
+        current = stated
+    if reduced is fit:
         return Reduction(fit, fit, tuple(tried), None, None)
-    labels = ("the fit", "the reduced one")
-    removed = tuple(next(iter(one.candidate.powers)) for one in tried if one.taken)
-    return Reduction(
-        large=fit,
-        fit=current,
-        tried=tuple(tried),
-        test=ratio_test(current, fit, removed, ("the reduced structure", "the fit")),
-        comparison=compare(fit, current, labels=labels),
-    )
+    removed = tuple(next(iter(t.candidate.powers)) for t in tried if t.taken)
+    test = ratio_test(reduced, fit, removed, ("the reduced structure", "the fit"))
+    comparison = compare(fit, reduced, labels=("the fit", "the reduced one"))
+    return Reduction(fit, reduced, tuple(tried), test, comparison)
 
 
-def _step(fit: Fit, problem: AnyProblem, starts: int) -> list[Tried]:
-    """Return the fits of all ends that the estimate leaves open."""
-    found = []
+def _trials(fit: Fit, problem: AnyProblem, starts: int) -> list[tuple[Tried, AnyProblem]]:
+    """Return the fits of all limits that the estimate leaves open, with their problems."""
+    trials = []
     for candidate in _candidates(fit):
         smaller = _at_limit(problem, candidate, fit)
-        if smaller is None:
+        if smaller is None or not _has_limit(smaller, problem, fit):
             continue
-        if _is_stiff(smaller, problem, fit):
-            found.append(Tried(candidate, None, None, why_not=STIFF_IN_TIME))
-            continue
-        if not _has_limit(smaller, problem, fit):
-            continue
-        known = {name: value for name, value in fit.estimate.items() if name in _free(smaller)}
-        reduced = fit_problem(smaller, [known, Sobol(starts, 0)], profiles=False, progress=False)
-        if not reduced.converged:
-            found.append(Tried(candidate, None, None))
-            continue
-        gone = tuple(candidate.powers)[:1]
-        test = ratio_test(reduced, fit, gone, ("the limit", "the structure"))
-        found.append(Tried(candidate, reduced, test, problem=smaller))
-    return found
+        start = {name: value for name, value in fit.estimate.items() if name in _free(smaller)}
+        reduced = fit_problem(smaller, [start, Sobol(starts, 0)], profiles=False, progress=False)
+        trial = Tried(candidate, None, None)
+        if reduced.converged:
+            first = tuple(candidate.powers)[:1]
+            test = ratio_test(reduced, fit, first, ("the limit", "the structure"))
+            trial = Tried(candidate, reduced, test)
+        trials.append((trial, smaller))
+    return trials
 
 
-def _is_supported(tried: Tried) -> bool:
-    return tried.test is not None and tried.test.p_value >= SIGNIFICANT
+def _cost(trial: Tried) -> float:
+    return np.inf if trial.fit is None else trial.fit.cost
 
 
-def _cost(tried: Tried) -> float:
-    return math.inf if tried.fit is None else tried.fit.cost
-
-
-def _free(problem: AnyProblem) -> dict[str, Any]:
-    return {name: p for name, p in problem.parameters.items() if not p.fixed}
-
-
-# --- directions
+def _free(problem: AnyProblem) -> list[str]:
+    return [name for name, p in problem.parameters.items() if not p.fixed]
 
 
 def _candidates(fit: Fit) -> Iterator[Candidate]:
-    """Yield both ends of every direction that leaves the determined products as they are, and of every open parameter.
+    """Yield both ends of every direction that keeps the determined products, and of open parameters.
 
-    Parameters at a bound are open too: nothing but the bound holds them.
+    A parameter at a bound is open too: nothing but the bound holds it.
     """
     judged = fit.identifiability
-    at_bound = set(judged.at_bound)
-    is_open = [
-        name
-        for name, error in zip(judged.names, judged.error, strict=True)
-        if (not error <= ERROR_GUIDELINE or name in at_bound) and fit.estimate[name] != 0
-    ]
     products = [
         dict(zip(c.names, c.powers, strict=True)) for c in judged.combinations if c.is_product
     ]
-    for direction in _directions(products):
+    for direction in directions(products):
         for end in ("infinity", "zero"):
             yield Candidate(direction, end)
-    for name in is_open:
-        for end in ("zero", "infinity"):
-            yield Candidate({name: 1}, end)
+    for name, error in zip(judged.names, judged.error, strict=True):
+        is_open = not error <= ERROR_GUIDELINE or name in judged.at_bound
+        if is_open and fit.estimate[name] != 0:
+            for end in ("zero", "infinity"):
+                yield Candidate({name: 1}, end)
 
 
-def _directions(products: Sequence[Direction]) -> Iterator[Direction]:
-    """Yield whole powers by which the members of products move and leave all products as they are.
+def directions(products: Sequence[Mapping[str, int]]) -> Iterator[dict[str, int]]:
+    """Yield whole powers by which members of products move together and keep all products.
 
-    The first of a direction moves by the power one: the one that all others are whole powers of.
+    The first of a direction moves by the power one; all others are whole powers of it.
     """
-    members = list(dict.fromkeys(name for row in products for name in row))
-    for vector in _null_space(
-        [[row.get(name, 0) for name in members] for row in products], len(members)
-    ):
-        moving = [k for k, v in enumerate(vector) if v]
-        # Of several that would do, the one that most products have reads best as what the others
-        # are divided by.
-        pivot = min(
-            moving, key=lambda k: (abs(vector[k]), -sum(members[k] in row for row in products))
+    groups: list[list[Mapping[str, int]]] = []  # products that share members, directly or not
+    for product in products:
+        touching = [g for g in groups if any(product.keys() & row.keys() for row in g)]
+        groups = [g for g in groups if g not in touching]
+        groups.append([product, *(row for g in touching for row in g)])
+    for group in groups:
+        # The member of most products reads best as what the others are divided by.
+        members = sorted(
+            dict.fromkeys(name for row in group for name in row),
+            key=lambda name: -sum(name in row for row in group),
         )
-        if any((v / vector[pivot]).denominator > 1 for v in vector):
-            continue
-        powers = {
-            name: int(v / vector[pivot]) for name, v in zip(members, vector, strict=True) if v
-        }
-        yield {
-            members[pivot]: 1,
-            **{name: p for name, p in powers.items() if name != members[pivot]},
-        }
-
-
-def _null_space(rows: Sequence[Sequence[int]], width: int) -> list[list[Fraction]]:
-    """Return a basis of the vectors that all rows are orthogonal to, in exact fractions."""
-    matrix = [[Fraction(v) for v in row] for row in rows]
-    pivots: list[int] = []
-    for column in range(width):
-        rank = len(pivots)
-        row = next((r for r in range(rank, len(matrix)) if matrix[r][column]), None)
-        if row is None:
-            continue
-        matrix[rank], matrix[row] = matrix[row], matrix[rank]
-        matrix[rank] = [v / matrix[rank][column] for v in matrix[rank]]
-        for r in range(len(matrix)):
-            if r != rank and matrix[r][column]:
-                factor = matrix[r][column]
-                matrix[r] = [a - factor * b for a, b in zip(matrix[r], matrix[rank], strict=True)]
-        pivots.append(column)
-    basis = []
-    for free in (k for k in range(width) if k not in pivots):
-        vector = [Fraction(0)] * width
-        vector[free] = Fraction(1)
-        for row, column in enumerate(pivots):
-            vector[column] = -matrix[row][free]
-        basis.append(vector)
-    return basis
-
-
-# --- problems at a limit
+        matrix = np.array([[row.get(name, 0) for name in members] for row in group])
+        _, singular, right = np.linalg.svd(matrix)
+        if np.sum(singular > 1e-9) != len(members) - 1:
+            continue  # no direction, or several that are not told apart
+        vector = np.where(np.abs(right[-1]) > 1e-9, right[-1], 0.0)
+        moving = [k for k, v in enumerate(vector) if v]
+        pivot = min(moving, key=lambda k: round(abs(vector[k]), 9))
+        powers = vector / vector[pivot]
+        if np.allclose(powers, np.round(powers), atol=1e-6):
+            order = [pivot, *(k for k in moving if k != pivot)]
+            yield {members[k]: round(powers[k]) for k in order}
 
 
 def _at_limit(problem: AnyProblem, candidate: Candidate, fit: Fit) -> AnyProblem | None:
-    """Return the problem at an end; None where it has no form there, as where a tie names a parameter that is gone."""
+    """Return the problem at a limit; None where a part cannot have it, as one with a tie."""
     try:
         parts = [_part_at_limit(part, candidate, fit) for part in problem.parts]
-        stated = [part for part in parts if part is not None]
-        return problem.with_parts(stated) if len(stated) == len(parts) else None
+        return problem.with_parts(parts)
     except ValueError:
         return None
 
 
-def _part_at_limit(part: Problem, candidate: Candidate, fit: Fit) -> Problem | None:
+def _part_at_limit(part: Problem, candidate: Candidate, fit: Fit) -> Problem:
+    """Return a part at a limit, unchanged if it has none of the parameters.
+
+    Raises
+    ------
+    ValueError
+        If it has some of the parameters, but not the first one.
+    """
     inside = {part.outside(name): name for name in part.declared}
     present = [name for name in candidate.powers if name in inside]
     if not present:
         return part
     first = next(iter(candidate.powers))
-    others = [name for name in present if name != first]
+    if first not in present:
+        raise ValueError(f"{part.name!r} has no parameter {first!r}.")
     gone = {inside[name] for name in present}
-    if first not in present or not gone <= set(
-        part.model.parameters
-    ):  # a bias of a sensor, or a gain
-        return None
-    kept = [(inside[name], candidate.powers[name], fit.estimate[name]) for name in others]
-    model = at_limit(part.model, inside[first], fit.estimate[first], candidate.end, kept)
+    kept = []
     rename = {name: outside for name, outside in part.rename.items() if name not in gone}
-    for name in others:
+    for name in present[1:]:
         power = candidate.powers[name]
-        new, outside = (
-            invariant_name(inside[name], inside[first], power),
-            invariant_name(name, first, power),
-        )
-        if new != outside:
-            rename[new] = outside
-    bounds, box = (
-        {n: v for n, v in stated.items() if n not in gone} for stated in (part.bounds, part.starts)
+        kept.append((inside[name], power, fit.estimate[name]))
+        invariant = invariant_name(inside[name], inside[first], power)
+        outside = invariant_name(name, first, power)
+        if invariant != outside:
+            rename[invariant] = outside
+    return part.with_(
+        model=Limit(part.model, inside[first], fit.estimate[first], candidate.end, kept),
+        rename=rename,
+        free=[name for name in part.free if name not in gone],
+        bounds={name: value for name, value in part.bounds.items() if name not in gone},
+        starts={name: value for name, value in part.starts.items() if name not in gone},
     )
-    free = [name for name in part.free if name not in gone]
-    return part.with_(model=model, rename=rename, free=free, bounds=bounds, starts=box)
 
 
 def _has_limit(problem: AnyProblem, before: AnyProblem, fit: Fit) -> bool:
-    """Tell whether what the model says of its data has a finite limit that is not zero, in every part."""
-    for k, (part, old) in enumerate(zip(problem.parts, before.parts, strict=True)):
-        if part.model is old.model:
+    """Tell whether every response has a finite limit that is not zero at the data's frequencies."""
+    for part, previous in zip(problem.parts, before.parts, strict=True):
+        model = part.model
+        if model is previous.model or not isinstance(model, Limit):
             continue
-        model: Any = part.model
-        p = _values(part, fit)
-        near = [
-            _said(old, model.values_before(p, value), fit, k)
-            for value in (model.value, model.value * (10 if model.end == "infinity" else 0.1))
-        ]
-        if not all(np.all(np.isfinite(r)) for r in near):
-            return False
-        size, measured = np.abs(near[0]), _measured(part, fit, k)
-        if isinstance(part.data, Record):  # whose outputs pass through zero
-            size = np.broadcast_to(size.max(axis=-1, keepdims=True), size.shape)
-        if np.any(np.abs(near[0] - near[1]) > ARRIVED * size) or np.all(size < ARRIVED * measured):
+        p = {
+            name: fit.estimate.get(part.outside(name), parameter.start)
+            for name, parameter in model.parameters.items()
+        }
+        responses = []
+        for value in (model.value, model.value * (10 if model.end == "infinity" else 0.1)):
+            try:
+                with np.errstate(all="ignore"):
+                    values = model.values_before(p, value)
+                    omega = part.response.omega
+                    responses.append(frequency_response(model.model, values, omega).response)
+            except (ValueError, ArithmeticError):
+                return False
+        near, nearer = responses
+        # 1e-6: a hundred times what `Limit` leaves out.
+        moves = np.abs(near - nearer) > 1e-6 * np.abs(near)
+        vanishes = np.abs(near) < 1e-6 * np.abs(part.response.response)
+        if not np.all(np.isfinite(near)) or np.any(moves) or np.all(vanishes):
             return False
     return True
-
-
-def _measured(part: Problem, fit: Fit, k: int) -> Array:
-    """Return the size of what was measured: of every point of a response (n,), of every output (outputs, 1)."""
-    if not isinstance(part.data, Record):
-        return np.abs(part.response.response)
-    return np.array([[np.nanmax(np.abs(part.data[name]))] for name in _record(fit, k).outputs])
-
-
-def _record(fit: Fit, k: int) -> FittedRecord:
-    part = fit.parts[k]
-    assert isinstance(part, FittedRecord)
-    return part
-
-
-def _values(part: Problem, fit: Fit) -> dict[str, float]:
-    """Return the values of the model's parameters at the estimate, as far as it has them."""
-    return {
-        name: fit.estimate.get(part.outside(name), parameter.start)
-        for name, parameter in part.model.parameters.items()
-    }
-
-
-def _said(part: Problem, values: Mapping[str, float], fit: Fit, k: int) -> NDArray[Any]:
-    """Return what the model says of the data of a part: a response (n,), or outputs (outputs, n); NaN if nothing.
-
-    Records are simulated from the initial states of the fit.
-    """
-    with np.errstate(all="ignore"):
-        try:
-            if isinstance(part.data, Record):
-                record, inputs = _record(fit, k), getattr(part.criterion, "inputs", None)
-                found = simulate(
-                    part.model, values, part.data, initial=record.initial, inputs=inputs
-                )
-                return np.array([found[name] for name in record.outputs])
-            pair = {"input": part.response.input, "output": part.response.output}
-            return frequency_response(
-                part.model, values, part.response.omega, **pair, at=part.at
-            ).response
-        except (ValueError, ArithmeticError):
-            return np.full(1, np.nan)
-
-
-def _is_stiff(problem: AnyProblem, before: AnyProblem, fit: Fit) -> bool:
-    """Tell whether the limit has poles far above those that there were, in a part that is a record."""
-    for k, (part, old) in enumerate(zip(problem.parts, before.parts, strict=True)):
-        if not isinstance(part.data, Record) or part.model is old.model:
-            continue
-        poles = [
-            _fastest(each.model, _values(each, fit), _record(fit, k).initial)
-            for each in (part, old)
-        ]
-        if not poles[0] <= STIFF * poles[1]:
-            return True
-    return False
-
-
-def _fastest(model: Model, values: Mapping[str, float], initial: Mapping[str, Array]) -> float:
-    """Return the largest |pole| about the first initial state, with the inputs at rest."""
-    system = dynamics(model)
-    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
-    slope = ca.jacobian(system.derivative(x, u, [values[name] for name in system.parameters]), x)
-    state = [float(initial[name][0]) if name in initial else 0.0 for name in system.states]
-    matrix = ca.Function("A", [x, u], [ca.densify(slope)])(
-        state, np.zeros(len(system.inputs))
-    ).full()
-    if not np.all(np.isfinite(matrix)):
-        return math.inf
-    return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) if matrix.size else 0.0
-
-
-def _exponent(power: int) -> str:
-    return {1: "", 2: "²", 3: "³"}.get(abs(power), f"^{abs(power)}")

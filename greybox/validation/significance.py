@@ -14,10 +14,10 @@ from greybox.files.text_table import counted, listed, number, with_error
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
 from greybox.validation.common_likelihood import Likelihoods
-from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, SIGNIFICANT, p_text
+from greybox.validation.comparison import EQUAL_AIC, HELD_OUT, IDENTIFICATION, SIGNIFICANT, p_text
 from greybox.validation.held_out import Predictions
 from greybox.validation.nested_models import NestedTest, nested_test_at
-from greybox.validation.nesting import NotNestedError, nesting
+from greybox.validation.nesting import NotNestedError, nested_values
 from greybox.validation.same_data import count_unknowns, is_likelihood, other_samples
 
 ESTIMATION = "estimation"  # what the data that fits were made with say of them by their likelihoods
@@ -39,10 +39,7 @@ NEARLY_EQUAL_SQUARES = 0.1
 # below it are rounding.
 SIMULATION_ACCURACY = 1e-6
 
-# Difference of AIC below which two models have substantial support alike: Burnham and Anderson
-# (2002), section 2.6.
-EQUAL_AIC = 2.0
-# And from which one has essentially no support beside the other: ibid.
+# Difference of AIC from which the larger one has essentially no support: ibid.
 NO_SUPPORT = 10.0
 
 # Standard errors within which an estimate is not distinguishable from zero: 95 % of a normal
@@ -214,7 +211,7 @@ def _nested_test(
         for name, value in removed_at.items()
         if name in large.free and name not in small.estimate
     }
-    return nested_test_at(nesting(small, large, names, stated), small, large, names)
+    return nested_test_at(nested_values(small, large, names, stated), small, large, names)
 
 
 def _aic_text(fits: Sequence[Fit]) -> str:

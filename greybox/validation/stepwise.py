@@ -1,23 +1,23 @@
 """Terms of a model chosen from a list of candidates: added and removed one at a time, by a test.
 
-A term is a parameter, and the model is without it where that parameter is zero (or another stated
-value). From the structure without any candidate, the term whose ratio of costs is the least likely
-by chance is added, if it is significant at the stated size shared by all that were tried; after
-that, terms that are no longer needed are removed. What the data cannot tell apart is looked for at
-the end, by putting each term that was left out in the place of each one that was chosen.
+A term is a parameter; the model is without it where that parameter is zero, or has another stated
+value. Each step adds the term with the smallest p-value, if that is below the size of the test over
+the number of terms tried. It then removes terms that are no longer needed. At the end every term
+that was left out takes the place of each chosen one, to find what the data cannot tell apart.
 
-What a term that is missing leaves in the residuals of a response looks like errors that are
-correlated along frequency: the tests take errors as independent, or they would find all of it in
-the errors. The standard errors of the fit that is chosen do not.
+A missing term leaves residuals that look like errors correlated along frequency. The tests
+therefore take errors as independent: otherwise they would find every missing term in the errors.
+The standard errors of the chosen fit do not.
 
-Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4; the shares of the
-size are Bonferroni's.
+Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4; the size is shared as
+by Bonferroni.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
@@ -26,9 +26,8 @@ from greybox.files.text_table import counted, listed, number, one_line, text_tab
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
-from greybox.validation.comparison import SIGNIFICANT, p_text
+from greybox.validation.comparison import EQUAL_AIC, SIGNIFICANT, p_text
 from greybox.validation.nested_models import cost_scale, nested_test, with_independent_errors
-from greybox.validation.significance import EQUAL_AIC
 
 Terms = frozenset[str]
 
@@ -43,14 +42,14 @@ class Trial:
     change : "add" or "remove"
     term : str
     cost : float
-        With the change; NaN where no fit converged.
+        Cost with the change; NaN where no fit converged.
     p_value : float
-        Of the term; NaN where it could not be tested.
+        p-value of the term; NaN where it could not be tested.
     limit : float
-        Below which it is added, above which it is removed.
+        The p-value below which the term is added, or above which it is removed.
     done : bool
     why_not : str
-        Why there is no test.
+        The reason why there is no test.
     """
 
     step: int
@@ -70,15 +69,15 @@ class StepwiseSelection:
     Attributes
     ----------
     candidates, terms : tuple of str
-        What could be chosen, and what was.
+        The terms that could be chosen, and the chosen ones.
     fit, without : Fit
-        With these terms, and without any candidate.
+        The fits with the chosen terms, and without any candidate.
     trials : tuple of Trial
     alike : mapping of str to mapping of str to float
-        For each chosen term those that could stand in its place, by how much AIC is larger with
-        them: less than 2, so that the data do not tell them apart.
+        For each chosen term those that could replace it, with the increase in AIC: less than 2, so
+        the data do not tell them apart.
     size : float
-        Of the test.
+        Size of the tests.
     """
 
     candidates: tuple[str, ...]
@@ -91,7 +90,7 @@ class StepwiseSelection:
 
     @property
     def verdict(self) -> str:
-        """What was found, in one sentence."""
+        """The chosen terms, in one sentence."""
         tried = counted(len(self.candidates), "candidate")
         if not self.terms:
             return f"None of {tried} is supported: no term lowers the cost by more than chance."
@@ -132,14 +131,14 @@ class StepwiseSelection:
 
     def _notes(self) -> Iterator[str]:
         for term, others in self.alike.items():
-            said = listed([f"{other} ({_more(above)})" for other, above in others.items()])
-            yield f"These data cannot tell {term} from {said}."
-        for one, other, r in self.fit.identifiability.correlated:
-            if {one, other} & set(self.terms):
-                yield f"{one} and {other} are collinear: their estimates have a correlation of {r:.3f}."
+            rivals = listed([f"{rival} ({_more(above)})" for rival, above in others.items()])
+            yield f"These data cannot tell {term} from {rivals}."
+        for first, second, r in self.fit.identifiability.correlated:
+            if {first, second} & set(self.terms):
+                yield f"{first} and {second} are collinear: their estimates have a correlation of {r:.3f}."
         yield (
-            f"Size of the test: {100 * self.size:g} % of a step, shared by the terms that it tries (Bonferroni); a "
-            f"term is removed above {100 * self.size:g} %."
+            f"A term is added below {100 * self.size:g} % over the number of terms tried (Bonferroni), "
+            f"and removed above {100 * self.size:g} %."
         )
 
 
@@ -152,174 +151,155 @@ def stepwise(
 ) -> StepwiseSelection:
     """Choose terms of a model from a list of candidates, by adding and removing them one at a time.
 
+    Of terms that lower the cost alike, the one that is least correlated with the other parameters
+    is added; if these are equal too, the first in the list.
+
     Parameters
     ----------
     problem : Problem or Sum
         With a model that has all candidates.
     candidates : sequence of str, or mapping of name to value
-        Parameters, by their names outside; the value of each where its term is absent, zero if it
-        is not stated.
+        Parameters, by their names in the problem, and the value of each where its term is absent:
+        zero by default.
     size : float
-        Of the tests, each of them the one of `nested_test`: the ratio of the costs.
+        Size of the tests, see `nested_test`.
     starts : int
-        Sobol points from which every structure is fitted, beside the estimate of the one before.
+        Sobol points from which every structure is fitted, beside the previous estimate.
 
     Raises
     ------
     ValueError
-        For candidates that are no parameters of the problem, a size out of range, or a structure
+        For candidates that are not parameters of the problem, a size out of range, or a structure
         without any candidate that has no fit.
     """
     absent = dict(candidates) if isinstance(candidates, Mapping) else dict.fromkeys(candidates, 0.0)
     require_known(absent, problem.parameters, "parameter", repr(problem.name))
     if not 0 < size < 1:
         raise ValueError(f"size is {size}: give a probability, e.g. {SIGNIFICANT}.")
-    search = _Search(problem, absent, starts)
+    fits = _Fits(problem, absent, starts, {})
     current: Terms = frozenset()
-    without = search.fit(current, None)
+    without = fits.fitted(current, None)
     if without is None:
         raise ValueError(
             f"the problem {problem.name!r} has no fit without any of {', '.join(absent)}."
         )
 
     trials: list[Trial] = []
-    seen, step, fit = {current}, 0, without
-    while True:
+    seen = {current}  # a structure is chosen once only, so that the search ends
+    fit = without
+    step = 0
+    while len(current) < len(absent):
         step += 1
-        tried = search.additions(current, fit, step, size)
-        best = min(
-            (t for t in tried if t.p_value < t.limit),
-            key=lambda t: (t.p_value, t.cost),
-            default=None,
-        )
-        trials += [_done(t, t is best) for t in tried]
+        left_out = [name for name in absent if name not in current]
+        tried = [fits.trial(step, "add", n, current, fit, size / len(left_out)) for n in left_out]
+        best = fits.best([t for t in tried if t.p_value < t.limit], current)
+        trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
             break
         current = current | {best.term}
         seen.add(current)
+        fit = fits.required(current)
         while len(current) > 1:
-            fit = search.required(current)
-            tried = search.removals(current, fit, step, size)
-            worst = max(
-                (t for t in tried if t.p_value > t.limit), key=lambda t: t.p_value, default=None
-            )
-            if worst is not None and current - {worst.term} in seen:
-                worst = None
-            trials += [_done(t, t is worst) for t in tried]
+            chosen = [name for name in absent if name in current]
+            tried = [fits.trial(step, "remove", n, current, fit, size) for n in chosen]
+            idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
+            worst = max(idle, key=lambda t: t.p_value, default=None)
+            trials += [replace(t, done=t is worst) for t in tried]
             if worst is None:
                 break
             current = current - {worst.term}
             seen.add(current)
-        fit = search.required(current)
+            fit = fits.required(current)
     return StepwiseSelection(
         candidates=tuple(absent),
         terms=tuple(name for name in absent if name in current),
         fit=fit,
         without=without,
         trials=tuple(trials),
-        alike=search.alike(current, fit),
+        alike=fits.alike(current, fit),
         size=size,
     )
 
 
-def _done(trial: Trial, done: bool) -> Trial:
-    return Trial(**{**vars(trial), "done": done})
-
-
-class _Search:
+@dataclass(frozen=True, eq=False)
+class _Fits:
     """Fits of a problem with some of its terms, each made once."""
 
-    def __init__(self, problem: AnyProblem, absent: Mapping[str, float], starts: int) -> None:
-        self._problem, self._absent, self._starts = problem, absent, starts
-        self._fits: dict[Terms, Fit | None] = {}
+    problem: AnyProblem
+    absent: Mapping[str, float]
+    starts: int
+    made: dict[Terms, Fit | None]
 
-    def fit(self, terms: Terms, near: Fit | None) -> Fit | None:
-        """Return the fit with these terms, from that of a structure nearby and a few points; None where it failed."""
-        if terms not in self._fits:
-            stated = with_terms(self._problem, terms, self._absent)
-            free = {name for name, p in stated.parameters.items() if not p.fixed}
-            start = (
-                {}
-                if near is None
-                else {name: v for name, v in near.estimate.items() if name in free}
-            )
-            found = fit_problem(stated, [start, Sobol(self._starts, 0)], progress=False)
-            self._fits[terms] = found if found.converged else None
-        return self._fits[terms]
+    def fitted(self, terms: Terms, near: Fit | None) -> Fit | None:
+        """Return the fit with these terms, also started from a fit nearby; None where it failed."""
+        if terms not in self.made:
+            problem = with_terms(self.problem, terms, self.absent)
+            free = {name for name, p in problem.parameters.items() if not p.fixed}
+            start = {} if near is None else {n: v for n, v in near.estimate.items() if n in free}
+            fit = fit_problem(problem, [start, Sobol(self.starts, 0)], progress=False)
+            self.made[terms] = fit if fit.converged else None
+        return self.made[terms]
 
     def required(self, terms: Terms) -> Fit:
-        found = self._fits[terms]
-        assert found is not None
-        return found
+        """Return a fit that was made and converged."""
+        fit = self.made[terms]
+        assert fit is not None
+        return fit
 
-    def additions(self, terms: Terms, fit: Fit, step: int, size: float) -> list[Trial]:
-        left = [name for name in self._absent if name not in terms]
-        return [
-            self._trial(
-                step,
-                "add",
-                name,
-                fit,
-                self.fit(terms | {name}, fit),
-                size / len(left),
-                swapped=False,
-            )
-            for name in left
-        ]
-
-    def removals(self, terms: Terms, fit: Fit, step: int, size: float) -> list[Trial]:
-        return [
-            self._trial(
-                step, "remove", name, self.fit(terms - {name}, fit), fit, size, swapped=True
-            )
-            for name in self._absent
-            if name in terms
-        ]
-
-    def _trial(
-        self,
-        step: int,
-        change: str,
-        term: str,
-        small: Fit | None,
-        large: Fit | None,
-        limit: float,
-        *,
-        swapped: bool,
+    def trial(
+        self, step: int, change: str, term: str, terms: Terms, fit: Fit, limit: float
     ) -> Trial:
-        changed = small if swapped else large
-        if small is None or large is None:
+        """Test a term that is added to the `terms` of a fit, or removed from them."""
+        changed = self.fitted(terms ^ {term}, fit)
+        if changed is None:
             return Trial(step, change, term, math.nan, math.nan, limit, why_not="no fit converged")
+        small, large = (fit, changed) if change == "add" else (changed, fit)
+        p_value = math.nan
+        why_not = ""
         try:
-            p, why = nested_test(small, with_independent_errors(large)).p_value, ""
+            p_value = nested_test(small, with_independent_errors(large)).p_value
         except ValueError:
-            line = next(q for q in large.quantities if q.name == term)
-            is_known = math.isfinite(line.standard_error)
-            p, why = (
-                math.nan,
-                "at its bound" if line.at_bound else "no test" if is_known else "not determined",
-            )
-        return Trial(
-            step, change, term, changed.cost if changed else math.nan, p, limit, why_not=why
-        )
+            quantity = next(q for q in large.quantities if q.name == term)
+            is_determined = math.isfinite(quantity.standard_error)
+            why_not = "no test" if is_determined else "not determined"
+            why_not = "at its bound" if quantity.at_bound else why_not
+        return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
+
+    def best(self, trials: Sequence[Trial], terms: Terms) -> Trial | None:
+        """Return the addition with the smallest p-value; of equal costs the least correlated one."""
+        if not trials:
+            return None
+        least = min(trials, key=lambda t: (t.p_value, t.cost))
+        # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what
+        # any test sees.
+        alike = [t for t in trials if math.isclose(t.cost, least.cost, rel_tol=1e-6)]
+
+        def independence(trial: Trial) -> float:
+            """Return 1 - |r| for the strongest correlation r of the term with another parameter."""
+            fit = self.required(terms | {trial.term})
+            k = fit.free.index(trial.term)
+            covariance = fit.covariance_of(fit.free)
+            r = np.abs(covariance[k]) / np.sqrt(covariance[k, k] * np.diag(covariance))
+            r[k] = 0.0
+            return float(f"{1 - np.nanmax(r):.2g}")  # what is equal leaves the choice to the order
+
+        return max(alike, key=independence)
 
     def alike(self, terms: Terms, fit: Fit) -> dict[str, dict[str, float]]:
-        """Return which terms could stand in the place of each chosen one, and how much larger AIC is with them."""
-        found: dict[str, dict[str, float]] = {}
+        """Return the terms that could replace each chosen one, and the increase in AIC with them."""
+        rivals: dict[str, dict[str, float]] = {}
         scale = cost_scale(with_independent_errors(fit))
-        for term in self._absent:
-            for other in self._absent:
-                if term not in terms or other in terms:
-                    continue
-                swapped = self.fit(terms - {term} | {other}, fit)
+        for term in (name for name in self.absent if name in terms):
+            for rival in (name for name in self.absent if name not in terms):
+                swapped = self.fitted(terms - {term} | {rival}, fit)
                 above = math.inf if swapped is None else 2 * (swapped.cost - fit.cost) / scale
                 if above < EQUAL_AIC:
-                    found.setdefault(term, {})[other] = above
-        return found
+                    rivals.setdefault(term, {})[rival] = above
+        return rivals
 
 
 def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -> AnyProblem:
-    """Return the problem with these candidates free and the others fixed at the values where they are absent."""
+    """Return the problem with these candidates free, and the others fixed where they are absent."""
     return problem.with_parts([_part(part, terms, absent) for part in problem.parts])
 
 
@@ -331,10 +311,7 @@ def _part(part: Problem, terms: Terms, absent: Mapping[str, float]) -> Problem:
         for name, value in absent.items()
         if name not in terms and name in inside
     }
-    fixed: dict[str, Any] = {
-        **{n: v for n, v in part.fixed_values.items() if n not in chosen},
-        **left_out,
-    }
+    fixed = {n: v for n, v in part.fixed_values.items() if n not in chosen} | left_out
     declared_fixed = [name for name in chosen if part.model.parameters[name].fixed]
     free = [name for name in part.free if name not in left_out and name not in declared_fixed]
     return part.with_(fixed=fixed, free=[*free, *declared_fixed])

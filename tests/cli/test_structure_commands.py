@@ -42,7 +42,7 @@ def test_a_saved_fit_is_reduced(capsys, tmp_path, yaw):
     status, out, _ = run(capsys, "reduce", yaw, "--starts", "1", "--out", smaller)
     assert status == 0
     assert "3 parameters instead of 4" in out
-    assert gb.load(smaller).free == ("a4", "a3_tilde_per_a2", "a1_tilde_per_a2")
+    assert set(gb.load(smaller).free) == {"a4", "a3_tilde_per_a2", "a1_tilde_per_a2"}
     assert "exists: give another name" in refused(capsys, "reduce", yaw, "--out", smaller)
     found = answer(capsys, "reduce", smaller)
     assert found["taken"] == found["tried"] == []

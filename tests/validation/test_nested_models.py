@@ -11,13 +11,7 @@ from scipy.stats import chi2, f
 
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
-from greybox.validation.nested_models import (
-    NestedTest,
-    _likelihood_ratio,
-    _p_value,
-    cost_scale,
-    ratio_test,
-)
+from greybox.validation.nested_models import NestedTest, cost_scale, f_tail, ratio_test
 
 
 def test_a_nested_test_says_what_is_needed():
@@ -58,12 +52,7 @@ def test_the_scaled_ratio_is_held_against_f(drags):
     assert found.statistic == pytest.approx(ratio / scale)
     assert found.dof == (1, large.dof)
     assert found.p_value == pytest.approx(f.sf(ratio / scale, 1, large.dof))
-    p = f"p = {found.p_value:.2g}" if found.p_value >= 0.001 else "p < 0.001"
-    assert str(found) == (
-        f"C_x {'is' if found.p_value < 0.05 else 'is not'} needed: LinearDrag is rejected by the test against Drag "
-        f"(F(1, {large.dof:.0f}) = {found.statistic:.4g}, {p}; likelihood ratio {ratio:.4g}, divided by {scale:.3g} "
-        "for residuals that are correlated in time)."
-    )
+    assert f"scaled by {scale:.3g} for residuals that are correlated in time" in str(found)
     assert repr(found).startswith("<NestedTest LinearDrag in Drag, p")
 
 
@@ -78,19 +67,10 @@ def test_a_fit_of_one_model_is_called_by_what_it_holds_and_one_of_another_model_
     assert gb.validation.nested_test(*drags).small == "LinearDrag"
 
 
-def test_without_a_ratio_the_estimates_are_held_against_their_errors(drags):
+def test_without_a_likelihood_ratio_nothing_is_tested(drags):
     small, large = drags
-    found = gb.validation.nested_test(small, replace(large, white=None))
-    t = large.estimate["C_x"] / large.standard_error["C_x"]
-    assert np.isnan(found.likelihood_ratio)
-    assert (found.scale, found.statistic) == (1.0, pytest.approx(t**2))
-    assert found.p_value == pytest.approx(f.sf(t**2, 1, large.dof))
-    assert str(found).endswith("; Wald test with the standard errors of the fit).")
-    held = fitted(Drag(), large.records[0].data, fixed={"C_x": 0.04})
-    t = (large.estimate["C_x"] - 0.04) / large.standard_error["C_x"]
-    assert gb.validation.nested_test(held, replace(large, white=None)).statistic == pytest.approx(
-        t**2
-    )
+    with pytest.raises(ValueError, match="no likelihood ratio"):
+        gb.validation.nested_test(small, replace(large, white=None))
 
 
 def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_directions(drags):
@@ -119,58 +99,29 @@ def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_dir
 
 
 def test_on_a_bound_half_of_the_statistic_has_one_degree_less():
-    assert _p_value(3.0, 1, 40.0, on_bound=False) == pytest.approx(f.sf(3.0, 1, 40))
-    assert _p_value(3.0, 1, 40.0, on_bound=True) == pytest.approx(f.sf(3.0, 1, 40) / 2)
-    assert _p_value(0.0, 1, 40.0, on_bound=True) == 1.0
+    assert f_tail(3.0, 1, 40.0, on_bound=False) == pytest.approx(f.sf(3.0, 1, 40))
+    assert f_tail(3.0, 1, 40.0, on_bound=True) == pytest.approx(f.sf(3.0, 1, 40) / 2)
+    assert f_tail(0.0, 1, 40.0, on_bound=True) == 1.0
     halves = f.sf(3.0, 2, 40), f.sf(6.0, 1, 40)
-    assert _p_value(3.0, 2, 40.0, on_bound=True) == pytest.approx(sum(halves) / 2)
-    assert _p_value(3.0, 2, np.inf, on_bound=False) == pytest.approx(chi2.sf(6.0, 2))
+    assert f_tail(3.0, 2, 40.0, on_bound=True) == pytest.approx(sum(halves) / 2)
+    assert f_tail(3.0, 2, np.inf, on_bound=False) == pytest.approx(chi2.sf(6.0, 2))
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (
-            {},
-            "(F(2, 30) = 1.5, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are correlated in time).",
-        ),
-        (
-            {"dof": (2, np.inf)},
-            "(chi2(2) = 3, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are",
-        ),
-        (
-            {"scaled_for": "residuals beyond the given variance", "scale": 1.0},
-            "p = 0.24; likelihood ratio 6).",
-        ),
-        (
-            {"scaled_for": "the size of the errors"},
-            "; twice the difference of the costs 6, divided by 2 for the size",
-        ),
-        (
-            {"p_value": 0.049},
-            "a, b are needed: small is rejected by the test against large (F(2, 30) = 1.5, p = 0.049",
-        ),
-        (
-            {"p_value": 0.051},
-            "a, b are not needed: small explains the data as well as large (F(2, 30) = 1.5, p = 0.051",
-        ),
-        (
-            {"terms": ("a",)},
-            "a is not needed: small explains the data as well as large (F(2, 30) = 1.5, ",
-        ),
+        ({}, "(F(2, 30) = 1.5, p = 0.24; scaled by 2 for residuals that are correlated in time)."),
+        ({"dof": (2, np.inf)}, "(chi2(2) = 3, p = 0.24; scaled"),
+        ({"scale": 1.0}, "p = 0.24)."),
+        ({"p_value": 0.049}, "a, b are needed: small is rejected"),
+        ({"p_value": 0.051}, "a, b are not needed: small explains the data as well as large"),
+        ({"terms": ("a",)}, "a is not needed: small explains the data as well as large"),
     ],
 )
-def test_what_is_said_of_a_test(given, words):
-    numbers = {
-        "likelihood_ratio": 6.0,
-        "scale": 2.0,
-        "statistic": 1.5,
-        "dof": (2, 30.0),
-        "p_value": 0.24,
-    }
-    assert words in str(
-        NestedTest(**{"small": "small", "large": "large", "terms": ("a", "b"), **numbers, **given})
-    )
+def test_the_verdict_comes_first(given, words):
+    numbers = {"likelihood_ratio": 6.0, "scale": 2.0, "statistic": 1.5, "dof": (2, 30.0)}
+    test = {"small": "small", "large": "large", "terms": ("a", "b"), "p_value": 0.24, **numbers}
+    assert words in str(NestedTest(**test | given))
 
 
 def test_a_term_that_ended_at_another_bound_or_is_not_determined_is_told(drags):
@@ -191,13 +142,13 @@ def test_a_term_that_ended_at_another_bound_or_is_not_determined_is_told(drags):
 
 def test_a_nested_test_keeps_its_size_where_residuals_are_correlated():
     scaled, bare = [], []
-    for seed in range(16):
+    for seed in range(10):
         record = flight(LINEAR, 100 + seed, duration=10.0, color=0.7)
         found = gb.validation.nested_test(fitted(LinearDrag(), record), fitted(Drag(), record))
         scaled.append(found.p_value < 0.05)
         bare.append(found.likelihood_ratio > 3.84)
     assert np.mean(bare) > 0.2  # as if the residuals were white
-    assert np.sum(scaled) <= 3  # of 16, at 5 %: in 99.3 % of such experiments
+    assert np.sum(scaled) <= 3  # of 10, at 5 %: in 99.9 % of such experiments
 
 
 def test_a_value_on_a_bound_has_half_of_the_distribution_at_one_degree_less():
@@ -317,17 +268,3 @@ def test_of_other_data_nothing_is_tested():
     held_out = gb.Record(time, {"u": np.sin(3 * time), "y": np.sin(3 * time - 0.7)})
     with pytest.raises(ValueError, match="folds need fits of the same data"):
         gb.compare(small, large, records=[held_out], folds=3)
-
-
-@pytest.mark.parametrize(("cost", "most"), [(-3.0, 0.02), (4e9, 4.0), (-4e9, 4.0)])
-def test_a_ratio_below_zero_by_what_solvers_leave_is_none(cost, most):
-    """A fiftieth, or a billionth of a large cost."""
-    large = SimpleNamespace(cost=cost)
-    for share in (-0.9, 5.0):
-        ratio = _likelihood_ratio(SimpleNamespace(cost=cost + share * most / 2), large, ("a", "b"))
-        assert ratio == pytest.approx(share * most, rel=1e-3)
-    with pytest.raises(
-        ValueError,
-        match="b costs more than a, which it contains: its fit has not found the minimum",
-    ):
-        _likelihood_ratio(SimpleNamespace(cost=cost - 1.1 * most / 2), large, ("a", "b"))
