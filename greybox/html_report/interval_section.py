@@ -76,12 +76,9 @@ def bootstrap_table(said: Mapping[str, Any]) -> list[Element]:
         errors = (
             number_cell(q[key], 3) for key in ("standard_error", "fit_standard_error", "bias")
         )
-        ends = (
-            Cell(interval_text(q[method]), (q[method] or [None])[0])
-            for method in ("percentile", "bca")
-        )
-        rows.append([Cell(name), number_cell(q["estimate"]), *errors, Cell(q["unit"]), *ends])
+        ends = Cell(interval_text(q["interval"]), (q["interval"] or [None])[0])
+        rows.append([Cell(name), number_cell(q["estimate"]), *errors, Cell(q["unit"]), ends])
     percent = f"{100 * said['level']:g} %"
     header = ["quantity", "estimate", "± error", "± error of the fit", "bias", "unit"]
-    found = table([*header, f"{percent} percentile", f"{percent} BCa"], rows)
+    found = table([*header, f"{percent} interval"], rows)
     return [tag("p", f"Bootstrap: {about}."), found, *(tag("p", text) for text in said["warnings"])]

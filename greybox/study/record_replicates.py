@@ -1,8 +1,7 @@
-"""Refits of records whose outputs were drawn anew, from the estimate.
+"""Refits of records whose outputs are drawn anew, from the estimate.
 
-As in `response_replicates`, a run is named by a number: from zero on a replicate, below zero the
-data without one piece. What travels is the compiled problem with the fitted outputs and the
-residuals.
+As in `response_replicates`, a run draws its data by its number. A worker receives the compiled
+problem with the fitted outputs and the residuals.
 """
 
 import math
@@ -17,19 +16,13 @@ import numpy as np
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, IntArray
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
-from greybox.study.resampling import drawn_blocks
 
 Drawn = Literal["blocks", "parametric", "parts"]
-
-# Pieces of which one is left out at a time, for the acceleration: each is a fit, and the skewness
-# of twenty values is known as well as that of the bias by a thousand replicates moves an end of an
-# interval.
-PIECES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,21 +96,6 @@ class RecordDraws:
         many = len(self.stretches)
         return np.bincount(random.integers(0, many, many), minlength=many).astype(float)
 
-    def without(self, k: int) -> list[list[Array]]:
-        """Return the measured outputs with piece k of `PIECES` left out, counted over all parts."""
-        total = sum(one.measured.shape[1] for some in self.stretches for one in some)
-        low, high = k * total // PIECES, (k + 1) * total // PIECES
-        found, begin = [], 0
-        for some in self.stretches:
-            of_part = []
-            for one in some:
-                values = one.measured.copy()
-                values[:, max(low - begin, 0) : max(high - begin, 0)] = np.nan
-                begin += values.shape[1]
-                of_part.append(values)
-            found.append(of_part)
-        return found
-
 
 def record_draws(
     nlp: Nlp,
@@ -183,6 +161,12 @@ def record_draws(
     )
 
 
+def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int) -> IntArray:
+    """Return `count` places in a series of `size` samples, in blocks of this length; the series is a circle."""
+    first = random.integers(0, size, -(-count // length))
+    return ((first[:, None] + np.arange(length)) % size).ravel()[:count]
+
+
 def _centered(stretches: Sequence[Array]) -> Array:
     """Return the values (k, n) of stretches side by side, less their means."""
     values = np.hstack(stretches)
@@ -213,11 +197,6 @@ class RecordReplicates(Runner):
         """Return what builds the same."""
         return RecordReplicates, (self._nlp, self._draws, self._start, self._nodes)
 
-    @property
-    def left_out(self) -> int:
-        """How many data sets there are with one piece left out."""
-        return len(self._nlp.parts) if self._draws.drawn == "parts" else PIECES
-
     def constants_of(self, number: int) -> Array:
         """Return the constants (c,) of a run."""
         return self._nlp.constant_values
@@ -227,18 +206,12 @@ class RecordReplicates(Runner):
         began = time.perf_counter()
         number = int(start[0])
         if self._draws.drawn == "parts":
-            counts = (
-                self._draws.counts(number)
-                if number >= 0
-                else 1 - np.eye(len(self._nodes))[-1 - number]
-            )
+            counts = self._draws.counts(number)
             kept = np.flatnonzero(counts).tolist()
             parts = [self._part(k).with_weight(float(counts[k])) for k in kept]
             nodes = tuple(self._nodes[k] for k in kept)
         else:
-            outputs = (
-                self._draws.outputs(number) if number >= 0 else self._draws.without(-1 - number)
-            )
+            outputs = self._draws.outputs(number)
             parts = [self._part(k).with_outputs(values) for k, values in enumerate(outputs)]
             nodes = self._nodes
         nlp = copy(self._nlp)

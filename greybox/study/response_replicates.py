@@ -1,15 +1,14 @@
-"""Refits of frequency responses whose data were drawn anew, from the estimate, many at once.
+"""Refits of frequency responses whose data are drawn anew, from the estimate, many at once.
 
-A run is named by a number, and draws its data itself: from zero on it is a replicate, whose random
-numbers follow from the seed and its number alone, and below zero the data without one observation,
-for the acceleration of BCa intervals. What travels to a worker is the measured data and the fitted
-response as numbers, and the compiled costs.
+A run draws its data by its number: its random numbers follow from the seed and the number alone. A
+worker receives the measured data and the fitted response as numbers, and the compiled cost.
 """
 
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import casadi as ca
@@ -155,20 +154,6 @@ class ResponseDraws:
             normal = normal / np.sqrt(random.chisquare(dof) / dof)
         return self.deviations[k] * normal
 
-    def without(self, k: int) -> tuple[int | None, Array]:
-        """Return what is given with observation k left out, and of which part it is a point, None for a whole part."""
-        counts = np.ones(len(self.tables))
-        if self.drawn == "parts":
-            counts[k] = 0.0
-            return None, given(self.constants, counts, self.tables)
-        tables = list(self.tables)
-        for part, table in enumerate(tables):
-            if k < table.shape[1]:
-                tables[part] = np.delete(table, k, axis=1)
-                return part, given(self.constants, counts, tables)
-            k -= table.shape[1]
-        raise IndexError(k)
-
 
 def response_draws(
     nlp: Nlp,
@@ -285,28 +270,22 @@ def response_replicates(nlp: Nlp, draws: ResponseDraws, x: Array) -> "ResponseRe
             f"the response of {nlp.problem.name!r} is compiled at its own frequencies alone (sines of finite "
             "amplitude, or a trim by Newton's method), so that no points can be drawn: use resampling='residuals'."
         )
-    without = []
-    if formulas is not None and draws.drawn != "parts" and min(sizes) > 1:
-        fewer = ([size - (k == part) for k, size in enumerate(sizes)] for part in range(len(sizes)))
-        without = [open_program(nlp, formulas, less) for less in fewer]
     program = open_program(nlp, formulas, sizes)
     return ResponseReplicates(
-        draws, program, without, nlp.scaling.to_solver(x), nlp.lower, nlp.upper, nlp.scaling
+        draws, program, nlp.scaling.to_solver(x), nlp.lower, nlp.upper, nlp.scaling
     )
 
 
 class ResponseReplicates(Runner):
-    """Newton's method on many data sets at once from the estimate; IPOPT for what it leaves.
+    """Newton's method on many data sets at once from the estimate; IPOPT for those that it does not solve.
 
     Parameters
     ----------
     draws : ResponseDraws
     program : casadi.Function
-        (z, smoothing, given) -> cost, limits; of as many points as were measured.
-    without : sequence of casadi.Function
-        The same with a point less in one part each; none where there are no such runs.
+        (z, smoothing, given) -> cost, limits.
     start : (p,) array
-        The estimate, as the solver sees it.
+        The estimate, in the solver's variables.
     lower, upper : (p,) arrays
         Bounds of the parameters.
     scaling : Scaling
@@ -320,34 +299,25 @@ class ResponseReplicates(Runner):
         self,
         draws: ResponseDraws,
         program: ca.Function,
-        without: Sequence[ca.Function],
         start: Array,
         lower: Array,
         upper: Array,
         scaling: Scaling,
     ) -> None:
-        """Keep them; solvers are built when they are needed."""
-        self._given = draws, program, tuple(without), start, lower, upper, scaling
-        self._draws, self._start, self._scaling = draws, start, scaling
-        self._bounds = lower, upper
-        self._programs: dict[int | None, ca.Function] = {None: program, **dict(enumerate(without))}
-        self._newton: dict[int | None, BatchedNewton] = {}
-        self._ipopt: dict[int | None, Ipopt] = {}
+        self._arguments = draws, program, start, lower, upper, scaling
+        self._draws = draws
+        self._program = program
+        self._limits = lower, upper
+        self._scaling = scaling
+        self._bounds = scaling.to_solver(lower), scaling.to_solver(upper)
+        self._start = np.clip(start, *self._bounds)
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseReplicates"], tuple[Any, ...]]:
-        """Return what builds the same."""
-        return ResponseReplicates, self._given
-
-    @property
-    def left_out(self) -> int:
-        """How many data sets there are with one observation left out."""
-        if self._draws.drawn == "parts":
-            return len(self._draws.tables)
-        return sum(table.shape[1] for table in self._draws.tables) if len(self._programs) > 1 else 0
+        return ResponseReplicates, self._arguments
 
     def constants_of(self, number: int) -> Array:
         """Return the constants (c,) of a run."""
-        return self._draws.constants if number < 0 else self._draws.constants_of(number)
+        return self._draws.constants_of(number)
 
     def run(self, start: Array) -> Outcome:
         """Make the run of a number, (1,)."""
@@ -356,75 +326,65 @@ class ResponseReplicates(Runner):
     def run_together(self, starts: Array) -> list[Outcome]:
         """Make the runs of all numbers (r, 1)."""
         began = time.perf_counter()
-        found: dict[int, Outcome] = {}
-        sets: dict[int | None, list[tuple[int, Array]]] = {}
-        for row, number in enumerate(starts[:, 0].astype(int).tolist()):
-            if number < 0:
-                which, numbers = self._draws.without(-1 - number)
-            else:
-                which, numbers = None, self._draws.replicate(number)
-            if numbers is None:
-                found[row] = Outcome(
-                    np.full(len(self._start), np.nan), FEW, 0, 0.0, converged=False
-                )
-            else:
-                sets.setdefault(which, []).append((row, numbers))
-        for which, some in sets.items():
-            outcomes = self._solved(which, np.array([numbers for _, numbers in some]).T)
-            found |= dict(zip([row for row, _ in some], outcomes, strict=True))
+        drawn = [self._draws.replicate(number) for number in starts[:, 0].astype(int).tolist()]
+        solvable = [numbers for numbers in drawn if numbers is not None]
+        outcomes = iter(self._solved(np.array(solvable).T) if solvable else [])
+        too_few = Outcome(np.full(len(self._start), np.nan), FEW, 0, 0.0, converged=False)
         each = (time.perf_counter() - began) / len(starts)
         return [
-            Outcome(o.estimate, o.status, o.iterations, each, converged=o.converged, stage=o.stage)
-            for o in (found[row] for row in range(len(starts)))
+            replace(too_few if numbers is None else next(outcomes), seconds=each)
+            for numbers in drawn
         ]
 
-    def _solved(self, which: int | None, numbers: Array) -> list[Outcome]:
+    def _solved(self, numbers: Array) -> list[Outcome]:
         """Solve for the data in the columns of `numbers` (g, m)."""
         count = numbers.shape[1]
-        lower, upper = (self._scaling.to_solver(bound) for bound in self._bounds)
-        program = self._programs[which]
-        z = np.tile(np.clip(self._start, lower, upper)[:, None], count)
-        arrived, iterations = np.zeros(count, bool), np.zeros(count, int)
-        if _is_small(program):
-            if which not in self._newton:
-                self._newton[which] = BatchedNewton(program, lower, upper)
-            ends = self._newton[which].minimize(
-                z, max_iterations=ITERATIONS, tolerance=TOLERANCE, from_near=True, given=numbers
-            )
-            z, arrived, iterations = ends.z, ends.at_minimum, ends.iterations
+        if self._newton is None:
+            return [self._by_ipopt(column) for column in numbers.T]
+        ends = self._newton.minimize(
+            np.tile(self._start[:, None], count),
+            max_iterations=ITERATIONS,
+            tolerance=TOLERANCE,
+            from_near=True,
+            given=numbers,
+        )
         return [
             Outcome(
-                self._estimate(z[:, k]),
+                self._estimate(ends.z[:, k]),
                 AT_MINIMUM,
-                int(iterations[k]),
+                int(ends.iterations[k]),
                 0.0,
                 converged=True,
                 stage=IMPROVED,
             )
-            if arrived[k]
-            else self._by_ipopt(which, numbers[:, k])
+            if ends.at_minimum[k]
+            else self._by_ipopt(numbers[:, k])
             for k in range(count)
         ]
 
-    def _by_ipopt(self, which: int | None, numbers: Array) -> Outcome:
+    @cached_property
+    def _newton(self) -> BatchedNewton | None:
+        return BatchedNewton(self._program, *self._bounds) if _is_small(self._program) else None
+
+    @cached_property
+    def _ipopt(self) -> Ipopt:
+        kind: Any = ca.SX if self._program.is_a("SXFunction") else ca.MX
+        z = kind.sym("z", self._program.numel_in(0))
+        p = kind.sym("p", 1 + self._program.numel_in(2))
+        cost, limits = self._program(z, p[0], p[1:])
+        return Ipopt({"x": z, "p": p, "f": cost, "g": limits}, WARM)
+
+    def _by_ipopt(self, numbers: Array) -> Outcome:
         if cut := reason_to_end():
             return Outcome(np.full(len(self._start), np.nan), cut, 0, 0.0, converged=False)
-        program = self._programs[which]
-        if which not in self._ipopt:
-            kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
-            z, p = kind.sym("z", program.numel_in(0)), kind.sym("p", 1 + program.numel_in(2))
-            cost, limits = program(z, p[0], p[1:])
-            self._ipopt[which] = Ipopt({"x": z, "p": p, "f": cost, "g": limits}, WARM)
-        lower, upper = (self._scaling.to_solver(bound) for bound in self._bounds)
+        lower, upper = self._bounds
         bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": math.inf}
-        begin = np.clip(self._start, lower, upper)
-        end, status, iterations = self._ipopt[which].solve(
-            begin, np.concatenate([[SMOOTHING], numbers]), bounds
-        )
+        p = np.concatenate([[SMOOTHING], numbers])
+        end, status, iterations = self._ipopt.solve(self._start, p, bounds)
         return Outcome(self._estimate(end), status, iterations, 0.0, converged=status in CONVERGED)
 
     def _estimate(self, z: Array) -> Array:
-        return np.clip(self._scaling.to_parameters(z), *self._bounds)
+        return np.clip(self._scaling.to_parameters(z), *self._limits)
 
 
 def _is_small(program: ca.Function) -> bool:

@@ -228,14 +228,14 @@ def test_a_bootstrap_is_a_sentence_and_a_table():
     }
     said = {
         "about": "residuals resampled", "replicates": 1, "failed": 2, "seed": 5, "level": 0.9, "warnings": ["few."],
-        "quantities": {"T": {**q, "percentile": [1.5, 2.5], "bca": None}},
+        "quantities": {"T": {**q, "interval": [1.5, 2.5]}},
     }  # fmt: skip
     sentence, found, warning = bootstrap_table(said)
     assert sentence.text == "Bootstrap: residuals resampled; 1 replicate, 2 failed; seed 5."
     header, row = texts(found)
-    assert header[-2:] == ["90 % percentile", "90 % BCa"]
+    assert header[-1] == "90 % interval"
     assert row[:6] == ["T", "2", "0.123", "0.11", "−0.01", "s"]
-    assert [cell.get("data-value") for cell in found.iter("td")][-2:] == ["1.5", None]
+    assert [cell.get("data-value") for cell in found.iter("td")][-1:] == ["1.5"]
     assert warning.text == "few."
     assert (
         bootstrap_table({**said, "failed": 0})[0].text

@@ -21,7 +21,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.html_report.elements import html
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.problems import pitch_hover, yaw_hover
-from greybox.study.bootstrap import Bootstrap, _resampling, _warnings, interval_text
+from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
 from greybox.study.response_replicates import response_draws
 
 OMEGA = np.geomspace(0.5, 20, 8)
@@ -121,19 +121,16 @@ def test_what_was_interrupted_goes_on(lag, tmp_path):
     again = gb.bootstrap(lag, replicates=200, folder=tmp_path, progress=False)
     assert_array_equal(again.values, whole.values)
     assert again.interval() == whole.interval()
-    with pytest.raises(ValueError, match="made for another problem"):
+    with pytest.raises(ValueError, match="those of another problem"):
         gb.bootstrap(lag, replicates=200, seed=1, folder=tmp_path, progress=False)
 
 
 def test_a_parameter_that_the_data_leave_open_has_no_upper_end():
     fit = gb.fit(yaw_hover.problem(), starts=12, progress=False)
     found = gb.bootstrap(fit, "residuals", 200, progress=False)
-    low, high = found.interval(method="percentile")["a2"]
-    with pytest.raises(ValueError, match="method is 'normal': give 'bca' or 'percentile'"):
-        found.interval(method="normal")
+    low, high = found.interval()["a2"]
     assert low > 50
     assert high == np.inf
-    assert found.at_bound["a2"][1] > 0.025
     assert "above" in str(found)
 
 
@@ -191,7 +188,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     make, truth, _ = coverage.response_case(*coverage.RESPONSES[0][1:])
     counts, failed = coverage.held(make, truth, "residuals", 8, 200)
     # Of 16 intervals of nominally 95 % at least 12 hold (99.9 % of the time).
-    assert min(sum(counts["percentile"].values()), sum(counts["bca"].values())) >= 12
+    assert sum(counts["percentile"].values()) >= 12
     assert failed == 0
 
 
@@ -200,7 +197,7 @@ def test_what_cannot_be_drawn_is_refused(lag):
         gb.bootstrap(lag, "blocks")
     with pytest.raises(ValueError, match="has 1 part"):
         gb.bootstrap(lag, "parts")
-    with pytest.raises(ValueError, match="replicates is 1"):
+    with pytest.raises(ValueError, match="replicates=1 must be"):
         gb.bootstrap(lag, replicates=1)
     exact = gb.fit(
         gb.Problem(Lag(), measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3})), starts=8, progress=False
@@ -209,15 +206,12 @@ def test_what_cannot_be_drawn_is_refused(lag):
         gb.bootstrap(exact)
 
 
-def test_an_estimate_beyond_all_replicates_has_no_interval(lag):
+def test_the_page_shows_the_interval(lag):
     found = gb.bootstrap(lag, replicates=10, progress=False)
-    said = replace(found, estimate=found.estimate + 9).summary()
-    assert said["quantities"]["K"]["bca"] is None
-    low, high = found.interval(method="percentile")["K"]
-    assert said["quantities"]["K"]["percentile"] == [low, high]
-    shown = "".join(map(html, bootstrap_table(said)))
-    assert f"{low:.5g} to {high:.5g}" in shown
-    assert "open" not in shown
+    low, high = found.interval()["K"]
+    summary = found.summary()
+    assert summary["quantities"]["K"]["interval"] == [low, high]
+    assert f"{low:.5g} to {high:.5g}" in "".join(map(html, bootstrap_table(summary)))
 
 
 def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):
@@ -234,15 +228,15 @@ def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out)
     expected = gb.bootstrap(pitch, "parametric", 150, progress=False)
-    assert answer["quantities"]["a1"]["bca"] == list(expected.interval()["a1"])
+    assert answer["quantities"]["a1"]["interval"] == list(expected.interval()["a1"])
     assert answer["failed"] == 0
     assert main([*words, "--level", "2"]) == 2
 
 
 def test_many_failed_replicates_are_told_and_few_are_not():
-    assert not [*_warnings(("",) * 1000, math.inf)]
-    assert not [*_warnings(("",) * 999 + ("stagnated",), math.inf)]
-    (said,) = _warnings(("",) * 500 + ("stagnated",) * 500, math.inf)
+    assert not [*replicate_warnings(("",) * 1000, math.inf)]
+    assert not [*replicate_warnings(("",) * 999 + ("stagnated",), math.inf)]
+    (said,) = replicate_warnings(("",) * 500 + ("stagnated",) * 500, math.inf)
     assert said.startswith("500 of 1000 replicates failed (500 stagnated)")
 
 
@@ -263,8 +257,7 @@ def replicates():
     }
     given |= {
         "estimate": np.array([1.8, 0.1]),
-        "given_error": np.array([0.5, np.nan]),
-        "left_out": np.zeros((0, 2)),
+        "fit_error": np.array([0.5, np.nan]),
     }
     given |= {
         "statuses": tuple("stagnated" if k in (3, 7) else "" for k in range(40)),
@@ -284,10 +277,6 @@ def test_errors_and_biases_are_those_of_the_replicates_that_did_not_fail(replica
     assert replicates.failed == 2
     assert [*replicates.standard_error.values()] == pytest.approx(np.std(done, axis=0, ddof=1))
     assert [*replicates.bias.values()] == pytest.approx(done.mean(axis=0) - [1.8, 0.1])
-    low, high = replicates.at_bound["a"]
-    assert (low, high) == (np.mean(done[:, 0] == 1e-9), np.mean(done[:, 0] > 9.999))
-    assert low > 0
-    assert replicates.at_bound["b"] == (0, 0)
     alone = replace(replicates, values=replicates.values[:1])
     assert np.isnan([*alone.standard_error.values()]).all()
     two = replace(replicates, values=replicates.values[:2])
@@ -298,19 +287,19 @@ def test_errors_and_biases_are_those_of_the_replicates_that_did_not_fail(replica
 
 def test_an_interval_is_open_where_replicates_reach_the_bound(replicates):
     done = np.delete(replicates.values, [3, 7], axis=0)
-    found = replicates.interval(0.5, "percentile", widened=False)
-    assert found["a"] == pytest.approx(np.quantile(done[:, 0], [0.25, 0.75]))
-    wide = replicates.interval(0.95, "percentile")
+    normal = replace(replicates, dof=np.full(2, np.inf))
+    assert normal.interval(0.5)["a"] == pytest.approx(np.quantile(done[:, 0], [0.25, 0.75]))
+    wide = replicates.interval(0.95)
     assert wide["a"][0] == -math.inf
     assert wide["a"][1] < 10
     held = replace(
         replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 0.5e-4)], [-np.inf, np.inf]])
     )
-    assert held.interval(0.9999999, "percentile")["a"] == (-math.inf, math.inf)
+    assert held.interval(0.9999999)["a"] == (-math.inf, math.inf)
     apart = replace(
         replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 3e-4)], [-np.inf, np.inf]])
     )
-    assert apart.interval(0.9999999, "percentile")["a"][1] == pytest.approx(done[:, 0].max())
+    assert apart.interval(0.9999999)["a"][1] == pytest.approx(done[:, 0].max())
 
 
 @pytest.mark.parametrize(
@@ -338,14 +327,12 @@ def test_a_bootstrap_is_printed_with_its_numbers(replicates):
     (row,) = [line.split() for line in text if line.split()[:1] == ["a"]]
     error, bias = replicates.standard_error["a"], replicates.bias["a"]
     assert [float(x) for x in row[1:5]] == pytest.approx([1.8, error, 0.5, bias], rel=0.05)
-    exact = replace(replicates, given_error=np.array([1 / 3, np.nan]))
+    exact = replace(replicates, fit_error=np.array([1 / 3, np.nan]))
     (row,) = [line.split() for line in str(exact).splitlines() if line.split()[:1] == ["a"]]
     assert [float(x) for x in row[2:5]] == [float(f"{error:.3g}"), 0.333, float(f"{bias:.2g}")]
     said = replicates.summary(0.8)
     assert (said["level"], said["statuses"], said["replicates"]) == (0.8, {"stagnated": 2}, 40)
-    assert said["quantities"]["b"]["percentile"] == pytest.approx(
-        replicates.interval(0.8, "percentile")["b"]
-    )
+    assert said["quantities"]["b"]["interval"] == pytest.approx(replicates.interval(0.8)["b"])
     assert said["quantities"]["b"]["fit_standard_error"] is None
 
 
@@ -365,7 +352,7 @@ def test_an_interval_is_said(ends, text):
 
 @pytest.mark.parametrize(("failed", "told"), [(50, False), (51, True)])
 def test_a_twentieth_of_the_replicates_may_fail(failed, told):
-    said = [*_warnings(("stagnated",) * failed + ("",) * (1000 - failed), math.inf)]
+    said = [*replicate_warnings(("stagnated",) * failed + ("",) * (1000 - failed), math.inf)]
     assert [text.startswith(f"{failed} of 1000 replicates failed (") for text in said] == [
         True
     ] * told
@@ -376,7 +363,7 @@ def test_a_twentieth_of_the_replicates_may_fail(failed, told):
 )
 def test_four_replicates_lie_beyond_each_end(count, dof, make):
     """Of 2.5 % of them, or of what normal replicates leave beyond Student's t of the degrees of freedom."""
-    said = [text for text in _warnings(("",) * count, dof) if "beyond each end" in text]
+    said = [text for text in replicate_warnings(("",) * count, dof) if "beyond each end" in text]
     assert [text.endswith(f"make {make} instead of {count}.") for text in said] == [True] * (
         make is not None
     )
@@ -398,16 +385,16 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
             ValueError,
             "has no estimate to begin from: stagnated",
         ),
-        ({}, {"seed": -1}, ValueError, "seed is -1: give a whole number of at least 0"),
-        ({}, {"seed": True}, ValueError, "seed is True: give"),
-        ({}, {"seed": 1.0}, ValueError, "seed is 1.0: give"),
+        ({}, {"seed": -1}, ValueError, "seed=-1 must be"),
+        ({}, {"seed": True}, ValueError, "seed=True must be"),
+        ({}, {"seed": 1.0}, ValueError, "seed=1.0 must be"),
         (
             {},
             {"replicates": True},
             ValueError,
-            "replicates is True: give a whole number of at least 2",
+            "replicates=True must be",
         ),
-        ({}, {"replicates": 2.0}, ValueError, "replicates is 2.0: give"),
+        ({}, {"replicates": 2.0}, ValueError, "replicates=2.0 must be"),
         ({}, {"executor": ThreadPoolExecutor}, TypeError, "give an instance such as"),
         ({"spectra": ("one",)}, {}, ValueError, "'made' has manoeuvres, which are not drawn yet"),
         (
@@ -456,20 +443,9 @@ def test_what_cannot_be_repeated_is_said(change, options, error, sentence):
         gb.bootstrap(fit, **options)
 
 
-def test_of_three_parts_and_more_whole_parts_are_drawn_and_by_default_what_suits_the_data():
-    parts = (SimpleNamespace(is_prior=False),) * 3
-    fit = SimpleNamespace(name="made", spectra=(), parts=parts, records=parts, responses=())
-    assert _resampling(fit, "parts") == "parts"
-    assert _resampling(fit, None) == "blocks"
-    assert (
-        _resampling(SimpleNamespace(**vars(fit) | {"records": (), "responses": parts}), None)
-        == "parametric"
-    )
-
-
 @pytest.mark.parametrize("level", [0, 1, 95])
 def test_a_level_is_a_share(replicates, level):
-    with pytest.raises(ValueError, match=f"level {level} must lie between 0 and 1, e.g. 0.95"):
+    with pytest.raises(ValueError, match=f"level={level} must lie between 0 and 1"):
         replicates.interval(level)
 
 
@@ -488,6 +464,28 @@ def test_parts_that_share_no_parameter_are_not_drawn():
     fit = gb.fit(sum(own), starts=1, progress=False, profiles=False)
     with pytest.raises(
         ValueError,
-        match=r"the parts of .* share no parameter, so that none is left to draw them for",
+        match="share no parameter",
     ):
         gb.bootstrap(fit, "parts", 2, progress=False)
+
+
+def test_intervals_are_quantiles_as_far_out_as_those_of_students_t():
+    """Normal replicates of deviation 1, as a bootstrap of a mean gives them."""
+    values = norm.ppf((np.arange(100_000) + 0.5) / 100_000)[:, None]
+    infinite = np.array([[-np.inf, np.inf]])
+    names = {"names": ("a",), "units": ("",), "resampling": "points", "about": "", "seed": 0}
+    for dof in (5.0, np.inf):
+        made = Bootstrap(
+            "made",
+            **names,
+            estimate=np.zeros(1),
+            fit_error=np.ones(1),
+            values=values,
+            statuses=("",) * len(values),
+            bounds=infinite,
+            dof=np.array([dof]),
+        )
+        assert_allclose(
+            made.interval()["a"], np.array([-1, 1]) * student.ppf(0.975, dof), rtol=2e-3
+        )
+        assert tail(0.95, dof) == pytest.approx(norm.sf(student.ppf(0.975, dof)))

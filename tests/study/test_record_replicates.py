@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.study.record_replicates import PIECES, RecordReplicates, record_draws
+from greybox.study.record_replicates import RecordReplicates, drawn_blocks, record_draws
 
 VALUES = 2 + 0.1 * np.random.default_rng(1).normal(size=12)
 
@@ -75,24 +75,6 @@ def test_missing_samples_stay_missing_and_do_not_count():
         assert np.isnan(drawn[0]).tolist() == np.isnan(values).tolist()
 
 
-def test_every_sample_is_left_out_once_where_pieces_cross_from_record_to_record_too():
-    """Two samples a piece, of records of 13 and 27."""
-    records = [
-        gb.Record(np.arange(n) / 10, {"u": np.ones(n), "y": np.arange(n) % 3.0}) for n in (13, 27)
-    ]
-    nlp = compile_problem(gb.several(Ramp(), records))
-    trajectories = tuple(
-        part.initial_trajectory(nlp.scaling.to_solver(np.array([2.0]))) for part in nlp.parts
-    )
-    draws = record_draws(nlp, trajectories, (None, None), "residuals", 0, 1)
-    left_out = np.array(
-        [np.concatenate([np.isnan(v).ravel() for (v,) in draws.without(k)]) for k in range(PIECES)]
-    )
-    assert left_out.shape == (20, 40)
-    assert left_out.sum(axis=0).tolist() == [1] * 40
-    assert left_out.sum(axis=1).tolist() == [2] * 20
-
-
 def levels():
     """Five records of a constant that differs between them, and their solver's begin."""
     random = np.random.default_rng(2)
@@ -133,20 +115,6 @@ def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_b
 def test_a_block_is_no_longer_than_the_record():
     with pytest.raises(ValueError, match="block is 13: give a number of samples from 1 to 12"):
         draws_of("residuals", block=13)
-
-
-def test_each_record_is_left_out_once():
-    """Below zero, against the fits of the four others."""
-    records, nlp, start, trajectories = levels()
-    draws = record_draws(nlp, trajectories, (None,) * 5, "parts", 0, 1)
-    runner = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories))
-    assert runner.left_out == 5
-    for k in (0, 4):
-        found = runner.run(np.array([-1.0 - k]))
-        others = [record for j, record in enumerate(records) if j != k]
-        fit = gb.fit(gb.several(Ramp(), others), starts=[{}], progress=False)
-        assert_allclose(found.estimate, fit.estimate["K"], rtol=1e-6)
-        assert found.converged
 
 
 class Pair(gb.StateSpace):
@@ -213,3 +181,14 @@ def test_blocks_of_residuals_are_drawn_of_both_outputs_at_once_and_what_is_missi
             else:
                 assert drawn[0][k] == pytest.approx(own, abs=1e-12)
     assert replaced > 0
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "length"), [(12, 5, 4), (13, 30, 4), (3, 30, 7), (4, 4, 1), (100, 30, 7)]
+)
+def test_blocks_follow_each_other_on_a_circle(count, size, length):
+    places = drawn_blocks(np.random.default_rng(1), count, size, length)
+    assert len(places) == count
+    assert places.min() >= 0
+    assert places.max() < size
+    assert np.all((np.diff(places) % size == 1) | (np.arange(1, count) % length == 0))

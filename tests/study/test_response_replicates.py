@@ -53,17 +53,6 @@ def test_parts_are_drawn_as_often_as_there_are_parts():
     assert np.var(counts) == pytest.approx(4 * 1 / 4 * 3 / 4, abs=0.15)  # binomial
 
 
-def test_one_observation_is_left_out():
-    part, values = draws("points", parts=2).without(4)
-    assert part == 1
-    assert values[2 : 2 + 9].reshape(3, 3)[0].tolist() == [1, 2, 3]
-    assert values[2 + 9 :].reshape(3, 2)[0].tolist() == [1, 3]
-    part, values = draws("parts", parts=3).without(1)
-    assert (part, values[:3].tolist()) == (None, [1, 0, 1])
-    with pytest.raises(IndexError):
-        draws("points").without(3)
-
-
 def measured_points(found, points=3):
     """The measured responses among what is given for replicates of one part without constants: (replicates, points)."""
     tables = np.array(found)[:, 1:].reshape(len(found), 3, points)
@@ -113,7 +102,6 @@ def test_constants_of_an_earlier_fit_are_drawn_with_their_covariance():
     assert found.mean(axis=0) == pytest.approx([5, 7], abs=0.05)
     assert np.cov(found.T) == pytest.approx(root @ root.T, rel=0.1)
     assert made.replicate(8)[:2] == pytest.approx(found[8])
-    assert made.without(0)[1][:2].tolist() == [5, 7]
 
 
 class Lag(gb.TransferFunction):
@@ -214,7 +202,6 @@ def test_data_that_are_fitted_exactly_have_no_errors_to_draw():
 
 
 def test_a_replicate_is_refitted_as_its_data_would_be():
-    """And so is what is left without a point, by Newton's method for all at once."""
     made, *_ = lag_draws(0.05, gb.SquaredRelativeError())
     nlp = compile_problem(
         gb.Problem(
@@ -224,24 +211,14 @@ def test_a_replicate_is_refitted_as_its_data_would_be():
         )
     )
     runner = response_replicates(nlp, made, np.array([2.0, 0.5]))
-    assert runner.left_out == 5
     assert runner.constants_of(3).size == 0
-    outcomes = runner.run_together(np.array([[7.0], [-2.0]]))
+    (outcome,) = runner.run_together(np.array([[7.0]]))
     table = made.replicate(7)[1:].reshape(6, 5)
-    drawn = gb.FrequencyResponse(OMEGA, table[1] + 1j * table[2], "u", "y")
-    keep = np.arange(5) != 1
-    without = gb.FrequencyResponse(
-        OMEGA[keep], made.tables[0][1, keep] + 1j * made.tables[0][2, keep], "u", "y"
+    data = gb.FrequencyResponse(OMEGA, table[1] + 1j * table[2], "u", "y")
+    assert outcome.converged
+    assert outcome.estimate == pytest.approx(
+        refitted(gb.Problem(Lag(), data, gb.SquaredRelativeError())), rel=1e-5
     )
-    for outcome, data in zip(outcomes, (drawn, without), strict=True):
-        fit = gb.fit(
-            gb.Problem(Lag(), data, gb.SquaredRelativeError()),
-            starts=[{}],
-            progress=False,
-            profiles=False,
-        )
-        assert outcome.converged
-        assert outcome.estimate == pytest.approx([fit.estimate["K"], fit.estimate["T"]], rel=1e-5)
 
 
 def test_errors_of_neighbors_in_frequency_are_correlated_along_and_across_the_response():
@@ -297,27 +274,20 @@ def refitted(problem):
     return [fit.estimate["K"], fit.estimate["T"]]
 
 
-def runner_of(drawn, sets):
+def runner_of(drawn, sets, **changes):
     nlp = compile_problem(joint(sets))
     x = np.array(refitted(joint(sets)))
     made = response_draws(nlp, x, np.zeros(2, bool), np.zeros((0, 0)), drawn, 4)
+    made = replace(made, **changes)
     return response_replicates(nlp, made, x), made, x
 
 
 @pytest.mark.parametrize("by_ipopt", [False, True])
-def test_each_point_of_each_part_is_left_out_once(monkeypatch, by_ipopt):
-    """In one batch with replicates, whose points are as many as were measured; and so where IPOPT solves them."""
+def test_drawn_points_are_fitted_by_newton_or_ipopt(monkeypatch, by_ipopt):
     if by_ipopt:
         monkeypatch.setattr("greybox.study.response_replicates.MOST_UNKNOWNS", 1)
-    sets = two_parts()
-    runner, made, _ = runner_of("points", sets)
-    assert runner.left_out == 9
-    outcomes = runner.run_together(np.array([[-1.0 - 6], [3.0], [-1.0 - 2]]))
-    keep = np.arange(5)
-    first = gb.FrequencyResponse(OMEGA[keep != 2], sets[0].response[keep != 2], "u", "y")
-    second = gb.FrequencyResponse(
-        sets[1].omega[keep[:4] != 1], sets[1].response[keep[:4] != 1], "u", "y"
-    )
+    runner, made, _ = runner_of("points", two_parts())
+    outcomes = runner.run_together(np.array([[4.0], [3.0]]))
     values = made.replicate(3)
     tables = values[2:32].reshape(6, 5), values[32:].reshape(6, 4)
     # Points that are drawn twice lie beside one another, which changes nothing.
@@ -326,25 +296,22 @@ def test_each_point_of_each_part_is_left_out_once(monkeypatch, by_ipopt):
         gb.FrequencyResponse(w, t[1] + 1j * t[2], "u", "y")
         for w, t in zip(apart, tables, strict=True)
     ]
-    for outcome, wanted in zip(outcomes, ([sets[0], second], drawn, [first, sets[1]]), strict=True):
-        assert outcome.converged
-        assert outcome.iterations > 0
-        assert (outcome.stage == "improved") is not by_ipopt
-        assert outcome.estimate == pytest.approx(refitted(joint(wanted)), rel=1e-5)
+    assert outcomes[1].converged
+    assert outcomes[1].iterations > 0
+    assert (outcomes[1].stage == "improved") is not by_ipopt
+    assert outcomes[1].estimate == pytest.approx(refitted(joint(drawn)), rel=1e-5)
     assert runner.run(np.array([3.0])).estimate == pytest.approx(outcomes[1].estimate, rel=1e-7)
 
 
-def test_parts_are_left_out_and_drawn_as_often_as_they_are():
+def test_a_part_that_is_not_drawn_does_not_count():
     sets = two_parts()
     runner, made, _ = runner_of("parts", sets)
-    assert runner.left_out == 2
     number = next(k for k in range(50) if made.replicate(k)[:2].tolist() == [0, 2])
-    outcomes = runner.run_together(np.array([[-1.0], [-2.0], [float(number)]]))
-    alone = [refitted(gb.Problem(Lag(), data, gb.SquaredRelativeError())) for data in sets]
-    for outcome, wanted in zip(outcomes, (alone[1], alone[0], alone[1]), strict=True):
-        assert outcome.converged
-        assert outcome.estimate == pytest.approx(wanted, rel=1e-5)
-    assert all(outcome.seconds > 0 for outcome in outcomes)
+    (outcome,) = runner.run_together(np.array([[float(number)]]))
+    alone = refitted(gb.Problem(Lag(), sets[1], gb.SquaredRelativeError()))
+    assert outcome.converged
+    assert outcome.estimate == pytest.approx(alone, rel=1e-5)
+    assert outcome.seconds > 0
 
 
 def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
@@ -356,19 +323,9 @@ def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
     assert np.isnan(outcome.estimate).all()
 
 
-def test_of_a_part_of_one_point_none_can_be_left_out():
-    sets = two_parts()
-    one = gb.FrequencyResponse(sets[1].omega[:1], sets[1].response[:1], "u", "y")
-    runner, _, _ = runner_of("residuals", [sets[0], one])
-    assert runner.left_out == 0
-    two = gb.FrequencyResponse(sets[1].omega[:2], sets[1].response[:2], "u", "y")
-    assert runner_of("residuals", [sets[0], two])[0].left_out == 7
-
-
 def test_a_replicate_of_too_few_points_has_no_estimate():
     """Nine points are at most eighteen numbers."""
-    runner, made, _ = runner_of("points", two_parts())
-    runner._draws = replace(made, unknowns=18)
+    runner, _, _ = runner_of("points", two_parts(), unknowns=18)
     (outcome,) = runner.run_together(np.array([[5.0]]))
     assert (outcome.status, outcome.converged, outcome.iterations) == (
         "too few distinct points",
