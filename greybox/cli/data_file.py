@@ -6,8 +6,9 @@ from pathlib import Path
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.data.response_file import COLUMNS, HDF5, read_response
-from greybox.data.transient_file import holds_spectrum, read_spectrum
+from greybox.data.response_columns import OMEGA, RECTANGULAR
+from greybox.data.response_file import HDF5, read_response
+from greybox.data.transient_file import claims_spectrum, read_spectrum
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import to_si
 from greybox.files.delimited_text import read_delimited
@@ -41,7 +42,7 @@ def read_data(
     """
     path = Path(path)
     require_file(path)
-    if not columns and holds_spectrum(path):
+    if not columns and claims_spectrum(path):
         return read_spectrum(path)
     if {"frequency", "magnitude"} & columns.keys() if columns else _is_response(path):
         return as_the_only_pair(
@@ -53,7 +54,7 @@ def read_data(
         if columns:
             raise
         raise ValueError(
-            f"{path} is neither a frequency response, with columns {', '.join(COLUMNS[:3])}, nor a record: {error}"
+            f"{path} is neither a frequency response, with columns {', '.join((OMEGA, *RECTANGULAR))}, nor a record: {error}"
         ) from None
     return _record_of(log, path, model)
 
@@ -66,12 +67,14 @@ def _is_response(path: Path) -> bool:
     if b"\0" in head:
         return False
     names = read_delimited(path, head).header
-    if "omega_rad_s" in names or not names:
+    if OMEGA in names or not names:
         return True
     timed = any(
         seconds(*heading(name)) for name in names
     )  # alpha and beta are also angles of a flight
-    return not timed and any(name.endswith(column) for name in names for column in COLUMNS[:3])
+    return not timed and any(
+        name.endswith(column) for name in names for column in (OMEGA, *RECTANGULAR)
+    )
 
 
 def _record_of(log: Recording, path: Path, model: Model) -> Record:

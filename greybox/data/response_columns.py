@@ -1,4 +1,4 @@
-"""Which columns of somebody's table are a frequency response, and in which units."""
+"""Finds the columns of a frequency response, and their units, in a table of any origin."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,36 +12,36 @@ from greybox.files.arrays import Array
 from greybox.files.heading import heading
 from greybox.files.text_table import alternatives
 
+OMEGA = "omega_rad_s"
+RECTANGULAR = ("alpha", "beta")
+POLAR = ("magnitude", "phase")
 EXTRAS = ("coherence", "variance", "dof")
-COMMON = re.compile(
-    r"(alpha|beta)_common(\d+)"
-)  # of common errors, see `FrequencyResponse.columns`
-RECTANGULAR, POLAR = ("alpha", "beta"), ("magnitude", "phase")
+COMMON = re.compile(r"(alpha|beta)_common(\d+)")  # see `FrequencyResponse.columns`
 ROLES = ("frequency", *RECTANGULAR, *POLAR, *EXTRAS)
 UNITS = {"frequency": "rad/s or Hz", "magnitude": "absolute or dB", "phase": "deg or rad"}
 
 
 class Column(NamedTuple):
-    """Where a column stands, and its unit."""
+    """The place of a column, from 0, and its unit."""
 
     place: int
     unit: str
 
 
-def stated_columns(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
-    """Return the column of every role, of ``{"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg"}``.
+def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
+    """Return the column of every role in ``{"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg"}``.
 
-    Names are those in the header, with or without the unit that stands there in brackets; one that
-    is given behind a colon goes before it.
+    Names are those in the header, with or without a unit in brackets. A unit behind a colon goes
+    before the one in brackets.
 
     Raises
     ------
     ValueError
-        For a role or column that is not there, a pair that is not complete, or a unit that nobody
-        states; the sentence goes on from the name of the file.
+        For a role or column that does not exist, an incomplete pair, or a unit that is not stated.
+        The sentence continues one that begins with the name of the file.
     """
     for role in columns:
-        if role not in ROLES:
+        if role not in ROLES and not COMMON.fullmatch(role):
             raise ValueError(
                 f"has no {role!r}, which is not a column of a frequency response; name {alternatives(role, ROLES)}"
             )
@@ -51,16 +51,41 @@ def stated_columns(columns: Mapping[str, str], header: Sequence[str]) -> dict[st
             f"is no frequency response by {', '.join(columns)} alone: name the columns of frequency, magnitude and "
             "phase, or of frequency, alpha and beta."
         )
-    found = {}
+    result = {}
     for role, text in columns.items():
-        place, unit = find_column(text, header)
-        if role in UNITS and not unit:
+        column = find_column(text, header)
+        if role in UNITS and not column.unit:
             example = f"{text}:{UNITS[role].split()[-1]}"
             raise ValueError(
                 f"has the column {text!r} without a unit: say whether it is {UNITS[role]}, {example}."
             )
-        found[role] = Column(place, unit)
-    return found
+        result[role] = column
+    return result
+
+
+def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
+    """Return the columns of a file from `write_response`, as `columns_by_role` takes them.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, or the prefix of one of several responses.
+    """
+    pairs = [name.removesuffix("_alpha") for name in header if name.endswith("_alpha")]
+    required = {"frequency": OMEGA, **{role: prefix + role for role in RECTANGULAR}}
+    missing = [name for name in required.values() if name not in header]
+    if missing and pairs and not prefix:
+        raise ValueError(
+            f"holds several responses, {', '.join(pairs)}: choose one by the names of its input and output."
+        )
+    if missing:
+        raise ValueError(
+            f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the columns must be "
+            "omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or be named, columns={...}."
+        )
+    roles = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
+    optional = [role for role in roles if role in EXTRAS or COMMON.fullmatch(role)]
+    return required | {"frequency": f"{OMEGA}:rad/s"} | {role: prefix + role for role in optional}
 
 
 def assembled(
@@ -83,43 +108,42 @@ def assembled(
 
 
 def extras(values: Mapping[str, Array]) -> dict[str, Any]:
-    """Return what columns (n,) by name say beside the response, as a `FrequencyResponse` takes it.
+    """Return coherence, variance, dof and common errors, as far as they are among columns (n,) by name.
 
     Raises
     ------
     ValueError
         For half of a common error.
     """
-    known = {name: values[name] for name in EXTRAS if name in values}
+    known: dict[str, Any] = {name: values[name] for name in EXTRAS if name in values}
     numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
-    half = [
-        f"{part}_common{j}"
-        for j in numbers
-        for part in RECTANGULAR
-        if f"{part}_common{j}" not in values
-    ]
-    if half:
-        raise ValueError(
-            f"there is no column {half[0]!r}: give both parts of a common error, or none."
-        )
-    errors = [values[f"alpha_common{j}"] + 1j * values[f"beta_common{j}"] for j in numbers]
+    errors = []
+    for j in numbers:
+        alpha, beta = (f"{part}_common{j}" for part in RECTANGULAR)
+        if alpha not in values or beta not in values:
+            missing = beta if alpha in values else alpha
+            raise ValueError(
+                f"there is no column {missing!r}: give both parts of a common error, or none."
+            )
+        errors.append(values[alpha] + 1j * values[beta])
     return known | ({"common_errors": np.array(errors)} if errors else {})
 
 
 def find_column(text: str, header: Sequence[str]) -> Column:
-    """Return the one column that ``name`` or ``name:unit`` means, in a header whose cells may have units too.
+    """Return the column that ``name`` or ``name:unit`` means, in a header that may have units in brackets.
 
     Raises
     ------
     ValueError
-        If there is none, or there are two; the sentence goes on from the name of the file.
+        If there is none, or two. The sentence continues one that begins with the name of the file.
     """
     name, _, unit = text.rpartition(":")
-    for wanted, given in ((text, ""), (name, unit)):
-        for known in ([*header], [heading(cell).name for cell in header]):
-            if known.count(wanted) > 1:
+    bare = [heading(cell).name for cell in header]
+    for wanted, stated in ((text, ""), (name, unit)):
+        for names in (list(header), bare):
+            if names.count(wanted) > 1:
                 raise ValueError(f"has two columns {wanted!r}: rename or remove one.")
-            if wanted in known:
-                place = known.index(wanted)
-                return Column(place, given or heading(header[place]).unit)
+            if wanted in names:
+                place = names.index(wanted)
+                return Column(place, stated or heading(header[place]).unit)
     raise ValueError(f"has no column {name or text!r}; it has {alternatives(name or text, header)}")

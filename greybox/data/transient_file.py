@@ -1,4 +1,4 @@
-"""Spectra of manoeuvres in CSV and HDF5 files."""
+"""Writes and reads the spectra of manoeuvres as CSV and HDF5 files."""
 
 import json
 from pathlib import Path
@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 
 from greybox.data.record_file import escaped, unescaped
+from greybox.data.response_columns import OMEGA
 from greybox.data.response_file import (
     HDF5,
     STRETCH,
     UNIT,
-    comments,
     stretch_from,
-    stretch_line,
+    stretch_text,
     stretches_in,
+    units_in,
 )
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.delimited_text import DecimalMark, read_delimited
-from greybox.files.safe_files import require_file, write_text
+from greybox.files.delimited_text import DelimitedText, read_delimited, write_delimited
+from greybox.files.safe_files import require_file
 
 KIND = "transient spectrum"
 CHANGE = "change of "  # begins the key of the last less the first value of an input
-OMEGA = "omega_rad_s"
 PARTS = ("alpha", "beta")  # real and imaginary part, as in the file of a response
 Node = Any
 
@@ -45,7 +45,7 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
 
         write_sealed(path, KIND, lambda file: write_group(file, spectrum))
         return
-    stated: dict[str, Any] = {
+    facts = {
         "kind": KIND,
         "name": spectrum.name,
         "source": spectrum.source,
@@ -56,22 +56,13 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
         **{f"{CHANGE}{name}": repr(spectrum.change(name)) for name in spectrum.inputs},
         **{f"{UNIT}{name}": unit for name, unit in spectrum.units.items() if unit},
     }
-    columns = {OMEGA: spectrum.omega}
+    if spectrum.stretch is not None:
+        facts[f"{STRETCH}1"] = stretch_text(spectrum.stretch)
+    columns = {OMEGA: spectrum.omega.tolist()}
     for name, values in spectrum.signals.items():
-        columns |= {
-            f"{name}_{part}": x for part, x in zip(PARTS, (values.real, values.imag), strict=True)
-        }
-    header = [
-        f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',;"\t') else name
-        for name in columns
-    ]
-    lines = [f"# {key}: {text}" for key, text in stated.items()]
-    lines += [
-        ",".join(header),
-        *(",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True)),
-    ]
-    lines += [] if spectrum.stretch is None else [f"{STRETCH} {stretch_line(spectrum.stretch)}"]
-    write_text(path, "\n".join(lines) + "\n")
+        columns[f"{name}_{PARTS[0]}"] = values.real.tolist()
+        columns[f"{name}_{PARTS[1]}"] = values.imag.tolist()
+    write_delimited(path, facts, columns)
 
 
 def read_spectrum(path: str | Path) -> TransientSpectrum:
@@ -91,21 +82,22 @@ def read_spectrum(path: str | Path) -> TransientSpectrum:
 
         with open_sealed(path, KIND) as file:
             return read_group(file)
-    raw = path.read_bytes()
-    stated = comments(raw)
-    if stated.get("kind") != KIND:
+    table = read_delimited(path, path.read_bytes())
+    if table.facts.get("kind") != KIND:
         raise ValueError(f"{path} is no {KIND}: give a file that gb.data.write_spectrum wrote.")
     try:
-        return _from_text(path, raw, stated)
+        return _from_table(table)
     except (LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged: {error}") from None
 
 
-def holds_spectrum(path: Path) -> bool:
-    """Tell whether a file claims to hold a spectrum."""
+def claims_spectrum(path: Path) -> bool:
+    """Return whether a file claims to contain a spectrum."""
     with path.open("rb") as file:
         head = file.read(4096)
-    return head.startswith(f"greybox {KIND},".encode()) or comments(head).get("kind") == KIND
+    if head.startswith(f"greybox {KIND},".encode()):
+        return True
+    return b"\0" not in head and read_delimited(path, head).facts.get("kind") == KIND
 
 
 def write_group(group: Node, spectrum: TransientSpectrum) -> None:
@@ -113,7 +105,7 @@ def write_group(group: Node, spectrum: TransientSpectrum) -> None:
     for name in ("name", "source", "duration", "step"):
         group.attrs[name] = getattr(spectrum, name)
     if spectrum.stretch is not None:
-        group.attrs["stretch"] = stretch_line(spectrum.stretch)
+        group.attrs["stretch"] = stretch_text(spectrum.stretch)
     group["omega"] = spectrum.omega
     for kind in ("inputs", "outputs"):
         signals = group.create_group(kind, track_order=True)
@@ -151,13 +143,10 @@ def read_group(group: Node) -> TransientSpectrum:
     )
 
 
-def _from_text(path: Path, raw: bytes, stated: dict[str, str]) -> TransientSpectrum:
-    table = read_delimited(path, raw)
-    rows = list(table.rows())
-    mark = DecimalMark(path, rows)
-    numbers = np.array([[mark.number(cell) for cell in row] for _, row in rows])
-    columns = dict(zip(table.header, numbers.T, strict=True))
-    names = {kind: json.loads(stated[kind]) for kind in ("inputs", "outputs")}
+def _from_table(table: DelimitedText) -> TransientSpectrum:
+    facts = table.facts
+    columns = table.numbers({name: place for place, name in enumerate(table.header)})
+    names = {kind: json.loads(facts[kind]) for kind in ("inputs", "outputs")}
     signals = {
         kind: {
             name: columns[f"{name}_{PARTS[0]}"] + 1j * columns[f"{name}_{PARTS[1]}"]
@@ -165,17 +154,15 @@ def _from_text(path: Path, raw: bytes, stated: dict[str, str]) -> TransientSpect
         }
         for kind in names
     }
-    stretches = stretches_in(raw)
+    stretches = stretches_in(facts)
     return TransientSpectrum(
         columns[OMEGA],
         **signals,
-        duration=float(stated["duration"]),
-        step=float(stated["step"]),
-        input_change={n: float(stated[f"{CHANGE}{n}"]) for n in names["inputs"]},
-        units={
-            key.removeprefix(UNIT): text for key, text in stated.items() if key.startswith(UNIT)
-        },
-        name=stated.get("name", ""),
-        source=stated.get("source", ""),
+        duration=float(facts["duration"]),
+        step=float(facts["step"]),
+        input_change={name: float(facts[f"{CHANGE}{name}"]) for name in names["inputs"]},
+        units=units_in(facts),
+        name=facts.get("name", ""),
+        source=facts.get("source", ""),
         stretch=stretches[0] if stretches else None,
     )

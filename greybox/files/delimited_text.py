@@ -1,29 +1,33 @@
-"""Tables of numbers as text: what separates their cells, their decimal mark, comments, encoding.
+"""Reads and writes tables of numbers as text, with facts in the comments before the header.
 
 A spreadsheet writes what its country does: semicolons or tabs between cells and commas in numbers.
-The separator follows from the header line, the decimal mark from all numbers together. Where these
-allow two readings the table is refused, with the line to look at: a wrong number would be worse
-than none.
+The header line decides the separator, all numbers together decide the decimal mark. A table that
+can be read in two ways is refused, with the line to look at: a wrong number would be worse than
+none.
 """
 
 import csv
+import io
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from greybox.files.text_table import is_number
+import numpy as np
 
-SEPARATORS = ";\t,"
+from greybox.files.arrays import Array
+from greybox.files.safe_files import write_text
+from greybox.files.text_table import counted, is_number
+
 COMMENTS = ("#", "%")
+FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
 
 WITH_COMMA = re.compile(r"[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?")
 WITH_POINT = re.compile(r"[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")  # 1,000 is a thousand or one
-GROUPED = re.compile(
-    r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,})"
-)  # certainly thousands
+# 1,234.5 and 1.234,5 and 1,234,567 certainly have thousands separators.
+GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,})")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +40,13 @@ class DelimitedText:
         For messages.
     separator : str
     header : tuple of str
-        The names in the first line, without blanks around them.
+        The names in the first line, stripped.
     lines : sequence of str
-        Of the table's body.
+        The lines of the body.
     line_numbers : sequence of int
-        Where each of them stands in the file, from 1.
+        Their numbers in the file, from 1.
+    facts : mapping of str to str
+        The comments ``# key: value`` before the header.
     """
 
     path: Path
@@ -48,31 +54,65 @@ class DelimitedText:
     header: tuple[str, ...]
     lines: Sequence[str]
     line_numbers: Sequence[int]
+    facts: Mapping[str, str]
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield the number of each line and its cells, without blanks around them; some have fewer than the header.
+        """Yield the number of each line and its stripped cells, which may be fewer than the names.
 
         Raises
         ------
         ValueError
             If a line has more cells than the header, as decimal commas between commas make them; or
-            it is no CSV.
+            if the file is not CSV.
         """
         width = len(self.header)
         reader = csv.reader(self.lines, delimiter=self.separator, skipinitialspace=True)
         try:
             for row in reader:
                 number = self.line_numbers[reader.line_num - 1]
+                while len(row) > width and not row[-1].strip():
+                    row.pop()  # separators at the end of a line
                 if len(row) > width:
-                    while len(row) > width and not row[-1].strip():
-                        row.pop()  # separators at the end of lines
-                    if len(row) > width:
-                        raise ValueError(self._too_long(number, len(row)))
+                    raise ValueError(self._too_long(number, len(row)))
                 yield number, [cell.strip() for cell in row]
         except csv.Error as problem:
             raise ValueError(
                 f"{self.path} is not a table of numbers ({problem}): save it as plain CSV."
             ) from None
+
+    def numbers(self, places: Mapping[str, int]) -> dict[str, Array]:
+        """Return columns of numbers, (n,) arrays, by name from their places, from 0.
+
+        Rows in which only the first of these columns has a value are left out.
+
+        Raises
+        ------
+        ValueError
+            If a cell is missing, is not a number, or might be two.
+        """
+        rows = []
+        for number, row in self.rows():
+            if len(row) <= max(places.values()):
+                raise ValueError(
+                    f"{self.path}, line {number}, has {counted(len(row), 'cell')} where the header "
+                    f"has {len(self.header)}."
+                )
+            cells = [row[place] for place in places.values()]
+            if any(cells[1:]):
+                rows.append((number, cells))
+
+        comma = has_decimal_comma(self.path, rows)
+        table = np.empty((len(rows), len(places)))
+        for k, (number, cells) in enumerate(rows):
+            for j, (cell, place) in enumerate(zip(cells, places.values(), strict=True)):
+                try:
+                    table[k, j] = parsed(cell, comma)
+                except ValueError:
+                    raise ValueError(
+                        f"{self.path}, line {number}: {self.header[place]} is {cell!r}, which is "
+                        "not a number."
+                    ) from None
+        return dict(zip(places, table.T, strict=True))
 
     def _too_long(self, number: int, cells: int) -> str:
         cure = "name all columns"
@@ -82,15 +122,15 @@ class DelimitedText:
 
 
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:
-    """Return the table in a file that holds `raw`.
+    """Return the table in a file with the contents `raw`.
 
-    The header is the first line that is neither blank nor a comment; or the last comment before the
+    The header is the first line that is neither blank nor a comment, or the last comment before the
     numbers, as `numpy.savetxt` writes it. Comments start with ``#`` or ``%``.
 
     Raises
     ------
     ValueError
-        If it is no text.
+        If the contents are not text.
     """
     if b"\0" in raw:
         raise ValueError(
@@ -98,37 +138,97 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     first = lines[0].strip().lower()
-    stated = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""  # a hint of Excel's
+    hint = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""  # Excel's name of the separator
 
-    kept = [
+    body = [
         k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(COMMENTS)
     ]
-    kept = kept[1:] if stated else kept
-    if not kept:
-        return DelimitedText(path, ",", (), (), ())
+    body = body[1:] if hint else body
+    if not body:
+        return DelimitedText(path, ",", (), (), (), {})
 
-    header, body = lines[kept[0]], kept[1:]
-    names, separator = _split(header, stated)
-    if _are_numbers(names):
-        comment = (
-            next((line for line in reversed(lines[: kept[0]]) if line.strip()), "")
-            .lstrip()
-            .lstrip("#%")
-        )
-        named, mark = _split(comment, stated)
-        if len(named) == len(names) and mark == separator and not _are_numbers(named):
-            names, body = named, kept
+    header = body[0]
+    names, separator = _split(lines[header], hint)
+    if are_numbers(names):
+        comment = next((line for line in reversed(lines[:header]) if line.strip()), "")
+        titles, mark = _split(comment.lstrip().lstrip("#%"), hint)
+        if len(titles) == len(names) and mark == separator and not are_numbers(titles):
+            names = titles
+            body = [header, *body]
+    matches = map(FACT.fullmatch, lines[:header])
     return DelimitedText(
-        path, separator, tuple(names), [lines[k] for k in body], [k + 1 for k in body]
+        path,
+        separator,
+        tuple(names),
+        [lines[k] for k in body[1:]],
+        [k + 1 for k in body[1:]],
+        {match["key"]: match["value"] for match in matches if match},
     )
 
 
-def _are_numbers(cells: Iterable[str]) -> bool:
-    return all(is_number(cell.replace(",", ".")) for cell in cells)
+def write_delimited(
+    path: Path, facts: Mapping[str, str], columns: Mapping[str, Iterable[object]]
+) -> None:
+    """Write columns of numbers, after facts as comments ``# key: value``; `read_delimited` reads them."""
+    text = io.StringIO()
+    text.writelines(f"# {key}: {value}\n" for key, value in facts.items())
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    write_text(path, text.getvalue())
+
+
+def are_numbers(cells: Iterable[str]) -> bool:
+    """Return whether all cells are numbers, with a decimal point or comma."""
+    return all(is_number(cell.strip().replace(",", ".")) for cell in cells)
+
+
+def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> bool:
+    """Return whether the numbers of a table have decimal commas, from the cells of numbered lines.
+
+    Raises
+    ------
+    ValueError
+        If numbers have both marks, or commas that separate thousands or may do so.
+    """
+    point: tuple[int, str] | None = None
+    comma: tuple[int, str] | None = None
+    certain = False  # some comma cannot be a thousands separator
+    for number, row in rows:
+        for cell in row:
+            if "," not in cell:
+                if point is None and "." in cell and WITH_POINT.fullmatch(cell):
+                    point = number, cell
+                continue
+            if GROUPED.fullmatch(cell):
+                raise ValueError(
+                    f"{path}, line {number}: {cell!r} has a thousands separator: leave it out."
+                )
+            if WITH_COMMA.fullmatch(cell):
+                comma = comma or (number, cell)
+                certain = certain or not THOUSANDS.fullmatch(cell)
+    if comma and point:
+        raise ValueError(
+            f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: write all numbers "
+            "with one decimal mark and without thousands separators."
+        )
+    if comma and not certain:
+        raise ValueError(
+            f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands separator: "
+            "write a decimal point."
+        )
+    return comma is not None
+
+
+def parsed(cell: str, decimal_comma: bool) -> float:
+    """Return the number in a cell; ValueError if it is not a number."""
+    if "_" in cell:  # Python reads 1_5 as 15
+        raise ValueError(cell)
+    return float(cell.replace(",", ".") if decimal_comma else cell)
 
 
 def _decoded(raw: bytes) -> str:
-    """Return the text, in UTF-8 or else in Western encodings; a typographic minus becomes a plain one."""
+    """Return the text, from UTF-8 or a Western encoding; a typographic minus becomes a plain one."""
     for encoding in ("utf-8-sig", "cp1252"):
         try:
             return raw.decode(encoding).replace("\u2212", "-")
@@ -137,72 +237,19 @@ def _decoded(raw: bytes) -> str:
     return raw.decode("latin-1")
 
 
-def _split(line: str, separator: str) -> tuple[list[str], str]:
-    """Return the cells of a header and what separates them: what makes the most cells, unless it is stated."""
+def _split(line: str, hint: str) -> tuple[list[str], str]:
+    """Return the cells of a header and their separator: the hint, or the one that makes most cells."""
     best: list[str] = []
-    chosen = separator or ","
-    for mark in separator or SEPARATORS:
+    separator = hint or ","
+    for mark in hint or ";\t,":
         try:
             cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
         except csv.Error:
             continue
         if len(cells) > max(len(best), 1):
-            best, chosen = cells, mark
+            best = cells
+            separator = mark
     names = [cell.strip() for cell in (best or [line.strip().strip('"')])]
     while len(names) > 1 and not names[-1]:
         names.pop()  # separators at the end of the line
-    return names, chosen
-
-
-class DecimalMark:
-    """The decimal mark of a table, which must be one: a point, or a comma."""
-
-    def __init__(self, path: Path, cells: Iterable[tuple[int, Iterable[str]]]) -> None:
-        """Find the mark in the cells of all lines, given with their numbers.
-
-        Raises
-        ------
-        ValueError
-            If numbers have both marks, or commas that separate thousands or may do so.
-        """
-        point: tuple[int, str] | None = None
-        comma: tuple[int, str] | None = None
-        certain = False  # that a comma is a decimal one
-        for number, row in cells:
-            for cell in row:
-                if "," not in cell:
-                    if point is None and "." in cell and WITH_POINT.fullmatch(cell):
-                        point = number, cell
-                    continue
-                if GROUPED.fullmatch(cell):
-                    raise ValueError(
-                        f"{path}, line {number}: {cell!r} has a thousands separator: leave it out."
-                    )
-                if WITH_COMMA.fullmatch(cell):
-                    comma = comma or (number, cell)
-                    certain = certain or not THOUSANDS.fullmatch(cell)
-        if comma and point:
-            raise ValueError(
-                f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: write all numbers "
-                "with one decimal mark and without thousands separators."
-            )
-        if comma and not certain:
-            raise ValueError(
-                f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands separator: "
-                "write a decimal point."
-            )
-        self.is_comma = comma is not None
-
-    def number(self, cell: str) -> float:
-        """Return the number in a cell.
-
-        Raises
-        ------
-        ValueError
-            If it is none.
-        """
-        if self.is_comma:
-            cell = cell.replace(",", ".")
-        if "_" in cell:  # which Python would read past
-            raise ValueError(cell)
-        return float(cell)
+    return names, separator

@@ -100,7 +100,7 @@ def test_a_result_keeps_the_origin(tmp_path):
 def test_comments_that_only_look_like_an_origin_are_comments(tmp_path):
     path = tmp_path / "response.csv"
     path.write_text(
-        "# stretch of luck\n# stretch abc from to\nomega_rad_s,alpha,beta\n1,2,3\n# stretch abc 0.5 2\n"
+        "# stretch of luck: 7\n# stretch 1: abc from to\n# stretch 2: abc 0.5 2\nomega_rad_s,alpha,beta\n1,2,3\n"
     )
     assert gb.read_response(path).stretches == (Stretch("abc", 0.5, 2.0),)
 

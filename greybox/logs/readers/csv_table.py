@@ -10,10 +10,17 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.files.arrays import Array
-from greybox.files.delimited_text import MISSING, DecimalMark, DelimitedText, read_delimited
+from greybox.files.delimited_text import (
+    MISSING,
+    DelimitedText,
+    are_numbers,
+    has_decimal_comma,
+    parsed,
+    read_delimited,
+)
 from greybox.files.heading import Heading, heading
 from greybox.files.progress import counted_off
-from greybox.files.text_table import counted, is_number, printable
+from greybox.files.text_table import counted, printable
 from greybox.logs.readers.betaflight import with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import SECONDS, TIMES, name_list, of_rows, seconds, table
@@ -101,22 +108,18 @@ def _numbered(text: DelimitedText) -> DelimitedText:
         lines = ["\t".join(cells.split()) for cells in lines]
         text = replace(text, separator="\t")
     cells = lines[0].split(text.separator)
-    if not _are_numbers(cells):
+    if not are_numbers(cells):
         return text
     names = tuple(str(k) for k in range(1, len(cells) + 1))
     numbers = [text.line_numbers[0] - 1 if text.line_numbers else 1, *text.line_numbers]
     return replace(text, header=names, lines=lines, line_numbers=numbers)
 
 
-def _are_numbers(cells: Sequence[str]) -> bool:
-    return all(is_number(cell.strip().replace(",", ".")) for cell in cells)
-
-
 def _headings(text: DelimitedText) -> list[Heading]:
     headings = [heading(cell) for cell in text.header]
     names = [h.name for h in headings if h.name]
     by_number = names == [str(k) for k in range(1, len(names) + 1)]
-    if not names or (_are_numbers(" ".join(names).split()) and not by_number):
+    if not names or (are_numbers(" ".join(names).split()) and not by_number):
         line = text.separator.join(text.header)[:60]
         raise ValueError(
             f"{text.path} has no header line: its first line, {line!r}, must name the columns, or --columns time=1 u=2 "
@@ -147,7 +150,7 @@ def _columns(
     short = [number for number, row in rows if len(row) < len(headings)]
     whole = [(number, row) for number, row in rows if len(row) == len(headings)]
     numbers = [number for number, _ in whole]
-    mark = DecimalMark(text.path, whole)
+    comma = has_decimal_comma(text.path, whole)
 
     columns = {}
     not_numeric = []
@@ -156,7 +159,7 @@ def _columns(
         counted_off(headings, f"reading {printable(text.path.name)}", "column")
     ):
         cells = [row[k] for _, row in whole]
-        values, odd = _numbers(cells, mark)
+        values, odd = _numbers(cells, comma)
         if name and values is not None:
             columns[name] = values
             if odd:
@@ -179,7 +182,7 @@ def _columns(
     return columns, (*findings, *_infinite(columns, numbers))
 
 
-def _numbers(cells: Sequence[str], mark: DecimalMark) -> tuple[Array | None, list[int]]:
+def _numbers(cells: Sequence[str], comma: bool) -> tuple[Array | None, list[int]]:
     """Convert a column, NaN for missing cells, and return the rows with text; None for a column that is not numeric."""
     values = np.full(len(cells), np.nan)
     odd = []
@@ -190,7 +193,7 @@ def _numbers(cells: Sequence[str], mark: DecimalMark) -> tuple[Array | None, lis
             continue
         filled += 1
         try:
-            values[k] = mark.number(cell)
+            values[k] = parsed(cell, comma)
         except ValueError:
             odd.append(k)
     if not filled or len(odd) > filled / 2:  # some damaged cells do not make a column text
