@@ -1,5 +1,6 @@
-"""A model at its estimate as C source: CasADi writes the formulas, and functions with plain arrays go around them."""
+"""A model at its estimate as C source: formulas by CasADi, in functions with plain arrays."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -7,14 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.files.arrays import Array
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import printable
 from greybox.interop.linear_systems import GivenModel, given_model
 from greybox.interop.source_names import identifier, identifiers
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.realization import Dynamics
-
-Array = np.ndarray[Any, np.dtype[np.float64]]
 
 HEADER = """\
 /* {title}
@@ -23,7 +23,7 @@ HEADER = """\
  *
  * x' = derivative(x, u), y = output(x, u), in SI units; plain C99, without allocation or other state.
  *
- * Example: a step of the first input, sampled at 100 Hz. Compile it with: cc example.c {file}.c -lm
+ * Example: a step of the first input. Compile it with: cc example.c {file}.c -lm
  *
  *   #include <stdio.h>
  *   #include "{file}.h"
@@ -32,8 +32,8 @@ HEADER = """\
  *     double x[{upper}_STATES + 1] = {{0}}, u[{upper}_INPUTS] = {{1.0}}, y[{upper}_OUTPUTS];
  *     for (int k = 0; k < 100; k++) {{
  *       {name}_output(x, u, y);
- *       printf("%g %g\\n", 0.01 * k, y[0]);
- *       {name}_step(x, u, 0.01);
+ *       printf("%g %g\\n", {upper}_STEP * k, y[0]);
+ *       {name}_step(x, u);
  *     }}
  *     return 0;
  *   }}
@@ -46,6 +46,7 @@ extern "C" {{
 #endif
 
 enum {{ {upper}_STATES = {n}, {upper}_INPUTS = {m}, {upper}_OUTPUTS = {k} }};
+#define {upper}_STEP {step!r} /* s */
 {indices}
 /* dx[{n}] from x[{n}] and u[{m}]. */
 void {name}_derivative(const double *x, const double *u, double *dx);
@@ -53,8 +54,8 @@ void {name}_derivative(const double *x, const double *u, double *dx);
 /* y[{k}] from x[{n}] and u[{m}]. */
 void {name}_output(const double *x, const double *u, double *y);
 
-/* Advance x[{n}] by `step` seconds with u[{m}] held: one step of the classical Runge-Kutta method. */
-void {name}_step(double *x, const double *u, double step);
+/* Advance x[{n}] by {upper}_STEP with u[{m}] held: {method}. */
+void {name}_step(double *x, const double *u);
 
 #ifdef __cplusplus
 }}
@@ -69,64 +70,117 @@ def write_c(
     path: str | Path,
     values: Mapping[str, float] | None = None,
     *,
+    step: float = 0.01,
     pade: int | None = None,
     part: int = 0,
 ) -> tuple[Path, Path]:
     """Write a model at its estimate as C source that needs no other library, and return the two files.
 
     ``tilt.c`` and ``tilt.h`` have ``tilt_derivative``, ``tilt_output`` and ``tilt_step``, which
-    advances the states by a step of your choice; a complete example stands at the beginning of
-    ``tilt.h``. Files that exist are replaced.
+    advances the states by `step` with the inputs held. A linear model, with the Padé approximation
+    of its delays, is discretized exactly. A nonlinear one takes as many substeps of the classical
+    Runge-Kutta method as its fastest mode at rest needs. A complete example stands at the beginning
+    of ``tilt.h``. Existing files are replaced.
 
     Parameters
     ----------
     thing : Fit or Model
     path : str or Path
-        Ending in .c; its name begins those of the functions.
+        Ends in .c; its name begins those of the functions.
     values : mapping of name to float, optional
-        Of a model: values of its parameters, by default the declared starts.
+        Parameters of a model, by default the declared starts.
+    step : float
+        Sampling time, s.
     pade : int, optional
-        Order of the Padé approximation of delays; 0 leaves delays out, for who delays the input
+        Order of the Padé approximation of delays; 0 leaves delays out, for inputs that are delayed
         before the call.
     part : int
-        Of a fit.
+        Part of a fit.
 
     Raises
     ------
     ValueError, TypeError
-        For another ending, a delay without `pade`, or what cannot be converted.
+        For another ending, a step that is not above 0 or far too long for the model, a delay without
+        `pade`, or what cannot be converted.
     OSError
         If the folder cannot be written.
     """
     path = Path(path)
     if path.suffix != ".c":
         raise ValueError(f"{path} is to be C source: end it in .c.")
+    if not 0 < step < math.inf:
+        raise ValueError(f"step is {step!r}: give the sampling time in s, above 0.")
     given = given_model(thing, values, None, part)
-    system, p = given.ode(pade, "C code of states and inputs")
+    system, p = given.ode(pade)
     name = identifier(path.stem)
-    write_text(path.with_suffix(".h"), _header(given, system, p, path.stem, name))
-    write_text(path, _source(system, p, path.stem, name))
+    formula, substeps = _discretized(system, p, step)
+    method = "exact for this linear model"
+    if substeps:
+        method = f"{substeps} substeps of the classical Runge-Kutta method"
+    texts = {"file": path.stem, "name": name, "upper": name.upper(), "step": step, "method": method}
+    write_text(path.with_suffix(".h"), _header(given, system, p, texts))
+    write_text(path, _source(system, p, formula, max(substeps, 1), path.stem, name))
     return path, path.with_suffix(".h")
 
 
-def _header(given: GivenModel, system: Dynamics, p: Array, file: str, name: str) -> str:
+def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, int]:
+    """Return (x, u) -> x one substep later and the number of substeps, 0 where it is exact."""
+    from scipy.linalg import expm  # noqa: PLC0415  (import of greybox stays free of scipy)
+
+    n, m = len(system.states), len(system.inputs)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
+    z = ca.vertcat(x, u)
+    f = system.derivative(x, u, p)
+    linearized = ca.Function("linearized", [z], [f, ca.jacobian(f, z)])
+    rest, jacobian = (np.asarray(value) for value in linearized(np.zeros(n + m)))
+
+    # A sign or a limiter has a constant derivative and is not linear: values at random points tell.
+    points = np.random.default_rng(0).uniform(-3, 3, (n + m, 20))
+    moved = np.asarray(linearized(points)[0]) - rest
+    expected = jacobian @ points
+    if np.all(np.abs(moved - expected) <= 1e-9 * (1 + np.abs(jacobian) @ np.abs(points))):
+        whole = np.zeros((n + m + 1, n + m + 1))
+        whole[:n] = np.hstack([jacobian, rest]) * step
+        exact = expm(whole)[:n]
+        return ca.Function("step", [x, u], [ca.DM(exact) @ ca.vertcat(z, 1)]), 0
+
+    fastest = np.abs(np.linalg.eigvals(jacobian[:, :n])).max(initial=0.0)
+    if not fastest * step <= 1000:
+        raise ValueError(
+            f"step is {step:g} s, and the fastest mode of the model decays within "
+            f"{1 / fastest:.2g} s: give a shorter step, or a model without that mode."
+        )
+    # Half the reach of the method, as modes become faster away from rest.
+    substeps = max(math.ceil(2 * step * fastest / RungeKutta.reach), 1)
+    held = ca.SX.zeros(m)
+    later = RungeKutta().advance(system, x, u, held, p, step / substeps)
+    return ca.Function("step", [x, u], [later]), substeps
+
+
+def _header(given: GivenModel, system: Dynamics, p: Array, texts: Mapping[str, Any]) -> str:
     numbers = ", ".join(
         f"{parameter} = {value:.6g}"
         for parameter, value in zip(system.parameters, p.tolist(), strict=True)
     )
-    title = f"{given.model.label}{f', fitted to {given.name}' if given.name else ''}, written by greybox."
+    fitted = f", fitted to {given.name}" if given.name else ""
+    title = f"{given.model.label}{fitted}, written by greybox."
     kinds = {"state": system.states, "input": system.inputs, "output": system.outputs}
     indices = []
     for kind, names in kinds.items():
         places = [
-            f"{name.upper()}_{kind.upper()}_{known} = {i}"
-            for i, known in enumerate(identifiers(names).values())
+            f"{texts['upper']}_{kind.upper()}_{plain} = {i}"
+            for i, plain in enumerate(identifiers(names).values())
         ]
         indices += [f"enum {{ {', '.join(places)} }};"] if places else []
-    texts = {"title": _comment(title), "about": _comment(numbers or "It has no parameters.")}
-    sizes = {"n": len(system.states), "m": len(system.inputs), "k": len(system.outputs)}
-    lines = "\n".join(indices) + "\n"
-    return HEADER.format(**texts, **sizes, file=file, name=name, upper=name.upper(), indices=lines)
+    return HEADER.format(
+        **texts,
+        title=_comment(title),
+        about=_comment(numbers or "It has no parameters."),
+        n=len(system.states),
+        m=len(system.inputs),
+        k=len(system.outputs),
+        indices="\n".join(indices) + "\n",
+    )
 
 
 def _comment(text: str) -> str:
@@ -134,44 +188,46 @@ def _comment(text: str) -> str:
     return printable(text).replace("*/", "* /").replace("/*", "/ *")
 
 
-def _source(system: Dynamics, p: Array, file: str, name: str) -> str:
-    x, u, h = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs)), ca.SX.sym("h")
-    held = ca.SX.zeros(len(system.inputs))
+def _source(
+    system: Dynamics, p: Array, step: ca.Function, substeps: int, file: str, name: str
+) -> str:
+    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
     formulas = {
-        "derivative": ([x, u], system.derivative(x, u, p)),
-        "output": ([x, u], system.output(x, u, p)),
-        "step": ([x, u, h], RungeKutta().advance(system, x, u, held, p, h)),
+        "derivative": ("dx", system.derivative(x, u, p)),
+        "output": ("y", system.output(x, u, p)),
+        "step": ("x", step(x, u)),
     }
     generator = ca.CodeGenerator(f"{name}_formulas", {"with_header": False})
-    functions = {}
-    for what, (arguments, result) in formulas.items():
-        functions[what] = ca.Function(f"{name}_formula_{what}", arguments, [result])
-        generator.add(functions[what])
-    calls = {
-        "derivative": ("const double *x, const double *u, double *dx", ("x", "u"), "dx"),
-        "output": ("const double *x, const double *u, double *y", ("x", "u"), "y"),
-        "step": ("double *x, const double *u, double step", ("x", "u", "&step"), "x"),
-    }
-    wrappers = [_wrapper(functions[what], f"{name}_{what}", *call) for what, call in calls.items()]
+    wrappers = []
+    for what, (result, formula) in formulas.items():
+        function = ca.Function(f"{name}_formula_{what}", [x, u], [formula])
+        generator.add(function)
+        arguments = "const double *x, const double *u, double *" + result
+        count = 1
+        if what == "step":
+            arguments = "double *x, const double *u"
+            count = substeps
+        wrappers.append(_wrapper(function, f"{name}_{what}({arguments})", result, count))
     return "\n".join([f'#include "{file}.h"\n', generator.dump(), *wrappers])
 
 
-def _wrapper(
-    function: ca.Function, name: str, signature: str, arguments: tuple[str, ...], result: str
-) -> str:
-    """Return a function with plain arrays around one of CasADi's, which wants memory to work in."""
+def _wrapper(function: ca.Function, signature: str, result: str, count: int) -> str:
+    """Return a function with plain arrays that calls one of CasADi's, which needs memory, `count` times."""
     sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
     arg, res, iw, w = (max(size, 1) for size in sizes)
-    places = [f"  arg[{k}] = {argument};" for k, argument in enumerate(arguments)]
+    call = f"{function.name()}(arg, res, iw, w, 0);"
+    if count > 1:
+        call = f"for (int k = 0; k < {count}; k++) {{ arg[0] = x; arg[1] = u; res[0] = x; {call} }}"
     lines = [
-        f"void {name}({signature}) {{",
+        f"void {signature} {{",
         f"  const casadi_real *arg[{arg}] = {{0}};",
         f"  casadi_real *res[{res}] = {{0}};",
         f"  casadi_int iw[{iw}];",
         f"  casadi_real w[{w}];",
-        *places,
+        "  arg[0] = x;",
+        "  arg[1] = u;",
         f"  res[0] = {result};",
-        f"  {function.name()}(arg, res, iw, w, 0);",
+        f"  {call}",
         "}",
     ]
     return "\n".join(lines) + "\n"

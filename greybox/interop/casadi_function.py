@@ -49,7 +49,7 @@ def to_casadi(
     >>> derivative, y = f([0] * f.size1_in(0), 0.1)
     """
     given = given_model(thing, values, None, part)
-    system, p = given.ode(pade, "a CasADi function of states and inputs")
+    system, p = given.ode(pade)
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
     q = ca.SX.sym("p", len(p)) if with_parameters else p
     arguments = {"x": x, "u": u} | ({"p": q} if with_parameters else {})

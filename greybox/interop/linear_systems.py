@@ -37,10 +37,8 @@ class GivenModel:
     at: Mapping[str, float]
     name: str = ""
 
-    def polynomials(
-        self, pade: int | None, input: str, output: str, kind: str
-    ) -> tuple[Array, Array]:
-        """Return numerator and denominator, highest power of s first; `kind` names in a sentence what has no delay."""
+    def polynomials(self, pade: int | None, input: str, output: str) -> tuple[Array, Array]:
+        """Return numerator and denominator, highest power of s first."""
         input, output = pick_signals(self.model, input, output)
         at = self.at if isinstance(self.model, StateSpace) else None
         order = pade or None
@@ -48,10 +46,10 @@ class GivenModel:
             self.model, self.values, input=input, output=output, at=at, pade=order
         )
         if pade != 0:
-            self._require_no_delay({input: float(found.delay)}, kind)
+            self._require_no_delay({input: float(found.delay)})
         return np.array(found.numerator, dtype=float), np.array(found.denominator, dtype=float)
 
-    def matrices(self, pade: int | None, kind: str) -> LinearSystem:
+    def matrices(self, pade: int | None) -> LinearSystem:
         """Return the linearized system, with states for delays if `pade` is an order."""
         system = (
             linearize(self.model, self.values, self.at)
@@ -60,16 +58,16 @@ class GivenModel:
         )
         delays = dict(zip(system.inputs, system.delays.tolist(), strict=True))
         if pade is None:
-            self._require_no_delay(delays, kind)
+            self._require_no_delay(delays)
         return _with_delay_states(system, pade) if pade and any(delays.values()) else system
 
-    def ode(self, pade: int | None, kind: str) -> tuple[Dynamics, Array]:
+    def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
         """Return the ODE, with states for delays if `pade` is an order, and the values of its parameters (p,)."""
         system = dynamics(self.model, pade or None)
         p = np.array(list(self.model.values(self.values).values()), dtype=float)
         delays = system.delay(p).full().ravel().tolist()
         if pade is None:
-            self._require_no_delay(dict(zip(system.inputs, delays, strict=True)), kind)
+            self._require_no_delay(dict(zip(system.inputs, delays, strict=True)))
         return system, p
 
     def _realized(self) -> LinearSystem:
@@ -92,12 +90,12 @@ class GivenModel:
             point=dict.fromkeys((*system.states, *system.inputs), 0.0),
         )
 
-    def _require_no_delay(self, delays: Mapping[str, float], kind: str) -> None:
+    def _require_no_delay(self, delays: Mapping[str, float]) -> None:
         for name, delay in delays.items():
             if delay:
                 raise ValueError(
-                    f"{self.model.label} delays {name} by {delay:.4g} s, which {kind} cannot hold: give pade=3 for a "
-                    "Padé approximation of that order, or pade=0 to leave the delay out."
+                    f"{self.model.label} delays {name} by {delay:.4g} s, which the result cannot hold: "
+                    "give pade=3 for a Padé approximation of that order, or pade=0 to leave it out."
                 )
 
 

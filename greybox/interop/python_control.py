@@ -78,16 +78,19 @@ def to_control(
     )
     name = _named(given.name or given.model.label)
     if kind == "transfer-function":
-        numerator, denominator = given.polynomials(
-            pade, input, output, "a transfer function of python-control"
-        )
+        numerator, denominator = given.polynomials(pade, input, output)
         u, y = pick_signals(given.model, input, output)
         return control.TransferFunction(numerator, denominator, inputs=[u], outputs=[y], **name)
     if kind == "state-space":
-        found = given.matrices(pade, "a state space of python-control")
-        labels = {"states": found.states, "inputs": found.inputs, "outputs": found.outputs}
+        system = given.matrices(pade)
+        labels = {"states": system.states, "inputs": system.inputs, "outputs": system.outputs}
         return control.StateSpace(
-            found.A, found.B, found.C, found.D, **{k: list(v) for k, v in labels.items()}, **name
+            system.A,
+            system.B,
+            system.C,
+            system.D,
+            **{k: list(v) for k, v in labels.items()},
+            **name,
         )
     if kind == "nonlinear":
         return _nonlinear(control, given, pade, name)
@@ -161,7 +164,7 @@ def from_control(
 
 
 def _nonlinear(control: Any, given: GivenModel, pade: int | None, name: Mapping[str, str]) -> Any:
-    system, p = given.ode(pade, "a nonlinear system of python-control")
+    system, p = given.ode(pade)
     x, u, q = (
         ca.SX.sym(letter, len(names))
         for letter, names in zip("xup", (system.states, system.inputs, p), strict=True)

@@ -39,12 +39,10 @@ def to_scipy(
         "transfer-function" if isinstance(given.model, TransferFunction) else "state-space"
     )
     if kind == "transfer-function":
-        return signal.TransferFunction(
-            *given.polynomials(pade, input, output, "a transfer function of scipy")
-        )
+        return signal.TransferFunction(*given.polynomials(pade, input, output))
     if kind == "state-space":
-        found = given.matrices(pade, "a state space of scipy")
-        return signal.StateSpace(found.A, found.B, found.C, found.D)
+        linear = given.matrices(pade)
+        return signal.StateSpace(linear.A, linear.B, linear.C, linear.D)
     raise ValueError(f"kind is {kind!r:.40}: give 'transfer-function' or 'state-space'.")
 
 

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from declared_models import TILT, TILT_OMEGA, Lag, measured
+from scipy import signal
 from scipy.io import loadmat
 
 import greybox as gb
@@ -55,25 +56,80 @@ def example(header):
     return "\n".join(lines)
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
-def test_a_stranger_compiles_the_example_and_it_flies_as_here(tmp_path):
-    source, header = gb.interop.write_c(NonlinearTilt(), tmp_path / "tilt.c", VALUES)
-    (tmp_path / "example.c").write_text(
-        example(header.read_text()).replace("u[TILT_INPUTS] = {1.0}", "u[1] = {0.01}")
-    )
+def flown_in_c(folder, model, values, size, **options):
+    """Time and first output of the example in the header, with a step of this size."""
+    _, header = gb.interop.write_c(model, folder / "tilt.c", values, **options)
+    program = example(header.read_text()).replace("{1.0}", f"{{{size}}}")
+    (folder / "example.c").write_text(program)
     strict = ["-std=c99", "-Wall", "-Werror", "-Wno-unused"]
     command = ["cc", *strict, "example.c", "tilt.c", "-lm", "-o", "example"]
-    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
-    out = subprocess.run([tmp_path / "example"], check=True, capture_output=True, text=True).stdout
-    time, theta = np.loadtxt(out.splitlines()).T[:, :COUNT]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    out = subprocess.run([folder / "example"], check=True, capture_output=True, text=True).stdout
+    return np.loadtxt(out.splitlines()).T[:, :COUNT]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_a_stranger_compiles_the_example_and_it_flies_as_here(tmp_path):
+    time, theta = flown_in_c(tmp_path, NonlinearTilt(), VALUES, 0.01)
     record = gb.Record(np.arange(COUNT) * STEP, {"u": np.full(COUNT, 0.01)}, hold={"u": np.inf})
     here = gb.simulate(NonlinearTilt(), VALUES, record)
     np.testing.assert_allclose(time, record.time, atol=1e-9)
-    np.testing.assert_allclose(theta, here["theta"], rtol=1e-4, atol=5e-8)  # with more substeps
-    # Where a header is there twice, or C++ reads it, it still compiles; the names are those of the
-    # file.
-    assert "TILT_STATE_rotor = 3" in header.read_text()
-    assert "tilt_step" in source.read_text()
+    np.testing.assert_allclose(theta, here["theta"], rtol=1e-4, atol=5e-8)
+    assert "TILT_STATE_rotor = 3" in (tmp_path / "tilt.h").read_text()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+@pytest.mark.parametrize("step", [0.01, 0.05])
+@pytest.mark.parametrize("model", [Tilt(), LinearTilt()])
+def test_a_linear_model_with_a_delay_is_exact_in_c(tmp_path, model, step):
+    """The poles of the Padé approximation, at 714 rad/s, are far too fast for explicit steps."""
+    values = {**VALUES, "T_delay": 0.0042, "a5": 0.16}
+    values = {name: values[name] for name in model.parameters}
+    time, theta = flown_in_c(tmp_path, model, values, 1.0, pade=2, step=step)
+    there = gb.interop.to_scipy(model, values, kind="state-space", pade=2)
+    _, expected, _ = signal.lsim(there, np.ones(COUNT), np.arange(COUNT) * step)
+    np.testing.assert_allclose(time, np.arange(COUNT) * step, rtol=1e-4)
+    by_scipy = expected if expected.ndim == 1 else expected[:, 0]
+    np.testing.assert_allclose(theta, by_scipy, rtol=1e-4, atol=1e-4 * np.abs(by_scipy).max())
+    assert "exact for this linear model" in (tmp_path / "tilt.h").read_text()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_a_nonlinear_model_with_a_delay_takes_substeps_in_c(tmp_path):
+    values = {**VALUES, "T_delay": 0.0042}
+    _, theta = flown_in_c(tmp_path, NonlinearTilt(), values, 0.01, pade=2)
+    assert "substeps of the classical Runge-Kutta" in (tmp_path / "tilt.h").read_text()
+    late = gb.interop.to_casadi(NonlinearTilt(), values, pade=2)
+    x, u = ca.SX.sym("x", late.size1_in(0)), ca.SX.sym("u")
+    ode = {"x": x, "u": u, "ode": late(x, u)[0]}
+    advance = ca.integrator("advance", "cvodes", ode, 0, STEP, {"abstol": 1e-12, "reltol": 1e-10})
+    state, expected = np.zeros(late.size1_in(0)), []
+    for _ in range(COUNT):
+        expected.append(float(late(state, 0.01)[1][0]))
+        state = advance(x0=state, u=0.01)["xf"]
+    np.testing.assert_allclose(theta, expected, rtol=1e-4, atol=5e-8)
+
+
+class Friction(gb.StateSpace):
+    """Linear but for a sign, whose derivative is zero."""
+
+    states, inputs, outputs = ("v",), ("u",), ("v",)
+    c = gb.Parameter(0.5)
+
+    def derivative(self, x, u, p):
+        return (u.u - p.c * gb.sign(x.v),)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def test_what_is_not_linear_is_not_taken_for_it(tmp_path):
+    _, header = gb.interop.write_c(Friction(), tmp_path / "friction.c")
+    assert "Runge-Kutta" in header.read_text()
+    with pytest.raises(ValueError, match="give a shorter step"):
+        gb.interop.write_c(NonlinearTilt(), tmp_path / "t.c", {**VALUES, "T_rotor": 1e-6})
+    with pytest.raises(ValueError, match="above 0"):
+        gb.interop.write_c(Friction(), tmp_path / "t.c", step=0)
 
 
 def test_names_from_elsewhere_do_not_leave_the_comment(tmp_path):
@@ -96,7 +152,7 @@ def test_names_from_elsewhere_do_not_leave_the_comment(tmp_path):
         ),
         (
             lambda p: gb.interop.write_c(Tilt(), p / "t.c"),
-            "delays u by .*, which C code of states and inputs cannot hold",
+            "delays u by .*: give pade=3",
         ),
         (lambda p: gb.interop.write_mat(RECORD, p / "a.h5"), r"end it in \.mat"),
         (lambda p: gb.interop.write_c(Lag(), p / "no" / "lag.c"), "cannot be written"),
