@@ -15,6 +15,7 @@ import numpy as np
 from greybox.compiled.code_generation import compiled
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Instructions of cost, gradient and Hessian, some two for every operation of the cost and input,
 # from which terms are taken together also for few columns: a step of eight searches on ten points
@@ -45,6 +46,7 @@ class SecondOrder:
         if as_c:
             self._build(0)
 
+    @one_thread_at_a_time
     def _build(self, m: int) -> None:
         """Build for m columns and what follows: of many, and of large sums, terms are taken together."""
         operations = ca.Function("cost", [*self._inputs], [self._cost]).n_instructions()

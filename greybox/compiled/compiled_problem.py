@@ -29,6 +29,7 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.trim import Trimmed
 
@@ -159,6 +160,7 @@ class Nlp:
         ).T
 
 
+@one_thread_at_a_time
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
     """Build the CasADi expressions of a problem; `method` is that of its records.
 

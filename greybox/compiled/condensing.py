@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array, BoolArray
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Segments from which a chain is long: of fewer, a solver takes less than 50 MB.
 LONG_CHAIN = 10_000
@@ -103,6 +104,7 @@ def _state_sizes(hessian: Array, transition: Array) -> Array:
 class _Solver:
     """Sparse QR for one pattern. `inside` tells which entries of the uniform blocks lie in the matrix."""
 
+    @one_thread_at_a_time
     def __init__(self, s: int, n: int, r: int) -> None:
         """Analyze the pattern of s blocks of n states, for r right-hand sides."""
         size = 2 * n * s

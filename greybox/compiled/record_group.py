@@ -20,6 +20,7 @@ from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.sampled_data import joined
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, IntArray
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Simulated samples of every output by which runs are told apart, over all records.
 SIGNATURE = 500
@@ -111,6 +112,7 @@ class RecordGroup(RecordPart):
     # --- what differs between the records
 
     @cached_property
+    @one_thread_at_a_time
     def _located(self) -> tuple[ca.Function, IntArray]:
         """What `RecordPart.place` asks for of every distinct record, as one function of z; and of each its place."""
         distinct = {id(part.model.locate): part.model for part in self.parts}

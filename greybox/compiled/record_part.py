@@ -47,6 +47,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, Names
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
@@ -181,6 +182,7 @@ class RecordModel:
         """The settings of the solver."""
         return self.method.strategies
 
+    @one_thread_at_a_time
     def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordModel":
         """Return the same with inputs that run otherwise between their samples."""
         later = [new.late - now.late for new, now in zip(between, self.between, strict=True)]
@@ -295,6 +297,7 @@ class RecordPart(Part):
         model = self.model.with_inputs(between)
         return RecordPart(model, self.data, self.substeps, covariance=self.covariance, like=self)
 
+    @one_thread_at_a_time
     def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
         """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
         compile_linearization = self.model.method.compile and compiled
@@ -351,6 +354,7 @@ class RecordPart(Part):
         return self.model.gains
 
     @cached_property
+    @one_thread_at_a_time
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
         """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
         system = self.system

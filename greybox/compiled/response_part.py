@@ -13,6 +13,7 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,
     averaged_meat,
@@ -101,6 +102,7 @@ class ResponsePart(PartWithoutNodes):
         return parts[0] + 1j * parts[1]
 
     @cached_property
+    @one_thread_at_a_time
     def _slope(self) -> ca.Function:
         x = _symbol(self.model_response)
         return ca.Function("slope", [x], [ca.jacobian(self.model_response(x), x)])
@@ -113,6 +115,7 @@ class ResponsePart(PartWithoutNodes):
     # --- for Gauss-Newton
 
     @cached_property
+    @one_thread_at_a_time
     def _derivatives(self) -> ca.Function:
         """(z, smoothing) -> gradient and Hessian of the cost."""
         z, smoothing = _symbol(self.objective), _symbol(self.objective, 1)

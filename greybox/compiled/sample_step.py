@@ -18,6 +18,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
 RUN = 100  # samples of one call: the call's overhead of 12 µs is then a tenth of a microsecond a sample
@@ -60,6 +61,7 @@ class SampleStep:
     def _folds(self) -> dict[int, ca.Function]:
         return {}
 
+    @one_thread_at_a_time
     def folded(self, samples: int) -> ca.Function:
         """Return (x, q, D) -> x after each of so many samples (n, samples) and their residuals (k, samples)."""
         if samples not in self._folds:

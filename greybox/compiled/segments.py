@@ -21,6 +21,7 @@ from greybox.compiled.code_generation import CompiledLinearization
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, IntArray
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
@@ -142,6 +143,7 @@ class Segments:
 
         return self._columns("output_derivatives", results)
 
+    @one_thread_at_a_time
     def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
         active = self.active.tolist()
         if isinstance(
@@ -154,6 +156,7 @@ class Segments:
         ]
 
     @cached_property
+    @one_thread_at_a_time
     def _by_state(self) -> Columns:
         """Derivatives of the next state and of the residual by x."""
 
@@ -163,6 +166,7 @@ class Segments:
 
         return self._columns("by_state", results)
 
+    @one_thread_at_a_time
     def _columns(self, name: str, results: Callable[[Any, Any, Any], list[Any]]) -> Columns:
         """Return the function of x, q and d with these results, the same for all segments with this step."""
         key = (name, tuple(self.active.tolist()), self._own)
@@ -173,6 +177,7 @@ class Segments:
             evaluated[key] = Columns(self._with_own(function), shared=(1,))
         return evaluated[key]
 
+    @one_thread_at_a_time
     def _with_own(self, function: ca.Function) -> ca.Function:
         """Return the function of x, q and d as one of x, common and own parameters, and d."""
         if not self._own:

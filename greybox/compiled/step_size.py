@@ -20,6 +20,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.integrators import Integrator
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.step_size import (
     MOST_SUBSTEPS,
@@ -127,6 +128,7 @@ class _AccuracyJudge:
     samples: int
 
     @classmethod
+    @one_thread_at_a_time
     def of(
         cls, system: Dynamics, integrator: Integrator, strategies: Strategies
     ) -> "_AccuracyJudge":

@@ -33,6 +33,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import Model
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
@@ -376,6 +377,7 @@ class TransientPart(PartWithoutNodes):
             "use MultipleShooting()."
         )
 
+    @one_thread_at_a_time
     def information(
         self,
         names: tuple[str, ...],

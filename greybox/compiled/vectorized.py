@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 CHUNK = 4096  # columns at once: what fits into the cache
 FEW = 128  # columns: a ufunc takes 0.2 µs whatever their number, an operation of CasADi's 1.6 ns for each
@@ -138,6 +139,7 @@ class Columns:
         return self._bound[m]
 
 
+@one_thread_at_a_time
 def _dense(function: ca.Function) -> ca.Function:
     """Return the function with zeros in place of what inputs and outputs leave out."""
     is_dense = all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
@@ -155,6 +157,7 @@ def _dense(function: ca.Function) -> ca.Function:
 class _Mapped:
     """A function of dense inputs and outputs mapped over m columns, with memory of its own for both."""
 
+    @one_thread_at_a_time
     def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
         mapped = function if m == 1 else function.map("columns", "serial", m, list(shared), [])
         buffer: Any

@@ -12,6 +12,7 @@ from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, 
 from greybox.estimate.identifiability import KnownDirections
 from greybox.files.arrays import Array, BoolArray
 from greybox.formulation.held_estimate import HeldEstimate
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
 # unit length before the initial states are fitted along.
@@ -548,6 +549,7 @@ def _gradient(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> 
     return total * nlp.scaling.slope(x)
 
 
+@one_thread_at_a_time
 def _active_constraints(nlp: Nlp, x: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
     p = len(nlp.free)

@@ -52,6 +52,7 @@ from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, UntilFoundAgain, as_starts
 from greybox.formulation.sum import Sum
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import packed, require_executor
@@ -372,6 +373,7 @@ def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator
         )
 
 
+@one_thread_at_a_time
 def assemble(
     nlp: Nlp,
     search: Multistart,

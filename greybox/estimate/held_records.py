@@ -9,6 +9,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.outcome import Outcome
 
@@ -101,6 +102,7 @@ class HeldRecords:
         return point_of(self._nlp, found), found.cost if found.converged else math.inf
 
 
+@one_thread_at_a_time
 def _equation(quantity: ca.Function, z: Array, value: float) -> ca.Function:
     """Return (z) -> quantity less value, of slope one at the point z (p,): as steep as a bound is."""
     point = ca.SX.sym("z", len(z))
@@ -108,6 +110,7 @@ def _equation(quantity: ca.Function, z: Array, value: float) -> ca.Function:
     return ca.Function("equation", [point], [(quantity(point) - value) / (size or 1.0)])
 
 
+@one_thread_at_a_time
 def slope_of(quantity: ca.Function, z: Array) -> Array:
     """Return the derivatives (p,) of a quantity (z) -> value at the point z (p,)."""
     point = ca.SX.sym("z", len(z))

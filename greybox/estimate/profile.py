@@ -45,6 +45,7 @@ from greybox.files.arrays import Array
 from greybox.files.progress import counted_off
 from greybox.files.text_table import alternatives, number
 from greybox.formulation.starts import Sobol
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import TOLERANCE, BatchedSolver
 from greybox.solve.executors import call_all, require_executor
@@ -523,6 +524,7 @@ def _zero(
     return float(found)
 
 
+@one_thread_at_a_time
 def _value_of(nlp: Nlp, formula: Formula) -> ca.Function:
     """Return the function (z) -> value of a formula."""
     z = ca.SX.sym("z", len(nlp.free))

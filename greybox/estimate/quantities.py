@@ -13,6 +13,7 @@ from greybox.estimate.covariance import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 
 class Formula(NamedTuple):
@@ -105,6 +106,7 @@ def _formula(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
     )
 
 
+@one_thread_at_a_time
 def _evaluated(
     nlp: Nlp, formulas: list[Formula], estimate: Mapping[str, float]
 ) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
 from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
 from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import Sine
 
@@ -167,6 +168,7 @@ def band_of(
     )
 
 
+@one_thread_at_a_time
 def response_and_slope(
     model: Model,
     values: Mapping[str, float],

@@ -22,6 +22,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError
 from greybox.modeling.model import Model, require_known
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
@@ -249,6 +250,7 @@ def _of_record(
     return None
 
 
+@one_thread_at_a_time
 def _times(
     model: Model, values: Mapping[str, float], random: np.random.Generator
 ) -> tuple[Array, BoolArray]:

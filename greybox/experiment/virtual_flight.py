@@ -16,6 +16,7 @@ from greybox.experiment.controller import Controller, connected, updated
 from greybox.experiment.excitation import Excitation
 from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.model import Model, require_known
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, state_sizes, substep_growth
 
@@ -258,6 +259,7 @@ def _largest(local: Array, before: Array, after: Array) -> float:
     return math.inf if math.isnan(error) else error
 
 
+@one_thread_at_a_time
 def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     """Compile one controller period: (all states, a column) -> (all states, log), and the names in the log.
 
@@ -346,6 +348,7 @@ def _control(
     return remembered
 
 
+@one_thread_at_a_time
 def _sensor(loop: _Loop, name: str, x: ca.SX, u: ca.SX) -> ca.SX:
     """Return an output, a state, or the time derivative of either."""
     system = loop.system

@@ -12,6 +12,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import pade_states
 from greybox.modeling.rational import Rational, rational
 from greybox.modeling.realization import Dynamics, dynamics
@@ -70,6 +71,7 @@ class GivenModel:
             self._require_no_delay(dict(zip(system.inputs, delays, strict=True)))
         return system, p
 
+    @one_thread_at_a_time
     def _realized(self) -> LinearSystem:
         system = dynamics(self.model)
         p = np.array(list(self.model.values(self.values).values()), dtype=float)
@@ -133,6 +135,7 @@ def given_model(
     )
 
 
+@one_thread_at_a_time
 def _with_delay_states(system: LinearSystem, order: int) -> LinearSystem:
     """Put the Padé approximation of every delay before its input."""
     blocks = []

@@ -18,7 +18,7 @@ Begin with `transfer_function` and `state_space`, which are the two kinds of `mo
 
 `known_systems` are linear models whose numbers are known, such as a filter; `limit` is a transfer
 function with a parameter at zero or infinity, `late_sensors` an ODE with outputs that are measured
-late; `model_reference` names a model in a stored result, `model_file` finds the models in a file of
+late; `one_thread` has the lock under which CasADi takes derivatives; `model_reference` names a model in a stored result, `model_file` finds the models in a file of
 one's own.
 """
 

@@ -16,6 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.modeling.one_thread import one_thread_at_a_time
+
 TINY = 1e-300  # instead of a division by zero, where nothing moves
 DRAWS = 4  # generic points at which both sides of a switch are compared
 ROOT_STEPS = 30  # Newton steps to such a point, where an argument is curved
@@ -101,11 +103,13 @@ def _linear_operation(operation: int, terms: list[_Term]) -> _Term | None:  # no
     return None
 
 
+@one_thread_at_a_time
 def has_switches(formula: ca.SX, z: ca.SX) -> bool:
     """Tell whether `formula` has a jump or a kink that depends on `z`."""
     return bool(_rough_switches(formula, z)[1])
 
 
+@one_thread_at_a_time
 def has_jumps(formula: ca.SX, z: ca.SX, moving: ca.SX) -> bool:
     """Tell whether `formula` of `z` has a jump where an expression of the signals `moving` changes its sign."""
     held, switches = _held_switches(formula, z)
@@ -123,6 +127,7 @@ def _resolved(argument: ca.SX, switches: "list[_Switch]") -> ca.SX:
     return argument
 
 
+@one_thread_at_a_time
 def interval_mean(
     formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interval: float
 ) -> tuple[ca.SX, ca.SX]:

@@ -28,6 +28,7 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_jumps, has_switches, interval_mean, separated
 from greybox.modeling.functions import exp
 from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
@@ -74,6 +75,7 @@ KEPT = 16
 WIDTH = 0.05  # of a switch whose argument rests there
 
 
+@one_thread_at_a_time
 def harmonic_function(
     model: Model,
     omega: Array,
@@ -237,6 +239,7 @@ class Balance:
     slopes: ca.Function
 
     @classmethod
+    @one_thread_at_a_time
     def of(cls, equations: "Equations", harmonics: int) -> "Balance":
         """Write down the balance."""
         kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
@@ -453,6 +456,7 @@ class Newton:
     guess: ca.Function
 
     @classmethod
+    @one_thread_at_a_time
     def of(cls, balance: Balance, conditions: tuple[int, ...]) -> "Newton":
         """Compile with those `conditions` on the means."""
         x = balance.unknown

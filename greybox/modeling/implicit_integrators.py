@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from greybox.modeling.integrators import Integrator
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
 # Largest residual of the stage equations, relative to the largest state, with which a step counts
@@ -47,6 +48,7 @@ class ImplicitIntegrator(Integrator):
     def end(self, x: Any, stages: Any) -> Any:
         """Return the state (n,) at the end of the step."""
 
+    @one_thread_at_a_time
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
         """Return x one step later; NaN where Newton's method does not solve the stages. Its derivatives are exact."""
         n, m = len(system.states), len(system.inputs)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
 
@@ -113,6 +114,7 @@ class Rosenbrock(Integrator):
         return x + 2 * k1 + k3 + k4
 
 
+@one_thread_at_a_time
 def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
     """Return (x, mean, change, p, step) -> x one sample later; `change` (m,) is that of the inputs over the step."""
     kind: Any = ca.MX if integrator.implicit else ca.SX

@@ -14,6 +14,7 @@ from greybox.modeling.elimination import elimination_order, solve, solve_pencils
 from greybox.modeling.functions import exp
 from greybox.modeling.linearization import LinearSystem, jacobians, linearize
 from greybox.modeling.model import Model, Names, pick_signals
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced
@@ -100,6 +101,7 @@ def _state_space_values(
     return delayed.re + 1j * delayed.im
 
 
+@one_thread_at_a_time
 def response_formula(
     model: Model,
     omega: Array,

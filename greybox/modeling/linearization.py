@@ -8,6 +8,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_of
@@ -63,6 +64,7 @@ class LinearSystem:
         return np.linalg.eigvals(self.A).astype(complex)
 
 
+@one_thread_at_a_time
 def jacobians(model: StateSpace) -> ca.Function:
     """Return the CasADi function (parameters, states, inputs) -> A, B, C, D."""
     n = len(model.states)

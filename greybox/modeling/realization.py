@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.modeling.model import Model
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import pade_states
 from greybox.modeling.rational import Rational
 from greybox.modeling.state_space import StateSpace
@@ -62,6 +63,7 @@ class Dynamics:
         )
 
 
+@one_thread_at_a_time
 def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     """Compile a model for the time domain; with `pade`, delays become states, approximated to that order.
 

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.modeling.model import Model, Names
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
 
 CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
@@ -61,6 +62,7 @@ def traced_output(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
     return _traced_column(model, "output", model.output, model.outputs, z, p)
 
 
+@one_thread_at_a_time
 def derivative_function(model: StateSpace) -> ca.Function:
     """Return the CasADi function (states and inputs, parameters) -> derivative."""
     z = ca.SX.sym("z", len(model.states) + len(model.inputs))

@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.model import Names, require_known
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
     column,
@@ -57,6 +58,7 @@ class Trimmed:
         return ca.Function(self.function.name(), [p, *others], self.function(p, w, *others))
 
 
+@one_thread_at_a_time
 def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     """Return the states and inputs at the operating point `at` as functions of the parameter vector.
 

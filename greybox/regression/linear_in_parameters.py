@@ -7,6 +7,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
 Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
@@ -154,6 +155,7 @@ class _Analysis:
     def _symbol(self, name: str) -> ca.SX:
         return self.p[self.free.index(name)] if name in self.free else ca.SX(0)
 
+    @one_thread_at_a_time
     def result(self) -> Equations:
         """Go through the states, then the equations, then the parameters."""
         self._know_measured_states()

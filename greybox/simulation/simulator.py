@@ -14,6 +14,7 @@ from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (
     MOST_SUBSTEPS,
     relative_change,
@@ -341,6 +342,7 @@ def diverged(signals: Mapping[str, Array]) -> BoolArray:
     return ~np.all([np.abs(values) < DIVERGED for values in signals.values()], axis=0)
 
 
+@one_thread_at_a_time
 def _first_substeps(model: ModelAtEstimate, step: float) -> int:
     """Return the substeps of a sample that the poles near rest ask for."""
     n = len(model.system.states)

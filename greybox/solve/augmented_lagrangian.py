@@ -18,6 +18,7 @@ import numpy as np
 
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.batched_newton import INSIDE, LOOSE, BatchedNewton, Ends
 from greybox.solve.interruption import reason_to_end
 
@@ -40,6 +41,7 @@ TURNS = (
 class ConstrainedNewton:
     """Minimizes a function of z within bounds and under constraints, from many points at once."""
 
+    @one_thread_at_a_time
     def __init__(
         self,
         program: ca.Function,

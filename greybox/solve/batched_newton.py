@@ -25,6 +25,7 @@ from greybox.compiled.alike_terms import FEWEST_COLUMNS, SecondOrder
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
@@ -111,6 +112,7 @@ class _Iterations(threading.local):
         self.of = lru_cache(maxsize=SIZES)(_iteration)
 
 
+@one_thread_at_a_time
 def _iteration(p: int) -> tuple[Columns, Columns]:
     """Return `advanced` and `bounded` for p variables."""
     return (
@@ -125,6 +127,7 @@ _iterations = _Iterations()
 class BatchedNewton:
     """Minimizes a function of z within bounds, from many points at once."""
 
+    @one_thread_at_a_time
     def __init__(
         self,
         program: ca.Function,

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array, BoolArray
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.quadratic_program import solve_small_qp
 
 ROUNDING = 1e-9  # of the terms of a constraint: it counts as satisfied
@@ -28,6 +29,7 @@ class Limits:
     high: Array
     constraints: ca.Function
 
+    @one_thread_at_a_time
     def with_equation(self, equation: ca.Function) -> "Limits":
         """Return these limits and an equation (z) -> 0, as two constraints."""
         z = ca.SX.sym("z", len(self.low))

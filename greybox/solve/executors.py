@@ -30,6 +30,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.interruption import interrupt_noted, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
@@ -398,7 +399,7 @@ def run_starts(
         if key not in solvers:
             while len(solvers) >= SOLVERS_KEPT:
                 solvers.popitem(last=False)
-            solvers[key] = pickle.loads(payload)
+            solvers[key] = one_thread_at_a_time(pickle.loads)(payload)
         solvers.move_to_end(key)
         solver = solvers[key]
         batches = (

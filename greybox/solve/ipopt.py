@@ -1,7 +1,6 @@
 """IPOPT on a problem without hidden unknowns, such as frequency responses: a dense program in the parameters."""
 
 import math
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -15,6 +14,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import AT_ONCE, Minimum, Multistart
@@ -58,9 +58,6 @@ WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200
 # errors of 1e-4, 10 then ended at the minimum. From the start the barrier would outweigh such a
 # cost.
 WITHOUT_BARRIER = {**WARM, "mu_init": 1e-11, "max_iter": 50, "obj_scaling_factor": 0.01}
-
-# CasADi 3.8.2 crashes where two threads build solvers of functions with derivatives at once.
-_one_thread = threading.Lock()
 
 
 class StopCheck(ca.Callback):
@@ -138,6 +135,7 @@ class Ipopt:
         For an option that IPOPT does not take.
     """
 
+    @one_thread_at_a_time
     def __init__(
         self,
         statement: Mapping[str, Any],
@@ -153,8 +151,7 @@ class Ipopt:
             "iteration_callback": self._check,
         }
         try:
-            with _one_thread:
-                self._solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
+            self._solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
         except RuntimeError:
             for name, value in options.items():
                 _check_option(name, value)

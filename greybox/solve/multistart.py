@@ -13,6 +13,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.strategies import with_options
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.executors import packed, run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -40,6 +41,7 @@ BATCHED, MULTISTART, GLOBAL_SEARCH = "batched", "multistart", "global-search"
 SEARCHES = (BATCHED, MULTISTART, GLOBAL_SEARCH)
 
 
+@one_thread_at_a_time
 def solver_for(
     nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED
 ) -> LocalSolver:

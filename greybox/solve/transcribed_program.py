@@ -16,6 +16,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, Ipopt
@@ -34,6 +35,7 @@ SAME = 1e-9
 class TranscribedProgram(LocalSolver):
     """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
+    @one_thread_at_a_time
     def __init__(
         self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})
     ) -> None:

@@ -21,6 +21,7 @@ from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.linear_response import formula_at_one_frequency
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 ROWS = ("omega", "re", "im", "coherence", "variance", "dof")
 
@@ -59,6 +60,7 @@ def formulas_of_frequency(nlp: Nlp) -> list[ca.Function] | None:
     return formulas if len(formulas) == len(found) else None
 
 
+@one_thread_at_a_time
 def open_program(
     nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]
 ) -> ca.Function:
@@ -165,6 +167,7 @@ def _cost(part: Problem, response: Complex, data: Any, smoothing: Any) -> Any:
         ) from error
 
 
+@one_thread_at_a_time
 def _response(formula: ca.Function, p: Any, omega: Any) -> Complex:
     if isinstance(omega, ca.SX):
         each = [formula(p, omega[k]) for k in range(omega.numel())]

@@ -34,7 +34,7 @@ TESTED = gb.Problem(
     gb.modeling.harmonic_response(Slider(), {"drag": 0.4}, [0.3, 0.6, 1.2], amplitude=SINE),
     amplitude=SINE,
 )
-RECORDS = [lag_problem(seed, samples=300) for seed in range(3)]
+RECORDS = [lag_problem(seed, samples=300) for seed in range(2)]
 
 
 def fitted(problem):
@@ -46,11 +46,11 @@ def test_fits_of_records_of_responses_and_of_sine_tests_in_four_threads():
     problems = [*RECORDS, RESPONSE, TESTED]
     one_by_one = [fitted(problem) for problem in problems]
     with ThreadPoolExecutor(4) as threads:
-        at_once = list(threads.map(fitted, 3 * problems))
-    assert at_once == 3 * one_by_one
+        at_once = list(threads.map(fitted, 2 * problems))
+    assert at_once == 2 * one_by_one
 
 
-def test_many_solvers_are_built_at_once():
+def test_fits_in_threads_leave_the_process_alive():
     script = textwrap.dedent(
         """
         from concurrent.futures import ThreadPoolExecutor
@@ -59,10 +59,10 @@ def test_many_solvers_are_built_at_once():
 
         problem = rotors.problem()
         with ThreadPoolExecutor(4) as threads:
-            fits = list(threads.map(lambda _: gb.fit(problem, starts=1, progress=False), range(30)))
+            fits = list(threads.map(lambda _: gb.fit(problem, starts=1, progress=False), range(8)))
         print(len({fit.cost for fit in fits}))
         """
-    )  # a process of its own: what goes wrong there ends it
+    )  # in a process of its own, which a crash of CasADi would end
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=False
     )

@@ -13,6 +13,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.integrators import Rosenbrock
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.ipopt import INVALID
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
@@ -211,6 +212,7 @@ def _elsewhere(part: RecordPart) -> str:
     return f"start elsewhere, or bound the parameters to where {part.problem.model.label} has finite values{known}"
 
 
+@one_thread_at_a_time
 def _fastest_decay(part: RecordPart, trajectory: Trajectory) -> float:
     """Return the largest |pole| of those that decay, at the first states, rad/s; 0 where there is none."""
     if not part.states:

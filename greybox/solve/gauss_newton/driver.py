@@ -16,6 +16,7 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_group import excerpts
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.damping import after_failure, next_damping
@@ -726,6 +727,7 @@ class GaussNewton(LocalSolver):
         return iterate
 
 
+@one_thread_at_a_time
 def _limits(nlp: Nlp) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
     kind: Any = ca.SX if nlp.program.is_a("SXFunction") else ca.MX

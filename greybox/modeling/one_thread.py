@@ -1,0 +1,27 @@
+"""One lock for whatever takes derivatives with CasADi, or builds a solver from them.
+
+CasADi 3.8.2 frees a sparsity pattern that two threads use at once twice, and the process crashes. Only
+derivatives, solvers and mapped functions make such patterns; evaluating functions is safe, as long
+as every thread has its own.
+"""
+
+import functools
+import threading
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+_LOCK = threading.RLock()
+
+
+def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let one thread at a time run any of the functions with this decorator."""
+
+    @functools.wraps(function)
+    def locked(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _LOCK:
+            return function(*args, **kwargs)
+
+    return locked
