@@ -170,7 +170,6 @@ def time_per_success(problem, options, lowest):
         problem,
         LatinHypercube(options.starts, seed=1),
         search=options.search,
-        compile=options.compile,
         progress=False,
     )
     seconds = time.process_time() - began
@@ -204,9 +203,6 @@ def main():
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--bare", type=int, default=100)
     parser.add_argument("--search", default="batched")
-    parser.add_argument(
-        "--compile", action="store_true", help="of the fits; run twice for a warm cache"
-    )
     parser.add_argument("--only", nargs="+", help="names of problems")
     options = parser.parse_args()
     print(

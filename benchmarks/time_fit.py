@@ -11,8 +11,7 @@ measured and from unknown initial states).
 Every figure comes from a fresh process: libraries are imported (what greybox imports of scipy when
 a fit first needs it, too), everything else is cold and counts, from the arrays to the answer
 (standard errors included for greybox, left out for the rivals). Times are the processor's, which
-other work on the machine changes least; only the first fit with an empty cache of compiled
-libraries is timed by the clock, for the compiler. Peak memory is the whole process's, interpreter
+other work on the machine changes least. Peak memory is the whole process's, interpreter
 and data included. Rounds alternate, ratios are taken within a round, all run on one thread.
 `--long` goes on to 600 000 samples, where the NLP takes minutes and gigabytes, and gives the NLP
 random starts, of which those that fail take up to half a minute. The part `records` holds a hundred
@@ -57,7 +56,6 @@ SAMPLES = 6000
 SIZES = (6000, 60_000, 600_000)
 LIMITS = {
     ("greybox", SAMPLES): 3.5,
-    ("greybox compiled", SAMPLES): 6.0,
     ("greybox", SIZES[-1]): 20.0,
 }
 POWER, MEGABYTES = 1.1, 1000.0
@@ -125,9 +123,7 @@ def greybox_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
         problem = problem if options["joined"] else gb.several(model, records, criterion=criterion)
     else:
         problem = gb.Problem(FastTilt(), gb.Record(time_base, signals), criterion=criterion)
-    method = gb.MultipleShooting(
-        segment=SEGMENT, **({"compile": True} if options.get("compile") else {})
-    )
+    method = gb.MultipleShooting(segment=SEGMENT)
     one = [dict(zip(NAMES, START.tolist(), strict=True))]
     fit = gb.fit(problem, starts=options.get("starts") or one, method=method, progress=False)
     seconds = time.process_time() - began
@@ -199,7 +195,6 @@ def starts_of(options: dict[str, Any]) -> np.ndarray:
 
 CASES: dict[str, tuple[Case, dict[str, Any]]] = {
     "greybox": (greybox_case, {}),
-    "greybox compiled": (greybox_case, {"compile": True}),
     "greybox, one record with gaps": (greybox_case, {"pieces": RECORDS, "joined": True}),
     "greybox, many records": (greybox_case, {"pieces": RECORDS, "joined": False}),
     "IPOPT": (ipopt_case, {}),
@@ -284,10 +279,6 @@ def speed(
 ) -> dict[str, list[dict[str, Any]]]:
     """Time every case in every round; print times, memory and ratios; return what was found."""
     print(f"\n{samples} samples, one start, {rounds} round{'s' * (rounds > 1)}")
-    if "greybox compiled" in cases and (first := bench.run("greybox compiled", samples)):
-        print(
-            f"  greybox compiled, the first time (empty cache): {first['elapsed']:.3f} s by the clock"
-        )
     found: dict[str, list[dict[str, Any]]] = {case: [] for case in cases}
     failed: set[str] = set()
     for _ in range(rounds):
@@ -514,9 +505,7 @@ def report(bench: Bench, options: argparse.Namespace) -> int:
         agreed = growth(bench, cases, sizes, options.rounds)
     elif "speed" in options.parts:
         agreed = same_minimum(bench, speed(bench, cases, SAMPLES, options.rounds), SAMPLES)
-    cases = [
-        case for case in cases if case not in ("IPOPT", "greybox compiled")
-    ]  # they find what their twins find
+    cases = [case for case in cases if case != "IPOPT"]  # it finds what its twin finds
     if "starts" in options.parts:
         starts(bench, [c for c in cases if options.long or c != "IPOPT by blocks"], options.starts)
     if "errors" in options.parts:

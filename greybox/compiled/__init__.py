@@ -15,6 +15,5 @@ its multipliers. `initial_states` gives the first ones, `residual_covariance` th
 `record_information` the numbers that correlated residuals are worth. `transcription/` holds the
 methods by which the states of a record become unknowns, one method a file (multiple shooting is the
 above), and `strategies` all settings. `vectorized` evaluates CasADi functions in numpy over many
-columns, `alike_terms` the derivatives of a cost whose terms differ in their constants alone;
-`code_generation` compiles functions to C, `library_cache` keeps the libraries.
+columns, `alike_terms` the derivatives of a cost whose terms differ in their constants alone.
 """

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.code_generation import compiled
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -33,27 +32,17 @@ FEWEST_COLUMNS = 512
 class SecondOrder:
     """A scalar function with its gradient and Hessian by the first of its inputs, for many columns of these."""
 
-    def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX, *, as_c: bool = False) -> None:
-        """Take the symbols of the inputs and the cost; with `as_c` it is compiled as it is.
-
-        Raises
-        ------
-        RuntimeError
-            Where it cannot be compiled, see `greybox.compiled.code_generation.compiled`.
-        """
-        self._inputs, self._cost, self._as_c = inputs, cost, as_c
+    def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX) -> None:
+        """Take the symbols of the inputs and the cost."""
+        self._inputs, self._cost = inputs, cost
         self._is_built = False
-        if as_c:
-            self._build(0)
 
     @one_thread_at_a_time
     def _build(self, m: int) -> None:
         """Build for m columns and what follows: of many, and of large sums, terms are taken together."""
         operations = ca.Function("cost", [*self._inputs], [self._cost]).n_instructions()
         is_large = m >= FEWEST_COLUMNS or 2 * operations * self._inputs[0].numel() >= LARGE
-        groups, rest = (
-            _alike(self._inputs, self._cost) if is_large and not self._as_c else ([], self._cost)
-        )
+        groups, rest = _alike(self._inputs, self._cost) if is_large else ([], self._cost)
         self._groups = [
             (Columns(_derivatives([*self._inputs, g.symbols], g.term)), g.constants) for g in groups
         ]
@@ -62,10 +51,7 @@ class SecondOrder:
         ] = {}  # constants of every group, by the number of columns
         self._rest: Columns | None = None
         if not (groups and rest.is_zero()):
-            derivatives = _derivatives(self._inputs, rest)
-            self._rest = Columns(
-                compiled(derivatives) if self._as_c else derivatives, fewest=FEWEST_COLUMNS
-            )
+            self._rest = Columns(_derivatives(self._inputs, rest), fewest=FEWEST_COLUMNS)
         self._is_built = True
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:

@@ -410,8 +410,8 @@ class Part(ABC):
         """Return the part on excerpts of about so many samples in all."""
         return self
 
-    def refined(self, factor: int, *, compiled: bool = True) -> "Part":
-        """Return the part with `factor` times the steps per sample; not `compiled` for a look at it alone."""
+    def refined(self, factor: int) -> "Part":
+        """Return the part with `factor` times the steps per sample."""
         return self
 
     # --- what IPOPT asks

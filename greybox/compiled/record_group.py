@@ -48,7 +48,6 @@ class RecordGroup(RecordPart):
             data.segments,
             data.segment_length,
             first.model.active,
-            first.compiles,
             records=np.repeat(np.arange(len(counts)), counts),
             own=own,
         )
@@ -66,9 +65,9 @@ class RecordGroup(RecordPart):
         """Return the group on excerpts of about so many samples in all."""
         return RecordGroup(excerpts(self.parts, samples))
 
-    def refined(self, factor: int, *, compiled: bool = True) -> "RecordGroup":
+    def refined(self, factor: int) -> "RecordGroup":
         """Return the group with `factor` times the steps per sample."""
-        return RecordGroup([part.refined(factor, compiled=compiled) for part in self.parts])
+        return RecordGroup([part.refined(factor) for part in self.parts])
 
     def split(self, trajectory: Trajectory) -> list[Trajectory]:
         """Return the trajectories of the records."""
@@ -256,7 +255,7 @@ def _kind(part: Part, number: int) -> Any:
     if not isinstance(part, RecordPart) or part.gains:
         return number
     active = tuple(part.model.active.tolist())
-    return (id(part.step), part.data.segment_length, active, part.weight, part.compiles)
+    return (id(part.step), part.data.segment_length, active, part.weight)
 
 
 def _as_one(parts: Sequence[Any]) -> Part:

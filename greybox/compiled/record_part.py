@@ -225,7 +225,6 @@ class RecordPart(Part):
         step: SampleStep | None = None,
         segments: Segments | None = None,
         covariance: ResidualCovariance | None = None,
-        compile_linearization: bool = False,
         like: "RecordPart | None" = None,
     ) -> None:
         """Build the functions; what is given serves: a `step` of these substeps, `segments` of this step.
@@ -240,9 +239,8 @@ class RecordPart(Part):
         self.data = data
         self._substeps = substeps
         self.step = step or model.step(model.method.scheme, substeps)
-        self.compiles = compile_linearization
         self.segments = segments or Segments(
-            self.step, data.segments, data.segment_length, model.active, compile_linearization
+            self.step, data.segments, data.segment_length, model.active
         )
         self._placed_data: tuple[Array, Array] | None = None
         self.covariance = covariance or residual_covariance_of(
@@ -298,16 +296,14 @@ class RecordPart(Part):
         return RecordPart(model, self.data, self.substeps, covariance=self.covariance, like=self)
 
     @one_thread_at_a_time
-    def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
-        """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
-        compile_linearization = self.model.method.compile and compiled
+    def refined(self, factor: int) -> "RecordPart":
+        """Return the part with `factor` times the substeps."""
         return RecordPart(
             self.model,
             self.data,
             factor * self.substeps,
             covariance=self.covariance,
             like=self,
-            compile_linearization=compile_linearization,
         )
 
     # --- facts
@@ -1289,7 +1285,7 @@ def compile_records(
         )
         for k in lot:
             cut = replace(data[k], segment_length=segment_length)
-            parts[k] = RecordPart(models[k], cut, substeps, compile_linearization=method.compile)
+            parts[k] = RecordPart(models[k], cut, substeps)
     return [parts[k] for k in range(len(models))]
 
 

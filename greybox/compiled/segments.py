@@ -17,7 +17,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.code_generation import CompiledLinearization
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, IntArray
@@ -82,12 +81,11 @@ class Segments:
         count: int,
         length: int,
         active: IntArray,
-        compile_linearization: bool = False,
         *,
         records: IntArray | None = None,
         own: tuple[int, ...] = (),
     ) -> None:
-        """Prepare the functions of `step`; `compile_linearization` translates the linearization to C."""
+        """Prepare the functions of `step`."""
         self._step = step
         self.count = count
         self.length = length
@@ -101,11 +99,6 @@ class Segments:
         self._ordered: tuple[Array, Array] | None = None
         self._array: Array | None = None
         self._last: tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]] | None = None
-        self._compiled = None
-        if compile_linearization:
-            self._compiled = CompiledLinearization(
-                step.function, active.tolist(), count, length, each=self.number > 1
-            )
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what was evaluated last."""
@@ -304,10 +297,6 @@ class Segments:
 
         It is one (k, k) for all segments, or one for every record (r, k, k).
         """
-        if self._compiled is not None and not moments:
-            found = self._linearize_in_c(states, q, weight, data)
-            if found is not None:
-                return found
         s, n = self.count, self.n
         v = n + len(self.active)
         transition = np.empty((s, n, v))
@@ -353,35 +342,6 @@ class Segments:
             parameter_hessian=parameter_hessian,
             parameter_gradient=parameter_gradient,
             moments=(node_moments, parameter_moments) if moments else None,
-        )
-
-    def _linearize_in_c(
-        self, states: Array, q: Array, weight: Array, data: Array
-    ) -> Linearization | None:
-        """Return the linearization by the compiled function, None where a derivative is not finite."""
-        assert self._compiled is not None
-        n, s = self.n, self.count
-        v = n + len(self.active)
-        nodes = states[:, :s].T
-        if self.number > 1:  # a weight and parameters for every segment
-            weight = weight[self.records]
-            q = q.T if self._own else np.tile(q, (s, 1))
-        _, slopes, products, gradient = self._compiled(nodes, q, weight, self.rows(data))
-        if not (math.isfinite(slopes.sum()) and math.isfinite(products.sum())):
-            return None
-
-        transition = slopes.reshape(s, v, n).transpose(0, 2, 1)
-        place = np.zeros((v, v), dtype=int)
-        place[np.triu_indices(v)] = np.arange(v * (v + 1) // 2)
-        place = np.maximum(place, place.T)
-        return Linearization(
-            transition=transition[:, :, :n],
-            parameter_sensitivity=transition[:, :, n:],
-            node_hessian=products[:, place[:n, :n]],
-            cross_hessian=products[:, place[:n, n:]],
-            node_gradient=gradient[:, :n],
-            parameter_hessian=self.by_record(products)[:, place[n:, n:]],
-            parameter_gradient=self.by_record(gradient[:, n:]),
         )
 
     def sensitivities(

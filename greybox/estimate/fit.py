@@ -21,7 +21,6 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
-from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of, told_by
@@ -106,7 +105,6 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     method: Transcription | None = None,
     search: str = BATCHED,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
-    compile: bool = False,  # noqa: A002  (the name it has in `MultipleShooting`)
     executor: Executor | None = None,
     seconds: float | None = None,
     start_seconds: float | None = None,
@@ -146,10 +144,6 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For
         records `tol` is that of the decrease of the cost and of half the squared length of a step
         in standard errors, 1e-8 by default.
-    compile : bool
-        Translate what a batched search evaluates to C, as `MultipleShooting(compile=True)` does of
-        records. Takes a C compiler and a second or more, once: the libraries are kept, see
-        `SECURITY.md`.
     executor : concurrent.futures.Executor, optional
         What makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's
         ``client.get_executor()``; this process by default. The answer is the same. The first run,
@@ -184,7 +178,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so
         far.
     """
-    by = SolverChoice(_compiling(method) if compile else method, search, solver_options)
+    by = SolverChoice(method, search, solver_options)
     with limited(TimeLimits.from_now(seconds, start_seconds)):
         return fit_keeping(
             None,
@@ -196,16 +190,6 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
             profiles=profiles,
             progress=progress,
         )
-
-
-def _compiling(method: Transcription | None) -> Transcription:
-    """Return the method with what is evaluated compiled."""
-    method = MultipleShooting() if method is None else method
-    if not isinstance(method, MultipleShooting):
-        raise ValueError(
-            f"compile=True is for multiple shooting, not for {method!r:.60}: leave one of them out."
-        )
-    return replace(method, compile=True)
 
 
 @dataclass(frozen=True)

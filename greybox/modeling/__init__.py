@@ -1,25 +1,27 @@
-"""Declaring models and reading their formulas.
+"""Declare models and read their formulas: as numbers, CasADi expressions, rational functions and ODEs.
 
-Begin with `transfer_function` and `state_space`, which are the two kinds of `model`, and with
-`parameter`. Formulas are written with `functions`. One formula has several readings:
+Begin with `model`.
 
-- `symbolic_reading` traces it with CasADi; `complex_arithmetic` gives real and imaginary part of a
-  function of s, and `rational` numerator, denominator and delay (`function_of_s` is what these two
-  share).
-- `expression_tree` has it as sums, products and functions, to be shown.
-- `pade_delay` approximates a delay by a rational function or by states.
-- `linear_response` is the frequency response, with `linearization` of an ODE at its operating point
-  (`trim`) and `elimination` of the states.
-- `harmonic_balance` is the response to a `sine` of finite amplitude, with `formula_structure` for
-  what is linear and where a formula switches; `periodic_motions` tells which motion is meant where
-  there are several.
-- `realization` turns a model into differential equations, `integrators` and `implicit_integrators`
-  step them, and `step_size` is the rule for the number of their steps.
-
-`known_systems` are linear models whose numbers are known, such as a filter; `limit` is a transfer
-function with a parameter at zero or infinity, `late_sensors` an ODE with outputs that are measured
-late; `one_thread` has the lock under which CasADi takes derivatives; `model_reference` names a model in a stored result, `model_file` finds the models in a file of
-one's own.
+| file | contents |
+| --- | --- |
+| `model`, `transfer_function`, `state_space` | what every model declares, and its two kinds |
+| `parameter`, `functions` | what formulas are written with |
+| `symbolic_reading`, `one_thread` | a formula traced with CasADi; the lock under which CasADi takes derivatives |
+| `complex_arithmetic` | real and imaginary part of a function of s |
+| `rational` | numerator, denominator and delay of a function of s |
+| `function_of_s` | what these two readings of s share |
+| `expression_tree` | a formula as sums, products and functions, to print it |
+| `formula_structure` | the signals in which a formula is linear, and where it switches |
+| `pade_delay` | a delay as a rational function or as states |
+| `linear_response` | the frequency response of a model |
+| `trim`, `linearization`, `elimination` | operating point, linear system there, its states eliminated |
+| `sine`, `harmonic_balance`, `periodic_motions` | the response to a sine of finite amplitude |
+| `realization` | every model as an ODE with delayed inputs |
+| `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |
+| `known_systems` | linear models with known numbers, such as a filter |
+| `limit` | a transfer function with a parameter at zero or infinity |
+| `late_sensors` | an ODE whose outputs are measured with a delay or a lag |
+| `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
 
 from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator

@@ -49,8 +49,6 @@ class ConstrainedNewton:
         upper: Array,
         origin: Array,
         roots: ca.Function | None = None,
-        *,
-        as_c: bool = False,
     ) -> None:
         """Take what `BatchedNewton` takes; the program returns what must be >= 0 after the cost.
 
@@ -77,7 +75,7 @@ class ConstrainedNewton:
         whole = ca.Function("whole", [*inputs, ca.vertcat(barrier, penalty, multipliers)], [cost])
         self._limits = ca.Function("limits", [z], [limits])
         self._missing = BatchedNewton(missing, lower, upper)
-        self._newton = BatchedNewton(whole, lower, upper, roots, as_c=as_c)
+        self._newton = BatchedNewton(whole, lower, upper, roots)
 
     def minimize(
         self, z: Array, *, max_iterations: int, tolerance: float, from_near: bool = False

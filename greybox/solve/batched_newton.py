@@ -134,22 +134,15 @@ class BatchedNewton:
         lower: Array,
         upper: Array,
         roots: ca.Function | None = None,
-        *,
-        as_c: bool = False,
     ) -> None:
         """Take the program and the bounds (p,) of z.
 
         It is an SX function (z, smoothing, ...) -> cost, ..., which takes besides: the `roots` of
         z, if there are any, which its derivatives may hold; then, if searches differ in it, what is
-        given. With `as_c` it is compiled.
-
-        Raises
-        ------
-        RuntimeError
-            Where it cannot be compiled, see `greybox.compiled.code_generation.compiled`.
+        given.
         """
         inputs = [ca.SX.sym("v", program.numel_in(k)) for k in range(program.n_in())]
-        self._function = SecondOrder(inputs, program(*inputs)[0], as_c=as_c)
+        self._function = SecondOrder(inputs, program(*inputs)[0])
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
         self._rows = Vectors(len(lower))

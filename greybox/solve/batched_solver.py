@@ -103,11 +103,10 @@ class BatchedSolver(ScreenedIpopt):
         """Return the criterion that locates the minimum, if any, then the problem's own."""
         if not self._batches:
             nlp, bounds = self._nlp, (self._bounds["lbx"], self._bounds["ubx"])
-            as_c = nlp.method.compile
             self._batches = [
-                ConstrainedNewton(program, *bounds, nlp.origin, nlp.roots, as_c=as_c)
+                ConstrainedNewton(program, *bounds, nlp.origin, nlp.roots)
                 if nlp.limits
-                else BatchedNewton(program, *bounds, nlp.roots, as_c=as_c)
+                else BatchedNewton(program, *bounds, nlp.roots)
                 for program in nlp.explicit
             ]
         return self._batches

@@ -147,7 +147,7 @@ def refine_discretization(
 
 def _finer_parts(nlp: Nlp) -> tuple[Part, ...]:
     """Return the parts, grouped, with twice the steps, for a look at them."""
-    return tuple(part.refined(2, compiled=False) for part in Groups(nlp.parts).parts)
+    return tuple(part.refined(2) for part in Groups(nlp.parts).parts)
 
 
 def _without_aliases(

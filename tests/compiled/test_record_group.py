@@ -188,34 +188,6 @@ def test_models_with_arguments_are_alike_where_their_equations_are():
     assert not shared(model, model, unseen)
 
 
-def test_records_compiled_to_c_have_the_same_linearization(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    nlp = compile_problem(
-        problem_of("own parameter"), gb.MultipleShooting(segment=10, compile=True)
-    )
-    (group, *_) = Groups(nlp.parts).parts
-    assert isinstance(group, RecordGroup)
-    z = nlp.scaling.to_solver(
-        np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free])
-    )
-    trajectory = group.initial_trajectory(z)
-    weight = group.residual_weight(trajectory)
-    compiled = group.linearize(trajectory, weight)
-    monkeypatch.setattr(group.segments, "_compiled", None)
-    interpreted = group.linearize(trajectory, weight)
-    for name in (
-        "transition",
-        "node_hessian",
-        "cross_hessian",
-        "parameter_hessian",
-        "parameter_gradient",
-    ):
-        wanted = getattr(interpreted, name)
-        assert_allclose(
-            getattr(compiled, name), wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max()
-        )
-
-
 @pytest.fixture(scope="module")
 def mixed():
     """Three records and a response; the second record is another group by its parameter, the third by its step."""

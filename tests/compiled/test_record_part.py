@@ -252,7 +252,6 @@ def test_an_excerpt_and_a_refinement_are_parts_of_their_own(made):
     assert excerpt.substeps == part.substeps
     finer = part.refined(4)
     assert finer.substeps == 4 * part.substeps
-    assert not finer.compiles
     assert part.data.samples == 2 * (part.data.samples // 2)
     coarse, fine = (p.trajectory(z, p.initial_trajectory(z).nodes).ends for p in (part, finer))
     assert 0 < np.abs(coarse - fine).max() < 1e-3

@@ -132,32 +132,6 @@ def test_constraints_ties_bounds_and_known_states_hold_for_all(method):
     assert other.cost == pytest.approx(usual.cost, rel=1e-5)
 
 
-def test_compiled_is_the_same(tmp_path, monkeypatch):
-    import shutil
-
-    if not any(shutil.which(name) for name in ("cc", "gcc", "clang")):
-        pytest.skip("there is no C compiler on this machine")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    plain, compiled = (
-        gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=c)) for c in (False, True)
-    )
-    assert compiled.cost == pytest.approx(plain.cost, abs=1e-6)
-    assert len(list((tmp_path / "greybox").glob("*.so"))) == 1
-    assert (tmp_path / "greybox").stat().st_mode & 0o777 == 0o700
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "greybox").iterdir()}
-    gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=True))
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "greybox").iterdir()} == before
-
-
-def test_without_a_compiler_the_cure_is_named(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(
-        RuntimeError, match="compile=True needs a C compiler and none of cc, gcc, clang was found"
-    ):
-        gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=True))
-
-
 def test_ipopt_confirms_the_descended_minimum():
     """Started at the minimum that Gauss-Newton found, IPOPT with the exact Hessian stays there."""
     fit = gb.fit(problem(), starts=[{}])

@@ -64,14 +64,6 @@ def test_the_answer_does_not_depend_on_the_order_of_the_records():
         assert_same(answers[0], other)
 
 
-def test_a_compiled_step_gives_the_same(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    problem = gb.Problem(Spring(), spring(values=SPRING | {"d": 0.033}), HELD, free=("d",))
-    assert_same(
-        fit(problem), fit(problem, method=gb.MultipleShooting(compile=True)), (*NAMES, "d"), 1e-3
-    )
-
-
 # --- gaps, several records
 
 

@@ -1,6 +1,5 @@
 """The search from all starts at once: IPOPT is the reference, and confirms every minimum."""
 
-import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -377,25 +376,6 @@ def test_a_time_limit_cuts_between_batches(monkeypatch, clock):
     assert fit.warnings[0].startswith(
         f"the time limit ended the search after {len(fit.runs)} of 320 starts"
     )
-
-
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_compiled_it_finds_the_same_and_compiles_once(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    problem = gb.Problem(
-        Idle(), measured(Idle(), np.geomspace(0.5, 40, 4), {"K": 5.0, "T": 0.2}, noise=0.02)
-    )
-    fit = gb.fit(problem, 12, compile=True, progress=False)
-    [library] = (tmp_path / "greybox").iterdir()
-    assert stages(fit).count("improved") > 0
-    assert fit.estimate == pytest.approx(gb.fit(problem, 12, progress=False).estimate, rel=1e-6)
-    monkeypatch.setattr("subprocess.run", None)
-    assert gb.fit(problem, 12, compile=True, progress=False).estimate == fit.estimate
-    assert [*(tmp_path / "greybox").iterdir()] == [library]
-    with pytest.raises(
-        ValueError, match="compile=True is for multiple shooting, not for SingleShooting"
-    ):
-        gb.fit(problem, 2, compile=True, method=gb.SingleShooting())
 
 
 class Confirming(BatchedSolver):

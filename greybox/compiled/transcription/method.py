@@ -60,7 +60,6 @@ class Transcription(ABC):
 
     segment: int | None = None
     hessian: Literal["gauss-newton", "exact"] = "gauss-newton"
-    compile: ClassVar[bool] = False
     strategies: ClassVar[Strategies] = Strategies()
     """Of the Gauss-Newton solver, which also gives IPOPT its first states."""
     label: ClassVar[str]

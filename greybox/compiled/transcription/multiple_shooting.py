@@ -28,15 +28,12 @@ class MultipleShooting(Transcription):
         `RungeKutta()` or, for stiff models, `Rosenbrock()`.
     ipopt : bool
         Solve one sparse problem by IPOPT instead.
-    compile : bool
-        Translate the linearization to C once and keep it; needs a C compiler.
     strategies : Strategies
         Of the Gauss-Newton solver: each can be switched off.
     """
 
     integrator: Integrator = field(default_factory=RungeKutta)
     ipopt: bool = False
-    compile: bool = False  # type: ignore[misc]
     strategies: Strategies = field(default_factory=Strategies)  # type: ignore[misc]
     label: ClassVar[str] = "multiple shooting"
 
