@@ -28,6 +28,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.json_numbers import finite
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import packed, require_executor, run_all
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
@@ -479,6 +480,7 @@ def _record_refits(
     return RecordReplicates(nlp, draws, x, search.nodes), about
 
 
+@one_thread_at_a_time
 def _quantities(fit: Fit, nlp: Nlp, *, only_shared: bool) -> tuple[list[Quantity], ca.Function]:
     """Return the quantities of a fit and their function of all values; or those of shared parameters alone."""
     formula_of = {formula.name: formula for formula in formulas(nlp.problem)}
