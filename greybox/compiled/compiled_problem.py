@@ -45,7 +45,7 @@ ROUNDED = 100 * float(np.finfo(float).eps) / 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Nlp:
+class CompiledProblem:
     """A problem ready for a solver.
 
     Attributes
@@ -161,7 +161,7 @@ class Nlp:
 
 
 @one_thread_at_a_time
-def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
+def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> CompiledProblem:
     """Build the CasADi expressions of a problem; `method` is that of its records.
 
     Raises
@@ -270,7 +270,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     }
     recorded = [part for part in problem.parts if isinstance(part.data, Record)]
     compiled |= dict(zip(recorded, compile_records(recorded, named, point, method), strict=True))
-    return Nlp(
+    return CompiledProblem(
         problem=problem,
         free=free,
         constants=constants,
@@ -302,7 +302,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
 
 class _Stated(NamedTuple):
-    """A program with its derivatives for IPOPT and, where there is one, its explicit form; see `Nlp`."""
+    """A program with its derivatives for IPOPT and, where there is one, its explicit form; see `CompiledProblem`."""
 
     program: ca.Function
     derivatives: dict[str, ca.Function]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
 from greybox.estimate.identifiability import KnownDirections
 from greybox.files.arrays import Array, BoolArray
@@ -156,7 +156,9 @@ class _Corrected:
     neighbors: tuple[CorrelatedPoints | None, ...]
 
 
-def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> Accuracy:
+def assess(
+    nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None] = ()
+) -> Accuracy:
     """Return the accuracy of the estimate `x` (p,); parts with nodes need their best `trajectories` there.
 
     The covariance is that of an M-estimator under the noise condition of each part's criterion;
@@ -238,7 +240,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     )
 
 
-def told_by(nlp: Nlp, accuracy: Accuracy) -> list[tuple[Array, Array]]:
+def told_by(nlp: CompiledProblem, accuracy: Accuracy) -> list[tuple[Array, Array]]:
     """Return for every part which share (p, m) each point of its data has in what all data tell of each parameter.
 
     Of each free parameter with the others estimated along, and with the others known; see
@@ -268,7 +270,7 @@ def told_by(nlp: Nlp, accuracy: Accuracy) -> list[tuple[Array, Array]]:
 
 
 def known_directions(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     x: Array,
     accuracy: Accuracy,
     trajectories_at: Callable[[Array], Sequence[Trajectory | None]],
@@ -296,7 +298,9 @@ def known_directions(
     return replace(at, elsewhere=_directions_at(beside, assess(nlp, beside, trajectories)))
 
 
-def known_of(nlp: Nlp, accuracy: Accuracy, values: Array, slopes: Array) -> KnownDirections | None:
+def known_of(
+    nlp: CompiledProblem, accuracy: Accuracy, values: Array, slopes: Array
+) -> KnownDirections | None:
     """Return what is known of values (m,) by their derivatives (m, k) with respect to all; None without a covariance.
 
     What ended at its bound counts as known, as in all errors of the fit.
@@ -320,7 +324,7 @@ def _directions_at(x: Array, accuracy: Accuracy) -> KnownDirections | None:
     return KnownDirections(covariance, accuracy.blind[:p], accuracy.size[:p], x)
 
 
-def steepness(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
+def steepness(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
     """Return how far (p,) the cost falls on along each parameter alone, in the standard errors it would have alone.
 
     Infinite where the data see nothing of a parameter along which the cost falls.
@@ -336,7 +340,7 @@ def steepness(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> 
 
 
 def informations(
-    nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()
+    nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None] = ()
 ) -> list[Information]:
     """Return what every part says about all values at the unknowns `x` (p,), see `Part.information`."""
     values = nlp.all_values(x)
@@ -420,7 +424,11 @@ def _corrected(parts: Sequence[Information], shares: Sequence[_Share], root: Arr
 
 
 def _independent_covariance(
-    nlp: Nlp, before: Sequence[_Share], root_before: Array, corrected: _Corrected, basis: Array
+    nlp: CompiledProblem,
+    before: Sequence[_Share],
+    root_before: Array,
+    corrected: _Corrected,
+    basis: Array,
 ) -> Array:
     """Return the covariance (p, p) of the free parameters if errors were independent along frequency."""
     shares, p = corrected.independent, len(nlp.free)
@@ -448,7 +456,7 @@ def _slope(shares: Sequence[_Share], root: Array) -> Array:
 
 
 def _contributions(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     before: Sequence[_Share],
     root_before: Array,
     shares: Sequence[_Share],
@@ -512,7 +520,10 @@ def _share(part: Information, *, p: int, correction: float, dof: float) -> _Shar
 
 
 def _at_bound(
-    nlp: Nlp, x: Array, shares: Sequence[_Share], trajectories: Sequence[Trajectory | None]
+    nlp: CompiledProblem,
+    x: Array,
+    shares: Sequence[_Share],
+    trajectories: Sequence[Trajectory | None],
 ) -> tuple[str, ...]:
     """Name the parameters that a bound holds.
 
@@ -538,7 +549,7 @@ def _at_bound(
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
 
 
-def _gradient(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
+def _gradient(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
     """Return the derivatives (p,) of the cost by the unknowns along the best trajectories."""
     total = np.zeros(len(x))
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
@@ -550,7 +561,7 @@ def _gradient(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> 
 
 
 @one_thread_at_a_time
-def _active_constraints(nlp: Nlp, x: Array) -> tuple[Array, tuple[str, ...]]:
+def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
     p = len(nlp.free)
     if not nlp.limits:
@@ -638,13 +649,13 @@ def _collinear(
     return tuple(found.values())
 
 
-def _is_loose(combination: Combination, nlp: Nlp, covariance: Array, x: Array) -> bool:
+def _is_loose(combination: Combination, nlp: CompiledProblem, covariance: Array, x: Array) -> bool:
     places = [nlp.free.index(name) for name in combination.names]
     error = np.sqrt(np.maximum(np.diag(covariance)[places], 0))
     return bool(np.any(~(error < LOOSE * np.abs(x[places]))))
 
 
-def known_covariances(nlp: Nlp) -> list[tuple[Array, float]]:
+def known_covariances(nlp: CompiledProblem) -> list[tuple[Array, float]]:
     """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
     names = nlp.names
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}

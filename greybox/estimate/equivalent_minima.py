@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import listed, number, text_table
 from greybox.solve.minima import Multistart
@@ -16,7 +16,7 @@ MOST = 4  # vectors that are shown; `Fit.equivalents` has all
 EXCHANGED = 20  # free parameters up to which exchanges are tried: some hundred
 
 
-def equivalent_estimates(nlp: Nlp, search: Multistart) -> Array:
+def equivalent_estimates(nlp: CompiledProblem, search: Multistart) -> Array:
     """Return the clearly different parameter vectors (v, p) that give the best response, the best run's first.
 
     Those at which runs ended; and, of frequency responses, those that exchange two parameters of
@@ -43,7 +43,7 @@ def _apart(a: Array, b: Array) -> BoolArray:
     return np.abs(a - b) > APART * np.maximum(np.abs(a), np.abs(b)) + 1e-9
 
 
-def _images(nlp: Nlp, x: Array) -> Iterator[Array]:
+def _images(nlp: CompiledProblem, x: Array) -> Iterator[Array]:
     """Yield what an exchange or a change of signs makes of x (p,) where that changes no response."""
     units = [nlp.problem.parameters[name].unit for name in nlp.free]
     p = len(x)

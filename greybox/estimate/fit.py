@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from tqdm import tqdm
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
@@ -221,7 +221,7 @@ class SolverChoice:
                 f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}."
             )
 
-    def solver(self, nlp: Nlp) -> LocalSolver:
+    def solver(self, nlp: CompiledProblem) -> LocalSolver:
         """Return the solver of a compiled problem."""
         return solver_for(nlp, self.options, self.search)
 
@@ -359,7 +359,7 @@ def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator
 
 @one_thread_at_a_time
 def assemble(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     search: Multistart,
     solver: LocalSolver,
     *,
@@ -438,7 +438,9 @@ def assemble(
     return replace(answer, notes=(*answer.notes, *determined_together(answer)))
 
 
-def _with_errors(nlp: Nlp, parts: Sequence[FittedPart], accuracy: Accuracy) -> Iterator[FittedPart]:
+def _with_errors(
+    nlp: CompiledProblem, parts: Sequence[FittedPart], accuracy: Accuracy
+) -> Iterator[FittedPart]:
     """Yield the parts with what their data tell of the parameters, and records with the errors of their outputs."""
     if accuracy.white is None:
         yield from parts
@@ -516,7 +518,7 @@ def _waves(starts: Any, rule: Starts, solver: LocalSolver) -> Waves:
     return PromisingFirst(*solver.promising) if starts is None else AllAtOnce()
 
 
-def _nothing(nlp: Nlp) -> Accuracy:
+def _nothing(nlp: CompiledProblem) -> Accuracy:
     k = len(nlp.names)
     covariance = np.full((k, k), np.nan)
     return Accuracy(

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
@@ -16,7 +16,7 @@ from greybox.modeling.model_reference import resolve
 
 def compiled_again(
     fit: Fit, problem: AnyProblem | None = None, method: Transcription | None = None
-) -> Nlp:
+) -> CompiledProblem:
     """Compile what was fitted: the `problem` that a user gives, or what the fit keeps of it.
 
     Raises

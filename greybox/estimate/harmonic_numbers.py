@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.estimate.covariance import assess
 from greybox.estimate.diagnostics.harmonics import too_few_harmonics
 from greybox.formulation.problem import Problem
@@ -66,8 +66,8 @@ def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> Any
 
 
 def with_more_harmonics(
-    nlp: Nlp, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
-) -> tuple[Nlp, Multistart, LocalSolver]:
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
+) -> tuple[CompiledProblem, Multistart, LocalSolver]:
     """Go on with more harmonics in the `open_parts` in which they do not suffice at the estimate."""
     if not any(open_parts) or any(part.has_states for part in nlp.parts):
         return nlp, search, solver
@@ -100,7 +100,7 @@ def with_more_harmonics(
 
 
 def _numbers(
-    nlp: Nlp, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
 ) -> list[int | None]:
     """Return the number of harmonics that every part needs at the estimate."""
     best = search.minima[0].estimate

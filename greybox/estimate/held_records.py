@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -27,7 +27,7 @@ class HeldRecords:
 
     Parameters
     ----------
-    nlp : Nlp
+    nlp : CompiledProblem
     shapes : sequence of (int, int)
         Of the nodes of every part.
     places : sequence of int
@@ -37,7 +37,7 @@ class HeldRecords:
 
     def __init__(
         self,
-        nlp: Nlp,
+        nlp: CompiledProblem,
         shapes: Sequence[tuple[int, ...]],
         places: Sequence[int] = (),
         quantity: ca.Function | None = None,
@@ -55,7 +55,8 @@ class HeldRecords:
     def __reduce__(
         self,
     ) -> tuple[
-        type["HeldRecords"], tuple[Nlp, list[tuple[int, ...]], list[int], ca.Function | None]
+        type["HeldRecords"],
+        tuple[CompiledProblem, list[tuple[int, ...]], list[int], ca.Function | None],
     ]:
         return HeldRecords, (self._nlp, self._shapes, self._places, self._quantity)
 
@@ -118,7 +119,9 @@ def slope_of(quantity: ca.Function, z: Array) -> Array:
     return np.asarray(ca.DM(slope(z))).ravel()
 
 
-def best_of_records(nlp: Nlp, x: Array) -> tuple[HeldRecords, Array, float, tuple[Trajectory, ...]]:
+def best_of_records(
+    nlp: CompiledProblem, x: Array
+) -> tuple[HeldRecords, Array, float, tuple[Trajectory, ...]]:
     """Return the solver of a problem, its best point from an estimate x (p,), the cost and the trajectories there."""
     solver = GaussNewton(nlp)
     states = solver.profile(x)
@@ -136,7 +139,7 @@ def best_of_records(nlp: Nlp, x: Array) -> tuple[HeldRecords, Array, float, tupl
     )
 
 
-def point_of(nlp: Nlp, outcome: Outcome) -> Array:
+def point_of(nlp: CompiledProblem, outcome: Outcome) -> Array:
     """Return where a run ended as a point."""
     nodes = [] if outcome.nodes is None else [each.ravel() for each in outcome.nodes]
     return np.concatenate([nlp.scaling.to_solver(outcome.estimate), *nodes])

@@ -32,7 +32,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.estimate.covariance import Accuracy, assess
@@ -146,7 +146,7 @@ def profile(
     return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh, executor)
 
 
-def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
+def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledProblem:
     """Compile what was fitted, if a likelihood can be profiled."""
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to profile around: {fit.status}.")
@@ -163,7 +163,7 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
     return compiled_again(fit, problem)
 
 
-def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
+def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None:
     """Return profiles of the parameters whose standard error says little; None where none does, or none can be made.
 
     That is where the interval of the standard error leaves the bounds, or the error exceeds half
@@ -200,7 +200,7 @@ def _misleads(line: Quantity, interval: tuple[float, float]) -> bool:
 # --- what the cost says as a likelihood
 
 
-def ratio_refusal(nlp: Nlp, x: Array) -> str:
+def ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
     """Return why the costs of a problem admit no likelihood ratio at the estimate x (p,); empty where they do."""
     values = nlp.all_values(x)
     for part in nlp.parts:
@@ -241,7 +241,7 @@ def _factor(accuracy: Accuracy, gradient: Array) -> float:
 class _Programs:
     """What minimizes a problem beside its estimate, built when it is asked for: once for all parameters."""
 
-    def __init__(self, nlp: Nlp, value: ca.Function | None) -> None:
+    def __init__(self, nlp: CompiledProblem, value: ca.Function | None) -> None:
         self._nlp, self._value = nlp, value
         self.lower, self.upper = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
 
@@ -276,7 +276,7 @@ class _Held:
 
     def __init__(
         self,
-        nlp: Nlp,
+        nlp: CompiledProblem,
         places: Sequence[int],
         value: ca.Function | None,
         programs: _Programs | None = None,
@@ -284,7 +284,9 @@ class _Held:
         self._nlp, self._places, self._value = nlp, list(places), value
         self._programs = programs or _Programs(nlp, value)
 
-    def __reduce__(self) -> tuple[type["_Held"], tuple[Nlp, Sequence[int], ca.Function | None]]:
+    def __reduce__(
+        self,
+    ) -> tuple[type["_Held"], tuple[CompiledProblem, Sequence[int], ca.Function | None]]:
         return _Held, (self._nlp, self._places, self._value)
 
     def of(self, *places: int) -> "_Held":
@@ -334,7 +336,7 @@ class _Held:
         return list(zip(ends, np.where(np.isfinite(costs), costs, np.inf).tolist(), strict=True))
 
 
-def _numbers(nlp: Nlp) -> float:
+def _numbers(nlp: CompiledProblem) -> float:
     """Return how many numbers there are of whose variance the cost is a logarithm; infinite where it is not."""
     numbers = 0
     for part in nlp.parts:
@@ -525,7 +527,7 @@ def _zero(
 
 
 @one_thread_at_a_time
-def _value_of(nlp: Nlp, formula: Formula) -> ca.Function:
+def _value_of(nlp: CompiledProblem, formula: Formula) -> ca.Function:
     """Return the function (z) -> value of a formula."""
     z = ca.SX.sym("z", len(nlp.free))
     named = dict(zip(nlp.names, [*nlp.scaling.expressions(z), *nlp.constant_values], strict=True))
@@ -580,7 +582,7 @@ def contour(
 
 
 def _contour(
-    nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float, directions: int
+    nlp: CompiledProblem, fit: Fit, first: Quantity, second: Quantity, level: float, directions: int
 ) -> Contour:
     from scipy.special import fdtri  # noqa: PLC0415  (takes a tenth of a second to import)
 
@@ -637,7 +639,7 @@ class _Best:
     held: _Held | HeldRecords
 
 
-def _best(nlp: Nlp, fit: Fit) -> _Best:
+def _best(nlp: CompiledProblem, fit: Fit) -> _Best:
     """Return the estimate of a fit, if costs are ratios of likelihoods there."""
     x = np.array([fit.estimate[name] for name in nlp.free])
     refusal = ratio_refusal(nlp, x)
@@ -655,7 +657,7 @@ def _best(nlp: Nlp, fit: Fit) -> _Best:
 
 
 def _profiles(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     fit: Fit,
     lines: Sequence[Quantity],
     level: float,
@@ -715,7 +717,7 @@ def _profiles(
     return Profiles(fit.name, level, limits, nlp.free, tuple(found), warnings)
 
 
-def _profile_of(nlp: Nlp, search: _Search, line: Quantity) -> ProfileOf:
+def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> ProfileOf:
     lowest, highest = -search.limit - search.bias, search.limit - search.bias
     walks = [replace(search, limit=max(limit, STEP * search.limit)) for limit in (-lowest, highest)]
     (down, low_end), (up, high_end) = walks[0].side(-1), walks[1].side(1)

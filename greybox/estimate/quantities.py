@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.estimate.covariance import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
 from greybox.files.arrays import Array
@@ -27,7 +27,7 @@ class Formula(NamedTuple):
 
 
 def quantities(
-    nlp: Nlp, accuracy: Accuracy, estimate: Mapping[str, float]
+    nlp: CompiledProblem, accuracy: Accuracy, estimate: Mapping[str, float]
 ) -> tuple[tuple[Quantity, ...], tuple[str, ...], Array]:
     """Return all lines, and the names and covariance matrix of free, fixed and tied parameters.
 
@@ -61,7 +61,9 @@ def quantities(
     return tuple(lines), tuple(parameters), covariance
 
 
-def slopes_of_parameters(nlp: Nlp, estimate: Mapping[str, float]) -> tuple[Array, Array]:
+def slopes_of_parameters(
+    nlp: CompiledProblem, estimate: Mapping[str, float]
+) -> tuple[Array, Array]:
     """Return the values (m,) of free, fixed and tied parameters, and their derivatives (m, k) by all values."""
     of_all = np.array([estimate[name] for name in nlp.names])
     ties = _tied(nlp.problem)
@@ -76,7 +78,7 @@ def formulas(problem: AnyProblem) -> list[Formula]:
     return _tied(problem) + _derived(problem)
 
 
-def _parameter(nlp: Nlp, accuracy: Accuracy, name: str, value: float) -> Quantity:
+def _parameter(nlp: CompiledProblem, accuracy: Accuracy, name: str, value: float) -> Quantity:
     """Return the line of a free or fixed parameter, its error still unknown."""
     declared = nlp.problem.parameters[name]
     return Quantity(
@@ -108,7 +110,7 @@ def _formula(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
 
 @one_thread_at_a_time
 def _evaluated(
-    nlp: Nlp, formulas: list[Formula], estimate: Mapping[str, float]
+    nlp: CompiledProblem, formulas: list[Formula], estimate: Mapping[str, float]
 ) -> tuple[Array, Array]:
     """Return the values (f,) and gradients (f, k) with respect to all values."""
     symbols = ca.SX.sym("x", len(nlp.names))

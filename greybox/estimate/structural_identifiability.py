@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.data.frequency_response import FrequencyResponse
@@ -159,7 +159,7 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
         )
 
     random = np.random.default_rng(seed)
-    best: tuple[int, Nlp, Array, Accuracy, Sequence[Trajectory | None]] | None = None
+    best: tuple[int, CompiledProblem, Array, Accuracy, Sequence[Trajectory | None]] | None = None
     for _ in range(points):
         values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
         if in_frequency:
@@ -194,7 +194,7 @@ def _of_responses(
     at: Mapping[str, float],
     stated: Mapping[str, Any],
     random: np.random.Generator,
-) -> tuple[Nlp, Array, tuple[None, ...]] | None:
+) -> tuple[CompiledProblem, Array, tuple[None, ...]] | None:
     """Return the compiled responses of all pairs, and the point; None where the model is not finite."""
     problems = []
     for input in model.input_names or ("",):
@@ -222,7 +222,7 @@ def _of_record(
     initial: Mapping[str, Any],
     stated: Mapping[str, Any],
     random: np.random.Generator,
-) -> tuple[Nlp, Array, tuple[Trajectory, ...]] | None:
+) -> tuple[CompiledProblem, Array, tuple[Trajectory, ...]] | None:
     """Return a compiled record with random inputs, the point, and the trajectory; None where it is not finite."""
     time, gaps = _times(model, values, random)
     shape = random.normal(size=(len(model.input_names), len(time)))
@@ -276,18 +276,18 @@ def _times(
     return step * np.arange(gaps.size), gaps
 
 
-def _without_bounds(nlp: Nlp) -> Nlp:
+def _without_bounds(nlp: CompiledProblem) -> CompiledProblem:
     """Return the problem without bounds: nothing is estimated, so that none can hold a parameter."""
     return replace(nlp, lower=np.full(len(nlp.free), -np.inf), upper=np.full(len(nlp.free), np.inf))
 
 
-def _point(nlp: Nlp, values: Mapping[str, float]) -> Array:
+def _point(nlp: CompiledProblem, values: Mapping[str, float]) -> Array:
     declared: Mapping[str, Parameter] = nlp.problem.parameters
     return np.array([values.get(name, declared[name].start) for name in nlp.free])
 
 
 def _determined(
-    nlp: Nlp, x: Array, accuracy: Accuracy, trajectories: Sequence[Trajectory | None]
+    nlp: CompiledProblem, x: Array, accuracy: Accuracy, trajectories: Sequence[Trajectory | None]
 ) -> Iterator[str]:
     """Yield the combinations of what is not identifiable that are."""
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp, compile_problem
+from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
@@ -292,7 +292,7 @@ def _sensitivities(
     *,
     free: Sequence[str],
     fixed: Mapping[str, float],
-) -> tuple[Nlp, ComplexArray]:
+) -> tuple[CompiledProblem, ComplexArray]:
     """Return the compiled problem and the derivatives (n, p) of the response by its free parameters."""
     exact = frequency_response(
         model, {**values, **fixed}, omega, input=signals[0], output=signals[1]

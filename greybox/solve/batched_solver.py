@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.augmented_lagrangian import ConstrainedNewton
 from greybox.solve.batched_newton import BatchedNewton
@@ -58,7 +58,7 @@ class BatchedSolver(ScreenedIpopt):
 
     def __init__(
         self,
-        nlp: Nlp,
+        nlp: CompiledProblem,
         options: Mapping[str, Any] = MappingProxyType({}),
         like: "IpoptSolver | None" = None,
     ) -> None:
@@ -70,7 +70,7 @@ class BatchedSolver(ScreenedIpopt):
         self._batches: list[BatchedNewton | ConstrainedNewton] = []
 
     @staticmethod
-    def serves(nlp: Nlp) -> bool:
+    def serves(nlp: CompiledProblem) -> bool:
         """Tell whether a problem has the form that a batch takes: small, without states, and explicit."""
         if any(part.has_states for part in nlp.parts) or not nlp.explicit:
             return False
@@ -163,7 +163,7 @@ class BatchedSolver(ScreenedIpopt):
         )
 
 
-def _instructions(nlp: Nlp) -> int:
+def _instructions(nlp: CompiledProblem) -> int:
     """Return those of cost, gradient and Hessian: some two for every operation of the cost and unknown."""
     return max(nlp.explicit[-1].n_instructions() * 2 * len(nlp.free), 1)
 

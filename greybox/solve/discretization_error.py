@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_group import Groups
 from greybox.files.arrays import Array
@@ -84,7 +84,7 @@ class DiscretizationError:
 
 
 def discretization_error(
-    nlp: Nlp, trajectories: Sequence[Trajectory], fine: Sequence[Part] | None = None
+    nlp: CompiledProblem, trajectories: Sequence[Trajectory], fine: Sequence[Part] | None = None
 ) -> DiscretizationError:
     """Return what twice the steps would do to the estimate that the best `trajectories` belong to, to first order.
 
@@ -117,8 +117,8 @@ def discretization_error(
 
 
 def refine_discretization(
-    nlp: Nlp, search: Multistart, solver: LocalSolver
-) -> tuple[Nlp, Multistart, LocalSolver, DiscretizationError | None]:
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
+) -> tuple[CompiledProblem, Multistart, LocalSolver, DiscretizationError | None]:
     """Refine the steps until that does not matter, and follow the best minima; what the method fixes stays.
 
     What is a minimum of the integrator alone is then no minimum any more. Returns the error that is
@@ -145,13 +145,13 @@ def refine_discretization(
     return nlp, search, solver, error if is_same_best else None
 
 
-def _finer_parts(nlp: Nlp) -> tuple[Part, ...]:
+def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
     """Return the parts, grouped, with twice the steps, for a look at them."""
     return tuple(part.refined(2) for part in Groups(nlp.parts).parts)
 
 
 def _without_aliases(
-    nlp: Nlp, search: Multistart, solver: LocalSolver, fine: Sequence[Part]
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, fine: Sequence[Part]
 ) -> tuple[Multistart, bool]:
     """Return the search without the minima that finer steps move by standard errors, and whether the best is the same.
 
@@ -200,7 +200,7 @@ def _without_aliases(
     return replace(search, runs=runs, minima=tuple(minima), nodes=nodes), is_same_best
 
 
-def _distinct_ends(nlp: Nlp, runs: Sequence[Run]) -> list[list[Run]]:
+def _distinct_ends(nlp: CompiledProblem, runs: Sequence[Run]) -> list[list[Run]]:
     """Return the runs in groups of one end each, in their order."""
     groups: list[tuple[Array, list[Run]]] = []
     for run in runs:
@@ -218,7 +218,7 @@ def _is_same_end(a: Array, b: Array) -> bool:
     return bool(np.all(np.abs(a - b) <= SAME_END * (np.abs(b) + 1e-3)))
 
 
-def _followed(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart | None:
+def _followed(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Multistart | None:
     """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is.
 
     The runs that ended there move with them, so that runs and minima tell the same costs. What is
@@ -249,7 +249,7 @@ def _followed(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart |
     return replace(search, runs=runs, minima=minima, nodes=ends[minima[0].runs[0]].nodes)
 
 
-def _ends(nlp: Nlp, solver: LocalSolver, runs: Sequence[Run]) -> dict[int, Outcome]:
+def _ends(nlp: CompiledProblem, solver: LocalSolver, runs: Sequence[Run]) -> dict[int, Outcome]:
     """Return where the runs of one minimum end with the steps of `nlp`; those of one end move together."""
     ends = {}
     for group in _distinct_ends(nlp, runs):

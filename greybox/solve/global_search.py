@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.executors import packed
 from greybox.solve.interruption import stop_requested
@@ -37,7 +37,7 @@ THRESHOLD_FACTOR = 0.2
 
 
 def global_search(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     solver: IpoptSolver,
     drawn: Array,
     *,
@@ -142,7 +142,11 @@ class _ScatterSearch:
     """Trial points: what was drawn, and combinations of a reference set."""
 
     def __init__(
-        self, nlp: Nlp, drawn: Array, merit: Callable[[Array], float], random: np.random.Generator
+        self,
+        nlp: CompiledProblem,
+        drawn: Array,
+        merit: Callable[[Array], float],
+        random: np.random.Generator,
     ) -> None:
         self._drawn = iter(nlp.scaling.to_solver(drawn))
         self._diverse = max(int(STAGE_ONE * len(drawn)), 1)

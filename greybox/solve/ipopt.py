@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -194,7 +194,7 @@ class IpoptSolver(LocalSolver):
 
     def __init__(
         self,
-        nlp: Nlp,
+        nlp: CompiledProblem,
         options: Mapping[str, Any] = MappingProxyType({}),
         like: "IpoptSolver | None" = None,
     ) -> None:
@@ -274,7 +274,7 @@ class IpoptSolver(LocalSolver):
         [cost], [signature] = self.judged(outcome.estimate[None])
         return replace(outcome, cost=float(cost), signature=signature)
 
-    def refined(self, nlp: Nlp) -> "IpoptSolver":
+    def refined(self, nlp: CompiledProblem) -> "IpoptSolver":
         """Return the solver of another problem with the same options."""
         return type(self)(nlp, self._options)
 

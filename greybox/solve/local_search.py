@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
@@ -34,7 +34,7 @@ class LocalSearch:
 
     def __init__(
         self,
-        nlp: Nlp,
+        nlp: CompiledProblem,
         solver: LocalSolver,
         memory: Memory,
         shared: SharedRuns | None = None,
@@ -126,7 +126,7 @@ class LocalSearch:
         return simulated or (self._shared or solver).run(point, settings.neighbor_iterations)
 
 
-def _scaled(nlp: Nlp, best: Array) -> list[Array]:
+def _scaled(nlp: CompiledProblem, best: Array) -> list[Array]:
     """Return the point with every positive parameter made smaller and larger by the neighbor factor.
 
     Lags that swap places make minima whose neighborhoods take up shares of the start box that

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array, IntArray
 from greybox.solve.minima import Minimum, Multistart
@@ -121,7 +121,7 @@ class LocalSolver(Runner):
         return {}
 
     @abstractmethod
-    def refined(self, nlp: Nlp) -> "LocalSolver":
+    def refined(self, nlp: CompiledProblem) -> "LocalSolver":
         """Return the solver of the same problem with finer steps."""
 
     def polished(self, search: Multistart) -> Multistart:

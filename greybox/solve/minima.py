@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, one_line
 from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
@@ -130,7 +130,9 @@ def agreeing_runs(
     return tuple(sorted({*close.tolist(), *minima[0].runs}))
 
 
-def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Signatures) -> tuple[Minimum, ...]:
+def find_minima(
+    nlp: CompiledProblem, runs: Sequence[Run], signatures: Signatures
+) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
     Two runs are at one minimum when their costs and their responses agree, whatever the parameters.
@@ -181,7 +183,7 @@ def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:
     return found
 
 
-def same_cost(nlp: Nlp, cost: float) -> float:
+def same_cost(nlp: CompiledProblem, cost: float) -> float:
     """Return the difference of two costs up to which they count as the same."""
     if any(part.is_likelihood for part in nlp.parts):
         return SAME_LIKELIHOOD + 1e-7 * abs(cost)
@@ -189,7 +191,7 @@ def same_cost(nlp: Nlp, cost: float) -> float:
 
 
 def _best_first(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     costs: Array,
     indices: IntArray,
     ends: Array,
@@ -214,7 +216,7 @@ def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:
     return np.any(distance > 0.05 * np.maximum(np.abs(z), np.abs(reference)) + 1e-6, axis=1)
 
 
-def _variants(nlp: Nlp, ends: Array) -> int:
+def _variants(nlp: CompiledProblem, ends: Array) -> int:
     """Count the clearly different parameter vectors (r, p) of one minimum."""
     z = nlp.scaling.to_solver(ends)
     distinct = 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.strategies import with_options
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -43,7 +43,7 @@ SEARCHES = (BATCHED, MULTISTART, GLOBAL_SEARCH)
 
 @one_thread_at_a_time
 def solver_for(
-    nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED
+    nlp: CompiledProblem, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED
 ) -> LocalSolver:
     """Return the solver of a problem.
 
@@ -70,7 +70,7 @@ def solver_for(
 
 
 def multistart(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     solver: LocalSolver,
     starts: Array,
     *,
@@ -165,7 +165,9 @@ class _Drawn:
         return self._made[number]
 
 
-def _certified(nlp: Nlp, solver: LocalSolver, ended: Ended) -> tuple[Runs, tuple[Minimum, ...]]:
+def _certified(
+    nlp: CompiledProblem, solver: LocalSolver, ended: Ended
+) -> tuple[Runs, tuple[Minimum, ...]]:
     """Return the runs that were made and their minima, each of them certified by the solver."""
     rows, runs = ended.rows, ended.runs()
     judged = solver.judged(runs.estimate)
@@ -183,7 +185,7 @@ def _certified(nlp: Nlp, solver: LocalSolver, ended: Ended) -> tuple[Runs, tuple
         runs = ended.runs(runs.cost)
 
 
-def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[Array]:
+def _moved_to_finite(nlp: CompiledProblem, solver: LocalSolver, starts: Array) -> Iterator[Array]:
     """Give the starts, those at which the model is not finite moved toward the first at which it is.
 
     One after the other, as the runs need them: of many starts the first run does not wait for the
@@ -202,7 +204,7 @@ def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[A
         yield start if is_finite else _toward(nlp, solver, start, home)
 
 
-def _toward(nlp: Nlp, solver: LocalSolver, start: Array, home: Array) -> Array:
+def _toward(nlp: CompiledProblem, solver: LocalSolver, start: Array, home: Array) -> Array:
     """Return the farthest point from `home`, in the solver's variables, toward a start at which the model is finite."""
     away = nlp.scaling.to_solver(start) - home
     points = (

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
 from greybox.solve.ipopt import IpoptSolver
@@ -22,7 +22,7 @@ class ScreenedIpopt(IpoptSolver):
         return Screened(np.argsort(found, kind="stable"), found, starts)
 
 
-def merits(nlp: Nlp, z: Array) -> Array:
+def merits(nlp: CompiledProblem, z: Array) -> Array:
     """Return the smoothed costs at the columns of z (p, m), with what constraints are missed by: (m,)."""
     costs, limits = (value.full() for value in (nlp.locating or nlp.program)(z, SMOOTHING))
     found = costs.ravel() + VIOLATION_WEIGHT * np.maximum(-limits, 0).sum(axis=0)

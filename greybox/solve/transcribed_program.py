@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -37,7 +37,10 @@ class TranscribedProgram(LocalSolver):
 
     @one_thread_at_a_time
     def __init__(
-        self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})
+        self,
+        nlp: CompiledProblem,
+        gauss_newton: GaussNewton,
+        options: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         """Put the programs of all parts together; `gauss_newton` gives states to begin with."""
         self._nlp = nlp
@@ -105,7 +108,7 @@ class TranscribedProgram(LocalSolver):
         """Return the smallest cost at all values (k,), as the Gauss-Newton solver finds it."""
         return self._gauss_newton.cost(values)
 
-    def refined(self, nlp: Nlp) -> GaussNewton:
+    def refined(self, nlp: CompiledProblem) -> GaussNewton:
         """Return the Gauss-Newton solver with finer steps, which is near the minimum already."""
         return self._gauss_newton.refined(nlp)
 

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.local_solver import LocalSolver, Screened
 from greybox.solve.minima import Minimum, agreeing_runs
@@ -26,7 +26,9 @@ class Waves(ABC):
     def numbers(self, count: int, screened: Screened | None) -> Iterator[Sequence[int]]:
         """Give the numbers of the starts of every wave."""
 
-    def are_enough(self, nlp: Nlp, runs: Sequence[Run], minima: Sequence[Minimum]) -> bool:
+    def are_enough(
+        self, nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
+    ) -> bool:
         """Tell whether the runs of all waves so far will do."""
         return False
 
@@ -71,7 +73,9 @@ class PromisingFirst(Waves):
         yield first
         yield [k for k in range(count) if k not in set(first)]
 
-    def are_enough(self, nlp: Nlp, runs: Sequence[Run], minima: Sequence[Minimum]) -> bool:
+    def are_enough(
+        self, nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
+    ) -> bool:
         """Tell whether enough of them agree."""
         return len(agreeing_runs_of(nlp, runs, minima)) >= self.agreeing
 
@@ -106,7 +110,9 @@ class FoundAgain(Waves):
             yield range(done, end)
             done, end = end, min(2 * end, count)
 
-    def are_enough(self, nlp: Nlp, runs: Sequence[Run], minima: Sequence[Minimum]) -> bool:
+    def are_enough(
+        self, nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
+    ) -> bool:
         """Tell whether the probability is reached."""
         return (
             1 - probability_of_no_other(sum(run.converged for run in runs), len(minima))
@@ -121,7 +127,9 @@ def probability_of_no_other(searches: int, minima: int) -> float:
     return math.prod((searches - 1 - i) / (searches - 1 + i) for i in range(1, minima + 1))
 
 
-def agreeing_runs_of(nlp: Nlp, runs: Sequence[Run], minima: Sequence[Minimum]) -> tuple[int, ...]:
+def agreeing_runs_of(
+    nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
+) -> tuple[int, ...]:
     """Return the runs that ended at the cost of the best minimum, as far as the data tell, by their index."""
     numbers = sum(part.numbers for part in nlp.parts)
     is_likelihood = any(part.is_likelihood for part in nlp.parts)

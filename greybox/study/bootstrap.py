@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from tqdm import tqdm
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import assess, known_covariances
 from greybox.estimate.fitted_problem import compiled_again
@@ -426,7 +426,7 @@ def _resampling(fit: Fit, asked: str | None) -> Any:
 
 
 def _response_refits(
-    fit: Fit, nlp: Nlp, resampling: Any, seed: int, block: int
+    fit: Fit, nlp: CompiledProblem, resampling: Any, seed: int, block: int
 ) -> tuple[ResponseReplicates, str]:
     """Return the refits of responses, and the resampling in words."""
     x = np.array([fit.estimate[name] for name in nlp.free])
@@ -446,7 +446,7 @@ def _response_refits(
 
 
 def _record_refits(
-    fit: Fit, nlp: Nlp, resampling: Any, seed: int, block: int
+    fit: Fit, nlp: CompiledProblem, resampling: Any, seed: int, block: int
 ) -> tuple[RecordReplicates, str]:
     """Return the refits of records, and the resampling in words."""
     if nlp.problem.held_estimates:
@@ -481,7 +481,9 @@ def _record_refits(
 
 
 @one_thread_at_a_time
-def _quantities(fit: Fit, nlp: Nlp, *, only_shared: bool) -> tuple[list[Quantity], ca.Function]:
+def _quantities(
+    fit: Fit, nlp: CompiledProblem, *, only_shared: bool
+) -> tuple[list[Quantity], ca.Function]:
     """Return the quantities of a fit and their function of all values; or those of shared parameters alone."""
     formula_of = {formula.name: formula for formula in formulas(nlp.problem)}
     symbols = ca.SX.sym("x", len(nlp.names))

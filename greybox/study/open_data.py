@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp, response_options, solver_weights
+from greybox.compiled.compiled_problem import CompiledProblem, response_options, solver_weights
 from greybox.compiled.limits import limits_of, stacked
 from greybox.compiled.response_map import LARGE
 from greybox.data.frequency_response import FrequencyResponse
@@ -44,7 +44,7 @@ def given(constants: Array, counts: Array, tables: Sequence[Array]) -> Array:
     return np.concatenate([constants, counts, *(table.ravel() for table in tables)])
 
 
-def formulas_of_frequency(nlp: Nlp) -> list[ca.Function] | None:
+def formulas_of_frequency(nlp: CompiledProblem) -> list[ca.Function] | None:
     """Return (parameters, frequency) -> response of every part of a problem of responses; None where one has none.
 
     That is where a trim is found by Newton's method, or the response is that to a sine of finite
@@ -62,7 +62,7 @@ def formulas_of_frequency(nlp: Nlp) -> list[ca.Function] | None:
 
 @one_thread_at_a_time
 def open_program(
-    nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]
+    nlp: CompiledProblem, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]
 ) -> ca.Function:
     """Return (z, smoothing, given) -> the cost of a problem of responses as the solver has it, and what must be >= 0.
 
@@ -70,7 +70,7 @@ def open_program(
 
     Parameters
     ----------
-    nlp : Nlp
+    nlp : CompiledProblem
     formulas : sequence of casadi.Function, or None
         What `formulas_of_frequency` returns.
     sizes : sequence of int
@@ -176,7 +176,7 @@ def _response(formula: ca.Function, p: Any, omega: Any) -> Complex:
     return Complex(re.T, im.T)
 
 
-def _at_own_frequencies(nlp: Nlp, values: Any) -> list[Complex]:
+def _at_own_frequencies(nlp: CompiledProblem, values: Any) -> list[Complex]:
     stacked: Any = nlp.responses(values)
     count, begin, found = stacked.numel() // 2, 0, []
     for part in nlp.problem.parts:

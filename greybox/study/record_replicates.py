@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array, IntArray
@@ -98,7 +98,7 @@ class RecordDraws:
 
 
 def record_draws(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     trajectories: tuple[Trajectory, ...],
     spectra: Sequence[ErrorSpectrum | None],
     drawn: Drawn,
@@ -179,7 +179,7 @@ class RecordReplicates(Runner):
 
     Parameters
     ----------
-    nlp : Nlp
+    nlp : CompiledProblem
     draws : RecordDraws
     start : (p,) array
         The estimate.
@@ -188,7 +188,7 @@ class RecordReplicates(Runner):
     """
 
     def __init__(
-        self, nlp: Nlp, draws: RecordDraws, start: Array, nodes: tuple[Array, ...]
+        self, nlp: CompiledProblem, draws: RecordDraws, start: Array, nodes: tuple[Array, ...]
     ) -> None:
         """Keep them."""
         self._nlp, self._draws, self._start, self._nodes = nlp, draws, start, nodes

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.scaling import Scaling
 from greybox.files.arrays import Array, BoolArray, ComplexArray
@@ -156,7 +156,7 @@ class ResponseDraws:
 
 
 def response_draws(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     x: Array,
     at_bound: BoolArray,
     covariance: Array,
@@ -173,7 +173,7 @@ def response_draws(
 
     Parameters
     ----------
-    nlp : Nlp
+    nlp : CompiledProblem
     x : (p,) array
     at_bound : (p,) array of bool
         Parameters that a bound holds.
@@ -254,7 +254,9 @@ def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
     return found
 
 
-def response_replicates(nlp: Nlp, draws: ResponseDraws, x: Array) -> "ResponseReplicates":
+def response_replicates(
+    nlp: CompiledProblem, draws: ResponseDraws, x: Array
+) -> "ResponseReplicates":
     """Return what makes the refits of a problem of responses, with its costs compiled for data that are given.
 
     Raises

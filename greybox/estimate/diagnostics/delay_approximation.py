@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
@@ -29,7 +29,7 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
     return float(np.degrees(np.abs(np.angle(approximate.response * exact.response.conj()))).max())
 
 
-def coarse_pade(nlp: Nlp, errors: Sequence[float | None]) -> Iterator[str]:
+def coarse_pade(nlp: CompiledProblem, errors: Sequence[float | None]) -> Iterator[str]:
     """Name the parts whose approximation is off by more than `PHASE_LIMIT`."""
     for part, error in zip(nlp.problem.parts, errors, strict=True):
         if error is not None and error > PHASE_LIMIT:

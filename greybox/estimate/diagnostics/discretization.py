@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
 from greybox.modeling.step_size import MOST_SUBSTEPS
@@ -13,7 +13,9 @@ from greybox.solve.discretization_error import DiscretizationError, discretizati
 
 
 def discretization_warnings(
-    nlp: Nlp, trajectories: Sequence[Trajectory], error: DiscretizationError | None = None
+    nlp: CompiledProblem,
+    trajectories: Sequence[Trajectory],
+    error: DiscretizationError | None = None,
 ) -> Iterator[str]:
     """Say so where twice the steps would move the estimate noticeably."""
     count = max(part.substeps for part in nlp.parts)

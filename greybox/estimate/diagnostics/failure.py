@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import assess, steepness
 from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.files.text_table import counted, listed
@@ -26,7 +26,9 @@ UNDAMPED = (
 NAMED = 4
 
 
-def failure_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Iterator[str]:
+def failure_warnings(
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
+) -> Iterator[str]:
     """Say how close the best run came, which parameters block it, and what to try."""
     run = best_unfinished(search.runs)
     if run is None:

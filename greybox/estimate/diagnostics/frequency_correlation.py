@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.covariance import Accuracy
@@ -40,7 +40,7 @@ FEWEST_LENGTHS = 8.0
 LEAST_MAGNITUDE = 1e-9
 
 
-def correlated_frequencies(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
+def correlated_frequencies(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
     """Name the responses whose residuals at the estimate `x` (p,) are correlated from one frequency to the next."""
     values = nlp.all_values(x)
     known = accuracy.neighbors or (None,) * len(nlp.parts)
@@ -135,7 +135,7 @@ def lag_one_correlation(
 
 
 def _of_spectrum(
-    nlp: Nlp, part: TransientPart, x: Array
+    nlp: CompiledProblem, part: TransientPart, x: Array
 ) -> Iterator[tuple[str, tuple[ComplexArray, Array]]]:
     """Return the errors of every output of a manoeuvre, (n,), and their derivatives by what was fitted, (2n, ...)."""
     for name, errors, jacobian in part.errors_by_output(nlp.scaling.to_solver(x)):

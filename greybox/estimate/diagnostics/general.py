@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade
@@ -25,7 +25,7 @@ from greybox.solve.minima import Multistart
 
 
 def warnings(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     search: Multistart,
     accuracy: Accuracy,
     pade_errors: Sequence[float | None],

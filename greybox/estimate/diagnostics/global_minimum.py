@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.equivalent_minima import equivalent_estimates, said
 from greybox.solve.minima import Multistart, agreeing_runs
@@ -26,7 +26,7 @@ RIVAL_COST = 0.01
 RIVAL_LIKELIHOOD = 3.0
 
 
-def few_agreeing_starts(nlp: Nlp, search: Multistart) -> Iterator[str]:
+def few_agreeing_starts(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
     """Say so where few starts reached the best minimum, or most failed."""
     count = len(search.brought)
     numbers = sum(part.numbers for part in nlp.parts)
@@ -58,7 +58,7 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
         )
 
 
-def rival_minima(nlp: Nlp, search: Multistart) -> Iterator[str]:
+def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
     """Name another minimum that the data hardly tell from the best."""
     best = search.minima[0]
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
@@ -74,7 +74,7 @@ def rival_minima(nlp: Nlp, search: Multistart) -> Iterator[str]:
 
 
 def several_estimates_of_one_response(
-    nlp: Nlp, search: Multistart, accuracy: Accuracy
+    nlp: CompiledProblem, search: Multistart, accuracy: Accuracy
 ) -> Iterator[str]:
     """Say so where clearly different parameters give the best response, such as two lags that swap."""
     vectors = equivalent_estimates(nlp, search)
@@ -82,7 +82,7 @@ def several_estimates_of_one_response(
         yield said(nlp.free, vectors)
 
 
-def discontinuous_costs(nlp: Nlp) -> Iterator[str]:
+def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
     """Name delays at whose whole samples the cost is discontinuous, since a held input reaches an output directly."""
     delays = {
         name: pair

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Information
 from greybox.estimate.covariance import Accuracy
 from greybox.files.arrays import Array, ComplexArray
@@ -47,7 +47,7 @@ class TooFew:
     shift: float
 
 
-def harmonic_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
+def harmonic_warnings(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
     """Say so where more harmonics would change the estimate `x` (p,) noticeably, or a sine has several motions."""
     for found in too_few_harmonics(nlp, x, accuracy):
         sine = found.problem.amplitude
@@ -65,7 +65,7 @@ def harmonic_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
             yield from _several_motions(part.problem, values)
 
 
-def too_few_harmonics(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[TooFew]:
+def too_few_harmonics(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[TooFew]:
     """Find the parts in which more harmonics would change the estimate `x` (p,) noticeably."""
     if accuracy.white is None:
         return

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy, Combination
 from greybox.files.text_table import counted, listed, text_table
 from greybox.formulation.time_criteria import TimeCriterion
@@ -16,7 +16,7 @@ from greybox.solve.minima import Minimum
 FEW_COMBINATIONS = 3
 
 
-def not_determined(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
     """Name the combinations of parameters that the data determine poorly or not at all."""
     absent = _absent_noise(nlp, accuracy)
     every = [c for c in accuracy.combinations if not set(c.names) <= absent]
@@ -34,7 +34,7 @@ def not_determined(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def _not_determined(nlp: Nlp, combination: Combination) -> str:
+def _not_determined(nlp: CompiledProblem, combination: Combination) -> str:
     """Name the parameters of one group that the data do not see, and what to fix."""
     names, count = combination.names, combination.directions
     branch = _inactive_branch(nlp, names)
@@ -54,7 +54,7 @@ def _not_determined(nlp: Nlp, combination: Combination) -> str:
     )
 
 
-def _table(nlp: Nlp, combinations: Sequence[Combination]) -> str:
+def _table(nlp: CompiledProblem, combinations: Sequence[Combination]) -> str:
     """Return all combinations as one table, what the data do not see at all first."""
     rows = []
     for combination in combinations:
@@ -74,7 +74,7 @@ def _table(nlp: Nlp, combinations: Sequence[Combination]) -> str:
     )
 
 
-def _inactive_branch(nlp: Nlp, names: tuple[str, ...]) -> str:
+def _inactive_branch(nlp: CompiledProblem, names: tuple[str, ...]) -> str:
     """Return another cure, where a model of these parameters has branches."""
     models = [
         part.model
@@ -89,7 +89,7 @@ def _inactive_branch(nlp: Nlp, names: tuple[str, ...]) -> str:
     )
 
 
-def _absent_noise(nlp: Nlp, accuracy: Accuracy) -> set[str]:
+def _absent_noise(nlp: CompiledProblem, accuracy: Accuracy) -> set[str]:
     """Return the sizes of process noise that ended at zero, where they have no effect to first order."""
     sizes = {
         part.outside(f"w_{state}")
@@ -100,7 +100,7 @@ def _absent_noise(nlp: Nlp, accuracy: Accuracy) -> set[str]:
     return sizes & set(accuracy.at_bound)
 
 
-def held_without_error(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
     """Name values held from an earlier fit that gives them no standard error."""
     errors = np.diag(accuracy.covariance)[len(nlp.free) :]
     held = nlp.problem.held_estimates
@@ -114,7 +114,7 @@ def held_without_error(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def no_degrees_of_freedom(nlp: Nlp) -> Iterator[str]:
+def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     """Say so where there are not more numbers than unknowns."""
     numbers = sum(part.numbers for part in nlp.parts)
     initial = sum(part.unknown_initial_states for part in nlp.parts)
@@ -128,7 +128,7 @@ def no_degrees_of_freedom(nlp: Nlp) -> Iterator[str]:
     )
 
 
-def at_bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
+def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
     """Name parameters at their bounds and constraints that hold with equality; both are treated as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     absent = _absent_noise(nlp, accuracy)

@@ -14,7 +14,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import RecordPart
 from greybox.data.intersample import Intersample
@@ -26,7 +26,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 Others = Mapping[str, Intersample]
 
 
-def intersample_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
+def intersample_warnings(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
     """Say what the estimate `x` (p,) would be under the other assumption, where there is one and it matters."""
     others = {k: found for k, part in enumerate(nlp.parts) if (found := _others(part))}
     if not others:
@@ -60,7 +60,7 @@ def _others(part: Part) -> Others:
     return other_assumptions(part.model.criterion.inputs, _between(part), part.model.record)
 
 
-def _shift(nlp: Nlp, x: Array, others: Mapping[int, Others]) -> Array:
+def _shift(nlp: CompiledProblem, x: Array, others: Mapping[int, Others]) -> Array:
     """Return by how much the unknowns (p,) move from `x` if the inputs run as they might instead; NaN if not known."""
     parts = tuple(
         _with_inputs(part, others[k]) if k in others else part for k, part in enumerate(nlp.parts)

@@ -5,7 +5,7 @@ from functools import singledispatch
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
@@ -26,7 +26,7 @@ LEAST_DEVIATION_RATIO = 0.6
 LARGEST_DEVIATION_RATIO = 1.6
 
 
-def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+def biased_gains(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
     """Say by how much the normalization of a relative criterion biases the gain, where the noise is large."""
     for part, noise in zip(nlp.parts, accuracy.noise, strict=True):
         bias = part.problem.criterion.gain_bias(noise, part.numbers // 2) if noise > NOISY else 0.0
@@ -39,7 +39,7 @@ def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
             )
 
 
-def unlikely_noise(nlp: Nlp, trajectories: Sequence[Trajectory]) -> Iterator[str]:
+def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[str]:
     """Say where the noise that was given with the data is far from what the residuals show."""
     found: list[Found] = []
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):

@@ -7,7 +7,7 @@ from functools import singledispatch
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
@@ -42,7 +42,7 @@ class Trouble:
     cure: str = ""
 
 
-def explained(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart:
+def explained(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Multistart:
     """Return the search with a reason for every run that met a value that is not finite, at its start or its end."""
     reasons = search.runs.reason.copy()
     for run in _candidates(search.runs):
@@ -55,7 +55,9 @@ def explained(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart:
     return replace(search, runs=replace(search.runs, reason=reasons))
 
 
-def not_finite_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Iterator[str]:
+def not_finite_warnings(
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
+) -> Iterator[str]:
     """Say of the first run that could not begin why, where few runs converged; and of the first that met an edge."""
     stopped = next(
         (run for run in search.runs[search.runs.reason != ""] if run.reason.startswith(EDGE)), None
@@ -71,7 +73,9 @@ def not_finite_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> It
             yield f"at {_values(nlp, troubled[0].start)} {trouble.why}: {trouble.cure}."
 
 
-def _beyond(nlp: Nlp, solver: LocalSolver, search: Multistart, run: Run) -> Trouble | None:
+def _beyond(
+    nlp: CompiledProblem, solver: LocalSolver, search: Multistart, run: Run
+) -> Trouble | None:
     """Return what is not finite where the next step of an unfinished run leads."""
     nodes = search.ends[run.index]
     if nodes is None or not np.all(np.isfinite(run.estimate)):
@@ -88,7 +92,7 @@ def _candidates(runs: Runs) -> Runs:
     return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
 
 
-def _values(nlp: Nlp, start: Array) -> str:
+def _values(nlp: CompiledProblem, start: Array) -> str:
     declared = np.array([nlp.problem.parameters[name].start for name in nlp.free])
     if np.array_equal(start, declared):
         return "the declared values"
@@ -96,7 +100,7 @@ def _values(nlp: Nlp, start: Array) -> str:
     return ", ".join(said[:NAMED]) + (" ..." if len(said) > NAMED else "")
 
 
-def _trouble(nlp: Nlp, x: Array) -> Trouble | None:
+def _trouble(nlp: CompiledProblem, x: Array) -> Trouble | None:
     """Return what is not finite at the parameters x (p,), of the first part with which it is so."""
     if not np.all(np.isfinite(x)):
         return None

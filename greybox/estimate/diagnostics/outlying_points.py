@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp, compile_problem
+from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.files.arrays import Array, ComplexArray
@@ -56,7 +56,7 @@ class Deviation:
     relative: float
 
 
-def outlying_points(nlp: Nlp, x: Array, accuracy: Accuracy) -> tuple[str, ...]:
+def outlying_points(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> tuple[str, ...]:
     """Name the points of responses that are outliers of the fit `x` (p,), and say what it is without them."""
     values = nlp.all_values(x)
     each = [
@@ -73,7 +73,7 @@ def outlying_points(nlp: Nlp, x: Array, accuracy: Accuracy) -> tuple[str, ...]:
 
 
 def _warning(
-    nlp: Nlp, x: Array, accuracy: Accuracy, probability: float, k: int, found: Deviation
+    nlp: CompiledProblem, x: Array, accuracy: Accuracy, probability: float, k: int, found: Deviation
 ) -> str:
     return (
         f"{_point(nlp, k, found)} is an outlier, {100 * found.relative:.2g} % from the model: fewer than "
@@ -81,7 +81,7 @@ def _warning(
     )
 
 
-def _point(nlp: Nlp, k: int, found: Deviation) -> str:
+def _point(nlp: CompiledProblem, k: int, found: Deviation) -> str:
     problem = nlp.parts[k].problem
     return f"the point at {problem.response.omega[found.index]:.4g} rad/s of {problem.name!r}"
 
@@ -144,7 +144,9 @@ def _ratios(residual: ComplexArray, sensitivity: ComplexArray, least: float) -> 
     return ratio, float(dof)
 
 
-def _fitted_without(nlp: Nlp, x: Array, part: int, point: int) -> tuple[Array, Array] | None:
+def _fitted_without(
+    nlp: CompiledProblem, x: Array, part: int, point: int
+) -> tuple[Array, Array] | None:
     """Return estimate and standard errors (p,) without a point, from the estimate with it; None if there is none."""
     parts = list(nlp.problem.parts)
     parts[part] = _without(parts[part], point)
@@ -166,7 +168,9 @@ def _without(problem: Problem, point: int) -> Problem:
     return problem.with_(data=problem.response.where(kept), amplitude=sine)
 
 
-def _without_it(nlp: Nlp, x: Array, accuracy: Accuracy, part: int, deviation: Deviation) -> str:
+def _without_it(
+    nlp: CompiledProblem, x: Array, accuracy: Accuracy, part: int, deviation: Deviation
+) -> str:
     """Say which parameters move without a point, and to where."""
     found = _fitted_without(nlp, x, part, deviation.index)
     if found is None:

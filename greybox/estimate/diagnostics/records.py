@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_information import FEWEST_TIMES
@@ -37,7 +37,7 @@ CERTAIN = (
 HUGE = 1e6  # what is beyond is rounding: there is no noise
 
 
-def finding_warnings(nlp: Nlp) -> tuple[str, ...]:
+def finding_warnings(nlp: CompiledProblem) -> tuple[str, ...]:
     """Return what was found when the records were read: restarts of the clock, lost lines, text instead of numbers."""
     pairs = [(part.name, part.data) for part in nlp.problem.parts if isinstance(part.data, Record)]
     # Findings of one kind differ in their numbers.
@@ -51,7 +51,7 @@ def finding_warnings(nlp: Nlp) -> tuple[str, ...]:
 
 
 def record_warnings(
-    nlp: Nlp,
+    nlp: CompiledProblem,
     fitted: Sequence[FittedPart],
     trajectories: Sequence[Trajectory],
     accuracy: Accuracy,
@@ -98,7 +98,7 @@ def hidden_errors(accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[Found]:
+def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Found]:
     """Name records that are too short for the correlation of their errors to be known."""
     for part, found in zip(nlp.parts, accuracy.correlation, strict=False):
         if not isinstance(part, RecordPart) or found is None or found.is_long_enough:
@@ -218,7 +218,9 @@ def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]
         )
 
 
-def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory], *, alone: bool) -> Iterator[Found]:
+def _bounded(
+    nlp: CompiledProblem, trajectories: Sequence[Trajectory], *, alone: bool
+) -> Iterator[Found]:
     """Say where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
@@ -239,7 +241,7 @@ def _successive(error: Array) -> tuple[float, int]:
     return float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0, int(both.sum())
 
 
-def _masked(nlp: Nlp, part: RecordPart) -> Iterator[Found]:
+def _masked(nlp: CompiledProblem, part: RecordPart) -> Iterator[Found]:
     """Name samples that were not compared since a delay that is estimated may reach before the record."""
     lost, data, system = part.data.masked, part.model.record, part.system
     there = int(np.any([np.isfinite(data[name]) for name in part.outputs], axis=0).sum())

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_group import excerpts
 from greybox.compiled.strategies import Strategies
@@ -76,7 +76,11 @@ class GaussNewton(LocalSolver):
     """The solver of one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
     def __init__(
-        self, nlp: Nlp, parts: tuple[Part, ...] | None = None, *, settings: Strategies | None = None
+        self,
+        nlp: CompiledProblem,
+        parts: tuple[Part, ...] | None = None,
+        *,
+        settings: Strategies | None = None,
     ) -> None:
         """Build what every run shares; `parts` and `settings` stand in for those of the problem."""
         self._nlp = nlp
@@ -124,12 +128,12 @@ class GaussNewton(LocalSolver):
         other._coarse = None if self._coarse is None else self._coarse.within(low, high, equation)
         return other
 
-    def refined(self, nlp: Nlp) -> "GaussNewton":
+    def refined(self, nlp: CompiledProblem) -> "GaussNewton":
         """Return the solver of the same problem with finer steps."""
         return GaussNewton(nlp, settings=self._settings)
 
     @property
-    def nlp(self) -> Nlp:
+    def nlp(self) -> CompiledProblem:
         """The compiled problem."""
         return self._nlp
 
@@ -728,7 +732,7 @@ class GaussNewton(LocalSolver):
 
 
 @one_thread_at_a_time
-def _limits(nlp: Nlp) -> Limits:
+def _limits(nlp: CompiledProblem) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
     kind: Any = ca.SX if nlp.program.is_a("SXFunction") else ca.MX
     z = kind.sym("z", len(nlp.free))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, BoolArray
@@ -74,7 +74,7 @@ class Points:
 class Screening:
     """The prediction errors over short segments of the records of one problem."""
 
-    def __init__(self, nlp: Nlp, limits: Limits) -> None:
+    def __init__(self, nlp: CompiledProblem, limits: Limits) -> None:
         """Choose the segments."""
         parts = [part for part in nlp.parts if isinstance(part, RecordPart)]
         chosen = [
@@ -86,7 +86,7 @@ class Screening:
         self._whole = [ShortSegments(part, most, part.data.segment_length) for part in chosen]
 
     @staticmethod
-    def serves(nlp: Nlp) -> bool:
+    def serves(nlp: CompiledProblem) -> bool:
         """Tell whether all records have states, and no constraints bind the parameters."""
         parts = [part for part in nlp.parts if part.has_states]
         return not nlp.limits and all(

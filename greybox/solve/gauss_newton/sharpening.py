@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate, Step
@@ -36,7 +36,7 @@ def is_blurred(hessian: Array | None) -> bool:
     return bool(values.size and values[0] < BLURRED * values[-1])
 
 
-def sharp_step(nlp: Nlp, parts: AllParts, iterate: Iterate, step: Step) -> Step:
+def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: Step) -> Step:
     """Return a step of the same quadratic model, by a triangular factor of the Jacobian."""
     x = nlp.scaling.to_parameters(iterate.z)
     slope = nlp.scaling.slope(x)
