@@ -7,7 +7,7 @@ Begin with `fit`.
 | `fit` | from a problem to its answer: search, accuracy, warnings |
 | `result` | `Fit`, the answer as values |
 | `fitted_part` | the values that an answer keeps of each part of its problem |
-| `fitted_record`, `fitted_spectrum` | how these are made for records and for spectra of manoeuvres |
+| `fitted_values` | how these are made from the compiled part |
 | `fitted_problem` | the problem again, from its answer |
 | `quantities` | estimates, tied values and derived quantities with their standard errors |
 | `covariance` | standard errors from the sandwich, for all criteria |

@@ -1,13 +1,12 @@
-"""Fitting a problem: many starts, then accuracy, then words."""
+"""From a problem to its answer: search from many starts, then accuracy, then warnings."""
 
-import contextlib
 import math
 import platform
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from functools import partial, singledispatch
+from functools import partial
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
@@ -17,33 +16,20 @@ import numpy as np
 from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
-from greybox.compiled.part import Part, Trajectory
-from greybox.compiled.record_part import RecordPart
-from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
-from greybox.compiled.transient_part import TransientPart
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of, told_by
-from greybox.estimate.diagnostics.delay_approximation import pade_error
-from greybox.estimate.diagnostics.determined_together import determined_together
-from greybox.estimate.diagnostics.discretization import discretization_warnings
-from greybox.estimate.diagnostics.failure import failure_warnings
-from greybox.estimate.diagnostics.general import warnings
-from greybox.estimate.diagnostics.harmonics import harmonic_warnings
-from greybox.estimate.diagnostics.intersample import intersample_warnings
-from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
-from greybox.estimate.diagnostics.outlying_points import outlying_points
-from greybox.estimate.diagnostics.records import finding_warnings, hidden_errors, record_warnings
-from greybox.estimate.diagnostics.unused_noise import unused_noise
+from greybox.estimate.diagnostics.general import notes, warnings, warnings_of_failure
+from greybox.estimate.diagnostics.identifiability import determined_together
+from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.equivalent_minima import equivalent_estimates
-from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.fitted_record import fitted_record, stated
-from greybox.estimate.fitted_spectrum import fitted_spectrum
+from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse
+from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities, slopes_of_parameters
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
@@ -52,7 +38,6 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, UntilFoundAgain, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import packed, require_executor
 from greybox.solve.global_search import TRIAL_POINTS, global_search
@@ -71,10 +56,6 @@ from greybox.solve.multistart import BATCHED, GLOBAL_SEARCH, SEARCHES, multistar
 from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
 from greybox.solve.time_limits import TimeLimits, current_limits, is_search_over, limited
 from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, Waves
-
-FittedPart = FittedRecord | FittedResponse | FittedSpectrum
-
-CURVE = 2000  # points from which a curve for figures is not refined further
 
 
 class Interrupted(KeyboardInterrupt):
@@ -113,60 +94,55 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
 ) -> Fit:
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
 
-    Frequency responses are searched from all starts at once by Newton's method
-    (``search="batched"``), and IPOPT solves every minimum that was found once more. What a batch
-    does not serve (finite amplitudes, large problems) is solved by IPOPT from every start that is
-    tried, as ``search="multistart"`` does. ``search="global-search"`` is the scatter search of
-    MATLAB's GlobalSearch, with 1000 trial points by default, see `greybox.solve.global_search`.
+    Newton's method searches frequency responses from all starts at once (``search="batched"``), and
+    IPOPT polishes every minimum. Problems that do not fit into a batch (finite amplitudes, large
+    problems) are solved by IPOPT from every start, as with ``search="multistart"``.
+    ``search="global-search"`` is the scatter search of MATLAB's GlobalSearch, with 1000 trial
+    points by default, see `greybox.solve.global_search`.
 
     Parameters
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
-        A number of Sobol points, all of which are brought to a minimum, a rule such as
-        `LatinHypercube(200)` or `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By
-        default 200 Sobol points: in a multistart all, otherwise the 8 with the lowest costs, and
-        all if fewer than half of these end at the best minimum. Of records, the declared values and
-        those 3 of 19 Sobol points that promise most over short segments, where they are improved
-        first (`Run.start` stays the point itself); all, if fewer than 3 of these 4 end at the best
-        minimum, or with constraints. Drawn points at which a model of records is not finite move
-        toward the first at which it is. Of several starts on records, the search goes on from the
-        best end with every parameter whose lower bound is above zero made four times larger and
-        smaller; a lower cost is reported as an extra run.
+        A number of Sobol points, a rule such as `LatinHypercube(200)` or
+        `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By default the 8 most
+        promising of 200 Sobol points, with records the declared values and the 3 most promising of
+        19; all of them if few of these runs agree. With records, starts at which the model is not
+        finite move toward one at which it is, and from the best end of several runs, positive
+        parameters four times larger and smaller are tried as extra runs.
     seed : int, optional
-        Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with
-        the same points.
+        Of the Sobol points, 0 by default; a rule has its own. More starts of the same seed begin
+        with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
     search : "batched", "multistart" or "global-search"
         See above.
     solver_options : mapping
-        ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For
-        records `tol` is that of the decrease of the cost and of half the squared length of a step
-        in standard errors, 1e-8 by default.
+        ``{"max_iter": 100, "tol": 1e-9}``, and all other options of IPOPT where IPOPT solves. For
+        records, `tol` limits the decrease of the cost and half the squared length of a step in
+        standard errors, 1e-8 by default.
     executor : concurrent.futures.Executor, optional
-        What makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's
-        ``client.get_executor()``; this process by default. The answer is the same. The first run,
-        the refinement and the judgment are made here.
+        Makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's
+        ``client.get_executor()``; by default this process. The answer is the same.
     seconds : float, optional
-        After which no run goes on, from the call on; what was reached is judged. The answer then
+        Time limit of the whole search, in s. The best runs until then are judged; the answer
         depends on the speed of the machine, and says so.
     start_seconds : float, optional
-        The same for the runs from each start.
+        Time limit of the runs from each start, in s.
     profiles : bool
         Profile the likelihood of responses, as `greybox.profile` does, along parameters whose
         interval by the standard error leaves the bounds, or whose error exceeds half the value:
-        `Fit.profiles`. Problems that take long (trims inside the optimization, finite amplitudes)
-        or have constraints are left out: profile these by name.
+        `Fit.profiles`. Slow problems (trims inside the optimization, finite amplitudes) and those
+        with constraints are not profiled unless you name the parameters in `greybox.profile`.
     progress : bool or function
-        A bar on a terminal for anything longer than two seconds; or a function of finished and all
-        runs.
+        A bar on a terminal for fits longer than two seconds; or a function of the numbers of
+        finished and of all runs.
 
     Returns
     -------
     Fit
-        Also when no start converged: then `Fit.converged` is False, the values are NaN, and
-        `Fit.best_effort` has those of the best run.
+        If no start converged, `Fit.converged` is False, the values are NaN, and `Fit.best_effort`
+        has those of the best run.
 
     Raises
     ------
@@ -285,37 +261,28 @@ def _fitted_from(
     """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
     began = time.perf_counter()
     open_parts = are_open(problem)
-    problem = with_enough_harmonics(problem)
-    nlp = compile_problem(problem, by.method)
-    parameters = problem.parameters
+    nlp = compile_problem(with_enough_harmonics(problem), by.method)
     solver = by.solver(nlp)
-    by_default = TRIAL_POINTS if by.search == GLOBAL_SEARCH and starts is None else starts
-    rule = _rule(by_default, seed, solver)
-    points = rule.draw({name: parameters[name] for name in nlp.free})
-    movable = not isinstance(rule, Listed)
-    waves = _waves(starts, rule, solver)
-    run = partial(
-        multistart, nlp, solver, points, movable=movable, executor=executor, kept=kept, waves=waves
-    )
-    if by.search == GLOBAL_SEARCH:
+    is_global = by.search == GLOBAL_SEARCH
+    rule = _rule(TRIAL_POINTS if is_global and starts is None else starts, seed, solver)
+    points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
+
+    if is_global:
+        ipopt = _required_ipopt(solver, executor)
+        run = partial(global_search, nlp, ipopt, points, seed=rule.seed or 0, kept=kept)
+    else:
         run = partial(
-            global_search,
+            multistart,
             nlp,
-            _required_ipopt(solver, executor),
+            solver,
             points,
-            seed=rule.seed or 0,
+            movable=not isinstance(rule, Listed),
+            executor=executor,
             kept=kept,
+            waves=_waves(starts, rule, solver),
         )
     with responding(Response.STOP):
-        if callable(progress) or not progress:
-            search = run(progress=progress or None)
-        else:
-            with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-
-                def advance(done: int, _: int) -> None:
-                    bar.update(done - bar.n)
-
-                search = run(progress=advance)
+        search = _with_progress(run, progress, len(points))
         interrupted = stop_requested()
         nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts)
         search = explained(nlp, search, solver)
@@ -323,22 +290,27 @@ def _fitted_from(
         search = solver.polished(search)
     if not search.runs:
         return None
+
     with responding(Response.FINISH):
-        answer = assemble(
-            nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error
-        )
-        said = tuple(_cut_short(search, len(points), interrupted=interrupted))
-        found = (
-            profiled_where_misleading(nlp, answer)
-            if profiles and answer.converged and not said
-            else None
-        )
-        if found is not None:
-            said, answer = (
-                found.warnings,
-                replace(answer, profiles=found, seconds=time.perf_counter() - began),
-            )
-        return replace(answer, warnings=(*said, *answer.warnings)) if said else answer
+        answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), error=error)
+        cut_short = tuple(_cut_short(search, len(points), interrupted=interrupted))
+        warnings = (*cut_short, *answer.warnings)
+        if profiles and answer.converged and not cut_short:
+            profiled = profiled_where_misleading(nlp, answer)
+            if profiled is not None:
+                warnings = (*profiled.warnings, *warnings)
+                answer = replace(answer, profiles=profiled)
+        return replace(answer, warnings=warnings, seconds=time.perf_counter() - began)
+
+
+def _with_progress(
+    run: Callable[..., Multistart], progress: bool | Callable[[int, int], None], total: int
+) -> Multistart:
+    """Run a search with a bar on a terminal, or with the user's function."""
+    if callable(progress) or not progress:
+        return run(progress=progress or None)
+    with tqdm(total=total, disable=None, delay=2, unit="start", leave=False) as bar:
+        return run(progress=lambda done, _: bar.update(done - bar.n))
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
@@ -365,126 +337,135 @@ def assemble(
     *,
     seed: int | None,
     starts: str,
-    began: float,
     error: DiscretizationError | None = None,
 ) -> Fit:
-    """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
-    problem = nlp.problem
-    found = bool(search.minima)
-    best = search.minima[0].estimate if found else np.full(len(nlp.free), np.nan)
-    trajectories = solver.profile(best, search.nodes).trajectories if found else ()
-    accuracy = assess(nlp, best, trajectories) if found else _nothing(nlp)
+    """Turn the runs of a search into the answer.
+
+    `starts` describes their rule, `error` is the error of discretization where it is known.
+    """
+    if not search.minima:
+        return _failed(nlp, search, solver, seed, starts)
+    best = search.minima[0].estimate
+    trajectories = solver.profile(best, search.nodes).trajectories
+    accuracy = assess(nlp, best, trajectories)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     lines, names, covariance = quantities(nlp, accuracy, estimate)
-    parts = tuple(
-        fitted_part(
-            part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate))
-        )
-        for part, trajectory in zip(
-            nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True
-        )
-    )
-    parts = tuple(_with_errors(nlp, parts, accuracy))
-    pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
+    parts = tuple(_with_errors(nlp, _parts(nlp, best, trajectories), accuracy))
+
     answer = Fit(
-        name=problem.name,
+        name=nlp.problem.name,
         parts=parts,
         quantities=lines,
         free=nlp.free,
         names=names,
         covariance=covariance,
         dof=accuracy.dof,
-        cost=search.minima[0].cost if found else math.nan,
+        cost=search.minima[0].cost,
         costs=_all_costs(parts),
         runs=search.runs,
         minima=search.minima,
-        warnings=(
-            *not_finite_warnings(nlp, search, solver),
-            *(() if found else failure_warnings(nlp, search, solver)),
-            *finding_warnings(nlp),
-            *(discretization_warnings(nlp, trajectories, error) if found else ()),
-            *(record_warnings(nlp, parts, trajectories, accuracy) if found else ()),
-            *(intersample_warnings(nlp, best, accuracy) if found else ()),
-            *(harmonic_warnings(nlp, best, accuracy) if found else ()),
-            *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
-            *(outlying_points(nlp, best, accuracy) if found else ()),
-        ),
-        notes=(*unused_noise(problem), *hidden_errors(accuracy)) if found else (),
+        warnings=warnings(nlp, search, solver, accuracy, parts, trajectories, error),
+        notes=notes(nlp, accuracy),
         seed=seed,
         starts=starts,
-        seconds=time.perf_counter() - began,
-        versions={
-            "greybox": version("greybox-id"),
-            "casadi": ca.CasadiMeta.version(),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-        models=tuple(part.model for part in problem.parts),
+        seconds=0.0,
+        versions=_versions(),
+        models=tuple(part.model for part in nlp.problem.parts),
         white=accuracy.white,
         independent=accuracy.independent,
-        directions=(
-            known_directions(
-                nlp, best, accuracy, lambda x: solver.profile(x, search.nodes).trajectories
-            )
-            if found
-            else None
+        directions=known_directions(
+            nlp, best, accuracy, lambda x: solver.profile(x, search.nodes).trajectories
         ),
-        equivalents=equivalent_estimates(nlp, search) if found else None,
-        priors={
-            name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()
-        },
-        known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)) if found else None,
+        known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)),
+        equivalents=equivalent_estimates(nlp, search),
+        priors=_priors(nlp.problem),
     )
     return replace(answer, notes=(*answer.notes, *determined_together(answer)))
 
 
+def _failed(
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, seed: int | None, starts: str
+) -> Fit:
+    """Return the answer where no run converged: values are NaN."""
+    unknown = np.full(len(nlp.free), np.nan)
+    nothing = Accuracy(
+        names=nlp.names,
+        covariance=np.full((len(nlp.names),) * 2, np.nan),
+        blind=np.zeros((len(nlp.names), 0)),
+        size=np.ones(len(nlp.names)),
+        dof=0.0,
+        shares=(),
+        combinations=(),
+        at_bound=(),
+        active=(),
+        noise=np.full(len(nlp.parts), np.nan),
+        bias=np.zeros(len(nlp.names)),
+    )
+    estimate = dict(zip(nlp.names, nlp.all_values(unknown).tolist(), strict=True))
+    lines, names, covariance = quantities(nlp, nothing, estimate)
+    return Fit(
+        name=nlp.problem.name,
+        parts=_parts(nlp, unknown, (None,) * len(nlp.parts)),
+        quantities=lines,
+        free=nlp.free,
+        names=names,
+        covariance=covariance,
+        dof=0.0,
+        cost=math.nan,
+        costs={},
+        runs=search.runs,
+        minima=(),
+        warnings=warnings_of_failure(nlp, search, solver),
+        seed=seed,
+        starts=starts,
+        seconds=0.0,
+        versions=_versions(),
+        models=tuple(part.model for part in nlp.problem.parts),
+        priors=_priors(nlp.problem),
+    )
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "greybox": version("greybox-id"),
+        "casadi": ca.CasadiMeta.version(),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _priors(problem: AnyProblem) -> dict[str, tuple[float, float]]:
+    """Return mean and standard deviation of the a-priori knowledge by name."""
+    return {name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()}
+
+
+def _parts(
+    nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None]
+) -> tuple[AnyFittedPart, ...]:
+    """Return what the answer keeps of each part at the free parameters x (p,)."""
+    values = nlp.all_values(x)
+    named = dict(zip(nlp.names, values.tolist(), strict=True))
+    return tuple(
+        fitted_part(part, trajectory, values, dict(part.problem.local_values(named)))
+        for part, trajectory in zip(nlp.parts, trajectories, strict=True)
+    )
+
+
 def _with_errors(
-    nlp: CompiledProblem, parts: Sequence[FittedPart], accuracy: Accuracy
-) -> Iterator[FittedPart]:
-    """Yield the parts with what their data tell of the parameters, and records with the errors of their outputs."""
+    nlp: CompiledProblem, parts: Sequence[AnyFittedPart], accuracy: Accuracy
+) -> Iterator[AnyFittedPart]:
+    """Yield the parts with the information in their data, and records with the errors of their outputs."""
     if accuracy.white is None:
         yield from parts
         return
-    each = zip(
-        parts, told_by(nlp, accuracy), accuracy.informations, accuracy.correlation, strict=True
-    )
-    for part, (along, alone), told, colored in each:
+    shares = told_by(nlp, accuracy)
+    for part, (along, alone), information, colored in zip(
+        parts, shares, accuracy.informations, accuracy.correlation, strict=True
+    ):
         changes: dict[str, Any] = {"information": along, "information_alone": alone}
-        if isinstance(part, FittedRecord) and told.output_errors is not None:
-            changes["error"] = told.output_errors(accuracy.covariance, colored)
+        if isinstance(part, FittedRecord) and information.output_errors is not None:
+            changes["error"] = information.output_errors(accuracy.covariance, colored)
         yield replace(part, **changes)
-
-
-@singledispatch
-def fitted_part(
-    part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]
-) -> FittedPart:
-    """Return the plain values that the answer keeps of a part, at all values x (k,), by the model's name `values`.
-
-    `trajectory` is the best one there; None without an answer.
-    """
-    raise TypeError(f"{type(part).__name__} has no form in which an answer keeps it.")
-
-
-@fitted_part.register
-def _(
-    part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
-) -> FittedRecord:
-    return fitted_record(part, trajectory)
-
-
-@fitted_part.register
-def _(
-    part: TransientPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
-) -> FittedSpectrum:
-    return fitted_spectrum(part, trajectory)
-
-
-@fitted_part.register
-def _(
-    part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
-) -> FittedResponse:
-    return _response(part.problem, values, part.response(x))
 
 
 def _required_ipopt(solver: LocalSolver, executor: Executor | None) -> IpoptSolver:
@@ -518,71 +499,8 @@ def _waves(starts: Any, rule: Starts, solver: LocalSolver) -> Waves:
     return PromisingFirst(*solver.promising) if starts is None else AllAtOnce()
 
 
-def _nothing(nlp: CompiledProblem) -> Accuracy:
-    k = len(nlp.names)
-    covariance = np.full((k, k), np.nan)
-    return Accuracy(
-        nlp.names,
-        covariance,
-        np.zeros((k, 0)),
-        np.ones(k),
-        0.0,
-        (),
-        (),
-        (),
-        (),
-        np.full(len(nlp.parts), np.nan),
-        np.zeros(k),
-    )
-
-
-def _response(problem: Problem, values: dict[str, float], response: ComplexArray) -> FittedResponse:
-    data = problem.response
-    curve = error = None
-    if np.all(np.isfinite(response)):
-        error = pade_error(problem, values)
-        signals = {
-            "input": data.input,
-            "output": data.output,
-            "at": problem.at,
-            "delay": problem.delay,
-        }
-        with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
-            curve = _curve(
-                lambda omega: response_of_test(
-                    problem.model, values, omega, problem.amplitude, data.omega, **signals
-                ),
-                data.omega,
-            )
-    return FittedResponse(
-        **stated(problem),
-        data=data,
-        response=response,
-        curve=curve,
-        at={name: float(value) for name, value in problem.at.items()},
-        pade_error=error,
-        sine=problem.amplitude,
-        nuisances=problem.criterion.nuisances,
-    )
-
-
-def _curve(response: Callable[[Array], FrequencyResponse], omega: Array) -> FrequencyResponse:
-    """Evaluate on a grid over the band of `omega`, halved where a step is coarse, as at a resonance."""
-    grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
-    curve = response(grid)
-    for _ in range(12):
-        steps = np.abs(np.diff(curve.response))
-        turns = np.abs(np.angle(curve.response[1:] * curve.response[:-1].conj()))
-        coarse = (steps > 0.02 * np.abs(curve.response).max()) | (turns > np.radians(5))
-        if not coarse.any() or grid.size > CURVE:
-            break
-        grid = np.sort(np.concatenate([grid, np.sqrt(grid[:-1] * grid[1:])[coarse]]))
-        curve = response(grid)
-    return curve
-
-
-def _all_costs(parts: Sequence[FittedPart]) -> dict[str, float]:
-    """Return the value of every criterion for responses at the estimate, where all data are such."""
+def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:
+    """Return the cost by every included criterion, if all data are frequency responses."""
     responses = [part for part in parts if isinstance(part, FittedResponse)]
     if len(responses) < len(parts):
         return {}

@@ -245,3 +245,6 @@ class FittedSpectrum(FittedPart):
         """Return 100 (1 - |residual| / |measured|) over the band, without the mean value, as in time."""
         size = float(np.linalg.norm(self.data.outputs[output]))
         return 100 * (1 - float(np.linalg.norm(self.residual(output))) / size) if size else math.nan
+
+
+AnyFittedPart = FittedResponse | FittedRecord | FittedSpectrum

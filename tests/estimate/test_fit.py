@@ -21,7 +21,8 @@ from scipy import stats
 
 import greybox as gb
 from greybox.estimate.diagnostics.discretization import discretization_warnings
-from greybox.estimate.fit import _curve, _cut_short, _rule, _waves
+from greybox.estimate.fit import _cut_short, _rule, _waves
+from greybox.estimate.fitted_values import refined_curve
 from greybox.formulation.starts import Chained, Listed, Sobol, UntilFoundAgain
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
@@ -305,7 +306,7 @@ def test_a_curve_for_figures_is_refined_where_it_turns(damping):
         asked.append(omega.size)
         return gb.FrequencyResponse(omega, 1 / (1.0003 - omega**2 + 1j * damping * omega))
 
-    curve = _curve(response, np.array([5.0, 0.2, 1.0]))
+    curve = refined_curve(response, np.array([5.0, 0.2, 1.0]))
     assert asked[0] == 200
     assert (curve.omega[0], curve.omega[-1]) == pytest.approx((0.2, 5.0))
     assert np.all(np.diff(curve.omega) > 0)
@@ -317,7 +318,7 @@ def test_a_curve_for_figures_is_refined_where_it_turns(damping):
         assert steps <= 0.02
         assert turns.max() <= 5
         assert len(curve) < 600
-    assert _curve(response, np.array([3.0])).omega.tolist() == [3.0]
+    assert refined_curve(response, np.array([3.0])).omega.tolist() == [3.0]
 
 
 def test_a_curve_that_hardly_turns_is_evaluated_once():
@@ -327,7 +328,7 @@ def test_a_curve_that_hardly_turns_is_evaluated_once():
         asked.append(omega)
         return gb.FrequencyResponse(omega, 1 / (0.001j * omega + 1))
 
-    assert_allclose(_curve(response, np.array([1.0, 4.0])).omega, np.geomspace(1, 4, 200))
+    assert_allclose(refined_curve(response, np.array([1.0, 4.0])).omega, np.geomspace(1, 4, 200))
     assert len(asked) == 1
 
 
@@ -339,7 +340,7 @@ def test_a_curve_of_a_jump_stops_at_two_thousand_points():
         asked.append(omega.size)
         return gb.FrequencyResponse(omega, np.exp(1j * np.arange(omega.size)))
 
-    _curve(response, np.array([1.0, 4.0]))
+    refined_curve(response, np.array([1.0, 4.0]))
     assert asked == [200, 399, 797, 1593, 3185]
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedSpectrum
-from greybox.estimate.fitted_record import covariance_unknowns
+from greybox.estimate.fitted_values import covariance_unknowns
 
 STATED = {
     **dict.fromkeys((field.name for field in dataclasses.fields(FittedPart)), ""),

@@ -59,7 +59,7 @@ def test_a_parameter_at_its_bound_is_named_with_side_and_bound(side, truth, boun
 
 def test_one_start_and_few_agreeing_starts_are_told():
     (text,) = warned(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02), starts=1)
-    assert text.startswith("one start only: whether this is the global minimum is not known")
+    assert "one start only" in text
     bumps = measured(Parabola(), [0.5, 1.0, 2.0, 4.0], {"x": 1.0, "slope": 0.0}, noise=0.01)
     lone = warned(Parabola(), bumps, starts=[{"x": -1.5}] * 11 + [{"x": 1.3}])
     assert any(text.startswith("only 1 of 12 starts reached the best minimum") for text in lone)
@@ -124,9 +124,7 @@ def test_a_pade_delay_is_told_when_it_errs_by_more_than_a_degree(order, tau, exp
     assert fit.parts[0].pade_error == pytest.approx(error, rel=1e-6)
     assert (error > 1) == expected
     texts = [
-        text
-        for text in fit.warnings
-        if text.startswith(f"the phase of {delay} is off by up to {error:.2g}° over the band")
+        text for text in fit.warnings if f"the phase error of {delay} reaches {error:.2g}°" in text
     ]
     assert len(texts) == expected
     assert f"Padé phase error up to {error:.2g}°" in str(fit)
@@ -283,7 +281,7 @@ def test_given_variances_are_doubted_from_a_factor_of_two_and_a_half_on(ratio):
     )  # two parameters, of two numbers a point
     texts = [t for t in with_variance(shape * own / ratio).warnings if "given variances" in t]
     assert len(texts) == (not 0.4 <= ratio <= 2.5)
-    assert all(t.startswith(f"the residuals of 'made' are {ratio:.2g} times what") for t in texts)
+    assert all(f"{ratio:.2g} times as large as the given variances" in t for t in texts)
     assert all(("incomplete" in t) == (ratio > 1) for t in texts)
 
 
@@ -313,7 +311,7 @@ def test_an_approximate_delay_is_told_beyond_a_degree():
     parts = [SimpleNamespace(delay="pade:2", name=name) for name in ("near", "far", "exact")]
     found = [*coarse_pade(SimpleNamespace(problem=SimpleNamespace(parts=parts)), [1.0, 1.01, None])]
     assert found == [
-        "the phase of pade:2 is off by up to 1° over the band of 'far': use a higher order or delay='exact'."
+        "the phase error of pade:2 reaches 1° in the band of 'far': use a higher order or delay='exact'."
     ]
 
 

@@ -71,7 +71,7 @@ def test_a_rival_is_within_three_of_a_log_likelihood_or_a_hundredth_of_the_cost(
             1,
             1,
             1,
-            ["one start only: whether this is the global minimum is not known; use more starts."],
+            ["one start only: another minimum may be lower; use more starts."],
         ),
         (
             1,

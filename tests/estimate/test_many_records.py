@@ -63,7 +63,7 @@ def test_the_text_of_many_records_is_a_summary(fit):
 
 def test_what_holds_for_many_records_is_said_once(fit):
     (lost,) = [text for text in fit.warnings if "lines were lost" in text]
-    assert "the same holds for 9 more ('run 6', 'run 7', 'run 8', 'run 9' and 5 more)." in lost
+    assert "the same applies to 9 more ('run 6', 'run 7', 'run 8', 'run 9' and 5 more)." in lost
     (noise,) = [text for text in fit.warnings if "given standard deviation" in text]
     assert f"'run {POOR}'" in noise
 

@@ -1,14 +1,20 @@
-"""What a fit warns of: one question a file, each answer a sentence or none.
+"""The warnings of a fit: each file asks one question, and each answer is a sentence or nothing.
 
-Begin with `general`, which asks what concerns every fit, most serious first: `identifiability`
-(which parameters do the data determine?), `global_minimum` (is it the global minimum, and the only
-one?), `delay_approximation` (is the Padé delay close enough?), `noise_level` (is the noise as large
-as assumed?) and `frequency_correlation` (are the errors of neighboring frequencies independent?).
-`outlying_points` names the point that lies farthest off and gives the answer without it,
-`unused_noise` what the data say about their errors in vain. `records` looks at residuals in time,
-`intersample` at what was assumed of the inputs between samples, `discretization` at the
-integration, `harmonics` at the number of harmonics of a sine test, and `not_finite` says where and
-why a model gives no finite value. `determined_together` says what is determined although its
-members are not. `repeated` says once what holds for many records, and `failure` what came closest
-where no run converged.
+Begin with `general`.
+
+| file | question |
+| --- | --- |
+| `general` | all warnings and notes of a fit, the most serious first |
+| `identifiability` | Which parameters do the data determine, alone or in combination? |
+| `global_minimum` | Is this the global minimum, and the only one? |
+| `noise_level` | Is the noise as large as assumed, and does the criterion use what is known of it? |
+| `frequency_correlation` | Are the errors of neighboring frequencies independent? |
+| `outlying_points` | Which point of a response is an outlier? |
+| `records` | Do the residuals in time look like noise, and were all samples compared? |
+| `discretization` | Is the integration accurate enough? |
+| `delay_approximation` | Is the Padé delay accurate enough? |
+| `harmonics` | Does a sine test have enough harmonics? |
+| `not_finite` | Where and why does the model have no finite value? |
+| `failure` | What came closest where no run converged? |
+| `repeated` | one sentence in place of many alike |
 """

@@ -17,7 +17,7 @@ def discretization_warnings(
     trajectories: Sequence[Trajectory],
     error: DiscretizationError | None = None,
 ) -> Iterator[str]:
-    """Say so where twice the steps would move the estimate noticeably."""
+    """Warn where twice the number of steps would move the estimate noticeably."""
     count = max(part.substeps for part in nlp.parts)
     if not count:
         return
@@ -25,17 +25,17 @@ def discretization_warnings(
     if not error.matters:
         return
     name = nlp.free[int(np.argmax(np.abs(error.shift)))]
-    by = "without limit, since the model diverges"
+    size = "without limit, since the model diverges"
     if math.isfinite(error.largest):
-        by = f"by {error.largest:.2g} standard errors"
+        size = f"by {error.largest:.2g} standard errors"
     yield (
         f"the integration is too coarse: twice the steps per sample ({2 * count} instead of {count}) would change "
-        f"{name} or its standard error {by}; {_cure(nlp.method, count, error.growth)}."
+        f"{name} or its standard error {size}; {_cure(nlp.method, count, error.growth)}."
     )
 
 
 def _cure(method: Transcription, count: int, growth: int) -> str:
-    """Say what to integrate with: many more explicit steps are the second choice, being the slower one."""
+    """Name a finer method; many more explicit steps come last, since they are slow."""
     finer = method.finer(growth * count)
     scheme = type(method.scheme).__name__
     if scheme == "Rosenbrock":

@@ -13,6 +13,7 @@ independent of zᵀz and has the mean tr MW / k and the variance 2 (tr (MW)² - 
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -24,69 +25,66 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
 from greybox.statistics.column_space import column_basis
 
-# Of fits with independent errors, the share that is warned.
-SIZE = 0.01
-
-# Fewest residuals, beyond the parameters: with fewer the beta distribution is not a good
-# approximation.
-LEAST_LEFT = 4
-
 # Correlation lengths of the points below which standard errors are called rough: of 12 points with
 # a correlation of 0.8, two and a half lengths, intervals of 95 % hold in 86 to 93 % of fits, of 24
 # in 91 to 98.
 FEWEST_LENGTHS = 8.0
 
-# Of the largest measured magnitude: points below, which may be zero, have no relative error.
-LEAST_MAGNITUDE = 1e-9
-
 
 def correlated_frequencies(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
     """Name the responses whose residuals at the estimate `x` (p,) are correlated from one frequency to the next."""
-    values = nlp.all_values(x)
-    known = accuracy.neighbors or (None,) * len(nlp.parts)
-    for part, neighbors in zip(nlp.parts, known, strict=True):
+    all_neighbors = accuracy.neighbors or (None,) * len(nlp.parts)
+    for part, neighbors in zip(nlp.parts, all_neighbors, strict=True):
         if isinstance(part, ResponsePart):
-            found = _is_correlated(*_residuals(part, values, len(nlp.free)))
-            said = f"the residuals of {part.problem.name!r}"
-            if neighbors is not None and neighbors.lengths < FEWEST_LENGTHS:
-                length = len(part.data) / neighbors.lengths
-                found = neighbors.correlation if found is None else found
-                yield (
-                    f"{_correlated(said, found)}; so few points show the size of slow errors only roughly "
-                    f"({counted(len(part.data), 'point')}, over {length:.1f} of which errors stay correlated), "
-                    "and the standard errors are rough."
-                )
-            elif found is not None:
-                accounted = "" if neighbors is None else "; the standard errors account for that"
-                yield f"{_correlated(said, found)}{accounted}."
+            yield from _of_response(nlp, part, x, neighbors)
         elif isinstance(part, TransientPart):
-            for what, pair in _of_spectrum(nlp, part, x):
-                found = _is_correlated(*pair)
-                if found is not None:
+            where = f" of {part.problem.name!r}" if len(nlp.parts) > 1 else ""
+            for name, errors, jacobian in part.errors_by_output(nlp.scaling.to_solver(x)):
+                slope = np.vstack([jacobian.real, jacobian.imag])
+                excess = excess_correlation(errors, slope)
+                if excess is not None:
                     yield (
-                        f"{_correlated(f'the {what}', found)}; the standard errors, which take them as independent, "
-                        "are too small."
+                        f"{_correlated(f'the errors of {name}{where}', excess)}; the standard errors, which assume "
+                        "independent errors, are too small."
                     )
+
+
+def _of_response(
+    nlp: CompiledProblem, part: ResponsePart, x: Array, neighbors: Any
+) -> Iterator[str]:
+    excess = excess_correlation(*_residuals(part, nlp.all_values(x), len(nlp.free)))
+    text = f"the residuals of {part.problem.name!r}"
+    if neighbors is not None and neighbors.lengths < FEWEST_LENGTHS:
+        excess = neighbors.correlation if excess is None else excess
+        points = len(part.data)
+        yield (
+            f"{_correlated(text, excess)}; {counted(points, 'point')} whose errors stay correlated over "
+            f"{points / neighbors.lengths:.1f} of them cannot show the size of slow errors, and the standard errors "
+            "are rough."
+        )
+    elif excess is not None:
+        accounted = "" if neighbors is None else "; the standard errors account for that"
+        yield f"{_correlated(text, excess)}{accounted}."
 
 
 def _correlated(what: str, correlation: float) -> str:
     return (
-        f"{what} are correlated along frequency ({correlation:.2f} from one point to the next): its points are closer "
-        "than their resolution, or the model leaves something out"
+        f"{what} are correlated along frequency ({correlation:.2f} from one point to the next). Either the points are "
+        "closer than the frequency resolution, or the model misses something"
     )
 
 
-def _is_correlated(residuals: ComplexArray, jacobian: Array) -> float | None:
-    """Return the correlation of neighbors beyond that of independent errors; None where these may have it."""
-    found = lag_one_correlation(residuals, jacobian)
-    if found is None:
+def excess_correlation(residuals: ComplexArray, jacobian: Array) -> float | None:
+    """Return the correlation of neighbors beyond that of independent errors; None below 99 % significance."""
+    lag_one = lag_one_correlation(residuals, jacobian)
+    if lag_one is None:
         return None
-    r, mean, variance = found
-    return r - mean if chance_of_more(r, mean, variance) < SIZE else None
+    r, mean, variance = lag_one
+    return r - mean if chance_of_more(r, mean, variance) < 0.01 else None
 
 
 def chance_of_more(r: float, mean: float, variance: float) -> float:
-    """Return how likely a larger correlation than r is, of a beta distribution on [-1, 1] of this mean and variance."""
+    """Return the probability of a correlation above r, by a beta distribution on [-1, 1] of this mean and variance."""
     from scipy.special import betaincc  # noqa: PLC0415 - scipy takes longer to import than this package
 
     middle = (1 + mean) / 2
@@ -109,13 +107,14 @@ def lag_one_correlation(
     Returns
     -------
     (float, float, float) or None
-        None where too few are left, or all are zero.
+        None with fewer than four degrees of freedom, too few for the beta distribution, or if all
+        are zero.
     """
     n = residuals.size
     basis = column_basis(jacobian)
     k = 2 * n - basis.shape[1]
     total = np.sum(np.abs(residuals) ** 2)
-    if k < LEAST_LEFT or n < 2 or not total > 0:
+    if k < 4 or n < 2 or not total > 0:
         return None
 
     def neighbors(columns: Array) -> Array:
@@ -126,21 +125,12 @@ def lag_one_correlation(
         result[:, :-1] += halves[:, 1:] / 2
         return result.reshape(columns.shape)
 
-    turned = neighbors(basis)
-    inner = basis.T @ turned
+    W_basis = neighbors(basis)
+    inner = basis.T @ W_basis
     trace = -np.trace(inner)
-    trace_of_square = (n - 1) - 2 * np.sum(turned**2) + np.sum(inner**2)  # tr W² = 4 (n - 1) / 4
+    trace_of_square = (n - 1) - 2 * np.sum(W_basis**2) + np.sum(inner**2)  # tr W² = 4 (n - 1) / 4
     r = float(np.sum(residuals[1:] * residuals[:-1].conj()).real / total)
     return r, float(trace / k), float(2 * (trace_of_square - trace**2 / k) / (k * (k + 2)))
-
-
-def _of_spectrum(
-    nlp: CompiledProblem, part: TransientPart, x: Array
-) -> Iterator[tuple[str, tuple[ComplexArray, Array]]]:
-    """Return the errors of every output of a manoeuvre, (n,), and their derivatives by what was fitted, (2n, ...)."""
-    for name, errors, jacobian in part.errors_by_output(nlp.scaling.to_solver(x)):
-        where = f" of {part.problem.name!r}" if len(nlp.parts) > 1 else ""
-        yield f"errors of {name}{where}", (errors, np.vstack([jacobian.real, jacobian.imag]))
 
 
 def _residuals(part: ResponsePart, values: Array, free: int) -> tuple[ComplexArray, Array]:
@@ -150,7 +140,7 @@ def _residuals(part: ResponsePart, values: Array, free: int) -> tuple[ComplexArr
     size = np.abs(data.response)
     if data.variance is not None and part.criterion.known_noise:
         size = np.sqrt(data.variance)
-    order = order[size[order] > LEAST_MAGNITUDE * size.max()]
+    order = order[size[order] > 1e-9 * size.max()]
     sensitivity = part.sensitivity(values)[order, :free] / size[order, None]
     residuals = (part.response(values) - data.response)[order] / size[order]
     return residuals, np.vstack([sensitivity.real, sensitivity.imag])

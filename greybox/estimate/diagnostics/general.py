@@ -1,4 +1,4 @@
-"""The warnings that an answer may have whatever its data are, most serious first."""
+"""All warnings and notes of a fit, the most serious first."""
 
 from collections.abc import Sequence
 
@@ -6,6 +6,8 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade
+from greybox.estimate.diagnostics.discretization import discretization_warnings
+from greybox.estimate.diagnostics.failure import failure_warnings
 from greybox.estimate.diagnostics.frequency_correlation import correlated_frequencies
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
@@ -14,26 +16,52 @@ from greybox.estimate.diagnostics.global_minimum import (
     several_estimates_of_one_response,
     unfinished_runs,
 )
+from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.identifiability import (
     at_bounds,
     held_without_error,
     no_degrees_of_freedom,
     not_determined,
 )
-from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_noise
+from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_noise, unused_noise
+from greybox.estimate.diagnostics.not_finite import not_finite_warnings
+from greybox.estimate.diagnostics.outlying_points import outlying_points
+from greybox.estimate.diagnostics.records import finding_warnings, hidden_errors, record_warnings
+from greybox.estimate.fitted_part import FittedPart, FittedResponse
+from greybox.solve.discretization_error import DiscretizationError
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
+
+
+def warnings_of_failure(
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
+) -> tuple[str, ...]:
+    """Return the warnings of a fit of which no run converged."""
+    return (
+        *not_finite_warnings(nlp, search, solver),
+        *failure_warnings(nlp, search, solver),
+        *finding_warnings(nlp),
+    )
 
 
 def warnings(
     nlp: CompiledProblem,
     search: Multistart,
+    solver: LocalSolver,
     accuracy: Accuracy,
-    pade_errors: Sequence[float | None],
+    parts: Sequence[FittedPart],
     trajectories: Sequence[Trajectory],
+    error: DiscretizationError | None,
 ) -> tuple[str, ...]:
-    """Return everything a reader should know before believing the estimate, most serious first."""
+    """Return the warnings of a converged fit."""
     best = search.minima[0]
+    pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     return (
+        *not_finite_warnings(nlp, search, solver),
+        *finding_warnings(nlp),
+        *discretization_warnings(nlp, trajectories, error),
+        *record_warnings(nlp, parts, trajectories, accuracy),
+        *harmonic_warnings(nlp, best.estimate, accuracy),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),
         *no_degrees_of_freedom(nlp),
@@ -47,4 +75,10 @@ def warnings(
         *unlikely_noise(nlp, trajectories),
         *correlated_frequencies(nlp, best.estimate, accuracy),
         *discontinuous_costs(nlp),
+        *outlying_points(nlp, best.estimate),
     )
+
+
+def notes(nlp: CompiledProblem, accuracy: Accuracy) -> tuple[str, ...]:
+    """Return what may be worth a look, but is no reason to doubt a converged fit."""
+    return (*unused_noise(nlp.problem), *hidden_errors(accuracy))

@@ -8,26 +8,13 @@ from greybox.estimate.equivalent_minima import equivalent_estimates, said
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.outcome import TOO_COARSE
 
-# Share of agreeing starts below which the best minimum is in doubt. On the paper's tables 75 to 100
-# % of the starts reach it; one that only one start in ten finds may well hide another that none has
-# found.
-FEW_STARTS = 0.1
-
-# Share of runs below which it is worth saying that the others failed: the majority.
-MOST_RUNS = 0.5
-
-# Relative difference of costs below which a second minimum is a rival. A sum of n relative errors
-# is itself uncertain by 0.52 / √n of its size (they are Rayleigh distributed), which is 10 % for 24
-# points: a tenth of that ranks nothing.
-RIVAL_COST = 0.01
-
-# Difference of negative log-likelihoods below which it is: at 3 the other minimum is twenty times
-# less likely.
+# Difference of negative log-likelihoods up to which another minimum is a rival: at 3 it is twenty
+# times less likely.
 RIVAL_LIKELIHOOD = 3.0
 
 
 def few_agreeing_starts(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
-    """Say so where few starts reached the best minimum, or most failed."""
+    """Warn where fewer than a tenth of the starts reached the best minimum, or most runs failed."""
     count = len(search.brought)
     numbers = sum(part.numbers for part in nlp.parts)
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
@@ -35,15 +22,17 @@ def few_agreeing_starts(nlp: CompiledProblem, search: Multistart) -> Iterator[st
         agreeing_runs(search.runs, search.minima, numbers=numbers, is_likelihood=is_likelihood)
     )
     if len(search.runs) == 1:
-        yield "one start only: whether this is the global minimum is not known; use more starts."
-    elif agreeing == 1 or agreeing < FEW_STARTS * count:
-        yield f"only {agreeing} of {count} starts reached the best minimum: a better one may exist; use more starts."
-    if search.converged < MOST_RUNS * count:
+        yield "one start only: another minimum may be lower; use more starts."
+    elif agreeing == 1 or agreeing < count / 10:
+        yield (
+            f"only {agreeing} of {count} starts reached the best minimum: a better one may exist; use more starts."
+        )
+    if search.converged < count / 2:
         yield f"only {search.converged} of {count} runs converged ({search.failures})."
 
 
 def unfinished_runs(search: Multistart) -> Iterator[str]:
-    """Name a run that ended at a lower cost than the answer, and did not converge."""
+    """Name the run that ended at the lowest cost below the answer, but did not converge."""
     best = search.minima[0].cost
     unfinished = [
         run
@@ -59,7 +48,7 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
 
 
 def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
-    """Name another minimum that the data hardly tell from the best."""
+    """Warn of another minimum with a different response and nearly the same cost."""
     best = search.minima[0]
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
     for other in search.minima[1:]:
@@ -67,7 +56,9 @@ def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
             excess = other.cost - best.cost
             yield f"another minimum with a different response is only exp({excess:.2g}) times less likely."
             return
-        if not is_likelihood and 0 < other.cost <= best.cost * (1 + RIVAL_COST):
+        # A sum of n relative errors is itself uncertain by 0.52 / √n of its size (they are Rayleigh
+        # distributed), which is 10 % for 24 points: a tenth of that ranks nothing.
+        if not is_likelihood and 0 < other.cost <= best.cost * 1.01:
             percent = 100 * (other.cost / best.cost - 1)
             yield f"another minimum costs only {percent:.2g} % more and has a different response."
             return
@@ -76,14 +67,14 @@ def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
 def several_estimates_of_one_response(
     nlp: CompiledProblem, search: Multistart, accuracy: Accuracy
 ) -> Iterator[str]:
-    """Say so where clearly different parameters give the best response, such as two lags that swap."""
+    """Warn where clearly different parameters give the best response, as two lags that swap."""
     vectors = equivalent_estimates(nlp, search)
     if len(vectors) > 1 and not accuracy.combinations:
         yield said(nlp.free, vectors)
 
 
 def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
-    """Name delays at whose whole samples the cost is discontinuous, since a held input reaches an output directly."""
+    """Warn where the cost jumps at whole samples of a delay: a held input reaches an output directly."""
     delays = {
         name: pair
         for part in nlp.parts

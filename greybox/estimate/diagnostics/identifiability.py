@@ -1,41 +1,58 @@
-"""Which parameters the data determine, and which the answer treats as known."""
+"""Which parameters the data determine, alone or in combination, and which the answer treats as known."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy, Combination
-from greybox.files.text_table import counted, listed, text_table
+from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, listed
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.realization import has_branches
 from greybox.solve.minima import Minimum
 
-# Combinations that get a sentence each; more of them become one table.
-FEW_COMBINATIONS = 3
-
 
 def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
-    """Name the combinations of parameters that the data determine poorly or not at all."""
+    """Name the combinations of parameters that the data determine poorly or not at all, the worst three first."""
     absent = _absent_noise(nlp, accuracy)
-    every = [c for c in accuracy.combinations if not set(c.names) <= absent]
-    invisible = [c for c in every if math.isinf(c.index)]
-    collinear = sorted((c for c in every if not math.isinf(c.index)), key=lambda c: -c.index)
-    if len(every) > FEW_COMBINATIONS:
-        yield _table(nlp, [*invisible, *collinear])
-        return
-    for combination in invisible:
-        yield _not_determined(nlp, combination)
-    for combination in collinear:
+    combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
+    combinations.sort(key=lambda c: -c.index)
+    for combination in combinations[:3]:
+        if math.isinf(combination.index):
+            yield _not_determined(nlp, combination)
+        else:
+            yield (
+                f"{listed(combination.names)} are poorly identifiable: their effects nearly cancel one another "
+                f"(collinearity index {combination.index:.0f}); fix one of them, or add data in which their effects "
+                "differ."
+            )
+    if len(combinations) > 3:
+        names = dict.fromkeys(name for c in combinations[3:] for name in c.names)
         yield (
-            f"{listed(combination.names)} are poorly identifiable: their effects nearly cancel one another "
-            f"(collinearity index {combination.index:.0f}); fix one of them, or add data in which their effects differ."
+            f"{counted(len(combinations) - 3, 'more combination')} of parameters are determined poorly or not at "
+            f"all, of {listed(tuple(names))}; print(fit.identifiability) shows them."
         )
 
 
+def determined_together(fit: Fit) -> Iterator[str]:
+    """Say which combinations are determined although none of their members is."""
+    combinations = ()
+    if fit.converged and fit.directions is not None:
+        combinations = fit.identifiability.combinations
+    if not combinations:
+        return
+    members = tuple(dict.fromkeys(name for c in combinations for name in c.names))
+    more = f" and {len(combinations) - 3} more" if len(combinations) > 3 else ""
+    yield (
+        f"{'; '.join(map(str, combinations[:3]))}{more}: determined together, although {listed(members)} are not; "
+        "print(fit.identifiability) shows how well each is."
+    )
+
+
 def _not_determined(nlp: CompiledProblem, combination: Combination) -> str:
-    """Name the parameters of one group that the data do not see, and what to fix."""
+    """Name parameters of which the data show no effect, or only that of combinations, and what to fix."""
     names, count = combination.names, combination.directions
     branch = _inactive_branch(nlp, names)
     if len(names) == 1 and not combination.states:
@@ -54,28 +71,8 @@ def _not_determined(nlp: CompiledProblem, combination: Combination) -> str:
     )
 
 
-def _table(nlp: CompiledProblem, combinations: Sequence[Combination]) -> str:
-    """Return all combinations as one table, what the data do not see at all first."""
-    rows = []
-    for combination in combinations:
-        members = [*combination.names, *(f"initial state of {name}" for name in combination.states)]
-        seen = "no effect" if len(members) == 1 else "invisible"
-        index = seen if math.isinf(combination.index) else f"{combination.index:.0f}"
-        free = str(combination.directions)
-        rows.append([index, free, ", ".join(members)])
-    table = text_table(["collinearity", "directions", "parameters"], rows, left=(0, 2))
-    names = dict.fromkeys(name for c in combinations for name in c.names if math.isinf(c.index))
-    without = f"; {listed(tuple(names))} have no standard error" if names else ""
-    return (
-        f"the data determine {counted(len(rows), 'combination')} of parameters poorly or not at all{without}: fix as "
-        f"many parameters of each as it has directions, or add data in which their effects differ"
-        f"{_inactive_branch(nlp, tuple(names))}.\n"
-        + "\n".join("    " + line for line in table.splitlines())
-    )
-
-
 def _inactive_branch(nlp: CompiledProblem, names: tuple[str, ...]) -> str:
-    """Return another cure, where a model of these parameters has branches."""
+    """Return another cure for parameters of a model with branches."""
     models = [
         part.model
         for part in nlp.problem.parts
@@ -90,7 +87,7 @@ def _inactive_branch(nlp: CompiledProblem, names: tuple[str, ...]) -> str:
 
 
 def _absent_noise(nlp: CompiledProblem, accuracy: Accuracy) -> set[str]:
-    """Return the sizes of process noise that ended at zero, where they have no effect to first order."""
+    """Return the sizes of process noise that ended at zero, where their effect is of second order."""
     sizes = {
         part.outside(f"w_{state}")
         for part in nlp.problem.parts
@@ -101,12 +98,11 @@ def _absent_noise(nlp: CompiledProblem, accuracy: Accuracy) -> set[str]:
 
 
 def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
-    """Name values held from an earlier fit that gives them no standard error."""
-    errors = np.diag(accuracy.covariance)[len(nlp.free) :]
+    """Name values fixed at an earlier fit that gives them no standard error."""
+    variances = np.diag(accuracy.covariance)[len(nlp.free) :]
     held = nlp.problem.held_estimates
-    unknown = [
-        name for name, e in zip(nlp.constants, errors, strict=True) if name in held and np.isnan(e)
-    ]
+    pairs = zip(nlp.constants, variances, strict=True)
+    unknown = [name for name, variance in pairs if name in held and np.isnan(variance)]
     if unknown:
         yield (
             f"the earlier fit gives {listed(unknown)} no standard error, so none can be given here; "
@@ -115,7 +111,7 @@ def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str
 
 
 def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
-    """Say so where there are not more numbers than unknowns."""
+    """Warn where the data have no more numbers than the fit has unknowns."""
     numbers = sum(part.numbers for part in nlp.parts)
     initial = sum(part.unknown_initial_states for part in nlp.parts)
     if numbers > len(nlp.free) + initial:
@@ -129,7 +125,7 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
 
 
 def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
-    """Name parameters at their bounds and constraints that hold with equality; both are treated as known."""
+    """Name parameters at bounds and active constraints: the standard errors treat both as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     absent = _absent_noise(nlp, accuracy)
     if absent:

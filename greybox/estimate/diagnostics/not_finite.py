@@ -1,10 +1,9 @@
-"""Why a run met a value that is not finite: which response, state or output of the model, where, and what helps."""
+"""Where and why a model has no finite value: which response, state or output, and what helps."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import singledispatch
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
@@ -12,29 +11,27 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array, IntArray
+from greybox.files.text_table import counted
 from greybox.modeling.integrators import Rosenbrock
-from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.ipopt import INVALID
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.outcome import NOT_FINITE, Run
 from greybox.solve.runs import Runs
 
-NAMED = 4  # values of parameters in a sentence
-EDGE = "next to where"  # of an end beyond which the model is not finite
-FEW = 0.5  # share of converged runs below which a sentence is due
+EDGE = "next to where"  # begins the reason of a run beyond whose end the model is not finite
 
 
 @dataclass(frozen=True)
 class Trouble:
-    """What is not finite.
+    """A value that is not finite.
 
     Attributes
     ----------
     what : str
-        In a few words, the same for all runs with this trouble.
+        The same words for all runs with this trouble.
     why, cure : str
-        With time and values; what helps. Empty where `what` says all.
+        With time and values; empty where `what` says all.
     """
 
     what: str
@@ -43,9 +40,9 @@ class Trouble:
 
 
 def explained(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Multistart:
-    """Return the search with a reason for every run that met a value that is not finite, at its start or its end."""
+    """Return the search with a reason for every run that met a value that is not finite."""
     reasons = search.runs.reason.copy()
-    for run in _candidates(search.runs):
+    for run in _not_finite(search.runs):
         trouble = _trouble(nlp, run.start) or _trouble(nlp, run.estimate)
         reasons[run.index] = run.reason if trouble is None else trouble.what
     for run in search.runs if search.ends else ():
@@ -58,25 +55,29 @@ def explained(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> 
 def not_finite_warnings(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver
 ) -> Iterator[str]:
-    """Say of the first run that could not begin why, where few runs converged; and of the first that met an edge."""
-    stopped = next(
-        (run for run in search.runs[search.runs.reason != ""] if run.reason.startswith(EDGE)), None
-    )
+    """Explain the first run that stopped at an edge, and, where most runs failed, the first that could not begin."""
+    runs = search.runs
+    stopped = next((run for run in runs[runs.reason != ""] if run.reason.startswith(EDGE)), None)
     if stopped is not None:
         trouble = _beyond(nlp, solver, search, stopped)
         if trouble is not None and trouble.cure:
             yield f"run {stopped.index} ended {EDGE} {trouble.why}: {trouble.cure}."
-    troubled = [run for run in _candidates(search.runs) if run.reason]
-    if troubled and search.converged < FEW * len(search.brought):
-        trouble = _trouble(nlp, troubled[0].start)
+
+    failed = [run for run in _not_finite(runs) if run.reason]
+    if failed and search.converged < 0.5 * len(search.brought):
+        trouble = _trouble(nlp, failed[0].start)
         if trouble is not None and trouble.cure:
-            yield f"at {_values(nlp, troubled[0].start)} {trouble.why}: {trouble.cure}."
+            yield f"at {_values(nlp, failed[0].start)} {trouble.why}: {trouble.cure}."
+
+
+def _not_finite(runs: Runs) -> Runs:
+    return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
 
 
 def _beyond(
     nlp: CompiledProblem, solver: LocalSolver, search: Multistart, run: Run
 ) -> Trouble | None:
-    """Return what is not finite where the next step of an unfinished run leads."""
+    """Return the trouble of the next step of an unfinished run."""
     nodes = search.ends[run.index]
     if nodes is None or not np.all(np.isfinite(run.estimate)):
         return None
@@ -88,32 +89,27 @@ def _beyond(
     return None
 
 
-def _candidates(runs: Runs) -> Runs:
-    return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
-
-
 def _values(nlp: CompiledProblem, start: Array) -> str:
     declared = np.array([nlp.problem.parameters[name].start for name in nlp.free])
     if np.array_equal(start, declared):
         return "the declared values"
-    said = [f"{name} = {value:.4g}" for name, value in zip(nlp.free, start, strict=True)]
-    return ", ".join(said[:NAMED]) + (" ..." if len(said) > NAMED else "")
+    values = [f"{name} = {value:.4g}" for name, value in zip(nlp.free, start, strict=True)]
+    return ", ".join(values[:4]) + (" ..." if len(values) > 4 else "")
 
 
 def _trouble(nlp: CompiledProblem, x: Array) -> Trouble | None:
-    """Return what is not finite at the parameters x (p,), of the first part with which it is so."""
+    """Return the trouble of the first part that has one at the parameters x (p,)."""
     if not np.all(np.isfinite(x)):
         return None
     z = nlp.scaling.to_solver(np.clip(x, nlp.lower, nlp.upper))
     with np.errstate(all="ignore"):
-        return next(
-            (trouble for part in nlp.parts if (trouble := trouble_of(part, z)) is not None), None
-        )
+        troubles = (trouble_of(part, z) for part in nlp.parts)
+        return next((trouble for trouble in troubles if trouble is not None), None)
 
 
 @singledispatch
 def trouble_of(part: Part, z: Array) -> Trouble | None:
-    """Return what of a part is not finite at the solver's point z (p,)."""
+    """Return the trouble of a part at the solver's point z (p,)."""
     return None
 
 
@@ -136,109 +132,74 @@ def _(part: RecordPart, z: Array) -> Trouble | None:
 
 
 def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
-    """Look at the states to begin with, at what follows from them, and at the formulas along it."""
-    every, segment = np.arange(part.data.samples), part.data.segment_length
-    diverged = not (
-        np.all(np.isfinite(trajectory.detail.states)) and np.all(np.isfinite(trajectory.ends))
-    )
-    found = _of_model(part, trajectory, every[::segment])
-    return found or (
-        _of_integration(part, trajectory) if diverged else _of_model(part, trajectory, every)
-    )
+    """Look at the first states of the segments, at the integration from there, and at all samples."""
+    samples = np.arange(part.data.samples)
+    at_nodes = _of_formulas(part, trajectory, samples[:: part.data.segment_length])
+    if at_nodes is not None:
+        return at_nodes
+    states_are_finite = np.all(np.isfinite(trajectory.detail.states))
+    if not (states_are_finite and np.all(np.isfinite(trajectory.ends))):
+        return _of_integration(part, trajectory)
+    return _of_formulas(part, trajectory, samples)
 
 
-def _of_model(part: RecordPart, trajectory: Trajectory, samples: IntArray) -> Trouble | None:
-    """Return the derivative or output that is not finite at one of the samples, if one is."""
+def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) -> Trouble | None:
+    """Return the first derivative or output that is not finite at one of the samples."""
+    system = part.system
+    placed = trajectory.detail.placed
     x, data = (
         part.segments.in_order(values)[:, samples]
-        for values in (trajectory.detail.states, trajectory.detail.placed.data)
+        for values in (trajectory.detail.states, placed.data)
     )
-    _, mean, _, residual, _ = (
-        value.full() for value in part.step.measurement(x, trajectory.detail.placed.q, data)
-    )
-    p = trajectory.detail.placed.q[: len(part.system.parameters)]
-    slopes = (
-        part.system.derivative(x, mean, p).full() if part.states else np.zeros((0, len(samples)))
-    )
-    named = [
-        (f"the derivative of {name}", row)
-        for name, row in zip(part.system.states, slopes, strict=True)
-    ]
-    named += [(f"the output {name}", row) for name, row in zip(part.outputs, residual, strict=True)]
-    lost = ~np.isfinite([row for _, row in named])
+    _, u, _, residual, _ = (value.full() for value in part.step.measurement(x, placed.q, data))
+    rows = {f"the output {name}": row for name, row in zip(part.outputs, residual, strict=True)}
+    if part.states:
+        slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
+        names = [f"the derivative of {name}" for name in system.states]
+        rows = dict(zip(names, slopes, strict=True)) | rows
+
+    lost = ~np.isfinite([*rows.values()])
     if not lost.any():
         return None
     at = int(np.argmax(lost.any(axis=0)))
-    what = named[int(np.argmax(lost[:, at]))][0]
-    point = dict(
-        zip((*part.system.states, *part.system.inputs), (*x[:, at], *mean[:, at]), strict=True)
-    )
-    where = ", ".join(f"{name} = {value:.4g}" for name, value in point.items())
+    what = [*rows][int(np.argmax(lost[:, at]))]
+    point = zip((*system.states, *system.inputs), (*x[:, at], *u[:, at]), strict=True)
+    where = ", ".join(f"{name} = {value:.4g}" for name, value in point)
     when = _time(part, int(samples[at]))
     place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
     return Trouble(what, f"{what} is not finite {place}, where {where}", _elsewhere(part))
 
 
 def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
-    """Return the states that diverge between the samples, and whether the steps are too long for the model."""
-    within = part.segments.in_order(trajectory.detail.states).T.reshape(
-        len(trajectory.ends), -1, part.states
-    )
-    lost = ~np.isfinite(
-        np.concatenate([within, trajectory.ends[:, None]], axis=1)
-    )  # of every segment, samples and end
+    """Return the states that diverge between samples."""
+    states = part.segments.in_order(trajectory.detail.states).T
+    within = states.reshape(len(trajectory.ends), -1, part.states)
+    lost = ~np.isfinite(np.concatenate([within, trajectory.ends[:, None]], axis=1))
     segment, sample = (int(k) for k in np.argwhere(lost.any(axis=2))[0])
-    at = segment * part.data.segment_length + sample
-    names = " and ".join(
-        name for name, row in zip(part.system.states, lost[segment, sample], strict=True) if row
-    )
-    step, fastest = float(part.data.steps.min()), _fastest_decay(part, trajectory)
-    why = (
-        f"{names} {'are' if ' and ' in names else 'is'} no longer finite at {_time(part, at):.6g} s"
-    )
-    integrator = part.model.method.scheme
-    if fastest * step / part.substeps > integrator.reach and not isinstance(integrator, Rosenbrock):
-        return Trouble(
-            f"{names}, stiff",
-            f"{why}, since a time constant of {1 / fastest:.2g} s is too short for {part.substeps} explicit steps in a "
-            f"sample of {step:.3g} s",
-            "use method=MultipleShooting(integrator=Rosenbrock()), or bound the parameters to slower models",
+    diverged = zip(part.system.states, lost[segment, sample], strict=True)
+    names = [name for name, is_lost in diverged if is_lost]
+    when = _time(part, segment * part.data.segment_length + sample)
+
+    cure = f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)"
+    if not isinstance(part.model.method.scheme, Rosenbrock):
+        step = float(part.data.steps.min())
+        cure += (
+            f"; if the model is stiff (time constants far below {step:.3g} s / {part.substeps}, "
+            f"{counted(part.substeps, 'step')} in a sample), use method=MultipleShooting(integrator=Rosenbrock())"
         )
+    verb = "is" if len(names) == 1 else "are"
+    joined = " and ".join(names)
     return Trouble(
-        f"{names}, simulated", why, f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)"
+        f"{joined}, simulated", f"{joined} {verb} no longer finite at {when:.6g} s", cure
     )
 
 
 def _elsewhere(part: RecordPart) -> str:
-    known = (
+    initial = (
         f", or give known states, initial={{{part.system.states[0]!r}: ...}}" if part.states else ""
     )
-    return f"start elsewhere, or bound the parameters to where {part.problem.model.label} has finite values{known}"
-
-
-@one_thread_at_a_time
-def _fastest_decay(part: RecordPart, trajectory: Trajectory) -> float:
-    """Return the largest |pole| of those that decay, at the first states, rad/s; 0 where there is none."""
-    if not part.states:
-        return 0.0
-    x, u, p = (
-        ca.SX.sym("v", len(v))
-        for v in (part.system.states, part.system.inputs, part.system.parameters)
-    )
-    slope = ca.Function(
-        "A", [x, u, p], [ca.densify(ca.jacobian(part.system.derivative(x, u, p), x))]
-    )
-    data = part.segments.in_order(trajectory.detail.placed.data)[:, :: part.data.segment_length]
-    some = np.unique(np.linspace(0, len(trajectory.nodes) - 1, 20).astype(int)).tolist()
-    _, mean, *_ = part.step.measurement(
-        trajectory.nodes.T[:, some], trajectory.detail.placed.q, data[:, some]
-    )
-    q, poles = trajectory.detail.placed.q[: p.numel()], [0.0]
-    for k, nodes in enumerate(trajectory.nodes[some]):
-        A = slope(nodes, mean[:, k], q).full()
-        if np.all(np.isfinite(A)):
-            poles += [abs(pole) for pole in np.linalg.eigvals(A) if pole.real < 0]
-    return max(poles)
+    label = part.problem.model.label
+    return f"start elsewhere, or bound the parameters to where {label} has finite values{initial}"
 
 
 def _time(part: RecordPart, column: int) -> float:

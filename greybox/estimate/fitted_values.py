@@ -1,0 +1,230 @@
+"""What a fit keeps of each part of its problem, made from the compiled part and its best trajectory."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.transient_part import Along, TransientPart
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record
+from greybox.estimate.diagnostics.delay_approximation import pade_error
+from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.files.arrays import Array
+from greybox.formulation.problem import Problem
+from greybox.modeling.model import equation
+from greybox.modeling.model_reference import reference, source_text
+from greybox.modeling.periodic_motions import response_of_test
+
+
+@singledispatch
+def fitted_part(
+    part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> AnyFittedPart:
+    """Return what the answer keeps of a part.
+
+    Parameters
+    ----------
+    part : Part
+    trajectory : Trajectory or None
+        The best one; None where no run converged: what is fitted is then NaN.
+    x : (k,) array
+        All values of the problem.
+    values : mapping of name to float
+        The values of the model's parameters by its own names.
+    """
+    raise TypeError(f"{type(part).__name__} has no form in which an answer keeps it.")
+
+
+@fitted_part.register
+def _(
+    part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> FittedResponse:
+    problem = part.problem
+    data = problem.response
+    response = part.response(x)
+    curve = error = None
+    if np.all(np.isfinite(response)):
+        error = pade_error(problem, values)
+
+        def at(omega: Array) -> FrequencyResponse:
+            return response_of_test(
+                problem.model,
+                values,
+                omega,
+                problem.amplitude,
+                data.omega,
+                input=data.input,
+                output=data.output,
+                at=problem.at,
+                delay=problem.delay,
+            )
+
+        with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
+            curve = refined_curve(at, data.omega)
+    return FittedResponse(
+        **_of_problem(problem),
+        data=data,
+        response=response,
+        curve=curve,
+        at={name: float(value) for name, value in problem.at.items()},
+        pade_error=error,
+        sine=problem.amplitude,
+        nuisances=problem.criterion.nuisances,
+    )
+
+
+def refined_curve(
+    response: Callable[[Array], FrequencyResponse], omega: Array
+) -> FrequencyResponse:
+    """Evaluate a response over the band of `omega` for figures; coarse steps are halved, as at a resonance."""
+    grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
+    curve = response(grid)
+    for _ in range(12):
+        steps = np.abs(np.diff(curve.response))
+        turns = np.abs(np.angle(curve.response[1:] * curve.response[:-1].conj()))
+        coarse = (steps > 0.02 * np.abs(curve.response).max()) | (turns > np.radians(5))
+        if not coarse.any() or grid.size > 2000:
+            break
+        grid = np.sort(np.concatenate([grid, np.sqrt(grid[:-1] * grid[1:])[coarse]]))
+        curve = response(grid)
+    return curve
+
+
+@fitted_part.register
+def _(
+    part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> FittedRecord:
+    model = part.model
+    data = model.record
+    used = [*part.system.inputs, *part.outputs]
+
+    # Only signals that the fit used; metadata and findings stay with the record.
+    stored = Record(
+        data.time,
+        {name: data[name] for name in used},
+        units={name: data.units[name] for name in used if name in data.units},
+        name=data.name,
+        source=data.source,
+        checksum=data.checksum,
+        hold=data.hold,
+        has_time=data.has_time,
+    )
+    count = len(part.outputs)
+    noise = np.full((count, count), np.nan)
+    gain = gain_slope = None
+    nodes = np.full((part.data.segments, part.states), np.nan)
+    signals = {name: np.full(len(data), np.nan) for name in part.outputs}
+    if trajectory is not None:
+        noise = part.covariance_along(trajectory).covariance(trajectory.products)
+        steady = trajectory.detail.placed.filter
+        if steady is not None:
+            gain = steady.gain.ravel()
+            # The gains themselves follow the parameters from which they follow.
+            estimated = model.active[: steady.gain_slope.shape[-1]]
+            gain_slope = np.zeros((gain.size, len(model.parameters) - gain.size))
+            gain_slope[:, estimated] = steady.gain_slope.reshape(gain.size, -1)
+        nodes = trajectory.nodes
+        signals = _simulated(part, trajectory)
+    return FittedRecord(
+        **_of_problem(part.problem),
+        data=stored,
+        simulated=replace(
+            stored, signals=signals, name=part.problem.model.label, source="", checksum=""
+        ),
+        outputs=part.outputs,
+        noise=noise,
+        initial={
+            name: nodes[part.data.begins_stretch, i].copy()
+            for i, name in enumerate(part.system.states)
+        },
+        method=part.description,
+        inputs=model.criterion.inputs,
+        biases=tuple(model.criterion.biases),
+        gains=part.gains,
+        driven=model.driven,
+        gain=gain,
+        gain_slope=gain_slope,
+        nuisances=part.unknown_initial_states
+        + covariance_unknowns(
+            count,
+            known=part.covariance.known is not None or bool(model.driven),
+            full=part.covariance.full,
+        ),
+        is_static=part.is_static,
+    )
+
+
+def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, Array]:
+    """Return the outputs at the times of the record; NaN where none was compared."""
+    data = part.model.record
+    signals = {name: np.full(len(data), np.nan) for name in part.outputs}
+    outputs = part.data.unpadded(part.simulated_outputs(trajectory))
+    for stretch, values in zip(part.data.stretches, outputs, strict=True):
+        rows = stretch.rows
+        for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
+            left_out = np.isfinite(data[name][rows]) & ~np.isfinite(measured)
+            signals[name][rows] = np.where(left_out, np.nan, row)
+    return signals
+
+
+@fitted_part.register
+def _(
+    part: TransientPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+) -> FittedSpectrum:
+    count = len(part.outputs)
+    noise = np.full((count, count), np.nan)
+    fitted = np.full((count, len(part.data)), np.nan, complex)
+    ends = np.full(len(part.states), np.nan)
+    known = False
+    full = part.problem.criterion.settings["noise"] == "full"
+    if trajectory is not None:
+        at: Along = trajectory.detail
+        noise = at.covariance.covariance(trajectory.products)
+        fitted = at.modelled
+        ends = at.ends
+        known = at.covariance.known is not None
+    return FittedSpectrum(
+        **_of_problem(part.problem),
+        data=part.data,
+        fitted=dict(zip(part.outputs, fitted, strict=True)),
+        outputs=part.outputs,
+        noise=noise,
+        ends=dict(zip(part.states, ends.tolist(), strict=True)),
+        at={name: float(value) for name, value in part.problem.at.items()},
+        nuisances=len(part.states) + covariance_unknowns(count, known=known, full=full),
+    )
+
+
+def covariance_unknowns(outputs: int, *, known: bool, full: bool) -> int:
+    """Return how many numbers of the residual covariance are estimated."""
+    if known:
+        return 0
+    return outputs * (outputs + 1) // 2 if full else outputs
+
+
+def _of_problem(part: Problem) -> dict[str, Any]:
+    """Return the fields of a fitted part that all kinds of data share."""
+    return {
+        "name": part.name,
+        "criterion": part.criterion.name,
+        "criterion_class": part.criterion.class_path,
+        "settings": part.criterion.settings,
+        "is_likelihood": part.criterion.is_likelihood,
+        "rule": part.criterion.description,
+        "condition": part.criterion.condition_on(part.data),
+        "delay": part.delay,
+        "weight": part.weight,
+        "rename": dict(part.rename),
+        "tied": {name: source_text(tie) for name, tie in part.tied.items()},
+        "constraints": tuple(source_text(constraint) for constraint in part.constraints),
+        "model": reference(part.model),
+        "label": part.model.label,
+        "equation": equation(part.model),
+    }
