@@ -21,22 +21,16 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.imu_batches import DATA, HEADER, SAMPLES, with_batches
+from greybox.logs.readers.imu_batches import HEADER, with_batches
 from greybox.logs.readers.mapped_file import release
 from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
-ABOUT = (
-    "FMT",
-    "FMTU",
-    "UNIT",
-    "MULT",
-    "PARM",
-    "MSG",
-    "FILE",
-)  # about the log or the vehicle: no time histories
+# About the log or the vehicle: no time histories.
+ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")
 ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV", HEADER)  # metadata, read whatever is requested
 TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
+ARRAY = 32  # numbers in a field of the letter a
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -75,8 +69,9 @@ def recording(
     messages: Collection[str] | None,
     findings: Sequence[str],
 ) -> Recording:
-    """Make a recording of the messages of an ArduPilot log, binary or text; all of them serve the metadata."""
-    restarts, span = log.findings, log.span
+    """Make a recording of the messages of an ArduPilot log, binary or text."""
+    restarts = log.findings
+    span = log.span
     groups, assumed = with_usual_units(log.groups)
     log.groups.clear()
     groups, conflicts = merged(groups)
@@ -86,13 +81,13 @@ def recording(
     missing = _missing({g.name for g in groups}, messages)
     del groups
     wanted = with_holds(wanted, metadata.get("parameters", {}))
-    found, problems = records(wanted, path.name, checksum)
-    if not found and not metadata:
+    by_name, problems = records(wanted, path.name, checksum)
+    if not by_name and not metadata:
         raise ValueError(
             f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again."
         )
     findings = (*findings, *conflicts, *incomplete, *restarts, *missing, *problems, *assumed)
-    return Recording(found, path.name, checksum, metadata, findings)
+    return Recording(by_name, path.name, checksum, metadata, findings)
 
 
 def _checksum(data: mmap.mmap) -> str:
@@ -104,126 +99,136 @@ def _checksum(data: mmap.mmap) -> str:
 
 
 def _contents(data: mmap.mmap, messages: Collection[str] | None) -> tuple[Clocked, tuple[str, ...]]:
-    """Return the messages on one clock, those that are requested with their columns, and what is damaged.
-
-    What the index takes, of a log of gigabytes as much as a message or two, is not kept.
-    """
-    found = index(data)
-    damage = _damage(found)
-    each, stamps = _decoded(data, found, messages)
-    del found
+    """Return the messages on one clock, those that are requested with their columns, and the damage."""
+    positions = index(data)
+    damage = _damage(positions)
+    types, stamps = _decoded(data, positions, messages)
+    del positions  # of a log of gigabytes, it takes as much memory as a message or two
+    types = [columns for columns in types if columns.count]
     tables = UnitTables(
-        one.messages(Units({}, ""), stamps)
-        for one in each
-        if one.count and one.layout.name in TABLES
+        columns.messages(Units({}, ""), stamps)
+        for columns in types
+        if columns.layout.name in TABLES
     )
-    used = [one for one in each if one.count and one.layout.name not in TABLES]
-    groups = [one.messages(tables.of(one.layout), stamps) for one in used]
-    del each, used
+    groups = [
+        columns.messages(tables.of(columns.layout), stamps)
+        for columns in types
+        if columns.layout.name not in TABLES
+    ]
+    del types
     return on_one_clock(groups, stamps), (*damage, *tables.findings)
 
 
 def _decoded(
-    data: mmap.mmap, found: Index, messages: Collection[str] | None
+    data: mmap.mmap, positions: Index, messages: Collection[str] | None
 ) -> "tuple[list[_Columns], Array]":
-    """Decode every type that is requested, of the others the times; return the columns, and the times of all, s.
+    """Decode the types that are requested, of the others the times; return columns, and all times, s.
 
-    Piece by piece of the file, so that nothing else of it is ever in memory.
+    It goes piece by piece through the file, so that nothing else of it is ever in memory.
     """
-    counts = np.bincount(found.which, minlength=len(found.layouts))
-    each = [
-        _Columns(
-            data, layout, count, messages is None or layout.name in {*messages, *ALWAYS, *TABLES}
-        )
-        for layout, count in zip(found.layouts, counts.tolist(), strict=True)
+    counts = np.bincount(positions.which, minlength=len(positions.layouts))
+    types = [
+        _Columns(data, layout, count, _is_wanted(layout.name, messages))
+        for layout, count in zip(positions.layouts, counts.tolist(), strict=True)
     ]
-    is_timed = np.array([one.is_timed for one in each], dtype=bool)
+    is_timed = np.array([columns.is_timed for columns in types], dtype=bool)
     stamps = np.empty(int(counts[is_timed].sum()))
-    before = 0
-    ends = np.searchsorted(found.offsets, np.arange(PIECE, len(data) + PIECE, PIECE)).tolist()
+    timed_count = 0
+    edges = np.arange(PIECE, len(data) + PIECE, PIECE)
+    ends = np.searchsorted(positions.offsets, edges).tolist()
     for piece, (first, last) in enumerate(
         counted_off([*pairwise([0, *ends])], "decoding", "piece")
     ):
-        which = found.which[first:last]
-        offsets = found.offsets[first:last].astype(np.int64)
-        numbers = before + np.cumsum(is_timed[which])
+        which = positions.which[first:last]
+        offsets = positions.offsets[first:last].astype(np.int64)
+        numbers = timed_count + np.cumsum(is_timed[which])
         for k in np.unique(which).tolist():
             rows = np.flatnonzero(which == k)
-            each[k].take(offsets[rows], numbers[rows] - 1 if is_timed[k] else rows + first, stamps)
-        before = int(numbers[-1]) if numbers.size else before
+            order = numbers[rows] - 1 if is_timed[k] else rows + first
+            types[k].decode(offsets[rows], order, stamps)
+        timed_count = int(numbers[-1]) if numbers.size else timed_count
         release(data, (piece - 1) * PIECE, (piece + 1) * PIECE)
-    return each, stamps
+    return types, stamps
+
+
+def _is_wanted(name: str, messages: Collection[str] | None) -> bool:
+    if messages is None:
+        return name != "FILE"  # whole files of the vehicle, as text
+    return name in {*messages, *ALWAYS, *TABLES}
 
 
 class _Columns:
-    """The columns of all messages of one layout, filled one piece of the file after the other.
+    """The columns of all messages of one layout, filled from one piece of the file after the other.
 
-    Those that are not wanted as a `whole` give their times alone, to the stamps of the log, which
-    has those of all timed messages by their number. The tables have no part in that: they are
-    written anew at times, with any time.
+    Messages that are not wanted give their times alone, to the stamps of the log, which are the
+    times of all timed messages by their number. The unit tables take no part in that: they are
+    written again and again, with any time.
     """
 
-    def __init__(self, data: mmap.mmap, layout: Layout, count: int, whole: bool) -> None:
+    def __init__(self, data: mmap.mmap, layout: Layout, count: int, is_wanted: bool) -> None:
         self.layout = layout
         self.count = count
-        self._whole = whole
+        self._is_wanted = is_wanted
         self._timer = clock_column(layout)
         self.is_timed = bool(self._timer) and layout.name not in TABLES
-        # A view of a body at every byte of the file; indexing a field of it copies only the
+        # A view of a body at every byte of the file: indexing one of its fields copies only the
         # messages of this layout.
         size = max(len(data) - layout.length + 1, 0)
         self._bodies = (
             np.ndarray((size,), layout.dtype, data, 3, (1,)) if count else np.empty(0, layout.dtype)
         )
-        kept = count if whole else 0
+        rows = count if is_wanted else 0
         self._filled = 0
-        self._order = np.empty(kept, dtype=np.int32 if len(data) < 2**31 else np.int64)
-        letters = dict(zip(layout.columns, layout.format, strict=True))
-        letters.pop(self._timer, None)
-        self._texts: dict[str, list[str]] = {
-            name: []
-            for name, letter in letters.items()
-            if whole and letter in "nNZ" and layout.name != "FILE"
-        }
-        arrays = [name for name, letter in letters.items() if letter == "a" and layout.name == DATA]
-        self._arrays = {name: np.empty((kept, SAMPLES), dtype=np.int16) for name in arrays}
-        self._columns = {
-            name: np.empty(kept)
-            for name, letter in letters.items()
-            if whole and letter not in "anNZ"
-        }
+        self._order = np.empty(rows, dtype=np.int32 if len(data) < 2**31 else np.int64)
+        self._texts: dict[str, list[str]] = {}
+        self._arrays: dict[str, IntArray] = {}
+        self._columns: dict[str, Array] = {}
+        for name, letter in zip(layout.columns, layout.format, strict=True):
+            if name == self._timer or not is_wanted:
+                continue
+            if letter in "nNZ":
+                self._texts[name] = []
+            elif letter == "a":
+                self._arrays[name] = np.empty((rows, ARRAY), dtype=np.int16)
+            else:
+                self._columns[name] = np.empty(rows)
 
-    def take(self, offsets: IntArray, numbers: IntArray, stamps: Array) -> None:
-        """Decode the messages of these offsets and numbers."""
-        here = slice(self._filled, self._filled + numbers.size)
+    def decode(self, offsets: IntArray, order: IntArray, stamps: Array) -> None:
+        """Decode the messages at these offsets, with these numbers."""
+        rows = slice(self._filled, self._filled + order.size)
         for i, name in enumerate(self.layout.columns):
             field = self._bodies[f"f{i}"]
             if name == self._timer and self.is_timed:
-                stamps[numbers] = field[offsets] / CLOCKS.get(name, 1e3)
+                stamps[order] = field[offsets] / CLOCKS.get(name, 1e3)
             elif name in self._texts:
                 self._texts[name] += [text(value) for value in field[offsets].tolist()]
-            elif name in self._arrays and self._whole:
-                self._arrays[name][here] = field[offsets].view("<i2").reshape(-1, SAMPLES)
+            elif name in self._arrays:
+                self._arrays[name][rows] = field[offsets].view("<i2").reshape(-1, ARRAY)
             elif name in self._columns:
-                self._columns[name][here] = _numbers(field[offsets], self.layout.scale(i))
-        if self._whole:
-            self._order[here] = numbers
-            self._filled += numbers.size
+                self._columns[name][rows] = _numbers(field[offsets], self.layout.scale(i))
+        if self._is_wanted:
+            self._order[rows] = order
+            self._filled += order.size
 
     def messages(self, units: Units, stamps: Array) -> Messages:
-        """Return the messages; of those that are not wanted as a whole, how many there are."""
-        if not self._whole:
-            nothing = np.broadcast_to(np.intp(0), (self.count,))
-            return Messages(self.layout.name, nothing, None, {}, {}, units.columns)
+        """Return the messages; of those that are not wanted, only their number."""
+        if not self._is_wanted:
+            no_order = np.broadcast_to(np.intp(0), (self.count,))
+            return Messages(self.layout.name, no_order, None, {}, {}, units.columns)
         time = stamps[self._order] if self.is_timed else None
-        parts = {
+        elements = {
             f"{name}[{k}]": values[:, k].astype(float)
             for name, values in self._arrays.items()
-            for k in range(SAMPLES)
+            for k in range(ARRAY)
         }
-        columns = {**self._columns, **parts}
         return Messages(
-            self.layout.name, self._order, time, columns, self._texts, units.columns, units.instance
+            self.layout.name,
+            self._order,
+            time,
+            self._columns | elements,
+            self._texts,
+            units.columns,
+            units.instance,
         )
 
 
@@ -253,15 +258,17 @@ def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, 
     return tuple(findings)
 
 
-def _damage(found: Index) -> tuple[str, ...]:
+def _damage(positions: Index) -> tuple[str, ...]:
     findings = []
-    if found.skipped:
-        places = f"in {found.places} places, the first" if found.places > 1 else "in one place,"
-        findings.append(
-            f"{found.skipped} bytes {places} at byte {found.first}, are damaged and were skipped."
+    if positions.skipped:
+        places = (
+            f"in {positions.places} places, the first" if positions.places > 1 else "in one place,"
         )
-    if found.cut:
         findings.append(
-            f"the last message ({found.cut}) is cut off: the file was truncated, or the power was lost."
+            f"{positions.skipped} bytes {places} at byte {positions.first}, are damaged and were skipped."
+        )
+    if positions.cut:
+        findings.append(
+            f"the last message ({positions.cut}) is cut off: the file was truncated, or the power was lost."
         )
     return tuple(findings)

@@ -36,21 +36,6 @@ def test_what_is_not_asked_for_is_not_in_memory(tmp_path):
     assert peak < path.stat().st_size  # 2.3 MB, of which half are text at a time
 
 
-def test_batches_of_lines_are_one_message(tmp_path, monkeypatch):
-    """Lines that are cut short are skipped and counted, whichever batch they are in."""
-    path = tmp_path / "short.log"
-    path.write_text(long_log(60).replace("ATT, 50000, 0.5", "ATT, 50000"))
-    whole = read(path)
-    monkeypatch.setattr("greybox.logs.readers.dataflash_text.BATCH", 4)
-    parts = read(path)
-    assert len(whole["ATT"]) == 14
-    assert "ATT: 1 damaged lines were skipped." in whole.findings
-    assert {name: record.checksum for name, record in parts.items()} == {
-        n: r.checksum for n, r in whole.items()
-    }
-    assert (parts.findings, parts.checksum) == (whole.findings, whole.checksum)
-
-
 def old_log():
     """GPS at 5 Hz with the vehicle's time, attitudes at 50 Hz without one."""
     lines = [
