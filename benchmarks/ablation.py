@@ -61,7 +61,7 @@ import hard_models as hard  # noqa: E402
 import numpy as np  # noqa: E402
 
 import greybox as gb  # noqa: E402
-from greybox.compiled.strategies import Strategies, constants, switches  # noqa: E402
+from greybox.solve import Strategies  # noqa: E402
 
 LIMIT = 40  # s of one fit
 BASE, ALL = "everything on", "everything off"
@@ -134,36 +134,22 @@ CASES = {
 
 # Settings that are consulted on some problems alone: the others would be fitted alike.
 ALONE = {
-    "predictor": """riccati_gains early_prediction simulated_predictors stability_constraints prediction_gap
-        brief_step process_noise pole_difference stability_share forgetting gain_samples""".split(),
-    "jumping": ["held_discontinuous_delays", "blocked_damping"],
+    "predictor": ["riccati_gains", "simulated_predictors", "stability_constraints"],
+    "jumping": ["held_discontinuous_delays"],
     "long": ["stretches_first"],
-    "outputs": [
-        "covariance_curvature",
-        "covariance_decrease",
-        "least_curvature",
-    ],  # more than one, noise estimated
-    "failing": ["continued_runs", "continued_samples"],  # from all starts of some seed
+    "outputs": ["covariance_curvature"],  # more than one, noise estimated
+    "failing": ["continued_runs"],  # from all starts of some seed
 }
 
-# What a tenth or ten times the value would make no sense of.
-TRIED: dict[str, tuple[float, float]] = {
-    "gap_reduction": (0.01, 0.5),
-    "step_reduction": (0.04, 0.8),
-    "poor_decrease": (0.025, 0.9),
-    "damping_factor": (2.0, 100.0),
-    "state_iterations": (1, 30),
-    "gap_closings": (1, 50),
-    "prediction_gap": (0.05, 0.99),
-    "brief_step": (0.01, 0.99),
-    "kept_promise": (0.01, 0.99),
-    "short_step": (0.005, 0.5),
-    "stability_share": (0.09, 0.99),
-    "least_curvature": (0.005, 0.5),
-    "neighbor_factor": (1.5, 40.0),
-    "sweeps": (1, 20),
-    "local_span": (1, 100),
-}
+
+def switches() -> tuple[str, ...]:
+    """Return the names of all strategies that can be switched off."""
+    return tuple(f.name for f in fields(Strategies) if isinstance(f.default, bool))
+
+
+def constants() -> tuple[str, ...]:
+    """Return the names of all numbers."""
+    return tuple(f.name for f in fields(Strategies) if not isinstance(f.default, bool))
 
 
 @dataclass(frozen=True)
@@ -193,7 +179,7 @@ def without(*names: str) -> Setting:
 def varied(name: str) -> Iterator[Setting]:
     """Yield the settings with this constant at a tenth and at ten times its value."""
     value = getattr(Strategies(), name)
-    for changed in TRIED.get(name, (value / 10, 10 * value)):
+    for changed in (value / 10, 10 * value):
         exact = max(int(changed), 1) if isinstance(value, int) else float(changed)
         yield Setting(f"{name} = {exact:g}", replace(Strategies(), **{name: exact}), tag_of(name))
 

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.strategies import Strategies
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.modeling.realization import Dynamics
@@ -20,6 +19,7 @@ from greybox.modeling.realization import Dynamics
 GOLDEN = (
     5**0.5 - 1
 ) / 2  # whose multiples modulo one are spread more evenly than those of any other number
+SWEEPS = 2  # over the unmeasured states, each of which tries all sizes
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
@@ -36,10 +36,10 @@ class Shown:
 class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
-    def __init__(self, system: Dynamics, outputs: tuple[str, ...], strategies: Strategies) -> None:
-        """Compile what tells whether the model is finite, with its derivatives."""
+    def __init__(self, system: Dynamics, outputs: tuple[str, ...], *, scanned: bool = True) -> None:
+        """Compile the model and its derivatives; with `scanned`, sizes are tried where it is not finite."""
         self._n = len(system.states)
-        self._strategies = strategies
+        self._scanned = scanned
         x, u, p = (
             ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters)
         )
@@ -64,10 +64,10 @@ class InitialStates:
         hidden[[shown.state for shown in self._shown]] = False
         given = hidden & np.isfinite(known)
         states[given] = seen[given] = known[given, None]
-        away = np.abs(seen.mean(axis=1)) > self._strategies.mean_over_deviation * seen.std(axis=1)
+        away = np.abs(seen.mean(axis=1)) > 0.5 * seen.std(axis=1)
         states[away] = seen[away]
         finite, _ = self._judged(states, measured, inputs, p)
-        if finite.all() or not self._strategies.scanned_initial_states:
+        if finite.all() or not self._scanned:
             return states
         states = self._sized(seen, np.flatnonzero(hidden & ~given), measured, inputs, p)
         return self._mended(states, measured, inputs, p)
@@ -92,7 +92,7 @@ class InitialStates:
         """Return the states with the best sizes of the hidden ones: of all together, then of each."""
         best, least = states, self._score(states, measured, inputs, p)
         groups = [hidden] if hidden.size else []
-        for group in [*groups, *([[k] for k in hidden] * self._strategies.sweeps)]:
+        for group in [*groups, *([[k] for k in hidden] * SWEEPS)]:
             for size in (0.0, *SIZES):
                 trial = best.copy()
                 trial[group] = size

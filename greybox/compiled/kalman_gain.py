@@ -18,8 +18,9 @@ from greybox.compiled.record_part import Placed, RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
 from greybox.files.arrays import Array, IntArray
 
-# Excerpts, evenly over a record, on which candidates of a gain are compared.
+# Excerpts, evenly over a record, on which candidates of a gain are compared, and their samples.
 EXCERPTS = 3
+SAMPLES = 3000
 
 # Of the distance between the stability limit and the unit circle: a pole this close has come to the
 # limit. Steps go at most 0.9 of the way to it, and two of them come within 0.01.
@@ -58,14 +59,13 @@ class KalmanGain:
         within, as for the unit root of a moving average: Sargan and Bhargava (1983), Econometrica
         51(3).
         """
-        return 1 - self.part.model.strategies.forgetting / max(
-            len(stretch) for stretch in self.part.data.stretches
-        )
+        # Three time constants of the slowest pole.
+        return 1 - 3.0 / max(len(stretch) for stretch in self.part.data.stretches)
 
     def is_stable(self, trajectory: Trajectory, placed: Placed | None = None) -> bool:
-        """Tell whether the poles of the mean linearization are within the limit.
+        """Tell whether the poles of the mean linearization along a trajectory are within the limit.
 
-        Along a trajectory, with its parameters or with those `placed` elsewhere.
+        At its own parameters, or at those `placed` elsewhere.
         """
         return spectral_radius(self.error_transition(trajectory, placed)) < self.limit
 
@@ -76,32 +76,26 @@ class KalmanGain:
 
     def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
         """Return the transition over a sample of the errors of those states that innovations reach."""
-        placed = trajectory.detail.placed if placed is None else placed
-        assert placed is not None
+        placed = placed or trajectory.detail.placed
         A, _ = self.part.segments.mean_transition(trajectory.detail.states, placed.q, placed.data)
         return self._reached(A)
 
-    def pole_derivatives(
-        self, trajectory: Trajectory, z: Array, difference: float
-    ) -> tuple[Array, Array]:
+    def pole_derivatives(self, trajectory: Trajectory, z: Array) -> tuple[Array, Array]:
         """Return the derivatives of the poles' magnitudes (m, p) by z, and how far they may grow (m,).
 
-        By finite differences of the transition along a trajectory, of the relative size
-        `difference`.
+        By finite differences of the transition along a trajectory.
         """
         A = self.error_transition(trajectory)
-        steps = difference * np.maximum(np.abs(z), 1.0)
-        moved = [self.part.place(z + row) for row in np.diag(steps)]
-        change = [
-            (self.error_transition(trajectory, at) - A) / step
-            for at, step in zip(moved, steps, strict=True)
+        steps = 1e-6 * np.maximum(np.abs(z), 1.0)
+        slopes = [
+            (self.error_transition(trajectory, self.part.place(z + row)) - A) / step
+            for row, step in zip(np.diag(steps), steps, strict=True)
         ]
         poles, right = np.linalg.eig(A)
         left = np.linalg.pinv(right)
-        slopes = np.einsum("mi,pij,jm->mp", left, np.array(change), right)
-        size = np.maximum(
-            np.abs(poles), 1e-12
-        )  # a pole at zero has no direction, and is far from the limit
+        slopes = np.einsum("mi,pij,jm->mp", left, np.array(slopes), right)
+        # A pole at zero has no direction, and is far from the limit.
+        size = np.maximum(np.abs(poles), 1e-12)
         return np.real(np.conj(poles)[:, None] * slopes) / size[:, None], self.limit - np.abs(poles)
 
     def _reached(self, A: Array) -> Array:
@@ -126,9 +120,7 @@ class KalmanGain:
     def _excerpts(self) -> list[tuple[int, int]]:
         """First segment and number of segments of every excerpt."""
         ends = np.cumsum(self.part.data.segment_counts)
-        size = max(
-            self.part.model.strategies.gain_samples // (EXCERPTS * self.part.data.segment_length), 1
-        )
+        size = max(SAMPLES // (EXCERPTS * self.part.data.segment_length), 1)
         firsts = np.unique(np.linspace(0, max(ends[-1] - size, 0), EXCERPTS).astype(int))
         left = ends[np.searchsorted(ends, firsts, side="right")] - firsts
         return [

@@ -61,6 +61,9 @@ WHITE = 0.01
 # steady: gaps of a tenth leave it so nearly everywhere.
 COMPLETE = 0.9
 
+# Share of the Hessian of a known covariance that an estimated one leaves, at least.
+LEAST_CURVATURE = 0.05
+
 # Relative variance of a direction of initial states below which it counts as known.
 DIRECTIONS = 1e-12
 
@@ -760,7 +763,7 @@ class RecordPart(Part):
         self, hessian: Array, gradient: Array, x: Array, multiplier: Array, q: int
     ) -> tuple[Array, Array, Array, Array]:
         """Eliminate the variables of the covariance of every record, those after the first q."""
-        least = self.model.strategies.least_curvature
+        least = LEAST_CURVATURE
         hessians, gradients = np.empty((len(hessian), q, q)), np.empty((len(gradient), q))
         nodes, multipliers = x[:, :, : 1 + q].copy(), multiplier[:, :, : 1 + q].copy()
         for record, rows in enumerate(self._rows_of_records):
@@ -836,8 +839,7 @@ class RecordPart(Part):
         unit = 1 / np.sqrt(np.where(visible, curvature, 1.0))
         column = unit[:, None]
         x, multiplier = solve_continuity(
-            b.node_hessian * unit * column
-            + self.model.strategies.state_ridge * np.eye(self.states),
+            b.node_hessian * unit * column + 1e-10 * np.eye(self.states),
             b.transition * unit / column,
             self.data.coupled,
             stationarity * column,
@@ -1269,7 +1271,7 @@ def compile_records(
     parts: dict[int, RecordPart] = {}
     for lot in lots.values():
         model, every = models[lot[0]], joined([data[k] for k in lot])
-        looks = at_samples(every, max(every.segments // model.strategies.looks, 1), spread=True)
+        looks = at_samples(every, max(every.segments // 100, 1), spread=True)
 
         def known_initial(q: Array, model: RecordModel = model) -> Array:
             return model.initial(np.pad(q, (0, len(model.parameters) - len(q))))[0].full().ravel()
@@ -1376,7 +1378,9 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         locate=ca.Function(),
         initial=ca.Function("initial", [symbol], [ca.vertcat(ca.SX(0, 1), *states)]),
         known_states=np.array([name in known for name in system.states], dtype=bool),
-        initial_states=InitialStates(system, outputs, method.strategies),
+        initial_states=InitialStates(
+            system, outputs, scanned=method.strategies.scanned_initial_states
+        ),
         steps={},
         expressions=(),
     )

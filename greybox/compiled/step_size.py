@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.initial_states import InitialStates
-from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array
@@ -38,6 +37,8 @@ EVERY = 5  # every n-th sample serves for the poles: an eigenvalue problem each,
 # starts, 50 failed.
 SHORTEST_SEGMENT = 5
 LONGEST_SEGMENT = 10
+# Integration error over a longest segment, relative to the spread of a state, for the first substeps.
+LOCAL_ACCURACY = 1e-4
 SEGMENT_GROWTH = 2.0  # an unstable mode may grow by exp(2), sevenfold, over a segment
 
 
@@ -72,7 +73,7 @@ def substeps_and_segment(
 
     strategies = method.strategies
     chooses = integrator.substeps is None and strategies.accurate_substeps and system.states
-    judge = _AccuracyJudge.of(system, integrator, strategies) if chooses else None
+    judge = AccuracyJudge.of(system, integrator) if chooses else None
     outputs, inputs = samples
     stable: list[int] = []
     accurate: list[int] = []
@@ -119,19 +120,15 @@ def drawn_parameters(problem: Problem) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _AccuracyJudge:
+class AccuracyJudge:
     """One step of the integrator with the inputs held, evaluated at many samples at once."""
 
     one_step: Columns
     order: int
-    tolerance: float
-    samples: int
 
     @classmethod
     @one_thread_at_a_time
-    def of(
-        cls, system: Dynamics, integrator: Integrator, strategies: Strategies
-    ) -> "_AccuracyJudge":
+    def of(cls, system: Dynamics, integrator: Integrator) -> "AccuracyJudge":
         """Compile the step as a function of x, u and (p, h)."""
         kind: Any = ca.MX if integrator.implicit else ca.SX
         x = kind.sym("x", len(system.states))
@@ -148,8 +145,6 @@ class _AccuracyJudge:
         return cls(
             Columns(step, shared=(2,)),
             integrator.order,
-            strategies.local_accuracy,
-            strategies.local_span,
         )
 
     def substeps(self, count: int, states: Array, inputs: Array, p: Array, step: float) -> int:
@@ -170,14 +165,14 @@ class _AccuracyJudge:
         spread = np.abs(fine - fine.mean(axis=1, keepdims=True)).mean(axis=1)
         moved = np.abs(fine - states[:, finite]).max(axis=1)
         error = relative_change(fine - coarse, spread + moved)
-        return accurate_substeps(count, error, self.tolerance, self.order)
+        return accurate_substeps(count, error, LOCAL_ACCURACY, self.order)
 
     def _after_segment(
         self, count: int, states: Array, inputs: Array, p: Array, step: float
     ) -> Array:
         x = states
         constants = np.append(p, step / count)
-        for _ in range(self.samples * count):
+        for _ in range(LONGEST_SEGMENT * count):
             (x,) = self.one_step(x, inputs, constants)
         return x
 

@@ -27,9 +27,10 @@ from greybox.solve.runs import Runs
 # Of states and outputs: what finer steps change below this is rounding.
 EXACT = 1e-7
 
-# Minima that are followed to the finer steps, since they may change places with the best: at least
-# a run each.
+# Minima that are followed to the finer steps, at least a run each: one within this cost of the best
+# may change places with it.
 RIVALS = 3
+RIVAL_COST = 10.0
 
 # Relative difference of parameters up to which two runs of one minimum have one end, and move
 # together.
@@ -159,7 +160,7 @@ def _without_aliases(
     parameters, or even less, and may have their response. It is left only where there is nothing
     else.
     """
-    limit = search.minima[0].cost + nlp.strategies.rival_cost
+    limit = search.minima[0].cost + RIVAL_COST
     rivals = [
         run for m in search.minima if m.cost <= limit for run in (search.runs[k] for k in m.runs)
     ]
@@ -224,7 +225,7 @@ def _followed(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> 
     The runs that ended there move with them, so that runs and minima tell the same costs. What is
     no rival stays.
     """
-    limit = search.minima[0].cost + nlp.strategies.rival_cost
+    limit = search.minima[0].cost + RIVAL_COST
     ends: dict[int, Outcome] = {}
     count = 0
     least = math.inf

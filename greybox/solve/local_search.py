@@ -22,6 +22,8 @@ from greybox.solve.minima import same_cost
 from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome
 from greybox.solve.time_limits import one_run
 
+NEIGHBOR_ITERATIONS = 40  # of a run from the neighborhood of the best end
+
 
 class LocalSearch:
     """The runs of a search so far, in the order of the starts.
@@ -122,20 +124,19 @@ class LocalSearch:
         settings = self._nlp.strategies
         simulated = None
         if settings.simulated_neighbors and best.nodes is not None:
-            simulated = solver.run_simulated(point, best.nodes, settings.neighbor_iterations)
-        return simulated or (self._shared or solver).run(point, settings.neighbor_iterations)
+            simulated = solver.run_simulated(point, best.nodes, NEIGHBOR_ITERATIONS)
+        return simulated or (self._shared or solver).run(point, NEIGHBOR_ITERATIONS)
 
 
 def _scaled(nlp: CompiledProblem, best: Array) -> list[Array]:
-    """Return the point with every positive parameter made smaller and larger by the neighbor factor.
+    """Return the point with every positive parameter a factor of four smaller and larger.
 
     Lags that swap places make minima whose neighborhoods take up shares of the start box that
     differ a hundredfold.
     """
-    scale = nlp.strategies.neighbor_factor
     points = []
     for k in np.flatnonzero(nlp.lower > 0):
-        for factor in (1 / scale, scale):
+        for factor in (0.25, 4.0):
             point = best.copy()
             point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
             points.append(point)

@@ -174,7 +174,7 @@ def test_poles_follow_parameters_and_gains_as_by_differences(coupling):
         moved = gain.error_transition(trajectory, gain.part.place(v))
         return np.sort(np.abs(np.linalg.eigvals(moved)))
 
-    slopes, room = gain.pole_derivatives(trajectory, z, 1e-6)
+    slopes, room = gain.pole_derivatives(trajectory, z)
     order = np.argsort(-room)
     assert_allclose(gain.limit - room[order], magnitudes(z), rtol=1e-9)
     wanted = numeric_jacobian(magnitudes, z)

@@ -169,7 +169,7 @@ def test_bad_options_are_named(make, words):
         ({"tol": 0.0}, "'tol' is 0.0: give a number above 0"),
         ({"tol": -1e-9}, "'tol' is -1e-09: give a number above 0"),
         ({"tol": "small"}, "'tol' is 'small': give a number above 0"),
-        ({"mu_init": 1.0}, "'mu_init' is not known to the Gauss-Newton solver"),
+        ({"mu_init": 1.0}, "'mu_init' is not an option"),
     ],
 )
 def test_options_of_the_solver_are_checked(options, words):

@@ -1,7 +1,7 @@
-"""All parts of a problem along one iterate: trajectories, cost, and what a step makes of them."""
+"""All parts of a problem at one iterate: trajectories, cost, and where a step leads."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from typing import Any
 
@@ -14,27 +14,34 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
+from greybox.solve.gauss_newton.homotopy import EXACT, Progress, relaxed
 from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
 
-# A second-order correction goes on as long as it halves the penalty of the gaps, and until what is
-# left of it is a hundredth of the predicted decrease, which no decision of the line search depends
-# on.
-CLOSED = 0.01
+COST_ROUNDING = 1e-9  # relative change of the cost that counts as rounding
+GAP_CLOSINGS = 5  # iterations of the second-order correction
 
 
 class AllParts:
-    """The parts of one problem, whose costs add, with the Kalman gains of those that have one, limits and settings.
+    """The parts of one problem, whose costs add, with their Kalman gains, the limits and the settings.
 
-    Records that can be evaluated together are one part here: `joined` and `nodes_by_part` are
-    between the two.
+    Records that can be evaluated together are one part here; `joined`, `nodes_by_part` and `split`
+    translate.
     """
 
-    def __init__(self, parts: tuple[Part, ...], limits: Limits, settings: Strategies) -> None:
-        """Look for the gains."""
+    def __init__(
+        self, parts: Sequence[Part], free: Sequence[str], limits: Limits, settings: Strategies
+    ) -> None:
+        """Group the parts; `free` are the names of the solver's variables."""
         self._groups = Groups(parts)
         self.parts = self._groups.parts
         self.weights = [part.weight for part in self.parts]
         self.gains = [kalman_gain(part) for part in self.parts]
+        self.has_free_gains = any(gain and set(gain.names) & set(free) for gain in self.gains)
+        self.samples = sum(part.samples for part in self.parts)
+        self.is_discontinuous = np.array(
+            [any(name in part.discontinuous_delays for part in self.parts) for name in free],
+            dtype=bool,
+        )
         self.limits = limits
         self.settings = settings
 
@@ -55,6 +62,14 @@ class AllParts:
         """Return the iterate at z whose nodes come from the data."""
         return Iterate(z, tuple(part.initial_trajectory(z) for part in self.parts))
 
+    def simulated(self, z: Array, nodes: Nodes) -> Iterate:
+        """Return the iterate at z simulated from the first node of every stretch to its end."""
+        return self._at(z, nodes, [True] * len(nodes))
+
+    def _at(self, z: Array, nodes: Nodes, simulated: Sequence[bool]) -> Iterate:
+        each = zip(self.parts, nodes, simulated, strict=True)
+        return Iterate(z, tuple(part.trajectory(z, n, simulated=s) for part, n, s in each))
+
     def joined(self, nodes: Nodes) -> Nodes:
         """Return the nodes as an iterate has them, given those of the parts of the problem."""
         return self._groups.joined(nodes)
@@ -67,22 +82,23 @@ class AllParts:
         """Return the trajectories of the parts of the problem."""
         return tuple(self._groups.split(iterate.trajectories))
 
-    def simulated(self, z: Array, nodes: Nodes) -> Iterate:
-        """Return the iterate at z simulated from the first node of every stretch to its end."""
-        return self._at(z, nodes, [True] * len(nodes))
+    def _pairs(self, iterate: Iterate) -> Iterator[tuple[Part, Trajectory]]:
+        return zip(self.parts, iterate.trajectories, strict=True)
 
-    def _at(self, z: Array, nodes: Nodes, simulated: Sequence[bool]) -> Iterate:
-        each = zip(self.parts, nodes, simulated, strict=True)
-        return Iterate(
-            z,
-            tuple(part.trajectory(z, n, simulated=is_simulated) for part, n, is_simulated in each),
-        )
+    def first_progress(self, *, near_solution: bool = False) -> Progress:
+        """Return the progress of an iteration whose nodes come from the data, exact if there are none."""
+        has_nodes = any(part.has_nodes for part in self.parts)
+        return relaxed(self.settings, near_solution=near_solution) if has_nodes else EXACT
+
+    # --- judging an iterate
 
     def stays_near_data(self, iterate: Iterate) -> bool:
-        """Tell whether the outputs stay where the data are, which those of an unstable simulation do not."""
-        factor = self.settings.lost_simulation
+        """Tell whether the outputs stay near the data, unlike those of an unstable simulation.
+
+        Its residuals exceed ten standard deviations of the signal.
+        """
         return iterate.finite and all(
-            part.is_near_data(trajectory, factor) for part, trajectory in self._pairs(iterate)
+            part.is_near_data(trajectory, 10.0) for part, trajectory in self._pairs(iterate)
         )
 
     def explain_data(self, iterate: Iterate) -> bool:
@@ -90,18 +106,17 @@ class AllParts:
         return all(part.explains_data(trajectory) for part, trajectory in self._pairs(iterate))
 
     def is_continuous(self, iterate: Iterate) -> bool:
-        """Tell whether what gaps are left is rounding."""
-        tolerance = self.settings.gap_rounding
+        """Tell whether all gaps are rounding, relative to the largest value of a state."""
         return all(
             np.all(
                 np.abs(t.gaps).max(axis=0, initial=0.0)
-                <= tolerance * np.abs(t.nodes).max(axis=0, initial=0.0)
+                <= 1e-9 * np.abs(t.nodes).max(axis=0, initial=0.0)
             )
             for t in iterate.trajectories
         )
 
     def signature(self, iterate: Iterate) -> Array:
-        """Return numbers by which runs are told apart, see `Part.signature`."""
+        """Return numbers by which runs are distinguished, see `Part.signature`."""
         return np.concatenate(
             [part.signature(trajectory) for part, trajectory in self._pairs(iterate)]
         )
@@ -115,26 +130,22 @@ class AllParts:
         return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._pairs(iterate)))
 
     def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
-        """Return the cost with given residual weights, half the sum of squares, of an iterate that is finite."""
+        """Return the cost with fixed residual weights: half the sum of squares, of a finite iterate."""
         each = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
-        return float(
-            sum(part.weight * part.squared_cost(t, weight, SMOOTHING) for part, t, weight in each)
-        )
+        return float(sum(part.weight * part.squared_cost(t, w, SMOOTHING) for part, t, w in each))
 
     def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
-        each = zip(self.parts, iterate.trajectories, multipliers, strict=True)
-        return sum(part.weight * float((np.abs(t.gaps) * m).sum()) for part, t, m in each)
+        each = zip(self.weights, iterate.trajectories, multipliers, strict=True)
+        return sum(weight * float((np.abs(t.gaps) * m).sum()) for weight, t, m in each)
 
     def squared_gap_cost(self, iterate: Iterate, variances: Sequence[Array]) -> float:
         """Return the quadratic penalty of the gaps, with variances (n,) for every state."""
-        each = zip(self.parts, iterate.trajectories, variances, strict=True)
-        return sum(
-            part.weight * float((t.gaps**2 / variance).sum()) / 2 for part, t, variance in each
-        )
+        each = zip(self.weights, iterate.trajectories, variances, strict=True)
+        return sum(weight * float((t.gaps**2 / v).sum()) / 2 for weight, t, v in each)
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
-        """Return square roots of the inverse covariances that the residuals show."""
+        """Return square roots of the inverse residual covariances at an iterate."""
         return [part.residual_weight(trajectory) for part, trajectory in self._pairs(iterate)]
 
     def initial_weights(self) -> list[Array]:
@@ -153,39 +164,47 @@ class AllParts:
         ]
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
-        """Return the variances of gaps at the first stage, in which nodes may follow the data freely."""
-        spread = self.settings.first_gap / self.settings.assumed_error
+        """Return the variances of the gaps in the first stage, where nodes may follow the data freely.
+
+        Their standard deviations are the jumps of a state that move a segment's outputs by three
+        standard deviations of their signals.
+        """
+        spread = 3.0 / self.settings.assumed_error
         each = zip(self.parts, linearizations, strict=True)
         return [part.continuity_variance(linearization, spread) for part, linearization in each]
 
     def moved(self, iterate: Iterate, step: Step, length: float) -> Iterate:
-        """Return the iterate after a step, of which the share `length` is taken."""
+        """Return the iterate after the share `length` of a step."""
         each = zip(step.condensed, iterate.trajectories, strict=True)
         nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in each]
         z = self.limits.after(iterate.z, length * step.dz) if step.dz.any() else iterate.z
         return self.at(z, nodes, iterate)
 
-    def close_gaps(
-        self, iterate: Iterate, step: Step, multipliers: Sequence[Array], length: float
-    ) -> Iterate:
-        """Return the iterate with the gaps closed that curvature has left, by the least changes of the outputs.
+    def close_gaps(self, iterate: Iterate, step: Step, length: float) -> Iterate:
+        """Return the iterate with the gaps closed that curvature left, by the least change of the outputs.
 
-        They would cut every step short otherwise (Maratos effect; Nocedal and Wright, Numerical
-        Optimization, 15.5).
+        The gaps would cut every step short otherwise (Maratos effect; Nocedal and Wright, Numerical
+        Optimization, section 15.5).
         """
-        enough = CLOSED * length * step.decrease
-        cost = self.gap_cost(iterate, multipliers)
-        for _ in range(self.settings.gap_closings):
-            if not iterate.finite or cost <= enough:
+        # A hundredth of the predicted decrease changes no decision of the line search.
+        enough = 0.01 * length * step.decrease
+        penalty = self.gap_cost(iterate, step.multipliers)
+        for _ in range(GAP_CLOSINGS):
+            if not iterate.finite or penalty <= enough:
                 break
             each = zip(self.parts, step.linearizations, iterate.trajectories, strict=True)
             nodes = [part.close_gaps(linearization, t) for part, linearization, t in each]
             closer = self.at(iterate.z, nodes, iterate)
-            now = self.gap_cost(closer, multipliers)
-            if not closer.finite or now > 0.5 * cost:
+            closer_penalty = self.gap_cost(closer, step.multipliers)
+            if not closer.finite or closer_penalty > 0.5 * penalty:
                 break
-            iterate, cost = closer, now
+            iterate, penalty = closer, closer_penalty
         return iterate
 
-    def _pairs(self, iterate: Iterate) -> Any:
-        return zip(self.parts, iterate.trajectories, strict=True)
+    def made_continuous(self, iterate: Iterate, step: Step) -> Iterate:
+        """Return the iterate after a step with all gaps closed to rounding."""
+        for _ in range(GAP_CLOSINGS):
+            if not iterate.finite or self.is_continuous(iterate):
+                break
+            iterate = self.close_gaps(iterate, step, 0.0)
+        return iterate

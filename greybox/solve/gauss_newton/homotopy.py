@@ -1,160 +1,126 @@
-"""The homotopy in the continuity constraint, and what else an iteration hands to the next.
+"""The homotopy in the continuity constraint, and what else one iteration hands to the next.
 
-Gaps between segments are first a quadratic penalty gap²/2σ², with standard deviations σ that let
-the nodes follow the data whatever the parameters; σ shrinks in stages, each begun when the
-quadratic model predicts well or has nothing left to gain, until continuity is an exact constraint.
-For the first iterations the parameters are held and the nodes move alone.
+Gaps between segments are first a quadratic penalty gap²/2σ². The standard deviations σ let the
+nodes follow the data, whatever the parameters. σ shrinks in stages, each begun when the quadratic
+model predicts well or promises little, until continuity is an exact constraint. In the very first
+stage the parameters are held, and the nodes move alone.
 """
 
 import math
-from dataclasses import dataclass, field
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
-from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
+from greybox.solve.gauss_newton.damping import FIRST_DAMPING, next_damping
+from greybox.solve.gauss_newton.iterate import Step
 
-# Multipliers and penalties exceed the largest multiplier so far by this factor: an l1 merit is
-# exact when they are larger, and 1 would leave the sign of the directional derivative to rounding
-# (Nocedal and Wright, section 18.3).
-EXACTNESS = 1.2
-
-
-# Half the square of a thirtieth of a standard error.
-UNDAMPED_DECREASE = 5e-4
+# A stage ends when a decrease was predicted to within a tenth, or when a tenth of the merit
+# function is all that a step still promises. Success hardly depends on it, time does: with a
+# hundredth it is 1.5 times as long (`benchmarks/ablation.py`).
+KEPT_PROMISE = 0.1
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Progress:
-    """What an iteration hands to the next.
+    """What one iteration hands to the next.
 
     Attributes
     ----------
-    settings : Strategies
-    near_solution : bool
-        True where continuity is demanded from the first step of the parameters.
-    gap_scale : float
-        Of the standard deviation of gaps; zero where continuity is exact.
-    last_scale : float
-        Scale below which continuity becomes exact.
+    stages : tuple of float
+        Factors on the standard deviation of the gaps, in this stage and in those that remain. Zero is
+        exact continuity.
     state_iterations : int
-        Iterations left that move the nodes alone.
-    gap_variance : list of (n,) arrays
-        Variances of gaps at scale one.
-    multipliers : list of (n,) arrays
-        Largest multipliers of continuity so far: the penalty on gaps in the exact merit.
+        Remaining iterations of the first stage, which moves the nodes alone.
+    gap_variance : sequence of (n,) arrays
+        Variances of the gaps at scale one; empty before the first linearization.
+    multipliers : sequence of (n,) arrays
+        Penalty on the gaps in the exact merit function; empty before the first exact step.
     constraint_penalty : float
-        On violated constraints.
+        Penalty on violated constraints. It begins large: it only grows.
     damping : float
         Levenberg-Marquardt damping, relative to the diagonal of the Hessian.
     full_damping : float
-        That of the last step that was taken in full.
+        Damping of the last full step.
     undamped_decrease : float
-        Decrease that an undamped step may still promise where damped steps have come to rest.
+        Decrease that an undamped step may still promise where damped steps have come to rest. The
+        default is half the square of a thirtieth of a standard error.
     last_decrease : float
         Predicted by the last full undamped step, or half its squared length where that is more; NaN
         without.
     delays_held : bool
         True where delays at which the cost jumps keep their values: the cost is least at the jump.
-    hessian : (p, p) array or None
-        Of the last step of the parameters, undamped.
-    start, homotopy_end : z and nodes, or None
-        Where the iteration began, and where continuity became exact, as long as Newton steps close
-        the gaps.
     """
 
-    settings: Strategies
-    near_solution: bool = False
-    gap_scale: float = 1.0
-    last_scale: float = math.nan
-    state_iterations: int = -1
-    gap_variance: list[Array] = field(default_factory=list)
-    multipliers: list[Array] = field(default_factory=list)
-    constraint_penalty: float = math.nan
+    stages: tuple[float, ...] = (0.0,)
+    state_iterations: int = 0
+    gap_variance: Sequence[Array] = ()
+    multipliers: Sequence[Array] = ()
+    constraint_penalty: float = 1e3
     damping: float = 0.0
-    full_damping: float = math.nan
-    undamped_decrease: float = UNDAMPED_DECREASE
+    # The line search has already damped a shortened step: a hundredth of the first damping is enough.
+    full_damping: float = 1e-2 * FIRST_DAMPING
+    undamped_decrease: float = 5e-4
     last_decrease: float = math.nan
     delays_held: bool = False
-    hessian: Array | None = None
-    start: tuple[Array, Nodes] | None = None
-    homotopy_end: tuple[Array, Nodes] | None = None
-
-    def __post_init__(self) -> None:
-        """Take the settings."""
-        settings = self.settings
-        self.near_solution = self.near_solution or not settings.continuity_homotopy
-        self.last_scale = settings.last_gap
-        self.constraint_penalty = settings.constraint_penalty
-        # A shortened step was damped by the line search already: a hundredth of the damping of a
-        # poor one is enough.
-        self.full_damping = 1e-2 * settings.first_damping
-        if self.state_iterations < 0:
-            self.state_iterations = settings.state_iterations
-        if not settings.states_first:
-            self.state_iterations = 0
-        if not self.state_iterations and self.near_solution:
-            self.gap_scale = 0.0
-
-    @classmethod
-    def exact(cls, settings: Strategies) -> "Progress":
-        """Return the progress of an iteration that begins with a continuous trajectory."""
-        return cls(settings, gap_scale=0.0, state_iterations=0)
 
     @property
     def is_exact(self) -> bool:
         """True when continuity is a constraint."""
-        return self.gap_scale == 0
+        return self.stages[0] == 0
 
     @property
     def continuity_variance(self) -> list[Array]:
-        """The variances of gaps now."""
-        return [variance * self.gap_scale**2 for variance in self.gap_variance]
+        """The variances of the gaps in this stage."""
+        return [variance * self.stages[0] ** 2 for variance in self.gap_variance]
 
-    def begin(self, iterate: Iterate, gap_variance: list[Array]) -> None:
-        """Take the first iterate and its variances of gaps."""
-        self.start = (iterate.z, iterate.nodes)
-        self.gap_variance = gap_variance
-        self.multipliers = [np.zeros_like(variance) for variance in gap_variance]
+    def with_gap_variance(self, variances: Sequence[Array]) -> "Progress":
+        """Return the progress with the variances of the gaps that the first linearization gives."""
+        return self if self.gap_variance else replace(self, gap_variance=variances)
 
-    def update_multipliers(self, step: Step) -> Step:
-        """Raise the penalties on gaps above the multipliers of a step; returns the step."""
+    def with_penalties(self, step: Step) -> "Progress":
+        """Return the progress with the penalties that make the merit function exact for a step."""
+        return replace(
+            self, multipliers=step.multipliers, constraint_penalty=step.constraint_penalty
+        )
+
+    def with_delays_held(self) -> "Progress":
+        """Return the progress with the discontinuous delays held, whose jumps block all steps."""
+        return replace(self, delays_held=True, damping=0.0, last_decrease=math.nan)
+
+    def after(self, step: Step, merit: float, gained: float, length: float) -> "Progress":
+        """Return the progress after a share `length` of a step, which `gained` so much of the merit."""
+        ratio = gained / step.decrease if step.decrease > 0 else 1.0
+        is_full = length == 1
+        full_damping = self.damping if is_full and self.damping else self.full_damping
+        damping = next_damping(self.damping, length, ratio, full_damping)
+
         if self.is_exact:
-            now = [condensed.largest_multiplier(step.dz) for condensed in step.condensed]
-            self.multipliers = [
-                np.maximum(m, EXACTNESS * n) for m, n in zip(self.multipliers, now, strict=True)
-            ]
-        return step
+            last = max(step.decrease, step.distance) if is_full and not damping else math.nan
+            return replace(self, damping=damping, full_damping=full_damping, last_decrease=last)
 
-    def hold_delays(self) -> bool:
-        """Hold the discontinuous delays, whose jumps block all steps; False where they are held already."""
-        if self.delays_held or not self.is_exact:
-            return False
-        self.delays_held = True
-        self.damping = 0.0
-        self.last_decrease = math.nan
-        return True
+        is_predicted = is_full and step.decrease > 0 and abs(ratio - 1) <= KEPT_PROMISE
+        promises_little = step.decrease <= KEPT_PROMISE * abs(merit)
+        is_done = is_predicted or promises_little or not length
+        is_over = is_done or self.state_iterations == 1
+        return replace(
+            self,
+            damping=damping if length else 0.0,
+            full_damping=full_damping,
+            stages=self.stages[1:] if is_over else self.stages,
+            state_iterations=0 if is_over else max(self.state_iterations - 1, 0),
+        )
 
-    def advance(
-        self, iterate: Iterate, step: Step, gained: float, length: float, *, done: bool
-    ) -> None:
-        """Go on to `iterate` after a share `length` of a step that `gained` so much of the merit.
 
-        The next stage begins where the step decreased the merit as predicted, or where there is
-        nothing left to gain.
-        """
-        settings = self.settings
-        full = length == 1 and step.decrease > 0
-        error = abs(gained - step.decrease) / step.decrease if full else math.inf
-        ready = done or error <= settings.kept_promise
-        if self.state_iterations:
-            self.state_iterations = 0 if ready else self.state_iterations - 1
-            if self.near_solution and not self.state_iterations:
-                self.gap_scale = 0.0
-        elif ready:
-            skips = error <= settings.well_kept_promise and settings.skipped_stages
-            scale = self.gap_scale * settings.gap_reduction ** (2 if skips else 1)
-            self.gap_scale = scale if scale > self.last_scale else 0.0
-        if self.is_exact:
-            self.homotopy_end = (iterate.z, iterate.nodes)
+EXACT = Progress()
+
+
+def relaxed(settings: Strategies, *, near_solution: bool = False) -> Progress:
+    """Return the progress of an iteration that begins with nodes from the data.
+
+    Near a solution, continuity is exact as soon as the nodes have moved.
+    """
+    stages = (0.0,)
+    if settings.continuity_homotopy and not near_solution:
+        stages = (1.0, 0.1, 0.01, 0.001, 0.0)
+    return Progress((1.0, *stages), 3) if settings.states_first else Progress(stages)

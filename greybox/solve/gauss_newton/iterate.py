@@ -1,4 +1,4 @@
-"""Where a Gauss-Newton iteration stands, and the step that it takes from there."""
+"""Where a Gauss-Newton iteration is, and the step that it takes from there."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Nodes = Sequence[Array]
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Where an iteration stands: the solver's variables z (p,), and the trajectory of every part."""
+    """The solver's variables z (p,), and the trajectory of every part."""
 
     z: Array
     trajectories: tuple[Trajectory, ...]
@@ -25,26 +25,33 @@ class Iterate:
 
     @property
     def nodes(self) -> list[Array]:
-        """The nodes of every part: with z, all else follows from them."""
+        """The nodes of every part. They and z determine everything else."""
         return [trajectory.nodes for trajectory in self.trajectories]
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A step from an iterate, with the quadratic model that it comes from.
+    """A step from an iterate, with the quadratic model that it minimizes.
 
     Attributes
     ----------
     linearizations : sequence
-        Of every part.
+        The linearization of every part.
     condensed : sequence of Condensed
         The same with the nodes eliminated.
     dz : (p,) array
-        The change of the solver's variables.
+        Change of the solver's variables.
     decrease : float
-        Of the merit, as predicted.
+        Predicted decrease of the merit function.
     distance : float
         Half the squared length of the step: in standard errors, where the cost is a likelihood.
+    hessian : (p, p) array
+        Hessian of the cost by z, without damping.
+    multipliers : sequence of (n,) arrays
+        Penalty on the gaps of every state in the exact merit function; empty while continuity is
+        relaxed.
+    constraint_penalty : float
+        Penalty on violated constraints.
     """
 
     linearizations: Sequence[Any]
@@ -52,3 +59,6 @@ class Step:
     dz: Array
     decrease: float
     distance: float
+    hessian: Array
+    multipliers: Sequence[Array]
+    constraint_penalty: float

@@ -17,28 +17,20 @@ from greybox.solve.gauss_newton.stability import are_stable
 Merit = Callable[[Iterate], float]
 
 
-def merit_function(
-    parts: AllParts,
-    residual_weights: Sequence[Array],
-    progress: Progress,
-) -> Merit:
-    """Return the merit of an iterate, infinite where it diverges or a predictor that is simulated is not stable."""
-    limits = parts.limits
-    variances = progress.continuity_variance
-    multipliers = progress.multipliers
-    penalty = progress.constraint_penalty
+def merit_function(parts: AllParts, residual_weights: Sequence[Array], progress: Progress) -> Merit:
+    """Return the merit of an iterate, infinite where it diverges or a simulated predictor is unstable."""
 
     def exact(iterate: Iterate) -> float:
         if not iterate.finite or not are_stable(parts, iterate, simulated=True):
             return math.inf
-        violation = penalty * limits.violation(iterate.z)
-        return parts.cost(iterate) + parts.gap_cost(iterate, multipliers) + violation
+        violation = progress.constraint_penalty * parts.limits.violation(iterate.z)
+        return parts.cost(iterate) + parts.gap_cost(iterate, progress.multipliers) + violation
 
     def penalized(iterate: Iterate) -> float:
         if not iterate.finite:
             return math.inf
-        violation = penalty * limits.violation(iterate.z)
+        violation = progress.constraint_penalty * parts.limits.violation(iterate.z)
         squares = parts.squared_cost(iterate, residual_weights)
-        return squares + parts.squared_gap_cost(iterate, variances) + violation
+        return squares + parts.squared_gap_cost(iterate, progress.continuity_variance) + violation
 
     return exact if progress.is_exact else penalized

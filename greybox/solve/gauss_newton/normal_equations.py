@@ -5,16 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
-from greybox.solve.gauss_newton.homotopy import EXACTNESS, Progress
+from greybox.solve.gauss_newton.homotopy import Progress
 from greybox.solve.gauss_newton.iterate import Iterate, Step
 from greybox.solve.gauss_newton.stability import stability_constraints
 from greybox.solve.quadratic_program import solve_small_qp
 
-# Slack, in scaled variables, of a constraint that holds a step: what the quadratic program leaves
-# of zero.
-ACTIVE = 1e-9
+# Penalties exceed the largest multiplier so far by this factor: an l1 merit function is exact when
+# they are larger, and 1 would leave the sign of the directional derivative to rounding (Nocedal and
+# Wright, section 18.3).
+EXACTNESS = 1.2
 
 
 def gauss_newton_step(
@@ -23,65 +24,64 @@ def gauss_newton_step(
     linearizations: Sequence[Any],
     progress: Progress,
     *,
-    held: BoolArray,
-    states_only: bool,
+    states_only: bool = False,
 ) -> Step:
-    """Return the step of nodes and z from an iterate; with `states_only` of the nodes alone.
-
-    Levenberg-Marquardt damping scales with the diagonal of the Hessian. Variables that are `held`
-    (p,) do not move.
-    """
+    """Return the step of nodes and z from an iterate; with `states_only` of the nodes alone."""
     settings = parts.settings
     p = len(iterate.z)
-    variances = progress.continuity_variance
     node_damping = progress.damping if settings.damped_states else 0.0
-    condensed = []
-    hessian = np.zeros((p, p))
-    gradient = np.zeros(p)
-    decrease = 0.0
-    each = zip(
-        parts.parts, parts.weights, linearizations, iterate.trajectories, variances, strict=True
-    )
-    for part, weight, linearization, trajectory, variance in each:
-        system = part.condense(linearization, trajectory, variance, node_damping)
-        condensed.append(system)
-        hessian += weight * system.hessian
-        gradient += weight * system.gradient
-        decrease += weight * system.decrease
-    if states_only:
-        return progress.update_multipliers(
-            Step(linearizations, condensed, np.zeros(p), decrease, 0.0)
+    variances = progress.continuity_variance
+    if progress.is_exact:
+        variances = [np.zeros(nodes.shape[1]) for nodes in iterate.nodes]
+    systems = [
+        part.condense(linearization, trajectory, variance, node_damping)
+        for part, linearization, trajectory, variance in zip(
+            parts.parts, linearizations, iterate.trajectories, variances, strict=True
         )
+    ]
+    weighted = list(zip(parts.weights, systems, strict=True))
+    hessian = sum((w * system.hessian for w, system in weighted), np.zeros((p, p)))
+    gradient = sum((w * system.gradient for w, system in weighted), np.zeros(p))
+    decrease = sum(w * system.decrease for w, system in weighted)
 
-    progress.hessian = hessian
-    damping = progress.damping * np.diag(np.diag(hessian)) if settings.damped_parameters else 0.0
-    damped = hessian + damping + settings.parameter_ridge * np.eye(p)
-    normals, bounds = parts.limits.linearized(iterate.z, held)
-    dz = solve_small_qp(damped, gradient, normals, bounds)
-    if settings.stability_constraints:
-        inside, left = stability_constraints(parts, iterate, dz)
-        if len(left):
-            normals, bounds = np.vstack([normals, inside]), np.concatenate([bounds, left])
-            dz = solve_small_qp(damped, gradient, normals, bounds)
+    dz = np.zeros(p)
+    distance, penalty = 0.0, progress.constraint_penalty
+    if not states_only:
+        # The ridge, far below what data determine, holds parameters that the data do not show.
+        damped = hessian + 1e-10 * np.eye(p)
+        if settings.damped_parameters:
+            damped += progress.damping * np.diag(np.diag(hessian))
+        held = parts.is_discontinuous & progress.delays_held
+        normals, bounds = parts.limits.linearized(iterate.z, held)
+        dz = solve_small_qp(damped, gradient, normals, bounds)
+        if settings.stability_constraints:
+            stable_normals, stable_bounds = stability_constraints(parts, iterate, dz)
+            if len(stable_bounds):
+                normals = np.vstack([normals, stable_normals])
+                bounds = np.concatenate([bounds, stable_bounds])
+                dz = solve_small_qp(damped, gradient, normals, bounds)
 
-    force = damped @ dz + gradient
-    multiplier = largest_multiplier(force, normals, normals @ dz - bounds)
-    progress.constraint_penalty = max(progress.constraint_penalty, EXACTNESS * multiplier)
-    distance = 0.5 * float(dz @ hessian @ dz)
-    decrease += (
-        progress.constraint_penalty * parts.limits.violation(iterate.z)
-        - float(gradient @ dz)
-        - distance
+        force = damped @ dz + gradient
+        multiplier = largest_multiplier(force, normals, normals @ dz - bounds)
+        penalty = max(penalty, EXACTNESS * multiplier)
+        distance = 0.5 * float(dz @ hessian @ dz)
+        decrease += penalty * parts.limits.violation(iterate.z) - float(gradient @ dz) - distance
+        decrease += sum(w * system.damping_penalty(dz) for w, system in weighted)
+
+    multipliers: list[Array] = []
+    if progress.is_exact:
+        multipliers = [EXACTNESS * system.largest_multiplier(dz) for system in systems]
+        if progress.multipliers:
+            pairs = zip(progress.multipliers, multipliers, strict=True)
+            multipliers = [np.maximum(previous, largest) for previous, largest in pairs]
+    return Step(
+        linearizations, systems, dz, float(decrease), distance, hessian, multipliers, penalty
     )
-    decrease += sum(
-        w * system.damping_penalty(dz) for w, system in zip(parts.weights, condensed, strict=True)
-    )
-    return progress.update_multipliers(Step(linearizations, condensed, dz, decrease, distance))
 
 
 def largest_multiplier(force: Array, normals: Array, slack: Array) -> float:
-    """Return the largest multiplier of the constraints that hold a step, whose sum times `normals` is `force` (p,)."""
-    active = slack <= ACTIVE
+    """Return the largest multiplier of the active constraints, whose sum times `normals` is `force` (p,)."""
+    active = slack <= 1e-9  # in scaled variables: what the quadratic program leaves of zero
     if not active.any():
         return 0.0
     return float(np.abs(np.linalg.lstsq(normals[active].T, force, rcond=None)[0]).max())

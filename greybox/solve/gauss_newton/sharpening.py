@@ -15,15 +15,12 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
+from greybox.solve.gauss_newton.homotopy import EXACT
 from greybox.solve.gauss_newton.iterate import Iterate, Step
-
-# Least eigenvalue of a Hessian with unit diagonal, relative to the largest, below which it is not
-# enough: rounding of some 1e-14 is then more than the hundred-thousandth part of a step.
-BLURRED = 1e-9
-
-# Singular value of a Jacobian with unit columns, relative to the largest, below which it is
-# rounding as well.
-RANK = 1e-8
+from greybox.solve.gauss_newton.line_search import line_search
+from greybox.solve.gauss_newton.merit import merit_function
+from greybox.solve.gauss_newton.polishing import MOST_STEPS, exact_step
+from greybox.solve.gauss_newton.stability import are_stable
 
 
 def is_blurred(hessian: Array | None) -> bool:
@@ -33,7 +30,25 @@ def is_blurred(hessian: Array | None) -> bool:
     moving = np.diag(hessian) > 0
     size = np.sqrt(np.diag(hessian)[moving])
     values = np.linalg.eigvalsh(hessian[np.ix_(moving, moving)] / np.outer(size, size))
-    return bool(values.size and values[0] < BLURRED * values[-1])
+    # Below this share, rounding of some 1e-14 is more than the hundred-thousandth part of a step.
+    return bool(values.size and values[0] < 1e-9 * values[-1])
+
+
+def sharpened(nlp: CompiledProblem, parts: AllParts, iterate: Iterate) -> Iterate:
+    """Return where exact steps lead within all limits, where the Hessian has lost its digits."""
+    progress = EXACT
+    for _ in range(MOST_STEPS):
+        step = sharp_step(nlp, parts, iterate, exact_step(parts, iterate, progress))
+        normals, bounds = parts.limits.linearized(iterate.z)
+        if step.decrease <= parts.settings.tolerance or np.any(normals @ step.dz < bounds):
+            break
+        progress = progress.with_penalties(step)
+        merit = merit_function(parts, parts.residual_weights(iterate), progress)
+        trial, _ = line_search(parts, iterate, step, merit, merit(iterate))
+        if trial is None or not are_stable(parts, trial):
+            break
+        iterate = parts.made_continuous(trial, step)
+    return iterate
 
 
 def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: Step) -> Step:
@@ -46,6 +61,7 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
         information = part.information(nlp.names, nlp.all_values(x), (), trajectory, slope)
         bread, _ = information.spread(1.0)
         rows.append(math.sqrt(part.weight * bread) * information.jacobian[:, :free] / slope)
+    jacobian = np.vstack(rows)
     gradient = sum(
         (
             weight * system.gradient
@@ -53,12 +69,12 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
         ),
         np.zeros(free),
     )
-    jacobian = np.vstack(rows)
+
     size = np.linalg.norm(jacobian, axis=0)
     unit = 1 / np.where(size > 0, size, 1.0)
     _, singular, axes = np.linalg.svd(np.linalg.qr(jacobian * unit, mode="r"))
-    seen = singular > RANK * singular[0]
-    along = (axes @ (gradient * unit))[seen] / singular[seen]
-    dz = -unit * (axes[seen].T @ (along / singular[seen]))
+    determined = singular > 1e-8 * singular[0]  # smaller singular values are rounding as well
+    along = (axes @ (gradient * unit))[determined] / singular[determined]
+    dz = -unit * (axes[determined].T @ (along / singular[determined]))
     squares = float(along @ along)
     return replace(step, dz=dz, decrease=squares / 2, distance=squares / 2)

@@ -1,4 +1,4 @@
-"""Kalman gains within an iteration: those it begins with, and steps that keep the predictors stable."""
+"""Kalman gains within an iteration: good ones to begin with, and predictors that must be stable."""
 
 from collections.abc import Sequence
 
@@ -8,30 +8,32 @@ from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate
 
-# Decades of process noise, from the variance by which a state moves at all downward, for which
-# steady Kalman filters are tried: 1e-12 of a variance is a state without noise.
+# Decades of process noise for which steady Kalman filters are tried, as shares of the first
+# variance of the gaps: 1e-12 of a variance is a state without noise.
 DECADES = 10.0 ** np.arange(-12, 1)
 
 
 def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) -> Array:
     """Return z (p,) of the iterate with the best gains among its own and those of steady Kalman filters.
 
-    For several sizes of the process noise; `variances` (n,) say for every part how much each state
-    moves at all.
+    `variances` (n,) for every part are those by which each state moves at all; the filters' process
+    noise is a share of them.
     """
-    used = [
+    predictors = [
         (gain, part, trajectory, size)
         for gain, part, trajectory, size in zip(
             parts.gains, parts.parts, iterate.trajectories, variances, strict=True
         )
         if gain is not None
     ]
-    sizes = parts.settings.process_noise * DECADES
-    filters = [gain.steady_state(t, [share * size for share in sizes]) for gain, _, t, size in used]
+    filters = [
+        gain.steady_state(trajectory, [share * size for share in DECADES])
+        for gain, _, trajectory, size in predictors
+    ]
     candidates = [iterate.z] if are_stable(parts, iterate) else []
     for entries in zip(*filters, strict=True):
         trial = iterate.z
-        for (gain, _, trajectory, _), values in zip(used, entries, strict=True):
+        for (gain, _, trajectory, _), values in zip(predictors, entries, strict=True):
             trial = trial if values is None else gain.placed(trajectory, trial, values)
         if all(values is not None for values in entries):
             candidates.append(parts.limits.clipped(trial))
@@ -39,27 +41,25 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
     def cost(z: Array) -> float:
         return sum(
             part.weight * gain.excerpt_cost(trajectory.nodes, gain.part.place(z))
-            for gain, part, trajectory, _ in used
+            for gain, part, trajectory, _ in predictors
         )
 
     return min(candidates, key=cost, default=iterate.z)
 
 
 def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) -> bool:
-    """Tell whether all predictors are stable at an iterate; with `simulated`, those alone that are simulated there."""
-    pairs = zip(parts.gains, iterate.trajectories, strict=True)
+    """Tell whether all predictors are stable at an iterate; with `simulated`, only those simulated there."""
     return all(
-        gain.is_stable(t)
-        for gain, t in pairs
-        if gain is not None and (t.simulated or not simulated)
+        gain.is_stable(trajectory)
+        for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True)
+        if gain is not None and (trajectory.simulated or not simulated)
     )
 
 
 def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple[Array, Array]:
-    """Return normals (n, p) and limits (n,) of steps that keep the poles where predictors are stable, if dz does not.
+    """Return normals (n, p) and limits (n,) of steps that keep simulated predictors stable, if dz does not.
 
-    normals · step >= limits, from the derivatives of the poles' magnitudes; a step goes only part
-    of the way to the limit of stability at once.
+    normals · step >= limits, from the derivatives of the poles' magnitudes.
     """
     normals, limits = [np.zeros((0, len(dz)))], [np.zeros(0)]
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
@@ -67,15 +67,15 @@ def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple
             continue
         if gain.is_stable(trajectory, gain.part.place(iterate.z + dz)):
             continue
-        slopes, left = gain.pole_derivatives(trajectory, iterate.z, parts.settings.pole_difference)
+        slopes, distances = gain.pole_derivatives(trajectory, iterate.z)
         finite = np.isfinite(slopes).all(axis=1)
         normals.append(-slopes[finite])
-        limits.append(-parts.settings.stability_share * left[finite])
+        limits.append(-0.9 * distances[finite])  # one step goes only part of the way to the limit
     return np.vstack(normals), np.concatenate(limits)
 
 
 def simulate_stable(parts: AllParts, iterate: Iterate) -> Iterate:
-    """Return the iterate with stable predictors simulated to the end of their stretches, where they stay finite."""
+    """Return the iterate with stable predictors simulated to the end of their stretches, where finite."""
     trajectories = []
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
         if gain is not None and not trajectory.simulated and gain.is_stable(trajectory):

@@ -1,6 +1,6 @@
 """All parts of a problem: costs and penalties that add by their weights, and trajectories that go together."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from spring_lag_tilt import HELD, SPRING, Spring, spring
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve import Strategies
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.driver import GaussNewton
 
@@ -31,7 +30,7 @@ def made():
         + gb.Problem(Spring(), data, gb.RelativeLikelihood(), weight=3.0)
     )
     nlp = compile_problem(problem)
-    parts = GaussNewton(nlp)._parts
+    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.strategies)
     z = nlp.scaling.to_solver(np.array([SPRING[name] for name in nlp.free]))
     start, random = parts.from_data(z), np.random.default_rng(0)
     return parts, parts.at(
@@ -100,42 +99,13 @@ def test_data_are_explained_near_the_truth_and_not_far_from_it(made):
     assert not parts.stays_near_data(far)
 
 
-@pytest.mark.parametrize(
-    ("gaps", "continuous"), [((0.9, 0.9), True), ((1.1, 0.0), False), ((0.0, -1.1), False)]
-)
-def test_gaps_are_rounding_beside_the_largest_value_of_their_own_state(gaps, continuous):
-    """Of states of different sizes; a state that is zero everywhere has no gap at all."""
-    settings, nodes = Strategies(), np.array([[1.0, 1e6, 0.0], [-2.0, -1e5, 0.0]])
-    unit = settings.gap_rounding * np.array([2.0, 1e6])
-    trajectory = SimpleNamespace(
-        nodes=nodes, gaps=np.array([[0.0, 0.0, 0.0], [*(gaps * unit), 0.0]])
-    )
-    parts = object.__new__(AllParts)
-    parts.settings = settings
-    still = SimpleNamespace(nodes=nodes, gaps=0 * nodes)
-    assert parts.is_continuous(SimpleNamespace(trajectories=(still, trajectory))) is continuous
-
-
-@pytest.mark.parametrize(
-    ("begun", "share", "length", "end"),
-    [
-        (1.0, 0.4, 1.0, 0.4**3),  # until a hundredth of the predicted decrease of ten, 0.1, is left
-        (1.0, 0.4, 0.5, 0.4**4),  # of half a step
-        (0.09, 0.4, 1.0, 0.09),
-        (1.0, 0.6, 1.0, 1.0),  # less than a half is not worth it
-        (1e9, 0.4, 1.0, 1e9 * 0.4**5),  # so many times, and no more
-        (1.0, np.nan, 1.0, 1.0),
-    ],
-)
-def test_gaps_are_closed_as_long_as_each_time_halves_them(begun, share, length, end):
-    def at(z, nodes, like=None):
-        return SimpleNamespace(
-            z=z, nodes=nodes, trajectories=[nodes[0]], finite=np.isfinite(nodes[0])
-        )
-
-    parts = object.__new__(AllParts)
-    parts.settings, parts.at = Strategies(), at
-    parts.parts = [SimpleNamespace(close_gaps=lambda linearization, gap: share * gap)]
-    parts.gap_cost = lambda iterate, multipliers: iterate.nodes[0]
-    step = SimpleNamespace(decrease=10.0, linearizations=[None])
-    assert parts.close_gaps(at(0.0, [begun]), step, [], length).nodes[0] == pytest.approx(end)
+@pytest.mark.parametrize(("share", "continuous"), [(0.9, True), (1.1, False)])
+def test_gaps_are_rounding_beside_the_largest_value_of_their_own_state(made, share, continuous):
+    parts, iterate = made
+    even = parts.simulated(iterate.z, iterate.nodes)
+    trajectory = even.trajectories[0]
+    size = np.abs(trajectory.nodes).max(axis=0)
+    gaps = np.zeros_like(trajectory.gaps)
+    gaps[-2] = share * 1e-9 * size
+    moved = (replace(trajectory, gaps=gaps), *even.trajectories[1:])
+    assert parts.is_continuous(replace(even, trajectories=moved)) is continuous

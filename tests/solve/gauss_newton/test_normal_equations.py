@@ -1,46 +1,55 @@
 """The step of the parameters against a dense quadratic program, and the merit against its definition."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hard_models import direct_delay
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
-from spring_lag_tilt import HELD, SPRING, Spring, spring
+from spring_lag_tilt import HELD, Spring, spring
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.part import Condensed
 from greybox.solve import Strategies
+from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.homotopy import EXACTNESS, Progress
+from greybox.solve.gauss_newton.homotopy import EXACT, relaxed
 from greybox.solve.gauss_newton.merit import merit_function
-from greybox.solve.gauss_newton.normal_equations import gauss_newton_step, largest_multiplier
+from greybox.solve.gauss_newton.normal_equations import (
+    EXACTNESS,
+    gauss_newton_step,
+    largest_multiplier,
+)
 
 
 def prepared(values, **options):
     """The parts of a spring, an iterate with exact continuity, and its linearizations."""
     nlp = compile_problem(gb.Problem(Spring(), spring(200), HELD, **options))
-    parts = GaussNewton(nlp)._parts
+    solver = GaussNewton(nlp)
+    parts = AllParts(nlp.parts, nlp.free, solver.limits, nlp.strategies)
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     start = parts.from_data(z)
     iterate = parts.at(z, parts.simulated(z, start.nodes).nodes)
     weights = parts.residual_weights(iterate)
     linearizations = parts.linearize(iterate, weights)
-    progress = Progress.exact(parts.settings)
-    progress.begin(iterate, parts.gap_variances(linearizations))
-    return nlp, parts, iterate, weights, linearizations, progress
+    return nlp, parts, iterate, weights, linearizations
+
+
+def relaxed_progress(parts, linearizations):
+    return relaxed(parts.settings).with_gap_variance(parts.gap_variances(linearizations))
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.5])
 @pytest.mark.parametrize("constraints", [[], [lambda p: 8.0 - p.k]], ids=["free", "constrained"])
 def test_the_step_is_that_of_a_dense_quadratic_program(damping, constraints):
-    nlp, parts, iterate, _, linearizations, progress = prepared(
+    nlp, parts, iterate, _, linearizations = prepared(
         {"k": 7.0, "c": 0.9, "b": 3.5}, constraints=constraints
     )
-    progress.damping = damping
-    held = np.zeros(3, dtype=bool)
-    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
+    progress = replace(EXACT, damping=damping)
+    step = gauss_newton_step(parts, iterate, linearizations, progress)
     (system,) = step.condensed
     damped = system.hessian + damping * np.diag(np.diag(system.hessian))
     low, high = (
@@ -64,14 +73,24 @@ def test_the_step_is_that_of_a_dense_quadratic_program(damping, constraints):
         assert factor * (iterate.z[k] + step.dz[k]) <= 8.0 + 1e-9
 
 
-def test_held_variables_and_nodes_alone_do_not_move():
-    _, parts, iterate, _, linearizations, progress = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
-    held = np.array([True, False, False])
-    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
-    assert step.dz[0] == pytest.approx(0, abs=1e-12)
-    assert np.abs(step.dz[1:]).min() > 1e-6
-    alone = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=True)
+def test_nodes_alone_do_not_move_the_parameters():
+    _, parts, iterate, _, linearizations = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
+    alone = gauss_newton_step(parts, iterate, linearizations, EXACT, states_only=True)
     assert not alone.dz.any()
+    assert np.abs(gauss_newton_step(parts, iterate, linearizations, EXACT).dz).min() > 1e-6
+
+
+def test_held_delays_do_not_move():
+    nlp = compile_problem(direct_delay())
+    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.strategies)
+    iterate = parts.from_data(
+        nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
+    )
+    linearizations = parts.linearize(iterate, parts.initial_weights())
+    step = gauss_newton_step(parts, iterate, linearizations, replace(EXACT, delays_held=True))
+    is_delay = np.array([name == "d" for name in nlp.free])
+    assert step.dz[is_delay] == pytest.approx(0, abs=1e-12)
+    assert np.abs(step.dz[~is_delay]).min() > 1e-6
 
 
 @pytest.mark.parametrize("damping", [0.0, 3.0])
@@ -79,17 +98,16 @@ def test_held_variables_and_nodes_alone_do_not_move():
 def test_a_small_step_decreases_the_merit_as_predicted(damping, weight):
     """The exact merit is the cost, and a penalty on gaps that a step from a continuous trajectory does not have."""
     near = {"k": 8.97, "c": 1.2, "b": 4.0}
-    _, parts, iterate, weights, linearizations, progress = prepared(near, weight=weight)
-    progress.damping = damping
-    held = np.zeros(3, dtype=bool)
-    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
-    merit = merit_function(parts, weights, progress)
+    _, parts, iterate, weights, linearizations = prepared(near, weight=weight)
+    progress = replace(EXACT, damping=damping)
+    step = gauss_newton_step(parts, iterate, linearizations, progress)
+    merit = merit_function(parts, weights, progress.with_penalties(step))
     assert merit(iterate) == pytest.approx(parts.cost(iterate), rel=1e-12)
     moved = parts.moved(iterate, step, 1.0)
     assert merit(iterate) - merit(moved) == pytest.approx(step.decrease, rel=0.05)
     assert merit(moved) > parts.cost(moved)  # curvature leaves gaps
-    closed = parts.close_gaps(moved, step, progress.multipliers, 0.0)
-    gaps = [parts.gap_cost(at, progress.multipliers) for at in (moved, closed)]
+    closed = parts.close_gaps(moved, step, 0.0)
+    gaps = [parts.gap_cost(at, step.multipliers) for at in (moved, closed)]
     assert gaps[1] < 0.01 * gaps[0]
 
 
@@ -102,64 +120,57 @@ def test_multipliers_are_those_of_the_active_constraints():
     assert largest_multiplier(force, normals, np.ones(3)) == 0.0
 
 
-def test_trajectories_of_the_wind_are_told_from_the_truth():
-    nlp, parts, iterate, *_ = prepared(SPRING)
-    assert parts.stays_near_data(iterate)
-    assert parts.is_continuous(iterate)
-    far = parts.at(iterate.z, [nodes + 1.0 for nodes in iterate.nodes])
-    assert not parts.is_continuous(far)
-    assert nlp.parts[0].has_states
-
-
 @pytest.mark.parametrize("is_exact", [True, False], ids=["exact", "relaxed"])
 def test_a_missed_constraint_costs_its_penalty(is_exact):
     """k <= 6.5 is missed by a half; the penalty is at least that of the multiplier which holds the step."""
-    nlp, parts, iterate, weights, linearizations, progress = prepared(
+    nlp, parts, iterate, weights, linearizations = prepared(
         {"k": 7.0, "c": 0.9, "b": 3.5}, constraints=[lambda p: 6.5 - p.k]
     )
-    if not is_exact:
-        progress = Progress(parts.settings)
-        progress.begin(iterate, parts.gap_variances(linearizations))
-    assert progress.is_exact == is_exact
-    progress.constraint_penalty = 0.0
+    progress = EXACT if is_exact else relaxed_progress(parts, linearizations)
+    progress = replace(progress, constraint_penalty=0.0, multipliers=[np.zeros(2)])
     free = merit_function(parts, weights, progress)(iterate)
-    held = np.zeros(3, dtype=bool)
-    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
-    penalty = progress.constraint_penalty
+    step = gauss_newton_step(parts, iterate, linearizations, progress)
+    penalty = step.constraint_penalty
     k, factor = nlp.free.index("k"), nlp.scaling.factor[nlp.free.index("k")]
     assert factor * (iterate.z[k] + step.dz[k]) == pytest.approx(6.5, abs=1e-9)
-    damped = step.condensed[0].hessian * (1 + progress.damping * np.eye(3))
-    force = damped @ step.dz + step.condensed[0].gradient
+    force = step.hessian @ step.dz + step.condensed[0].gradient
     assert penalty > 0
     if is_exact:
         assert penalty == pytest.approx(EXACTNESS * abs(force[k]) / factor, rel=1e-3)
-    assert merit_function(parts, weights, progress)(iterate) == pytest.approx(free + penalty * 0.5)
-    progress.constraint_penalty = 10 * penalty
-    again = gauss_newton_step(
-        parts, iterate, linearizations, progress, held=held, states_only=False
-    )
-    assert progress.constraint_penalty == 10 * penalty  # it never falls
+    penalized = replace(progress, constraint_penalty=penalty)
+    assert merit_function(parts, weights, penalized)(iterate) == pytest.approx(free + penalty / 2)
+    larger = replace(progress, constraint_penalty=10 * penalty)
+    again = gauss_newton_step(parts, iterate, linearizations, larger)
+    assert again.constraint_penalty == 10 * penalty  # it never falls
     assert again.decrease - step.decrease == pytest.approx(9 * penalty * 0.5, rel=1e-6)
 
 
+@pytest.mark.parametrize("previous", [0.0, 1e9])
+def test_penalties_on_gaps_exceed_the_multipliers_and_never_fall(previous):
+    _, parts, iterate, _, linearizations = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
+    progress = replace(EXACT, multipliers=[np.full(2, previous)])
+    step = gauss_newton_step(parts, iterate, linearizations, progress)
+    largest = step.condensed[0].largest_multiplier(step.dz)
+    assert_allclose(step.multipliers[0], np.maximum(previous, EXACTNESS * largest))
+    first = relaxed_progress(parts, linearizations)
+    assert not gauss_newton_step(parts, iterate, linearizations, first).multipliers
+
+
 def test_the_relaxed_merit_is_the_squares_of_residuals_and_gaps_and_infinite_where_nothing_is_finite():
-    _, parts, iterate, weights, linearizations, _ = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
+    _, parts, iterate, weights, linearizations = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
     random = np.random.default_rng(0)
     gapped = parts.at(
         iterate.z, [nodes + 20 * random.normal(size=nodes.shape) for nodes in iterate.nodes]
     )
-    progress = Progress(parts.settings)
-    progress.begin(gapped, parts.gap_variances(linearizations))
-    relaxed = merit_function(parts, weights, progress)
+    progress = relaxed_progress(parts, linearizations)
+    merit = merit_function(parts, weights, progress)
     squares, gaps = (
         parts.squared_cost(gapped, weights),
         parts.squared_gap_cost(gapped, progress.continuity_variance),
     )
     assert gaps > 1e-5 * squares
-    assert relaxed(gapped) == pytest.approx(squares + gaps, rel=1e-9)
-    exact = Progress.exact(parts.settings)
-    exact.begin(gapped, parts.gap_variances(linearizations))
-    exact.multipliers = [np.full(2, 3.0)]
+    assert merit(gapped) == pytest.approx(squares + gaps, rel=1e-9)
+    exact = replace(EXACT, multipliers=[np.full(2, 3.0)])
     jumps = 3 * sum(np.abs(t.gaps).sum() for t in gapped.trajectories)
     assert merit_function(parts, weights, exact)(gapped) == pytest.approx(
         parts.cost(gapped) + jumps
@@ -193,18 +204,16 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
         settings=Strategies(),
         parts=[SimpleNamespace(condense=lambda *_, one=one: one) for one in systems],
         weights=[1.0, 4.0],
+        is_discontinuous=np.zeros(1, dtype=bool),
         gains=[None, None],
         limits=SimpleNamespace(
             linearized=lambda *_: (np.zeros((0, 1)), np.zeros(0)), violation=lambda _: 0.0
         ),
     )
-    progress = Progress.exact(parts.settings)
-    iterate = SimpleNamespace(z=np.zeros(1), trajectories=[None, None])
-    progress.begin(SimpleNamespace(z=iterate.z, nodes=[]), [np.ones(1)] * 2)
-    progress.damping = damping
-    step = gauss_newton_step(
-        parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=False
-    )
+    progress = replace(EXACT, damping=damping)
+    nodes = [np.zeros((1, 1))] * 2
+    iterate = SimpleNamespace(z=np.zeros(1), trajectories=[None, None], nodes=nodes)
+    step = gauss_newton_step(parts, iterate, [None, None], progress)
     hessian = sum(w * one.hessian for w, one in zip(parts.weights, systems, strict=True))
     gradient = sum(w * one.gradient for w, one in zip(parts.weights, systems, strict=True))
     assert step.dz == pytest.approx(-gradient / hessian[0] / (1 + damping), rel=1e-8)
@@ -214,9 +223,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
         v = np.array([one.nodes_after(np.zeros((1, 1)), step.dz, 1.0)[0, 0], step.dz[0]])
         promised -= weight * (g @ v + v @ A @ v / 2)
     assert step.decrease == pytest.approx(promised)
-    alone = gauss_newton_step(
-        parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=True
-    )
+    alone = gauss_newton_step(parts, iterate, [None, None], progress, states_only=True)
     assert alone.decrease == pytest.approx(
         sum(w * one.decrease for w, one in zip(parts.weights, systems, strict=True))
     )

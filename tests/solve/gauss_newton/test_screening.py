@@ -69,8 +69,8 @@ def drawn(problem, count, seed):
 
 
 def test_derivatives_are_those_of_the_cost(aircraft, solver):
-    screening = Screening(solver._nlp, solver._limits)
-    z = solver._nlp.scaling.to_solver(drawn(aircraft, 3, 0) / 30)
+    screening = Screening(solver.nlp, solver.limits)
+    z = solver.nlp.scaling.to_solver(drawn(aircraft, 3, 0) / 30)
     (record,) = screening._whole
     states = record.states_from_data(z) + 0.01
     here = record.evaluated(z, states)
@@ -92,10 +92,10 @@ def test_derivatives_are_those_of_the_cost(aircraft, solver):
 
 
 def test_points_lead_to_the_minimum_over_short_segments(aircraft, solver):
-    screening = Screening(solver._nlp, solver._limits)
-    truth = solver._nlp.scaling.to_solver(np.array(list(VALUES.values())))
+    screening = Screening(solver.nlp, solver.limits)
+    truth = solver.nlp.scaling.to_solver(np.array(list(VALUES.values())))
     wanted = screening.improved(truth[None])
-    found = screening.improved(solver._nlp.scaling.to_solver(drawn(aircraft, 20, 3)))
+    found = screening.improved(solver.nlp.scaling.to_solver(drawn(aircraft, 20, 3)))
     best = distinct(found)[0]
     assert found.cost[best] == pytest.approx(wanted.cost[0], rel=0.05)
     assert np.abs(found.z[best] - truth).max() < 0.05  # of the box
@@ -107,7 +107,7 @@ def test_the_search_finds_what_plain_starts_miss(aircraft, solver):
     assert sum(run.converged and run.cost < best + 0.1 for run in plain) < 4
     for seed in range(2):
         starts = drawn(aircraft, 20, seed)
-        search = multistart(solver._nlp, solver, starts, waves=PromisingFirst(4, 3))
+        search = multistart(solver.nlp, solver, starts, waves=PromisingFirst(4, 3))
         assert search.minima[0].cost < best + 0.1
         assert len(search.brought) == 4
         for run, start in zip(search.runs, starts, strict=True):
@@ -311,7 +311,7 @@ def test_steps_are_damped_more_after_a_failure_and_less_after_a_success(solver):
         cost = 0.5 * (z**2).sum(axis=1)
         return Points(z, [states], cost, z, np.tile(np.eye(2) / scale, (r, 1, 1)), [none])
 
-    screening = Screening(solver._nlp, solver._limits)
+    screening = Screening(solver.nlp, solver.limits)
     screening._limits = SimpleNamespace(clipped=lambda z: np.clip(z, -5.0, 100.0))
     records = [SimpleNamespace(evaluated=evaluated)]
     begun = _evaluated(np.array([[1.0, 0.5]]), [np.zeros((1, 1, 1))], records)
@@ -329,7 +329,7 @@ def test_steps_are_damped_more_after_a_failure_and_less_after_a_success(solver):
 
 
 def test_segments_are_chosen_evenly_and_no_longer_than_they_are(solver):
-    (part,) = solver._nlp.parts
+    (part,) = solver.nlp.parts
     count, length = part.data.segments, part.data.segment_length
     few = ShortSegments(part, 3, length + 7)
     assert few._chosen.tolist() == [0, round((count - 1) / 2), count - 1]

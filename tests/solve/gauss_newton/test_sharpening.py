@@ -75,7 +75,7 @@ def solved(jacobians, gradients, weights, breads, slope):
     )
     parts = SimpleNamespace(weights=weights, split=lambda iterate: [None] * len(weights))
     condensed = [SimpleNamespace(gradient=g) for g in gradients]
-    step = Step((), condensed, np.zeros(2), 0.0, 0.0)
+    step = Step((), condensed, np.zeros(2), 0.0, 0.0, np.eye(2), (), 0.0)
     return sharp_step(nlp, parts, SimpleNamespace(z=np.array([3.0, 10.0])), step)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.solve import Strategies
 from greybox.solve.gauss_newton.iterate import Iterate
 from greybox.solve.gauss_newton.stability import (
     are_stable,
@@ -14,8 +13,6 @@ from greybox.solve.gauss_newton.stability import (
     simulate_stable,
     stability_constraints,
 )
-
-SETTINGS = Strategies()
 
 
 class Gain:
@@ -29,8 +26,7 @@ class Gain:
     def is_stable(self, trajectory, placed=None):
         return (trajectory.gain if placed is None else placed) < 1
 
-    def pole_derivatives(self, trajectory, z, difference):
-        assert difference == SETTINGS.pole_difference
+    def pole_derivatives(self, trajectory, z):
         return self.slopes, self.left
 
     def simulated(self, z, nodes, *, simulated):
@@ -58,7 +54,7 @@ def along(gain, *, simulated=False, nodes=0.0):
 def parts_of(*gains, weights=(1.0, 1.0), low=0.0):
     parts = tuple(SimpleNamespace(weight=w) for w in weights[: len(gains)])
     limits = SimpleNamespace(clipped=lambda z: np.maximum(z, low))
-    return SimpleNamespace(gains=gains, parts=parts, settings=SETTINGS, limits=limits)
+    return SimpleNamespace(gains=gains, parts=parts, limits=limits)
 
 
 def test_predictors_are_stable_together_and_those_that_are_simulated_alone():
@@ -98,7 +94,7 @@ def test_steps_to_unstable_predictors_go_part_of_the_way_to_the_limit():
         parts, iterate, np.array([0.2, 0.4])
     )  # the first alone is lost
     assert_allclose(normals, -slopes[[0, 2]])
-    assert_allclose(limits, -SETTINGS.stability_share * left[[0, 2]])
+    assert_allclose(limits, -0.9 * left[[0, 2]])
     assert len(stability_constraints(parts, iterate, np.array([0.2, 0.6]))[1]) == 4
     for none in (
         stability_constraints(parts, iterate, np.zeros(2)),
@@ -120,9 +116,7 @@ def test_the_best_gains_are_those_of_the_cheapest_filters_of_one_size_or_the_own
         np.array([own, own]), (along(own, nodes=-4.1), along(0.0), along(own, nodes=-6.1))
     )
     found = best_gains(parts, iterate, [np.ones(1)] * 3)
-    assert_allclose(
-        found, [own, own] if taken == "own" else SETTINGS.process_noise * np.array([1e-5, 1e-5])
-    )
+    assert_allclose(found, [own, own] if taken == "own" else [1e-5, 1e-5])
 
 
 def test_a_weight_counts_and_what_no_filter_serves_stays():

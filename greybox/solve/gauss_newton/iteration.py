@@ -1,0 +1,210 @@
+"""The Gauss-Newton iteration: linearize, condense, step, line search, until it has converged.
+
+A stalled run begins once more, with its parameters and with nodes from the data.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from greybox.files.arrays import Array
+from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
+from greybox.solve.gauss_newton.damping import LARGEST_DAMPING, after_failure
+from greybox.solve.gauss_newton.homotopy import Progress
+from greybox.solve.gauss_newton.iterate import Iterate, Step
+from greybox.solve.gauss_newton.line_search import line_search
+from greybox.solve.gauss_newton.merit import merit_function
+from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
+from greybox.solve.gauss_newton.stability import best_gains, simulate_stable
+from greybox.solve.interruption import reason_to_end
+from greybox.solve.outcome import NOT_FINITE
+
+CONVERGED, STALLED = "converged", "stalled"
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where an iteration ended.
+
+    Attributes
+    ----------
+    iterate : Iterate
+    status : str
+    iterations : int
+    hessian : (p, p) array or None
+        Hessian of the last step; None without one.
+    """
+
+    iterate: Iterate
+    status: str
+    iterations: int
+    hessian: Array | None = None
+
+
+def descend(
+    parts: AllParts,
+    iterate: Iterate,
+    progress: Progress,
+    iterations: int,
+    *,
+    states_only: bool = False,
+    restarts: bool = True,
+) -> End:
+    """Iterate from a start; with `states_only` the parameters are held.
+
+    A stalled run begins once more near the data, with the parameters that it reached.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the nodes of a record are not determined.
+    """
+    if not iterate.finite:
+        return End(iterate, NOT_FINITE, 0)
+    end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
+    restarts = restarts and parts.settings.restart_near_data and not states_only
+    if end.status != STALLED or not restarts:
+        return end
+
+    later = descend(
+        parts,
+        parts.from_data(end.iterate.z),
+        parts.first_progress(),
+        iterations - end.iterations,
+        restarts=False,
+    )
+    better = later if later.status == CONVERGED else end
+    return replace(better, iterations=end.iterations + later.iterations)
+
+
+def _iterated(
+    parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
+) -> End:
+    settings = parts.settings
+    hessian = None
+    for count in range(iterations):
+        if interruption := reason_to_end():
+            return End(iterate, interruption, count, hessian)
+
+        # Linearize and step.
+        weights, linearizations = _linearized(parts, iterate, progress)
+        progress = progress.with_gap_variance(parts.gap_variances(linearizations))
+        nodes_alone = states_only or progress.state_iterations > 0
+        step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
+        hessian = step.hessian
+        progress = progress.with_penalties(step)
+        merit = merit_function(parts, weights, progress)
+        start = merit(iterate)
+
+        # Converged?
+        settled = _is_settled(parts, iterate, step, start, progress, states_only=nodes_alone)
+        if settled and step.distance <= settings.tolerance:
+            return End(iterate, CONVERGED, count, hessian)
+        # Most runs take fewer iterations in all than pass between two of these looks.
+        looks = not nodes_alone and (count + 1) % 50 == 0
+        if looks and _is_within_noise(parts, iterate, step, progress):
+            return End(iterate, CONVERGED, count, hessian)
+
+        # Line search.
+        trial, length = line_search(parts, iterate, step, merit, start)
+        if trial is None and settled and step.distance <= 1e3 * settings.tolerance:
+            return End(iterate, CONVERGED, count, hessian)  # the merit function shows only rounding
+        if trial is None and progress.damping <= LARGEST_DAMPING:
+            progress = replace(progress, damping=after_failure(progress.damping))
+            continue
+        if _delays_block(parts, progress):
+            progress = progress.with_delays_held()
+            continue
+        if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
+            return End(iterate, STALLED, count, hessian)
+
+        # Accept.
+        gained = 0.0 if trial is None else start - merit(trial)
+        following = progress.after(step, start, gained, length)
+        becomes_exact = following.is_exact and not progress.is_exact
+        progress = following
+        iterate = trial or iterate
+        if becomes_exact and not states_only:
+            iterate = _with_gains(parts, iterate, progress)
+        iterate = _simulated(parts, iterate, progress)
+    return End(iterate, "iterations exceeded", iterations, hessian)
+
+
+def _linearized(
+    parts: AllParts, iterate: Iterate, progress: Progress
+) -> tuple[list[Array], list[Any]]:
+    """Return the residual weights and the linearizations of all parts.
+
+    Near the minimum the Hessian accounts for the estimated covariance, which follows the parameters.
+    """
+    weights = parts.residual_weights(iterate) if progress.is_exact else parts.initial_weights()
+    near_minimum = parts.settings.covariance_curvature and progress.last_decrease < 1.0
+    return weights, parts.linearize(iterate, weights, covariance_curvature=near_minimum)
+
+
+def _is_settled(
+    parts: AllParts,
+    iterate: Iterate,
+    step: Step,
+    merit: float,
+    progress: Progress,
+    *,
+    states_only: bool,
+) -> bool:
+    """Tell whether little is left to gain, also by a step that is not damped."""
+    negligible = max(parts.settings.tolerance, COST_ROUNDING * abs(merit))
+    little = (1 + progress.damping) * step.decrease <= negligible
+    if not (progress.is_exact and little and parts.is_continuous(iterate)):
+        return False
+    if not progress.damping:
+        return True
+    undamped = _undamped(parts, iterate, step, progress, states_only=states_only)
+    return undamped.decrease <= progress.undamped_decrease
+
+
+def _is_within_noise(parts: AllParts, iterate: Iterate, step: Step, progress: Progress) -> bool:
+    """Tell whether noise hides all that is left to gain, wherever bounds let a step go.
+
+    Where the data hardly determine some directions, short steps continue along them for thousands
+    of iterations, for a hundredth of a unit of log-likelihood. A plateau far from the data looks the
+    same; but there the residuals are not noise.
+    """
+    if not (progress.is_exact and parts.is_continuous(iterate) and parts.explain_data(iterate)):
+        return False
+    undamped = _undamped(parts, iterate, step, progress)
+    # A step that no bound stops decreases the cost by its distance, and continues to converge.
+    stopped = undamped.decrease > 2 * undamped.distance
+    # Noise moves the minimum by half a unit of log-likelihood per parameter in the mean. A
+    # hundredth of it is left at a tenth of a standard error, whose square is halved here.
+    return stopped and undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * len(iterate.z) / 2
+
+
+def _undamped(
+    parts: AllParts, iterate: Iterate, step: Step, progress: Progress, *, states_only: bool = False
+) -> Step:
+    """Return the step from the same linearization without damping."""
+    undamped = replace(progress, damping=0.0)
+    return gauss_newton_step(parts, iterate, step.linearizations, undamped, states_only=states_only)
+
+
+def _delays_block(parts: AllParts, progress: Progress) -> bool:
+    """Tell whether delays at which the cost jumps block the steps: heavy damping has not helped."""
+    return (
+        parts.settings.held_discontinuous_delays
+        and progress.is_exact
+        and not progress.delays_held
+        and progress.damping >= 1e2
+        and bool(parts.is_discontinuous.any())
+    )
+
+
+def _simulated(parts: AllParts, iterate: Iterate, progress: Progress) -> Iterate:
+    if progress.is_exact and parts.settings.simulated_predictors:
+        return simulate_stable(parts, iterate)
+    return iterate
+
+
+def _with_gains(parts: AllParts, iterate: Iterate, progress: Progress) -> Iterate:
+    """Return the iterate with Kalman gains to begin with, once continuity is exact."""
+    if not parts.settings.riccati_gains or not parts.has_free_gains:
+        return iterate
+    return parts.at(best_gains(parts, iterate, progress.gap_variance), iterate.nodes)
