@@ -76,8 +76,8 @@ class KalmanGain:
 
     def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
         """Return the transition over a sample of the errors of those states that innovations reach."""
-        placed = placed or trajectory.detail.placed
-        A, _ = self.part.segments.mean_transition(trajectory.detail.states, placed.q, placed.data)
+        at: Placed = placed or trajectory.detail.placed
+        A, _ = self.part.segments.mean_transition(trajectory.detail.states, at.q, at.data)
         return self._reached(A)
 
     def pole_derivatives(self, trajectory: Trajectory, z: Array) -> tuple[Array, Array]:
