@@ -41,7 +41,7 @@ from greybox.plotting.style import (
     symbol,
 )
 from greybox.spectral.demodulation import least_squares, whole_periods
-from greybox.spectral.test_quality import at_limit
+from greybox.spectral.saturation import at_limit
 
 WIDTH, BODE_WIDTH, PANEL, SINES, SPECTRUM = 8.2, 6.2, 1.25, 1.6, 2.6  # inches
 

@@ -16,7 +16,7 @@ Manoeuvres (doublet, 2-1-1, step, manual inputs)
 Vibration
     `vibration` finds its size and its frequencies in raw samples of an IMU.
 Before the fit
-    `test_quality` tells whether a test is worth one.
+    `test_quality` judges whether a test is worth one; `saturation` finds samples at a limit.
 """
 
 from greybox.spectral.composite_windows import spectral_response as spectral_response

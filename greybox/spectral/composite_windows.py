@@ -29,35 +29,31 @@ from greybox.spectral.welch import (
     without_incoherent,
 )
 
-# Periods in the longest stretch: below, a band of polynomials would reach to the frequencies that
-# removing a trend changes.
+# Fewest periods in the longest stretch: below, a band of polynomials would reach the frequencies
+# that removing a trend changes.
 LOWEST = 6
 
 HIGHEST = 0.4  # of the sampling rate
 
-# Errors below are those of `benchmarks/signal_constants.py` with five windows from a third of the
-# record to a 24th, of a resonance damped by 0.05 in a sweep of 60 s (and by 0.3), with the values
-# in use 1.6 % (0.8 %).
+# Errors below come from `benchmarks/signal_constants.py`: five windows from a third to a 24th of the
+# record, a sweep of 60 s, a resonance damped by 0.05 (by 0.3). The values in use give 1.6 % (0.8 %).
 LEAKAGE_TERMS = 2  # with one 4.8 % (1.1 %), with none 9.3 % (2.2 %)
 
 # Weight of a window length by its relative random error ε: (ε / ε_min)**-4, COMPOSITE of CIFER.
 # With the exponent 1, 6.1 % (1.2 %); with 8 and more it makes no difference.
 SHARPNESS = 4
 
-SAMPLES = 8  # in a window, at least: two periods (`PERIODS`) of four samples
+SAMPLES = 8  # fewest samples of a window: two periods (`PERIODS`) of four samples
 
-SMOOTHED = 0.3  # octaves or so over which the excitation is averaged, as a share of the frequency
+SMOOTHED = 0.3  # width of the band over which the excitation is averaged, over its frequency
 
-# Of the largest ω S(ω), which a logarithmic sweep keeps constant: 20 dB below it the excitation
-# ends. For white noise of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03,
+# The excitation ends 20 dB below the largest ω S(ω), which a logarithmic sweep keeps constant. For
+# white noise of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03,
 # at 0.17 Hz with 0.01, and with 0.003 it extends to 15 Hz, where the output is noise.
 EXCITED = 0.01
 
-# What serves a short record of one 2-1-1, doublet or step.
-OF_MANOEUVRES = (
-    "gb.spectral.transient_spectrum (greybox response --manoeuvre), which serves one manoeuvre from one period of its "
-    "duration on"
-)
+# The estimator for a short record of one doublet, 2-1-1 or step.
+FOR_MANOEUVRES = "gb.spectral.transient_spectrum, which needs only one period"
 
 
 def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
@@ -97,43 +93,42 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     instrument : str, optional
         The injected signal, for the joint input-output estimate; without it, the direct one.
     conditioned : sequence of str
-        Further inputs that act on the output and are correlated with this one; their part is
+        Further inputs that act on the output and are correlated with this one; their effect is
         removed (partial coherence, Bendat and Piersol, section 7.3).
     omega : (n,) array, rad/s, optional
-        By default frequencies where the excitation is strong. Where given ones are closer than the
+        By default, frequencies where the excitation is strong. If they are closer than the
         resolution, about 8 / duration in Hz for a band of three points, the errors of neighbors are
         correlated.
     band : (low, high), rad/s, optional
-        Where to estimate, as far as the record resolves it; by default where the excitation is
+        Band of the estimate, as far as the record resolves it; by default, where the excitation is
         strong.
     points : int
-        About so many frequencies: there are fewer where the record does not resolve them, and more
-        at resonances. With `windows` exactly so many, log spaced.
+        Approximate number of frequencies: fewer where the record does not resolve them, more at
+        resonances. With `windows`, the exact number, log spaced.
     windows : sequence of float, s, optional
         Window lengths.
     overlap : float
         The share of a window that the next one repeats.
     detrend : {"linear", "constant", "none"}
-        What is removed from each stretch.
+        Trend that is removed from each stretch.
     name : str
-        Of the response.
+        Name of the response.
 
     Returns
     -------
     FrequencyResponse
-        With coherence, variance E|P̂ - P|² and its degrees of freedom; points that leave too little
-        to judge the noise by are left out, and those where the instrument hardly moves the input.
-        The coherence is partial, without transients and conditioned inputs; with an instrument it
-        is the lower one of instrument with input and with output. The variance assumes noise that
-        is as strong in the quiet parts of a record as in the excited ones. That of combined windows
-        is the one of fully correlated parts, an upper bound, and contains the square of the
-        difference from the longest window where noise does not explain it.
+        With coherence, variance E|P̂ - P|² and its degrees of freedom. Points are left out where too
+        little remains to estimate the noise, or where the instrument hardly moves the input. The
+        coherence is partial, without transients and conditioned inputs; with an instrument, it is
+        the lower of its coherences with input and output. The variance assumes stationary noise.
+        For combined windows, it is an upper bound (fully correlated parts), and includes the squared
+        difference from the longest window where noise does not explain that difference.
 
     Raises
     ------
     ValueError
-        For records that are too short or not uniform, or frequencies below two periods of the
-        longest window.
+        If the records are too short or not uniform, or a frequency has fewer than two periods in
+        the longest window.
     KeyError
         For a signal that a record does not hold.
     """
@@ -162,13 +157,13 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
             )
             for length in lengths
         ]
-        found = [_combined(row) for row in zip(*per_length, strict=True)]
+        estimated = [_combined(row) for row in zip(*per_length, strict=True)]
     elif omega is None:
-        grid, found = tiled_points(lines, float(grid[0]), float(grid[-1]), points)
+        grid, estimated = tiled_points(lines, float(grid[0]), float(grid[-1]), points)
     else:
-        found = points_at(lines, grid)
+        estimated = points_at(lines, grid)
 
-    response = response_at(grid, found, (input, output, name), stretches)
+    response = response_at(grid, estimated, (input, output, name), stretches)
     return response if omega is not None else without_incoherent(response)
 
 
@@ -176,11 +171,12 @@ def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[f
     """Return the part of a band that the records resolve."""
     low, high = band
     if not 0 < low < high < math.inf:
-        raise ValueError(f"the band from {low:g} to {high:g} rad/s is none: give 0 < low < high.")
+        raise ValueError(f"the band must be increasing: got {low:g} to {high:g} rad/s.")
     if not max(low, lowest) < min(high, highest):
         raise ValueError(
-            f"the band from {low:.4g} to {high:.4g} rad/s lies outside of what these records resolve, {lowest:.4g} to "
-            f"{highest:.4g} rad/s: choose another band, record longer or faster, or use {OF_MANOEUVRES}."
+            f"these records resolve {lowest:.4g} to {highest:.4g} rad/s, not the band from {low:.4g} "
+            f"to {high:.4g} rad/s: choose another band, record longer or faster, or use "
+            f"{FOR_MANOEUVRES}."
         )
     return max(low, lowest), min(high, highest)
 
@@ -191,8 +187,8 @@ def _window_lengths(stretches: Sequence[UniformStretch], windows: Sequence[float
     shortest = SAMPLES * max(s.step for s in stretches)
     if len(windows) == 0 or min(windows) < shortest or max(windows) > longest:
         raise ValueError(
-            f"windows of {', '.join(f'{w:.4g}' for w in windows) or 'no'} s do not fit: give lengths from "
-            f"{shortest:.4g} to {longest:.4g} s, from {SAMPLES} samples to the longest stretch, or record longer."
+            f"windows must have {shortest:.4g} to {longest:.4g} s (from {SAMPLES} samples to the "
+            f"longest stretch): got {', '.join(f'{w:.4g}' for w in windows) or 'none'}."
         )
     return sorted(windows, reverse=True)
 
@@ -201,9 +197,9 @@ def _check_periods(omega: Array, lowest: float, longest: float) -> None:
     too_low = omega[~(omega >= lowest * (1 - 1e-9))]
     if too_low.size:
         raise ValueError(
-            f"omega = {too_low[0]:g} rad/s has fewer than {round(lowest * longest / HZ)} periods in the longest "
-            f"stretch or window, {longest:.4g} s: leave out what is below {lowest:.4g} rad/s, record longer, or use "
-            f"{OF_MANOEUVRES}."
+            f"omega = {too_low[0]:g} rad/s has fewer than {round(lowest * longest / HZ)} periods in the "
+            f"longest stretch or window, {longest:.4g} s: leave out frequencies below {lowest:.4g} "
+            f"rad/s, record longer, or use {FOR_MANOEUVRES}."
         )
 
 
@@ -211,8 +207,9 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
     """Return the band around the strongest excitation, up to the first gap in it on either side."""
     if lowest >= highest:
         raise ValueError(
-            f"the records are too short: their lowest frequency, {lowest:.4g} rad/s, is above the highest that the "
-            f"sampling allows, {highest:.4g} rad/s; record longer, or use {OF_MANOEUVRES}."
+            f"the records are too short: their lowest frequency, {lowest:.4g} rad/s, is above the "
+            f"highest that the sampling allows, {highest:.4g} rad/s; record longer, or use "
+            f"{FOR_MANOEUVRES}."
         )
     fine = np.geomspace(lowest, highest, 200)
     reach = np.maximum(fine * SMOOTHED / 2, PERIODS * lines.spacing)  # noise has holes by chance
@@ -223,26 +220,26 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
 
     weak = np.flatnonzero(power < EXCITED * power.max())
     strongest = int(power.argmax())
-    left = int(max(weak[weak < strongest], default=-1)) + 1
-    right = int(min(weak[weak > strongest], default=fine.size)) - 1
-    return float(fine[left]), float(fine[right])
+    first_strong = int(max(weak[weak < strongest], default=-1)) + 1
+    last_strong = int(min(weak[weak > strongest], default=fine.size)) - 1
+    return float(fine[first_strong]), float(fine[last_strong])
 
 
 def _combined(estimates: Sequence[WindowedPoint]) -> WindowedPoint:
     """Weight the window lengths at one frequency by their random errors."""
-    known = [e for e in estimates if math.isfinite(e.variance)]
-    if not known:
+    determined = [e for e in estimates if math.isfinite(e.variance)]
+    if not determined:
         return WindowedPoint(weak=any(e.weak for e in estimates))
-    response = np.array([e.response for e in known])
-    error = np.sqrt([e.variance for e in known]) / np.abs(response)
+    response = np.array([e.response for e in determined])
+    error = np.sqrt([e.variance for e in determined]) / np.abs(response)
     weight = (error / error.min()) ** -SHARPNESS
     weight /= weight.sum()
 
-    deviation = float(weight @ np.sqrt([e.variance for e in known]))
-    dof = float(weight @ [e.dof for e in known])
-    coherence = float(weight @ [e.coherence for e in known])
+    deviation = float(weight @ np.sqrt([e.variance for e in determined]))
+    dof = float(weight @ [e.dof for e in determined])
+    coherence = float(weight @ [e.coherence for e in determined])
     combined = complex(weight @ response)
-    # Short windows smear; the longest hardly. Noise explains a squared difference up to the
-    # variance of the longest.
-    smeared = max(abs(combined - known[0].response) ** 2 - known[0].variance, 0.0)
+    # Short windows smear, the longest hardly. Noise explains a squared difference up to the variance
+    # of the longest window.
+    smeared = max(abs(combined - determined[0].response) ** 2 - determined[0].variance, 0.0)
     return WindowedPoint(combined, deviation**2 + smeared, dof, coherence)

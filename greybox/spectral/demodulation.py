@@ -10,20 +10,20 @@ from greybox.files.text_table import counted
 
 METHODS = ("least-squares", "quadrature")
 
-# Samples of a window, at least: the unknowns of the least squares, a constant, a trend and three
-# harmonics.
+# Fewest samples of a window: as many as the least squares have unknowns (a constant, a trend and
+# three harmonics).
 LEAST_SAMPLES = 8
 
-# Share of its samples that every period of a window must have.
+# Smallest share of its samples that each period of a window must have.
 LEAST_FILLED = 0.3
 
-# Of the Nyquist frequency, up to which harmonics are fitted: at it, sine and cosine are no longer
+# Harmonics are fitted up to this share of the Nyquist frequency, where sine and cosine are no longer
 # independent.
 HIGHEST = 0.8
 
 
 class UnusableSegmentError(ValueError):
-    """A stretch of a signal cannot be demodulated, and why."""
+    """The reason why a stretch of a signal cannot be demodulated."""
 
 
 def demodulate(
@@ -35,7 +35,7 @@ def demodulate(
     method: str = "least-squares",
     harmonics: int = 1,
 ) -> complex:
-    """Return the complex amplitude alpha + j beta of a signal at `omega`, over whole periods: (3.16) with η = 1.
+    """Return the complex amplitude alpha + j beta of a signal at `omega`, (3.16) with η = 1.
 
     The signal is alpha sin ω(t - t0) + beta cos ω(t - t0) with t0 = time[0], so that the ratio of
     two of them has the sign of a transfer function at +jω: a lag has a negative phase. The last
@@ -44,18 +44,17 @@ def demodulate(
     Parameters
     ----------
     time, values : (n,) arrays, s and any unit
-        Any sampling; samples that are NaN are left out.
+        Any sampling; NaN samples are left out.
     omega : float, rad/s
     settle : float, s
-        Left out at the start, at least.
+        Time left out at the start, at least.
     periods : int, optional
-        By default as many as there are.
+        Number of periods, counted from the end; by default all.
     method : "least-squares" or "quadrature"
         Sine, cosine, constant, trend (and harmonics) fitted together, exact on any sampling; or the
         sums of (3.16), exact where a period is a whole number of equal samples.
     harmonics : int
-        The highest that the least squares include; more than the first matters only on uneven
-        sampling.
+        Highest harmonic in the least squares; beyond the first, it matters only on uneven sampling.
 
     Raises
     ------
@@ -65,16 +64,16 @@ def demodulate(
     """
     record = Record(time, {"values": values})  # checks both
     time, values = record.time, record["values"]
-    known = np.isfinite(values)
+    present = np.isfinite(values)
     try:
-        rows, _ = whole_periods(time[known], omega, settle, periods)
+        rows, _ = whole_periods(time[present], omega, settle, periods)
     except UnusableSegmentError as reason:
         raise ValueError(
             f"the signal cannot be demodulated at {omega:g} rad/s: {reason}."
         ) from None
 
-    t = time[known][rows]
-    x = values[known][rows]
+    t = time[present][rows]
+    x = values[present][rows]
     origin = float(time[0])
     if known_method(method) == "quadrature":
         return complex(quadrature(t, x, omega, origin))
@@ -113,7 +112,8 @@ def whole_periods(
     count = max(available, 1) if periods is None else periods
     if not 1 <= count <= available:
         raise UnusableSegmentError(
-            f"{time[-1] - time[0]:.3g} s are too short for {settle:g} s of settling and {count} x {period:.3g} s"
+            f"{time[-1] - time[0]:.3g} s are too short for {settle:g} s of settling and {count} "
+            f"periods of {period:.3g} s"
         )
 
     rows = time > time[-1] + step / 2 - count * period
@@ -131,7 +131,7 @@ def least_squares(
     Returns
     -------
     amplitudes : (rows, h) complex array
-        Of the fundamental and the harmonics, phase relative to sin kω(t - origin).
+        Amplitudes of the fundamental and the harmonics; phase relative to sin kω(t - origin).
     drift : (rows,) array
         Change of the trend over the window.
     residual : (rows, n) array
@@ -141,14 +141,13 @@ def least_squares(
     trend = (t - t.mean()) / (t[-1] - t[0])
     waves = [sine_and_cosine(t, k * omega, origin) for k in range(1, count + 1)]
     columns = np.concatenate([[np.ones_like(t), trend], *waves])
-    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[
-        0
-    ]  # few columns, well scaled: as good as QR
+    # The columns are few and well scaled, so the normal equations are as good as QR.
+    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
     return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
 
 
 def quadrature(t: Array, x: Array, omega: float, origin: float) -> ComplexArray:
-    """Return the sums of (3.16) over all samples, each weighted by half the distance between its neighbors."""
+    """Return the sums of (3.16), each sample weighted by half the distance of its neighbors."""
     step = np.diff(t)
     weight = np.concatenate([[step[0]], (step[1:] + step[:-1]) / 2, [step[-1]]])
     sums = 2 / weight.sum() * (x * weight) @ sine_and_cosine(t, omega, origin).T

@@ -1,4 +1,4 @@
-"""What single-sine tests gave, point by point: values, warnings in words, tables."""
+"""Results of single-sine tests, point by point: values, warnings, tables."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,32 +10,31 @@ from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, number, one_line, text_table
 
-# Harmonics over fundamental. Of a cubic nonlinearity, y = x + k x³, harmonics of a share h come
-# with a gain 3h off.
+# Harmonics over fundamental. For a cubic nonlinearity, y = x + k x³, harmonics of a share h mean
+# that the gain is off by 3h.
 NONLINEAR = 0.1
 
-# Harmonics over fundamental that the plant does not explain, from which a warning is due. They
-# stand for a standard error of the gain of their own size: of a clipped sine the gain is h off, of
-# a cubic nonlinearity 3h, of a sine that is rounded while other motions carry it across the steps
-# nearly nothing.
+# Harmonics over fundamental that the plant does not explain and that deserve a warning. A share h
+# counts as a standard error h of the gain: for a clipped sine the gain is off by h, for a cubic
+# nonlinearity by 3h, for a rounded sine that other motions carry across the steps hardly at all.
 UNEXPLAINED = 0.03
 
-# Change of trim over the amplitude, and standard error over the response: about the size of the
-# error in the gain that `NONLINEAR` stands for.
+# Change of trim over the amplitude, and standard error over the response: about the error in the
+# gain that `NONLINEAR` means.
 DRIFTING = 0.3
 UNCERTAIN = 0.3
 
-# Of the time: less than the 2.8 % during which a sampled sine is as close to its peaks as a control
-# can be resolved (`single_sine.RESOLUTION`).
+# Share of the time at a limit: less than the 2.8 % that a sampled sine spends within the resolution
+# of a control of its peaks (`single_sine.RESOLUTION`).
 SATURATED = 0.02
 
-# Of the samples of a window that are missing.
+# Share of missing samples in a window.
 MISSING = 0.05
 
 
 @dataclass(frozen=True)
 class FrequencyPoint:
-    """What one sine test gave.
+    """The result of one sine test.
 
     Attributes
     ----------
@@ -45,7 +44,7 @@ class FrequencyPoint:
         Square root of E|P̂ - P|², both components together (NaN for a single period), and its
         degrees of freedom. The gain error that unexplained harmonics stand for is part of it.
     periods, start, end : int and floats, s
-        The window used.
+        The window that was used.
     u, y, r : complex
         Amplitudes of control, output and setpoint (NaN without one), phase relative to sin ω(t -
         segment's start).
@@ -55,7 +54,7 @@ class FrequencyPoint:
     saturation : float
         Share of time that the control was at its limit; NaN where it cannot be told.
     findings, notes : tuple of str
-        Warnings, and what is worth knowing, in words.
+        Warnings and remarks, in words.
     unexplained : float
         Harmonics that the plant does not explain, over the control's sine (root of sum of squares);
         NaN where they cannot be told.
@@ -81,7 +80,7 @@ class FrequencyPoint:
 
 @dataclass(frozen=True, eq=False)
 class FiniteFrequency:
-    """The measured response, what each test gave, and the tests that gave nothing, with the reason."""
+    """The measured response, the point of each test, and the tests left out with the reason."""
 
     response: FrequencyResponse
     points: tuple[FrequencyPoint, ...]
@@ -90,11 +89,11 @@ class FiniteFrequency:
     @property
     def findings(self) -> tuple[str, ...]:
         """Warnings on points, and the tests that were left out, in words."""
-        found = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
-        return (
-            *found,
-            *(f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out),
-        )
+        warnings = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
+        omissions = [
+            f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out
+        ]
+        return (*warnings, *omissions)
 
     def with_variance(self, variance: Array | None) -> "FiniteFrequency":
         """Return the points with other variances (n,); None changes nothing."""
@@ -110,7 +109,7 @@ class FiniteFrequency:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is worth knowing of the points, in words."""
+        """Remarks on the points, in words."""
         return tuple(f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.notes)
 
     @property
@@ -143,38 +142,35 @@ class FiniteFrequency:
 
 
 def with_findings(point: FrequencyPoint, findings: list[str]) -> FrequencyPoint:
-    """Return a point with `findings` and the warnings that its values call for."""
+    """Return a point with `findings` and the warnings that follow from its values."""
     findings = list(findings)
     names = ("control", "output")
     for name, sine, share, drift in zip(
         names, (point.u, point.y), point.distortion, point.drift, strict=True
     ):
         if share > NONLINEAR:
-            findings.append(
-                f"the {name} has harmonics of {share:.0%} of its sine: the response is not linear there"
-            )
+            text = f"the {name} has harmonics of {share:.0%} of its sine"
+            findings.append(f"{text}: the response is not linear there")
         if abs(drift) > DRIFTING * abs(sine):
-            findings.append(
-                f"the trim of the {name} drifts by {drift:.2g} where its amplitude is {abs(sine):.2g}"
-            )
+            text = f"the trim of the {name} drifts by {drift:.2g}"
+            findings.append(f"{text}, and its amplitude is {abs(sine):.2g}")
     if point.saturation > SATURATED:
         findings.append(f"the control is at its limit for {point.saturation:.0%} of the time")
     if point.periods == 1:
         findings.append("one period only: its error is not known")
     if point.standard_error > UNCERTAIN * abs(point.response):
-        findings.append(
-            f"the standard error is {point.standard_error / abs(point.response):.0%} of the response"
-        )
+        share = point.standard_error / abs(point.response)
+        findings.append(f"the standard error is {share:.0%} of the response")
     return replace(point, findings=tuple(findings))
 
 
 def missing_samples(share: float) -> list[str]:
-    """Say that a share of the samples of a window is missing, if it is worth a word."""
+    """Return a warning if many samples of a window are missing."""
     return [f"{share:.0%} of the samples are missing"] if share > MISSING else []
 
 
 def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
-    """Average the tests at one frequency, weighted by their periods and the square of the control's amplitude."""
+    """Average the tests at one frequency, weighted by periods times squared control amplitude."""
     if len(points) == 1:
         return points[0]
     weight = np.array([p.periods * abs(p.u) ** 2 for p in points])
@@ -183,10 +179,9 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
 
     parts = (weight * [p.standard_error for p in points]) ** 2
     variance = float(parts.sum())
-    known = variance > 0 and np.all(dof > 0)
-    effective_dof = (
-        float(variance**2 / np.sum(parts**2 / dof)) if known else float(dof.sum())
-    )  # Welch, Satterthwaite
+    effective_dof = float(dof.sum())
+    if variance > 0 and np.all(dof > 0):  # Welch, Satterthwaite
+        effective_dof = float(variance**2 / np.sum(parts**2 / dof))
 
     shares = [p.unexplained for p in points if not math.isnan(p.unexplained)]
     return replace(
@@ -205,12 +200,14 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
 
 
 def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
-    """Return a point with the harmonics that the plant does not explain, and the error of the gain they stand for."""
+    """Return a point with its unexplained harmonics, which count as an error of the gain."""
     if not share > 0:
         return replace(point, unexplained=share)
     error = math.hypot(point.standard_error, share * abs(point.response))
-    text = f"the plant does not explain harmonics of {share:.0%} of the control's sine: it is not linear there"
-    findings = (*point.findings, *([text] if share > UNEXPLAINED else []))
+    findings = point.findings
+    if share > UNEXPLAINED:
+        text = f"the plant does not explain harmonics of {share:.0%} of the control's sine"
+        findings = (*findings, f"{text}: it is not linear there")
     return replace(point, unexplained=share, standard_error=error, findings=findings)
 
 

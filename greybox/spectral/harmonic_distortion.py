@@ -1,9 +1,9 @@
-"""Harmonics that a linear plant does not explain, and what they tell of the error of the response.
+"""Harmonics that a linear plant does not explain, and the error of the response they imply.
 
-A linear plant passes the harmonics of its control: y_k = P(kω) u_k. What differs, e_k = y_k / P(kω)
-- u_k, comes from a nonlinearity between the logged control and the output, such as rounded or
-saturated motors, and is referred to the control: the plant's own decline would hide it in the
-output. The P(kω) are read off the measured response itself.
+A linear plant passes the harmonics of its control: y_k = P(kω) u_k. The difference e_k = y_k / P(kω)
+- u_k comes from a nonlinearity between the logged control and the output, such as rounded or
+saturated motors. It is referred to the control, since the plant would attenuate it in the output.
+The P(kω) are interpolated from the measured response itself.
 """
 
 import math
@@ -16,26 +16,24 @@ from numpy.typing import NDArray
 from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.demodulation import spectral_line
 
-# Error of P(kω), relative: read off between measured frequencies, where the magnitude of a plant is
-# nearly straight over their logarithm, and beyond the highest, where another pole may begin: that
-# of a first-order lag an octave below its corner, 1 - 1/√(1 + 1/4) = 0.11 and 0.46 rad.
+# Relative error of P(kω). Between measured frequencies, the magnitude of a plant is nearly straight
+# over log frequency. Beyond the highest, another pole may begin: a first-order lag an octave below
+# its corner gives 1 - 1/√(1 + 1/4) = 0.11 and 0.46 rad.
 BETWEEN, BEYOND = 0.1, 0.5
 
-# Of the output's sine, its harmonics that are put down to the sensor, not to the plant: far above
-# the bandwidth of the plant they would stand for large ones of the control. A flight of the
-# simulator, whose attitude is in steps of 0.01°, has 0.4 % of two harmonics at its highest
-# frequency.
+# Harmonics of the output, over its sine, that are attributed to the sensor: far above the bandwidth
+# of the plant, they would mean large harmonics of the control. A flight of the simulator, whose
+# attitude has steps of 0.01°, has two harmonics of 0.4 % at its highest frequency.
 SENSOR = 0.005
 
-# Standard errors of noise that e_k must exceed: noise alone does with a probability of exp(-9) =
-# 1e-4.
+# Standard errors of noise that e_k must exceed: noise alone does so with probability exp(-9) = 1e-4.
 DETECTED = 3.0
 
-LINES = 2  # beside a harmonic, on either side, from which its noise is taken
+LINES = 2  # lines on either side of a harmonic from which its noise is estimated
 
 
 class Harmonics(NamedTuple):
-    """Amplitudes of control and output at 2ω, 3ω ... (h,), and on the lines beside each of them, (h, 2, lines).
+    """Amplitudes of control and output at 2ω, 3ω ... (h,), and on the lines beside, (h, 2, lines).
 
     `sine` is the amplitude of the output at ω.
     """
@@ -50,7 +48,7 @@ class Harmonics(NamedTuple):
 def harmonics_of(
     t: Array, amplitudes: ComplexArray, residual: Array, omega: float, periods: int
 ) -> Harmonics:
-    """Return the harmonics in a window of whole periods, given the fitted amplitudes and what they leave."""
+    """Return the harmonics in a window of whole periods, from fitted amplitudes and residuals."""
     orders = range(2, amplitudes.shape[1] + 1)
     reach = min(LINES, (periods - 1) // 2)  # half of the way to the next harmonic
     places = [sign * m / periods for m in range(1, reach + 1) for sign in (1, -1)]
@@ -65,7 +63,7 @@ def harmonics_of(
 def unexplained(
     omega: Array, response: ComplexArray, measured: Sequence[tuple[complex, Harmonics]]
 ) -> Array:
-    """Return the harmonics that the plant does not explain, as a share of the control's sine, for each test.
+    """Return the unexplained harmonics of each test, as a share of the control's sine.
 
     Parameters
     ----------
@@ -76,33 +74,37 @@ def unexplained(
     Returns
     -------
     (tests,) array
-        NaN where it cannot be told: from a single frequency or a single period.
+        NaN with a single frequency or a single period.
     """
     if omega.size < 2:
         return np.full(len(measured), math.nan)
-    return np.array([_share(omega, response, abs(u), found) for u, found in measured])
+    return np.array([_share(omega, response, abs(u), harmonics) for u, harmonics in measured])
 
 
-def _share(omega: Array, response: ComplexArray, u: float, found: Harmonics) -> float:
-    if not found.control.size or not found.beside.shape[2] or u == 0:
+def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics) -> float:
+    if not harmonics.control.size or not harmonics.beside.shape[2] or u == 0:
         return math.nan
-    at = found.omega * np.arange(2, found.control.size + 2)
+    at = harmonics.omega * np.arange(2, harmonics.control.size + 2)
     plant = interpolated(omega, response, at)
     error = np.where(at > omega[-1], BEYOND, BETWEEN)
-    e = np.abs(found.output / plant - found.control)
+    e = np.abs(harmonics.output / plant - harmonics.control)
     noise = np.sqrt(
-        np.mean(np.abs(found.beside[:, 1] / plant[:, None] - found.beside[:, 0]) ** 2, axis=1)
+        np.mean(
+            np.abs(harmonics.beside[:, 1] / plant[:, None] - harmonics.beside[:, 0]) ** 2, axis=1
+        )
     )
-    allowed = error * np.abs(found.control) + SENSOR * abs(found.sine) / np.abs(plant)
+    allowed = error * np.abs(harmonics.control) + SENSOR * abs(harmonics.sine) / np.abs(plant)
     excess = np.where(e > DETECTED * noise, np.maximum(e - allowed, 0), 0)
     return float(np.sqrt(np.sum(excess**2)) / u)
 
 
 def interpolated(omega: Array, response: ComplexArray, at: NDArray[np.floating]) -> ComplexArray:
-    """Return the response at other frequencies: straight lines of log magnitude and phase over log frequency."""
-    x, wanted = np.log(omega), np.log(at)
-    known = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
-    slope = (known[-1] - known[-2]) / (x[-1] - x[-2])
-    beyond = known[-1] + slope * (wanted - x[-1])
-    between = np.interp(wanted, x, known.real) + 1j * np.interp(wanted, x, known.imag)
-    return np.exp(np.where(wanted > x[-1], beyond, between))
+    """Return the response at other frequencies, log magnitude and phase linear in log frequency."""
+    x = np.log(omega)
+    x_at = np.log(at)
+    logs = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
+
+    slope = (logs[-1] - logs[-2]) / (x[-1] - x[-2])
+    beyond = logs[-1] + slope * (x_at - x[-1])
+    between = np.interp(x_at, x, logs.real) + 1j * np.interp(x_at, x, logs.imag)
+    return np.exp(np.where(x_at > x[-1], beyond, between))

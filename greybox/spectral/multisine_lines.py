@@ -1,4 +1,4 @@
-"""Frequency responses of multisines: whole periods in steady state, at the lines of their spectrum, free of leakage."""
+"""Frequency responses of multisines from whole periods in steady state, free of leakage."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,9 +12,8 @@ from greybox.files.arrays import Array
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 from greybox.spectral.welch import HZ, estimates, response_at, transforms, without_incoherent
 
-# Of the largest amplitude, for a multiple of the fundamental to count as excited.
-# `greybox.experiment.multisine` gives all its lines one amplitude; the limit of -30 dB only has to
-# be above what noise and distortion leave between them.
+# Amplitude of an excited line over the largest one. `greybox.experiment.multisine` gives all lines
+# one amplitude; the limit of -30 dB only has to exceed noise and distortion between them.
 EXCITED = 0.03
 
 # Relative error of the period: after 100 periods the phase of the fundamental is off by 2π/1000.
@@ -32,25 +31,25 @@ def periodic_response(
     omega: ArrayLike | None = None,
     name: str = "",
 ) -> FrequencyResponse:
-    """Estimate a frequency response from whole periods of a periodic signal in steady state, free of leakage.
+    """Estimate a frequency response from whole periods of a signal in steady state.
 
-    Each period is one window without taper; the variance comes from the scatter of the periods,
-    taken as independent (Pintelon and Schoukens, System Identification, 2nd ed., chapter 2). A
-    remainder of less than a period is left out at the beginning. Arguments not listed are those of
-    `spectral_response`.
+    Each period is one window without taper, so there is no leakage. The variance comes from the
+    scatter of the periods, assumed independent (Pintelon and Schoukens, System Identification,
+    2nd ed., chapter 2). An incomplete period is left out at the beginning. Arguments not listed here
+    are those of `spectral_response`.
 
     Parameters
     ----------
     period : float, s
         A whole number of samples.
     omega : (n,) array, rad/s, optional
-        Multiples of 2π / period; by default those that are excited, without those of low coherence.
+        Multiples of 2π / period; by default, the excited ones without those of low coherence.
 
     Raises
     ------
     ValueError
-        If the period is no whole number of samples, there are fewer than three, or `omega` holds
-        other frequencies.
+        If the period is not a whole number of samples, there are fewer than three periods, or
+        `omega` holds other frequencies.
     """
     signals = [input, output, instrument or input, *conditioned]
     stretches = [whole_periods(s, period) for s in uniform_stretches(records, signals, "none")]
@@ -70,7 +69,8 @@ def periodic_response(
     odd = np.flatnonzero((np.abs(multiple - np.rint(multiple)) > 1e-6) | (grid < 0.5 * fundamental))
     if odd.size:
         raise ValueError(
-            f"omega = {grid[odd[0]]:g} rad/s is not a multiple of 2π / period = {fundamental:g} rad/s: leave it out."
+            f"omega = {grid[odd[0]]:g} rad/s is not a multiple of 2π / period = {fundamental:g} "
+            "rad/s: leave it out."
         )
 
     spectra = transforms(stretches, period, 0.0, np.rint(multiple) * fundamental, taper=False)
@@ -80,17 +80,20 @@ def periodic_response(
 
 
 def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
-    """Keep the last whole periods."""
+    """Return the last whole periods of a stretch."""
     count = round(period / stretch.step)
     if count < 2 or abs(count * stretch.step - period) > WHOLE * stretch.step * count:
         raise ValueError(
-            f"a period of {period:g} s is {period / stretch.step:.6g} samples: resample so that it is a whole number."
+            f"a period of {period:g} s has {period / stretch.step:.6g} samples: resample the record so "
+            "that it has a whole number."
         )
-    left_out = stretch.values.shape[1] % count
+    remainder = stretch.values.shape[1] % count
     origin = stretch.origin
     if origin is not None:
-        origin = replace(origin, start=min(origin.start + left_out * stretch.step, origin.end))
-    return stretch._replace(values=stretch.values[:, left_out:], step=period / count, origin=origin)
+        origin = replace(origin, start=min(origin.start + remainder * stretch.step, origin.end))
+    return stretch._replace(
+        values=stretch.values[:, remainder:], step=period / count, origin=origin
+    )
 
 
 def _excited_lines(stretches: Sequence[UniformStretch], period: float) -> Array:

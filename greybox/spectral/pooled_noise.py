@@ -1,12 +1,12 @@
-"""Noise levels of several sine tests of one flight, each from a few lines: what they have in common.
+"""Noise levels of several sine tests of one flight, pooled over frequency.
 
-With eight degrees of freedom, one standard error in twenty is less than half of what it should be.
-The noise of one flight has a smooth spectrum, so that the other tests tell of each: the levels
-scatter about a curve over frequency, by what their degrees of freedom explain and by what they
-really differ, as in a gust. The first is weighed against the second (Smyth, Linear models and
-empirical Bayes methods, Statistical Applications in Genetics and Molecular Biology 3(1), 2004):
-every level becomes the mean of its own and that of the curve, weighted by degrees of freedom. Where
-the levels differ by more than chance, the curve has few, and each test keeps its own.
+With eight degrees of freedom, one standard error in twenty is less than half of the true one. The
+noise of one flight has a smooth spectrum, so each test informs the others. The levels scatter about
+a curve over frequency, partly by chance (their degrees of freedom), partly because they differ, as
+in a gust. Empirical Bayes weighs the two (Smyth, Linear models and empirical Bayes methods,
+Statistical Applications in Genetics and Molecular Biology 3(1), 2004): every level becomes the mean
+of its own value and that of the curve, weighted by degrees of freedom. If the levels differ by more
+than chance, the curve has few degrees of freedom, and each test keeps its own level.
 """
 
 import numpy as np
@@ -14,27 +14,25 @@ from numpy.typing import ArrayLike
 
 from greybox.files.arrays import Array
 
-LEAST = (
-    5  # tests, below which three that are left beside a line do not tell how much levels scatter
-)
-CURVED = 8  # tests, from which the curve may bend
+LEAST = 5  # tests: fewer leave less than three degrees of freedom beside a line
+CURVED = 8  # tests from which the curve may bend
 
 
 def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[Array, Array]:
-    """Return the levels with what the other tests tell of them, and their degrees of freedom.
+    """Return the pooled levels and their degrees of freedom.
 
     Parameters
     ----------
     omega : (n,) array, rad/s
     level : (n,) array
-        Power of the noise for each Hz, in any unit; estimates with a χ² distribution. What is zero
-        or NaN is kept.
+        Power density of the noise, in any unit; estimates with a χ² distribution. Zeros and NaN
+        are returned unchanged.
     dof : (n,) array
 
     Returns
     -------
     level, dof : (n,) arrays
-        The degrees of freedom of one level are at most those of all together.
+        The degrees of freedom of a level are at most the sum of all.
     """
     from scipy.special import digamma, polygamma  # noqa: PLC0415  (scipy takes longer to import than this package)
 
@@ -51,15 +49,15 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
     curve = np.polynomial.Polynomial.fit(x, logs, order)(x)
     spread = np.sum((logs - curve) ** 2) / (used.sum() - order - 1) - np.mean(polygamma(1, half))
     prior = np.inf if spread <= 0 else 2 * _inverse_trigamma(float(spread))
-    own = dof[used] / (prior + dof[used])
+    weight = dof[used] / (prior + dof[used])
 
-    # Levels that differ are taken as a number over a χ² variable, whose logarithm is biased
-    # likewise.
+    # Levels that differ are modeled as a constant over a χ² variable, whose logarithm is biased too.
     center = curve if np.isinf(prior) else curve + digamma(prior / 2) - np.log(prior / 2)
-    result, freedom = level.copy(), dof.copy()
-    result[used] = own * level[used] + (1 - own) * np.exp(center)
-    freedom[used] = np.minimum(prior + dof[used], dof[used].sum())
-    return result, freedom
+    pooled = level.copy()
+    pooled[used] = weight * level[used] + (1 - weight) * np.exp(center)
+    pooled_dof = dof.copy()
+    pooled_dof[used] = np.minimum(prior + dof[used], dof[used].sum())
+    return pooled, pooled_dof
 
 
 def _inverse_trigamma(value: float) -> float:

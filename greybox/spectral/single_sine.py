@@ -1,4 +1,4 @@
-"""Finite-frequency estimate of a frequency response from single-sine tests, the paper's (3.15)-(3.16)."""
+"""Finite-frequency estimate of a response from single-sine tests, the paper's (3.15)-(3.16)."""
 
 import math
 from collections.abc import Iterable
@@ -29,9 +29,10 @@ from greybox.spectral.frequency_points import (
 )
 from greybox.spectral.harmonic_distortion import Harmonics, harmonics_of, unexplained
 from greybox.spectral.pooled_noise import pooled_levels
+from greybox.spectral.saturation import at_limit
 
-# Lines beside the frequency, on either side, that the noise is taken from: with six there are 20
-# degrees of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
+# Lines on either side of the frequency from which the noise is estimated: six lines give 20 degrees
+# of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
 LINES = 6
 
 # Standard errors of a complex amplitude. Noise alone exceeds three with a probability of exp(-9) =
@@ -48,7 +49,7 @@ RESOLUTION = 5e-4
 
 
 class SinePoint(NamedTuple):
-    """One point of the response with its variance and degrees of freedom, and the standard error of the control."""
+    """One point of the response, its variance and dof, and the standard error of the control."""
 
     response: complex
     variance: float
@@ -57,7 +58,7 @@ class SinePoint(NamedTuple):
 
 
 class _Settings(NamedTuple):
-    """The signals (rows: control, output and, if there is one, setpoint) and how to estimate from them."""
+    """The signals (rows: control, output, setpoint if there is one) and the estimation settings."""
 
     time: Array
     signals: Array
@@ -81,42 +82,41 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     harmonics: int = 3,
     limits: tuple[float, float] | None = None,
 ) -> FiniteFrequency:
-    """Estimate the response from `input` to `output` at the frequencies of single-sine tests, (3.15)-(3.16).
+    """Estimate the response at the frequencies of single-sine tests, (3.15)-(3.16).
 
     With "least-squares", sine, cosine, constant, trend and harmonics are fitted to control and
     output over all q periods together. The residual e = y - P u is examined beside ω, on the lines
-    ω(1 ± m/q), m = 1 ... M: what repeats every period has no power there, what changes from period
-    to period has. A straight line through them is the leakage of a plant whose state differs
-    between the ends of the window (integrators, unstable poles); its value at ω is subtracted. The
-    scatter about it is the noise near ω, from which the variance follows, with 2(2M - 2) degrees of
-    freedom (two periods: 2). The plain scatter of periods would overstate it several times in a
-    closed loop.
+    ω(1 ± m/q), m = 1 ... M: a periodic signal has no power there, noise and transients do. A
+    straight line through these values is the leakage of a plant whose state differs between the
+    ends of the window (integrators, unstable poles); its value at ω is subtracted. The scatter about
+    the line is the noise near ω. The variance follows from it, with 2(2M - 2) degrees of freedom
+    (two periods: 2). In a closed loop, the plain scatter of periods would overstate the variance
+    several times.
 
     With "quadrature", amplitudes are the sums of (3.16) as printed, and the variance is the scatter
     of y - P u between periods over q, with 2(q - 1) degrees of freedom.
 
-    Noise that the feedback brings into the control is in y and in P u alike and cancels in e. Both
-    amplitudes refer to the setpoint's phase, so that the ratio has no closed-loop bias, unlike a
-    ratio of spectra of y and u.
+    Noise that the feedback brings into the control is in both y and P u, and cancels in e. Both
+    amplitudes refer to the phase of the setpoint, so the ratio has no closed-loop bias, unlike a
+    ratio of the spectra of y and u.
 
     Parameters
     ----------
     record : Record
         Holds the signals on one time base.
     segments : iterable of Segment
-        What is not usable or not a sine is left out.
+        Unusable segments, and those that are not sines, are left out.
     input, output, setpoint : str
-        Signal names. With a setpoint, its amplitude is reported and its true frequency used.
+        Signal names. With a setpoint, its amplitude is reported and its true frequency is used.
     settle, periods, method, harmonics
         As in `demodulate`.
     limits : (low, high), optional
-        Of the control; by default they are detected by its flat tops.
+        Limits of the control; by default, they are detected by flat tops.
 
     Returns
     -------
     FiniteFrequency
-        `response` has no variance if a test had one single period: ask for ``periods=2`` or longer
-        tests.
+        `response` has no variance if a test has a single period: fly longer tests.
 
     Raises
     ------
@@ -129,24 +129,24 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     axes = sorted({s.axis for s in segments if s.usable and s.kind == "sine"})
     if len(axes) > 1:
         raise ValueError(
-            f"the segments are of several axes ({', '.join(axes)}): choose those of one, by segment.axis."
+            f"the segments are of several axes ({', '.join(axes)}): choose one by segment.axis."
         )
 
     signals = np.stack(
         [record[name] for name in ((input, output, setpoint) if setpoint else (input, output))]
     )
-    known = np.isfinite(signals).all(axis=0)
+    present = np.isfinite(signals).all(axis=0)
     settings = _Settings(
-        record.time[known], signals[:, known], settle, periods, method, harmonics, limits
+        record.time[present], signals[:, present], settle, periods, method, harmonics, limits
     )
     points = []
     measured = []
     left_out = []
     for segment in segments:
         try:
-            point, found = _point(settings, segment)
+            point, harmonics_beside = _point(settings, segment)
             points.append(point)
-            measured.append((point.u, found))
+            measured.append((point.u, harmonics_beside))
         except UnusableSegmentError as reason:
             left_out.append((segment, str(reason)))
     if not points:
@@ -166,7 +166,7 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
 
 
 def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmonics]:
-    """Estimate one point of the response and the harmonics beside it, or raise `UnusableSegmentError`."""
+    """Estimate one point of the response and its harmonics, or raise `UnusableSegmentError`."""
     if not segment.usable or segment.kind != "sine":
         raise UnusableSegmentError(
             "; ".join(segment.findings) or f"a {segment.kind} is not a single sine"
@@ -179,7 +179,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
 
     rows, q = whole_periods(time, omega, settings.settle, settings.periods)
     if len(signals) == 3 and q > 1:
-        error = _frequency_error(time[rows], signals[2, rows], omega)
+        error = frequency_error(time[rows], signals[2, rows], omega)
         if abs(error) * 2 * math.pi * q / omega > PHASE_DRIFT:
             omega += error
             notes.append(f"the setpoint runs at {omega:.5g} rad/s, which was used")
@@ -196,9 +196,8 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
 
     u, y, *r = map(complex, amplitudes[:, 0])
     noise = estimate.control_noise
-    if abs(u) <= max(
-        DETECTED * noise, 1e-12 * float(np.abs(x[0]).max())
-    ):  # noise, or rounding errors without any
+    # Without noise, rounding errors remain.
+    if abs(u) <= max(DETECTED * noise, 1e-12 * float(np.abs(x[0]).max())):
         raise UnusableSegmentError(
             f"barely excited: the control's amplitude is {abs(u):.2g}, its noise {noise:.2g}"
         )
@@ -218,7 +217,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
         r=r[0] if r else complex(math.nan, math.nan),
         distortion=(float(distortion[0]), float(distortion[1])),
         drift=(float(drift[0]), float(drift[1])),
-        saturation=_saturation(x[0], settings.limits),
+        saturation=saturation(x[0], settings.limits),
         notes=tuple(notes),
     )
     missing = 1 - t.size * float(np.median(np.diff(t))) * omega / (q * 2 * math.pi)
@@ -228,7 +227,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
 
 
 def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
-    """Return the points with standard errors from the noise of all of them, by its power for each Hz."""
+    """Return the points with standard errors from the pooled noise density of all points."""
     level = [(p.standard_error * abs(p.u)) ** 2 * (p.end - p.start) for p in points]
     pooled, dof = pooled_levels([p.omega for p in points], level, [p.dof for p in points])
     factors = [
@@ -240,8 +239,8 @@ def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
     ]
 
 
-def _frequency_error(t: Array, r: Array, omega: float) -> float:
-    """Return the setpoint's frequency less `omega`, rad/s, from the drift of its phase between the two halves."""
+def frequency_error(t: Array, r: Array, omega: float) -> float:
+    """Return the setpoint's frequency minus `omega`, rad/s, from its phase drift between the halves."""
     half = (t[-1] - t[0]) / 2
     halves = (t < t[0] + half, t >= t[0] + half)
     first, second = (least_squares(t[k], r[None, k], omega, t[0], 1)[0][0, 0] for k in halves)
@@ -251,23 +250,21 @@ def _frequency_error(t: Array, r: Array, omega: float) -> float:
 def estimate_by_lines(
     t: Array, amplitudes: ComplexArray, residual: Array, omega: float, origin: float, q: int
 ) -> SinePoint:
-    """Estimate with the lines beside `omega`, all of one phase at both ends of the window: leakage is smooth in m."""
+    """Estimate with the lines beside `omega`; leakage is smooth in the number m of the line."""
     u, y = amplitudes[:2] * np.exp(1j * omega * (t[0] - origin))
     if q == 1 or u == 0:
-        control_noise = float(
-            np.sqrt(4 * np.mean(residual[0] ** 2) / t.size)
-        )  # of white noise of that variance
+        # One period has no lines: assume white noise of the residual's variance.
+        control_noise = float(np.sqrt(4 * np.mean(residual[0] ** 2) / t.size))
         return SinePoint(complex(y / u) if u else 0j, math.nan, 0.0, control_noise)
 
-    # Up to a quarter of ω on either side, where noise and leakage still are what they are at ω.
+    # Up to a quarter of ω on either side, where noise and leakage are still the same as at ω.
     count = 1 if q == 2 else min(max(2, int(q / 4 + 0.5)), LINES)
     m = np.array([sign * k for k in range(1, count + 1) for sign in (1, -1)])
     lines = np.stack(
         [spectral_line(t, residual[:2], omega * (1 + k / q), float(t[0])) for k in m], axis=-1
     )
 
-    # The leakage of y - P u is a polynomial in m; `at_omega` reads its value at m = 0 off the
-    # lines.
+    # The leakage of y - P u is a polynomial in m; `at_omega` gives its value at m = 0 from the lines.
     smooth = m[:, None] ** np.arange(1 if count == 1 else 2)
     to_polynomial = np.linalg.pinv(smooth)
     at_omega = to_polynomial[0]
@@ -285,41 +282,31 @@ def estimate_by_lines(
 def estimate_by_periods(
     t: Array, x: Array, amplitudes: ComplexArray, omega: float, origin: float, q: int
 ) -> SinePoint:
-    """Estimate as printed, from the amplitudes over the whole window, with the scatter of the periods."""
+    """Estimate as printed in the paper, with the variance from the scatter of the periods."""
     u, y = amplitudes[:2]
     response = complex(y / u) if u else 0j
     if q == 1:
         return SinePoint(response, math.nan, 0.0, 0.0)
     step = float(np.median(np.diff(t)))
     period = np.clip(((t - t[-1] - step / 2) * omega / (2 * math.pi) + q).astype(int), 0, q - 1)
-    each = np.stack(
+    by_period = np.stack(
         [quadrature(t[period == k], x[:, period == k], omega, origin) for k in range(q)], axis=-1
     )
-    error = each[1] - response * each[0]
+    error = by_period[1] - response * by_period[0]
     variance = (
         np.sum(np.abs(error - error.mean()) ** 2) / (q - 1) / q / abs(u) ** 2 if u else math.nan
     )
-    control_noise = np.sqrt(np.sum(np.abs(each[0] - each[0].mean()) ** 2) / (q - 1) / q)
+    control = by_period[0]
+    control_noise = np.sqrt(np.sum(np.abs(control - control.mean()) ** 2) / (q - 1) / q)
     return SinePoint(response, float(variance), 2.0 * (q - 1), float(control_noise))
 
 
-def _saturation(u: Array, limits: tuple[float, float] | None) -> float:
-    """Return the share of samples at the control's limits, or in flat tops longer than the signal's other steps."""
+def saturation(u: Array, limits: tuple[float, float] | None = None) -> float:
+    """Return the share of samples at the control's limits; NaN where rounding hides a flat top."""
     reach = float(np.ptp(u))
-    at_level = 1e-6 * reach  # a logged single holds 24 bits
-    if limits is not None:
-        return float(np.mean((u <= limits[0] + at_level) | (u >= limits[1] - at_level)))
-    if np.diff(np.unique(u)).min(initial=reach) > RESOLUTION * reach:
+    if limits is None and np.diff(np.unique(u)).min(initial=reach) > RESOLUTION * reach:
         return math.nan
-
-    edges = np.flatnonzero(np.r_[True, np.abs(np.diff(u)) > 1e-9 * reach, True])
-    length = np.diff(edges)
-    level = u[edges[:-1]]
-    extreme = (level >= u.max() - at_level) | (level <= u.min() + at_level)
-    # A control may be held for some samples everywhere, and two equal samples happen at any rounded
-    # peak.
-    flat = extreme & (length >= max(3, 3 * float(np.median(length))))
-    return float(length[flat].sum() / u.size)
+    return float(at_limit(u, limits).mean())
 
 
 def _response(
@@ -331,14 +318,14 @@ def _response(
     variance = np.array(
         [max(p.standard_error**2, (rounding * abs(p.response)) ** 2) for p in points]
     )
-    known = bool(np.isfinite(variance).all())
+    has_variance = bool(np.isfinite(variance).all())
     return FrequencyResponse(
         omega,
         values,
         input,
         output,
-        variance=variance if known else None,
-        dof=np.array([p.dof for p in points]) if known else None,
+        variance=variance if has_variance else None,
+        dof=np.array([p.dof for p in points]) if has_variance else None,
         name=record.name,
         source=record.source,
         units={name: unit for name in (input, output) if (unit := record.units.get(name))},

@@ -11,8 +11,8 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.uniform_stretches import uniform_stretches
 
-# Of the sampling rate: signals have little above, and less of the alias of what they have below
-# half of it.
+# Highest frequency over the sampling rate: signals have little power above, and aliases there are
+# weak.
 HIGHEST = 0.4
 
 
@@ -22,11 +22,11 @@ def transient_spectrum(
     outputs: str | Sequence[str],
     band: tuple[float, float],
 ) -> TransientSpectrum:
-    """Return the Fourier integrals of one manoeuvre at the multiples of 2π / duration within `band`.
+    """Return the Fourier integrals of a manoeuvre at the multiples of 2π / duration in `band`.
 
-    A finer grid holds nothing more: its points are combinations of these. Held signals are
-    integrated as held; others by the trapezoidal rule, with the integral of the line from the first
-    to the last sample, which the rule does not know at higher frequencies, in closed form.
+    A finer grid has no more information: its points are combinations of these. Held signals are
+    integrated as held, others by the trapezoidal rule. The line from the first to the last sample,
+    for which that rule is inaccurate at high frequencies, is integrated in closed form.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def transient_spectrum(
     stretches = uniform_stretches(record, names, "none")
     if len(stretches) > 1:
         raise ValueError(
-            f"{record.name or 'the record'} has {len(stretches)} stretches between gaps: cut out one with "
-            "record.between(start, end), and give several manoeuvres as several spectra."
+            f"{record.name or 'the record'} has {len(stretches)} stretches between gaps: cut out one "
+            "with record.between(start, end); several manoeuvres are several spectra."
         )
     stretch = stretches[0]
     assert stretch.origin is not None
@@ -101,16 +101,16 @@ def lines_in_band(band: tuple[float, float], duration: float, step: float) -> Ar
         )
     if high > HIGHEST * 2 * np.pi / step * (1 + 1e-9):  # rounding of the step
         raise ValueError(
-            f"the band ends at {high:g} rad/s and the signals are sampled at {1 / step:g} Hz: end it at "
-            f"{HIGHEST * 2 * np.pi / step:.4g} rad/s at most, {HIGHEST:g} of the sampling rate."
+            f"the band ends at {high:g} rad/s, but the signals are sampled at {1 / step:g} Hz: end it "
+            f"at {HIGHEST * 2 * np.pi / step:.4g} rad/s ({HIGHEST:g} of the sampling rate) at most."
         )
     lines = np.arange(
         max(1, np.ceil(low / spacing * (1 - 1e-9))), np.floor(high / spacing * (1 + 1e-9)) + 1
     )
     if not lines.size:
         raise ValueError(
-            f"the band from {low:g} to {high:g} rad/s holds no multiple of {spacing:.4g} rad/s, the resolution of "
-            f"{duration:.4g} s: widen the band or take a longer part."
+            f"the band from {low:g} to {high:g} rad/s holds no multiple of {spacing:.4g} rad/s, the "
+            f"resolution of {duration:.4g} s: widen the band or use a longer part."
         )
     return lines * spacing
 
@@ -132,9 +132,9 @@ def _held(values: Array, omega: Array, step: float) -> ComplexArray:
 
 
 def _interpolated(values: Array, omega: Array, step: float) -> ComplexArray:
-    # Constants are nothing on this grid. Without the line, the rest is the sum of a periodic signal
-    # without a jump.
+    # Constants vanish on this grid. Without the line, the signal is periodic without a jump, and the
+    # trapezoidal rule is accurate.
     change = values[-1] - values[0]
     line = np.linspace(0.0, change, values.size)
-    rest = values[:-1] - values[0] - line[:-1]
-    return step * _sums(rest, omega, step) + 1j * change / omega
+    periodic = values[:-1] - values[0] - line[:-1]
+    return step * _sums(periodic, omega, step) + 1j * change / omega

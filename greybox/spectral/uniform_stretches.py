@@ -1,4 +1,4 @@
-"""Records cut into stretches of uniform samples without gaps, as transforms of windows need them."""
+"""Records cut into uniformly sampled stretches without gaps, for transforms."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -10,18 +10,17 @@ from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time
 from greybox.files.arrays import Array
 
-# Sampling intervals by which a sample may be off a uniform time base. At 0.4 of the sampling rate,
-# where the automatic frequencies end, the phase of such a sample is wrong by 2π · 0.4 · 0.05 = 0.13
-# rad, which a window averages.
+# Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
+# sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
+# 2π · 0.4 · 0.05 = 0.13 rad, and a window averages it.
 JITTER = 0.05
 
-# In the unit of the signal: detrending leaves rounding errors of this size of a constant up to some
-# thousands.
+# Largest change of a constant signal, in its unit: rounding errors of detrending some thousands.
 CONSTANT = 1e-12
 
 
 class UniformStretch(NamedTuple):
-    """Uniform samples without gaps, (signals, n); the sampling interval, s; of the record: file, stretch and units."""
+    """Values (signals, n) without gaps, the sampling interval in s, and the origin of the samples."""
 
     values: Array
     step: float
@@ -39,9 +38,9 @@ def uniform_stretches(
     ----------
     records : Record or sequence of Record
     signals : sequence of str
-        Rows of the values; a sample is used where all are present.
+        Rows of the values; only samples at which all are present are used.
     detrend : {"linear", "constant", "none"}
-        What is removed from each stretch.
+        Trend that is removed from each stretch.
 
     Raises
     ------
@@ -65,10 +64,14 @@ def uniform_stretches(
                     time = piece.time[rows]
                     _check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
-                    kept = _detrended(values[:, rows], detrend)
-                    stretches.append(
-                        UniformStretch(kept, piece.step, record.source, origin, record.units)
+                    stretch = UniformStretch(
+                        _detrended(values[:, rows], detrend),
+                        piece.step,
+                        record.source,
+                        origin,
+                        record.units,
                     )
+                    stretches.append(stretch)
 
     constant = [
         name
@@ -91,8 +94,8 @@ def _check_uniform(time: Array, record: Record) -> None:
     deviation = np.abs(time - uniform)
     if deviation.max() > JITTER * (uniform[1] - uniform[0]):
         raise ValueError(
-            f"{record.name or 'the record'} is not uniformly sampled ({1e3 * deviation.max():.2g} ms off at "
-            f"{time[deviation.argmax()]:.2f} s): put it on one time base with gb.prepare(..., rate=...)."
+            f"{record.name or 'the record'} is not uniformly sampled ({1e3 * deviation.max():.2g} ms "
+            f"off at {time[deviation.argmax()]:.2f} s): resample it with gb.prepare(..., rate=...)."
         )
 
 

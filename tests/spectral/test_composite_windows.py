@@ -288,7 +288,7 @@ def test_a_band_is_kept_to_as_far_as_the_record_resolves_it():
     got = spectral_response(flown, band=(3.0, 1000.0))
     assert got.omega.min() >= 3.0
     assert got.omega.max() <= 0.4 * HZ * RATE
-    with pytest.raises(ValueError, match="lies outside of what these records resolve"):
+    with pytest.raises(ValueError, match="these records resolve"):
         spectral_response(flown, band=(1e-4, 1e-3))
     with pytest.raises(ValueError, match="give 0 < low < high"):
         spectral_response(flown, band=(3.0, 2.0))

@@ -71,7 +71,7 @@ def test_the_last_whole_periods_after_the_settling_time_are_used():
         )
         < 1e-9
     )
-    with pytest.raises(ValueError, match=r"10 s are too short for 2 s of settling and 6 x 1.57 s"):
+    with pytest.raises(ValueError, match=r"10 s are too short for 2 s of settling and 6 periods"):
         demodulate(t, values, omega, settle=2.0, periods=6)
 
 
@@ -80,7 +80,7 @@ def test_the_last_whole_periods_after_the_settling_time_are_used():
     [
         (
             {"omega": 0.1},
-            "cannot be demodulated at 0.1 rad/s: 10 s are too short for 0 s of settling and 1 x 62.8 s",
+            "cannot be demodulated at 0.1 rad/s: 10 s are too short for 0 s of settling and 1 periods",
         ),
         ({"omega": -1.0}, "the frequency is -1 rad/s: it must be above 0"),
         ({"omega": 1000.0}, "has fewer than four samples"),
@@ -88,7 +88,7 @@ def test_the_last_whole_periods_after_the_settling_time_are_used():
             {"omega": 5.0, "method": "fft"},
             "the method is 'fft': it must be 'least-squares' or 'quadrature'",
         ),
-        ({"omega": 5.0, "periods": 0}, "0 x 1.26 s"),
+        ({"omega": 5.0, "periods": 0}, "0 periods"),
         ({"omega": 5.0, "values": np.zeros(3)}, "time has 4000 samples but values has 3"),
         ({"omega": 5.0, "values": np.full(4000, np.nan)}, "only 0 samples"),
     ],

@@ -61,7 +61,7 @@ def test_a_single_period_leaves_the_mean_without_a_variance():
     ("values", "words"),
     [
         ({"distortion": (0.0, 0.12)}, "the output has harmonics of 12% of its sine"),
-        ({"drift": (-0.4, 0.0)}, "the trim of the control drifts by -0.4 where its amplitude is 1"),
+        ({"drift": (-0.4, 0.0)}, "the trim of the control drifts by -0.4, and its amplitude is 1"),
         ({"saturation": 0.05}, "the control is at its limit for 5% of the time"),
         ({"periods": 1}, "one period only"),
         ({"error": 0.4}, "the standard error is 40% of the response"),
@@ -136,7 +136,7 @@ def test_the_freedom_of_a_mean_is_that_of_satterthwaite():
             "drift",
             (0.599, 0.0),
             (0.601, 0.0),
-            "the trim of the control drifts by 0.6 where its amplitude is 2",
+            "the trim of the control drifts by 0.6, and its amplitude is 2",
         ),
     ],
 )

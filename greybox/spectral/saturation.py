@@ -1,0 +1,40 @@
+"""Which samples of a signal lie at its limits."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.files.arrays import Array
+
+# A signal is at a stated limit within this share of the distance between the limits.
+AT_LIMIT = 1e-3
+
+# Steps, doublets and binary sequences take fewer levels than this: they rest at their extremes by
+# design, and nothing in them tells a limit from an amplitude.
+LEVELS = 12
+
+
+def at_limit(values: Array, limits: tuple[float, float] | None = None) -> NDArray[np.bool_]:
+    """Return which of the values (n,) are at a limit.
+
+    Without stated limits, a limit is a flat top: the signal rests at an extreme value for at least
+    three samples and three times as long as it usually rests elsewhere (a control may be held for
+    several samples throughout). NaN is never at a limit.
+    """
+    low, high = limits or (np.nanmin(values), np.nanmax(values))
+    if limits is not None:
+        margin = AT_LIMIT * (high - low)
+        return (values <= low + margin) | (values >= high - margin)
+
+    reach = high - low
+    starts = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(values)) <= 1e-9 * reach)])
+    lengths = np.diff(np.r_[starts, values.size])
+    levels = values[starts]
+    if np.unique(levels[np.isfinite(levels)]).size < LEVELS:
+        return np.zeros(values.size, dtype=bool)
+
+    # A logged single-precision number holds 24 bits.
+    extreme = (levels <= low + 1e-6 * reach) | (levels >= high - 1e-6 * reach)
+    usual = float(np.median(lengths[~extreme])) if not extreme.all() else math.inf
+    return np.repeat(extreme & (lengths >= max(3, 3 * usual)), lengths)
