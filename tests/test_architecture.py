@@ -21,7 +21,6 @@ HOUSE = [path for path in SOURCES if path.relative_to(ROOT).parts[1] in FOLDERS]
 
 # A stored result names an included model, and the command line is above models and problems.
 PLUG_INS = {"greybox.modeling.model_reference"}
-PLUG_INS |= {"greybox.identification.identify", "greybox.identification.orders"}
 
 
 @cache

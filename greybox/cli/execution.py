@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from greybox.cli.options import UsageError
+from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import (
     BAD_INPUT,
     FAILED,
@@ -41,6 +41,8 @@ def _answer(options: argparse.Namespace, arguments: Sequence[str]) -> Answer:
             streams.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:
             result, text, status = options.command(options)
+            if hasattr(options, "log"):  # measurements name the arguments that choose otherwise
+                text = as_options(text, options)
             return result, "" if options.quiet else text, status
         except SystemExit:
             return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
@@ -50,6 +52,8 @@ def _answer(options: argparse.Namespace, arguments: Sequence[str]) -> Answer:
             if options.debug:
                 traceback.print_exc()
             sentence, status = _explain(error, arguments)
+            if not isinstance(error, UsageError):
+                sentence = as_options(sentence, options)
             return {"error": sentence}, "", status
 
 

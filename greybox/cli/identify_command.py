@@ -2,6 +2,7 @@
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.files.json_numbers import finite
 from greybox.identification.identify import STARTS, Identification, identify
+from greybox.identification.measurement import Settings
 from greybox.modeling.transfer_function import TransferFunction
 
 EXAMPLES = (
@@ -54,7 +56,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="MODEL[+NAME]",
         help="models to fit and compare, the simplest first, as of greybox fit --model, each with the parameters to "
-        "free (default: those of greybox.models.ladder for this output)",
+        "free (default: those that are known for this output)",
     )
     add(
         "--starts",
@@ -96,17 +98,13 @@ def run(options: argparse.Namespace) -> Answer:
         **stated_choices(options),
     )
 
-    commands = tuple(
-        _with_columns(line, options.columns) for line in found.commands(options.log, prefix)
+    lines = commands(found, options.log, prefix, options.columns)
+    answer = _json(found, lines)
+    text = "\n".join(
+        [str(found), "", "The same in single commands:", *(f"  {line}" for line in lines)]
     )
-    answer = _json(found, commands)
-    text = "\n\n".join(
-        [
-            str(found),
-            "\n".join(["The same in single commands:", *(f"  {line}" for line in commands)]),
-        ]
-    )
-    measured, fit = found.measurement.response, found.fit
+    measured = found.measurement.response
+    fit = found.fit
     if measured is None or not found.measurement.quality.usable:
         answer["error"] = " ".join(found.measurement.quality.refusals)
         return answer, text, FAILED
@@ -130,10 +128,40 @@ def _transfer_function(name: str) -> TransferFunction:
     return model
 
 
-def _with_columns(line: str, columns: list[str]) -> str:
-    """Return a command that reads the log with the columns that were stated."""
-    reads = line.split()[1] in ("inspect", "response")
-    return f"{line} --columns {shlex.join(columns)}" if columns and reads else line
+def commands(result: Identification, log: str, prefix: str, columns: Sequence[str]) -> list[str]:
+    """Return the single commands that do the same as `identify`; files are named after `prefix`."""
+    settings = result.measurement.settings
+    finding = _given("announced", settings.announced)
+    if settings.fields:
+        finding += ["--fields", *(f"{key}={name}" for key, name in settings.fields.items())]
+    finding += _given("setpoint", settings.setpoint)
+    reading = ["--columns", *columns] if columns else []
+
+    response = f"{prefix}_response.csv"
+    measuring = ["response", log, "--input", settings.input, "--output", settings.output, *finding]
+    usual = Settings(settings.input, settings.output)
+    for name in ("axis", "tests", "instrument", "rate", "settle", "period", "method", "points"):
+        value = getattr(settings, name)
+        measuring += _given(name, "" if value == getattr(usual, name) else value)
+    if settings.band:
+        measuring += ["--band", *(repr(float(edge)) for edge in settings.band)]
+    measuring += ["--whole"] if settings.whole else []
+    measuring += ["--open-loop"] if settings.open_loop else []
+    lines = [["inspect", log, *finding, *reading], [*measuring, "--out", response, *reading]]
+
+    if result.chosen:
+        step = result.chosen
+        fitting = ["fit", "--model", step.model, "--data", response]
+        fitting += ["--through", *step.through] if step.through else []
+        fitting += ["--free", *step.free] if step.free else []
+        fitting += ["--criterion", step.criterion]
+        fitting += ["--starts", str(result.starts), "--seed", str(result.seed)]
+        lines.append([*fitting, "--out", f"{prefix}_fit.h5", "--plot", f"{prefix}.png"])
+    return [shlex.join(["greybox", *words]) for words in lines]
+
+
+def _given(name: str, value: Any) -> list[str]:
+    return [f"--{name}", str(value)] if value not in ("", None) else []
 
 
 def _figure(found: Identification) -> Any:
@@ -143,7 +171,7 @@ def _figure(found: Identification) -> Any:
     return plot(found.fit)
 
 
-def _json(found: Identification, commands: tuple[str, ...]) -> dict[str, Any]:
+def _json(found: Identification, lines: list[str]) -> dict[str, Any]:
     steps = [
         {
             "model": s.model,
@@ -156,7 +184,9 @@ def _json(found: Identification, commands: tuple[str, ...]) -> dict[str, Any]:
         for s in found.steps
     ]
     return {
-        "chosen": [{"what": c.what, "why": c.why, "option": c.option} for c in found.choices],
+        "chosen": [
+            {"what": c.what, "why": c.why, "option": f"--{c.argument}"} for c in found.choices
+        ],
         "measurement": response_json(found.recording, found.measurement),
         "structures": steps,
         "comparison": found.comparison.table if found.comparison else [],
@@ -166,5 +196,5 @@ def _json(found: Identification, commands: tuple[str, ...]) -> dict[str, Any]:
         else None,
         "fit": summary(found.fit) if found.fit is not None else None,
         "next": list(found.next),
-        "commands": list(commands),
+        "commands": lines,
     }

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -47,6 +48,17 @@ def add_common_options(
         "--quiet", action="store_true", help="print errors alone: no answer as text, no progress"
     )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def as_options(text: str, options: argparse.Namespace) -> str:
+    """Return a text of the library with its arguments as options: ``settle=-1`` becomes ``--settle -1``."""
+    names = "|".join(name for name in vars(options) if name.isidentifier())
+
+    def option(match: re.Match[str]) -> str:
+        flag = f"--{match[1].replace('_', '-')}"
+        return flag if match[2] else f"{flag} "
+
+    return re.sub(rf"\b({names})=(\.\.\.|True\b|(?=\S))", option, text)
 
 
 def positive(text: str) -> int:

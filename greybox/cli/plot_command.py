@@ -57,6 +57,8 @@ def run(options: argparse.Namespace) -> Answer:
         return measurement(measured, recording)
 
     notes = save_figure(figure, draw)
-    answer = {"chosen": [{"what": c.what, "why": c.why, "option": c.option} for c in choices]}
+    answer = {
+        "chosen": [{"what": c.what, "why": c.why, "option": f"--{c.argument}"} for c in choices]
+    }
     answer |= response_json(recording, measured) | {"files": [str(figure)]}
     return answer, "\n".join([*map(str, choices), str(measured.quality), *notes]), USABLE

@@ -198,7 +198,7 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
         options.input,
         options.output,
         options.manoeuvre,
-        signal=options.setpoint,
+        setpoint=options.setpoint,
         band=stated_band(options.band),
         rate=options.rate,
         held=options.held,

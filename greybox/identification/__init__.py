@@ -1,11 +1,18 @@
-"""From a log to a measured response and on to a model, with every choice said.
+"""From a log to a measured response and on to a model, with every choice explained.
 
-Begin with `identify`, the whole chain. `choices` finds the tests, the axis and its signals;
-`measurement` makes a response of them: which samples, which instrument, open or closed loop;
-`manoeuvre` makes a spectrum of a 2-1-1 or the like, `matrix` the responses of multisines on several
-inputs; `loop` tells whether a log was flown in closed loop, and by how much a direct estimate would
-differ; `systematic_errors` are those that the scatter does not show. `orders` chooses those of a
-rational transfer function.
+Begin with `identify`.
+
+| file | contents |
+| --- | --- |
+| `identify` | the whole chain, from a log to a fitted model |
+| `choices` | tests, axis and signals of a log |
+| `ladder` | the structures to fit, by the name of the output |
+| `measurement` | tests to a frequency response, in open or closed loop |
+| `manoeuvre` | one manoeuvre, such as a 2-1-1, to a spectrum |
+| `matrix` | multisines on several inputs to a matrix of responses |
+| `loop` | whether a log was flown in closed loop, and the error of a direct estimate |
+| `systematic_errors` | errors that the scatter does not show |
+| `orders` | the orders of a rational transfer function |
 """
 
 from greybox.identification.identify import Identification as Identification

@@ -20,14 +20,14 @@ AS_FAST = 0.95
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen, and why, and the option that chooses otherwise."""
+    """What was chosen, and why, and the argument that chooses otherwise."""
 
     what: str
     why: str
-    option: str
+    argument: str
 
     def __str__(self) -> str:
-        return f"{self.what}: {self.why} ({self.option})"
+        return f"{self.what}: {self.why} ({self.argument}=...)"
 
 
 def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice, ...]]:
@@ -45,7 +45,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
         announced = next(iter(announcing(recording)), "")
         if announced:
             choices.append(
-                Choice(f"tests of {announced}", "the message announces them", "--announced")
+                Choice(f"tests of {announced}", "the message announces them", "announced")
             )
     stated = {**stated, "announced": announced}
 
@@ -57,8 +57,8 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     if not usable:
         why = "; ".join(dict.fromkeys(text for test in tests for text in test.findings))
         raise ValueError(
-            f"no usable test was found in {recording.source or 'the log'}{f' ({why})' if why else ''}: say where they "
-            "are, --announced MESSAGE or --setpoint SIGNAL, or take the --whole log with its --instrument."
+            f"no usable test was found in {recording.source or 'the log'}{f' ({why})' if why else ''}: give "
+            "announced=MESSAGE or setpoint=SIGNAL, or whole=True with instrument=SIGNAL."
         )
     axes = {
         raw: _body_axis(recording, [t for t in usable if t.axis == raw])
@@ -69,7 +69,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     used = [test for test in usable if test.axis == raw]
     others = [f"{axes[other] or other}" for other in axes if other != raw]
     rest = f"; there are tests of {', '.join(others)} too" if others else ""
-    choices.append(Choice(f"axis {axis or raw}", f"{_why_axis(used[0])}{rest}", "--axis"))
+    choices.append(Choice(f"axis {axis or raw}", f"{_why_axis(used[0])}{rest}", "axis"))
     if others:
         stated["axis"] = raw
 
@@ -77,20 +77,20 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
         control = _first(recording, AXES[axis].controls) if axis else ""
         if not control:
             raise ValueError(
-                f"no control is known for the axis {raw!r}: give the input, --input u=MESSAGE.Field."
+                f"no control is known for the axis {raw!r}: give input=u=MESSAGE.Field."
             )
         stated["input"] = f"u={control}"
-        choices.append(Choice(f"input {stated['input']}", f"the control of {axis}", "--input"))
+        choices.append(Choice(f"input {stated['input']}", f"the control of {axis}", "input"))
     if not stated.get("output"):
         stated["output"], why = _output(recording, axis, used)
-        choices.append(Choice(f"output {stated['output']}", why, "--output"))
+        choices.append(Choice(f"output {stated['output']}", why, "output"))
     return _as_stated(stated), tuple(choices)
 
 
 def _as_stated(stated: dict[str, Any]) -> Settings:
     for name in ("input", "output"):
         if not stated.get(name):
-            raise ValueError(f"no {name} is known for this log: give it, --{name} NAME=SIGNAL.")
+            raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL.")
     return Settings(**stated)
 
 
@@ -122,19 +122,17 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
     said = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
     if said or tests[0].source == "SIDS":
         return said
-    motion = {
-        axis: _motion(recording, _first(recording, own.setpoints), tests)
-        for axis, own in AXES.items()
-    }
-    if not any(motion.values()):
-        motion = {
-            axis: _motion(recording, _first(recording, own.controls), tests)
-            for axis, own in AXES.items()
+    for signals in ("setpoints", "controls"):
+        motions = {
+            axis: motion(recording, _first(recording, getattr(names, signals)), tests)
+            for axis, names in AXES.items()
         }
-    return max(motion, key=motion.__getitem__) if any(motion.values()) else ""
+        if any(motions.values()):
+            return max(motions, key=motions.__getitem__)
+    return ""
 
 
-def _motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
+def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
     """Return the standard deviation of a signal during the tests, the largest of them; 0 where it is not there."""
     if not _has(recording, signal):
         return 0.0
@@ -187,7 +185,7 @@ def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[s
         beside = f", {', '.join(slower)}" if slower else ""
         return f"{name}={best}", f"the {axis} {kind}, at {rates[best]:.4g} Hz{beside}"
     raise ValueError(
-        f"no angle or rate is known for the axis {axis or used[0].axis!r}: give --output NAME=SIGNAL."
+        f"no angle or rate is known for the axis {axis or used[0].axis!r}: give output=NAME=SIGNAL."
     )
 
 

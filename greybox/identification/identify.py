@@ -1,9 +1,10 @@
-"""From a log to a fitted model in one go: the chain of the single verbs, with every choice said."""
+"""From a log to a fitted model in one call, with every choice explained.
 
-import shlex
+Begin with `identify`.
+"""
+
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from importlib import import_module
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +17,11 @@ from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLi
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.identification.choices import Choice, choose
+from greybox.identification.ladder import ladder_for
 from greybox.identification.measurement import Measurement, measure
 from greybox.logs.known_filters import KnownFilter
 from greybox.logs.readers import read
+from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.solve.minima import best_unfinished
 from greybox.validation.compare import compare
@@ -28,7 +31,7 @@ STARTS = 20
 
 
 class FittedStep(NamedTuple):
-    """One structure: the model by its name, what was freed, what it adds, the filters behind it, criterion and fit."""
+    """A fitted structure: model, parameters that were freed, description, filters in series, criterion and fit."""
 
     model: str
     free: tuple[str, ...]
@@ -40,7 +43,7 @@ class FittedStep(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """The chain from a log to a model. Printing it gives every choice, the ladder, and what to do next.
+    """A model from a log; printed, it explains every choice, the comparison of structures, and what to do next.
 
     Attributes
     ----------
@@ -50,14 +53,14 @@ class Identification:
     measurement : Measurement
         The tests, the record, the response and its verdict.
     steps : tuple of FittedStep
-        The ladder, the simplest structure first.
+        The structures, the simplest first.
     comparison : Comparison or None
-        None where fewer than two structures converged.
+        None if fewer than two structures converged.
     chosen : FittedStep or None
-        The smallest structure that the data support, see `gb.compare`; None where none converged.
+        The smallest structure that the data support, see `gb.compare`; None if none converged.
     unfiltered : FittedStep or None
-        The same structure without the filters of the log: their lag is then part of its own lag and
-        delay.
+        The chosen structure without the filters of the log, so that their lag adds to its own lag
+        and delay.
     starts, seed : int
     """
 
@@ -81,11 +84,6 @@ class Identification:
     def next(self) -> tuple[str, ...]:
         """What to do next, in sentences."""
         return tuple(_next_steps(self))
-
-    def commands(self, log: str = "", prefix: str = "") -> tuple[str, ...]:
-        """Return the single commands that do the same; files are named after `prefix`."""
-        log = log or self.recording.source
-        return tuple(shlex.join(words) for words in _commands(self, log, prefix or Path(log).stem))
 
     def __repr__(self) -> str:
         return one_line(
@@ -117,39 +115,38 @@ def identify(
     seed: int = 0,
     **stated: Any,
 ) -> Identification:
-    """Go from a log to a fitted model: find the tests, measure the response, fit a ladder of structures, compare.
+    """Go from a log to a fitted model: find the tests, measure the response, fit structures, and compare them.
 
-    Every step is a verb of its own (`read`, `greybox.identification.measure`, `fit`, `compare`),
-    and everything that is chosen may be stated instead.
+    Every step is a function of its own (`read`, `greybox.identification.measure`, `fit`,
+    `compare`), and every choice can be overridden by an argument.
 
     Parameters
     ----------
     log : str, Path or Recording
     ladder : sequence of (model, free, about), optional
-        Structures from the simplest up, as ``("rate:DampedAngle", (), "rate damping")``; by default
-        those of `greybox.models.ladder` for the output's name.
+        Structures, the simplest first, as ``("rate:DampedAngle", (), "rate damping")``; by default
+        those of `greybox.identification.ladder` for the name of the output.
     declared : mapping of name to TransferFunction, optional
-        Models of the ladder that greybox does not include, by the names that they have there.
+        Models of your own by their names in the ladder.
     through : sequence of str, optional
-        Filters between the output and its log, by the names that the log gives them,
-        ``("gyro-filter",)``; ``()`` is none. By default those that the output is known to have
+        Filters between the output and its log, by their names in the log, such as
+        ``("gyro-filter",)``; ``()`` for none. By default those that the output is known to have
         passed.
     starts, seed : int
-        Of every fit.
+        Starts of every fit.
     **stated
-        Fields of `greybox.identification.Settings`, as ``axis="pitch"`` or
+        Fields of `greybox.identification.Settings`, such as ``axis="pitch"`` or
         ``output="theta=ATT.Pitch"``.
 
     Returns
     -------
     Identification
-        `chosen` is the smallest structure whose BIC is within 2 of the least: a larger one is not
-        worth its parameters.
+        `chosen` is the smallest structure whose BIC is within 2 of the least.
 
     Raises
     ------
     FileNotFoundError, KeyError, ValueError
-        For a log without a usable test, and for what is stated and is not there.
+        If the log has no usable test, or not what an argument names.
     """
     recording = log if isinstance(log, Recording) else read(log)
     settings, choices = choose(recording, **stated)
@@ -159,38 +156,32 @@ def identify(
         return result
 
     filters = _filters(measurement, through)
-    known = declared or {}
-    ladder = ladder or _ladder_of(settings.names[1][0])
-    steps = tuple(_fitted(measurement, step, known, filters, starts, seed) for step in ladder)
+    ladder = ladder or ladder_for(settings.names[1][0])
+    models = declared or {}
+    steps = tuple(_fitted(measurement, step, models, filters, starts, seed) for step in ladder)
     converged = [step for step in steps if step.fit.converged]
-    labels = [str(1 + steps.index(step)) for step in converged]
-    comparison = (
-        compare(*(step.fit for step in converged), labels=labels) if len(converged) > 1 else None
+    comparison = None
+    if len(converged) > 1:
+        labels = [str(1 + steps.index(step)) for step in converged]
+        comparison = compare(*(step.fit for step in converged), labels=labels)
+    chosen, reason = choose_structure(steps, comparison)
+    unfiltered = None
+    if filters and chosen:
+        unfiltered = _fitted(measurement, chosen[:3], models, {}, starts, seed)
+    return replace(
+        result,
+        steps=steps,
+        comparison=comparison,
+        chosen=chosen,
+        unfiltered=unfiltered,
+        reason=" ".join([reason, *close_failures(steps, chosen)]),
     )
-    chosen, reason = _chosen(steps, comparison)
-    reason = " ".join([reason, *_closer(steps, chosen)])
-    unfiltered = (
-        _fitted(measurement, chosen[:3], known, {}, starts, seed) if filters and chosen else None
-    )
-    return Identification(
-        recording, choices, measurement, steps, comparison, chosen, unfiltered, starts, seed, reason
-    )
-
-
-def _ladder_of(output: str) -> Sequence[Any]:
-    """Return the included structures for an output; they are models, which this folder knows nothing of."""
-    ladders = import_module("greybox.models.ladder").LADDERS
-    if output not in ladders:
-        raise ValueError(
-            f"no structures are known for the output {output!r}: name it as one of {', '.join(ladders)}, e.g. --output "
-            f"{next(iter(ladders))}=SIGNAL."
-        )
-    return ladders[output]
 
 
 def filter_model(known: KnownFilter) -> TransferFunction:
     """Return the included model of a filter of a flight controller."""
-    return getattr(import_module("greybox.models.filters"), type(known).__name__)(*known.values)
+    model: Any = included_model("greybox.models.filters", type(known).__name__)
+    return model(*known.values)
 
 
 def _filters(
@@ -198,18 +189,15 @@ def _filters(
 ) -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters of these names, or those that the output has passed before its log."""
     assert measurement.response is not None
-    passed = measurement.record.filters.get(measurement.response.output, ())
     if names is None:
-        known = {name: f for name, f in measurement.filters.items() if set(f) <= set(passed)}
-        return {
-            name: known[name]
-            for name in sorted(known, key=lambda name: passed.index(known[name][0]))
-        }
+        passed = measurement.record.filters.get(measurement.response.output, ())
+        filters = {n: f for n, f in measurement.filters.items() if set(f) <= set(passed)}
+        return dict(sorted(filters.items(), key=lambda item: passed.index(item[1][0])))
     for name in names:
         if name not in measurement.filters:
-            there = ", ".join(measurement.filters) or "none"
+            available = ", ".join(measurement.filters) or "none"
             raise ValueError(
-                f"--through {name}: the log tells of no such filter; it tells of {there}."
+                f"through={name} is no filter that the log states; it states {available}."
             )
     return {name: measurement.filters[name] for name in names}
 
@@ -223,7 +211,9 @@ def _fitted(
     seed: int,
 ) -> FittedStep:
     reference, free, about = step
-    model = declared.get(reference) or _included(reference)
+    file, _, name = reference.partition(":")
+    included: Any = included_model(f"greybox.models.{file}", name)
+    model = declared.get(reference) or included()
     assert measurement.response is not None
     for known in chain.from_iterable(filters.values()):
         model = model.through(filter_model(known))
@@ -235,12 +225,7 @@ def _fitted(
     return FittedStep(reference, tuple(free), about, tuple(filters), criterion.name, result)
 
 
-def _included(reference: str) -> TransferFunction:
-    file, _, name = reference.partition(":")
-    return getattr(import_module(f"greybox.models.{file}"), name)()
-
-
-def _chosen(
+def choose_structure(
     steps: Sequence[FittedStep], comparison: Comparison | None
 ) -> tuple[FittedStep | None, str]:
     """Return the smallest structure of the ladder that the data support, by the verdict of all comparisons, and why."""
@@ -258,21 +243,21 @@ def _chosen(
     ], f"Structure {comparison.verdict}"
 
 
-def _closer(steps: Sequence[FittedStep], chosen: FittedStep | None) -> list[str]:
-    """Name the structures that did not converge, although a run of theirs came as close as the chosen one, by AIC."""
+def close_failures(steps: Sequence[FittedStep], chosen: FittedStep | None) -> list[str]:
+    """Name the structures that did not converge, although a run came as close as the chosen one, by AIC."""
     if chosen is None:
         return []
-    runs = [
+    failed = [
         (k, step, best_unfinished(step.fit.runs))
         for k, step in enumerate(steps, 1)
         if not step.fit.converged
     ]
+    limit = chosen.fit.cost + len(chosen.fit.free)
     return [
-        f"Structure {k} did not converge, but came to a cost of {number(run.cost, 4)} where the chosen one has "
-        f"{number(chosen.fit.cost, 4)}: fit {step.model} by itself, with --search multistart or more --starts."
-        for k, step, run in runs
-        if run is not None
-        and run.cost + len(step.fit.free) < chosen.fit.cost + len(chosen.fit.free)
+        f"Structure {k} did not converge, but reached a cost of {number(run.cost, 4)} where the chosen one has "
+        f"{number(chosen.fit.cost, 4)}: fit {step.model} by itself from more starts."
+        for k, step, run in failed
+        if run is not None and run.cost + len(step.fit.free) < limit
     ]
 
 
@@ -323,75 +308,25 @@ def _with_error(fit: Fit, name: str) -> str:
 
 
 def _next_steps(result: Identification) -> list[str]:
+    if not result.steps:
+        return ["Fly the test again, with what the verdict above asks for."]
     if result.fit is None or result.chosen is None:
-        return (
-            ["Fly the test again, with what the verdict above asks for."]
-            if not result.steps
-            else [
-                "No structure converged: look at the response, and fit a model of your own, greybox new model NAME."
-            ]
-        )
-    said = []
+        return ["No structure converged: look at the response, and fit a model of your own."]
+
+    sentences = []
     if result.chosen is result.steps[-1]:
-        said.append(
-            "The largest structure was needed: look for what it still misses in the figure, and add it."
+        sentences.append(
+            "The largest structure was needed: look in the figure for what it still misses, and add it."
         )
-    estimate, error = result.fit.estimate, result.fit.standard_error
+    estimate = result.fit.estimate
+    error = result.fit.standard_error
     weak = [name for name in result.fit.free if not abs(estimate[name]) > 2 * error[name]]
     if weak:
-        are = "is" if len(weak) == 1 else "are"
-        said.append(
-            f"{', '.join(weak)} {are} not distinguishable from zero: try --fix {weak[0]}=0, or excite higher."
+        sentences.append(
+            f"{', '.join(weak)} {'is' if len(weak) == 1 else 'are'} not distinguishable from zero: fix {weak[0]} at 0, "
+            "or excite at higher frequencies."
         )
-    said.append(
-        "Hold the model against a flight that it has not seen: greybox identify OTHER_LOG, and compare the estimates."
+    sentences.append(
+        "Validate the model with a flight that it has not seen: identify another log, and compare the estimates."
     )
-    return said
-
-
-def _commands(result: Identification, log: str, prefix: str) -> list[list[str]]:
-    settings = result.measurement.settings
-    finding = ["--announced", settings.announced] if settings.announced else []
-    finding += (
-        ["--fields", *(f"{key}={name}" for key, name in settings.fields.items())]
-        if settings.fields
-        else []
-    )
-    finding += ["--setpoint", settings.setpoint] if settings.setpoint else []
-    response = f"{prefix}_response.csv"
-    measured = [
-        "greybox",
-        "response",
-        log,
-        "--input",
-        settings.input,
-        "--output",
-        settings.output,
-        *finding,
-    ]
-    for flag, value, usual in (
-        ("--axis", settings.axis, ""),
-        ("--tests", settings.tests, ""),
-        ("--instrument", settings.instrument, ""),
-        ("--rate", settings.rate, None),
-        ("--settle", settings.settle, 2.0),
-        ("--period", settings.period, None),
-        ("--method", settings.method, "least-squares"),
-        ("--points", settings.points, 40),
-    ):
-        measured += [flag, str(value)] if value != usual else []
-    measured += ["--band", *(repr(float(edge)) for edge in settings.band)] if settings.band else []
-    measured += [
-        flag
-        for flag, on in (("--whole", settings.whole), ("--open-loop", settings.open_loop))
-        if on
-    ]
-    found = [["greybox", "inspect", log, *finding], [*measured, "--out", response]]
-    for step in (result.chosen,) if result.chosen else ():
-        words = ["greybox", "fit", "--model", step.model, "--data", response]
-        words += ["--through", *step.through] if step.through else []
-        words += ["--free", *step.free] if step.free else []
-        words += ["--criterion", step.criterion]
-        words += ["--starts", str(result.starts), "--seed", str(result.seed)]
-        found.append([*words, "--out", f"{prefix}_fit.h5", "--plot", f"{prefix}.png"])
-    return found
+    return sentences

@@ -68,7 +68,7 @@ def measure_manoeuvre(
     outputs: Sequence[str],
     wanted: str,
     *,
-    signal: str = "",
+    setpoint: str = "",
     band: tuple[float, float] | None = None,
     rate: float | None = None,
     held: Sequence[str] = (),
@@ -82,8 +82,8 @@ def measure_manoeuvre(
         ``"MESSAGE.Field"``, or with names of one's own ``"u=RATE.POut"``.
     wanted : str
         Its number as `greybox inspect` has it, or its kind where there is only one such.
-    signal : str
-        In which to look for manoeuvres; by default see `find_manoeuvres`, or else the inputs.
+    setpoint : str
+        Signal in which to look for manoeuvres; by default see `find_manoeuvres`, or else the inputs.
     band : (low, high), rad/s, optional
         By default from the first line to where the input fades.
     rate : float, Hz, optional
@@ -100,11 +100,11 @@ def measure_manoeuvre(
     signals = named_signals((*inputs, *outputs))
     names, measured = tuple(signals), tuple(signals.values())
     controls = measured[: len(inputs)]
-    found = find_manoeuvres(recording, signal) or find_manoeuvres(recording, controls)
+    found = find_manoeuvres(recording, setpoint) or find_manoeuvres(recording, controls)
     if not found:
         raise ValueError(
-            f"no manoeuvre was found in {signal or ', '.join(controls)}: name the signal that shows it, "
-            "--setpoint SIGNAL."
+            f"no manoeuvre was found in {setpoint or ', '.join(controls)}: give "
+            "setpoint=SIGNAL, which shows it."
         )
     chosen = chosen_manoeuvre(found, wanted)
     later = [s.start for s in found if s.axis == chosen.axis and s.start > chosen.end]
@@ -121,12 +121,12 @@ def measure_manoeuvre(
     ]
     if band is None:
         said.append(
-            f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; --band chooses another."
+            f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; band=... chooses another."
         )
     unknown = [name for name in names[: len(inputs)] if name not in record.hold]
     if unknown:
         said.append(
-            f"{', '.join(unknown)} is taken as linear between samples, as nothing is known: --held {unknown[0]} if it "
+            f"{', '.join(unknown)} is taken as linear between samples, as its hold is unknown: give held={unknown[0]} if it "
             f"keeps its values, which makes delays {500 * record.step:.3g} ms shorter."
         )
     controller = controller_in(recording, controls, measured[len(inputs) :])

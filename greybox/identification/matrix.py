@@ -113,7 +113,7 @@ def measure_matrix(
     )
     by = f"the excitations {', '.join(excitations)} tell" if e else "the inputs themselves tell"
     said.append(
-        f"{loop}: averages over whole periods; {by} which lines are whose, --instrument names others."
+        f"{loop}: averages over whole periods; {by} which lines are whose, instrument=... names others."
     )
     return MatrixMeasurement(record, responses, tuple(said))
 
@@ -125,7 +125,7 @@ def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
     moves = np.flatnonzero((np.abs(steps) > limit).any(axis=0))
     if not moves.size:
         raise ValueError(
-            "no excitation moves in the log: name the injected signals, one --instrument for each input."
+            "no excitation moves in the log: name the injected signals, one for each input."
         )
     return float(record.time[moves[0]]), float(record.time[moves[-1] + 1])
 

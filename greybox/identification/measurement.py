@@ -90,25 +90,25 @@ class Settings:
         """Refuse what makes no sense in any log."""
         for name, value in (("settle", self.settle), ("period", self.period)):
             if value is not None and not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"--{name} {value} must be a number of seconds of at least 0.")
+                raise ValueError(f"{name}={value} must be a number of seconds of at least 0.")
         if self.method not in METHODS:
             raise ValueError(
-                f"--method {self.method!r} is not known: use {alternatives(self.method, METHODS)}"
+                f"method={self.method!r} is not known: use {alternatives(self.method, METHODS)}"
             )
         if not 2 <= self.points <= 10_000:
-            raise ValueError(f"--points {self.points} must lie between 2 and 10000.")
+            raise ValueError(f"points={self.points} must lie between 2 and 10000.")
         if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
             raise ValueError(
-                f"--band {self.band[0]:g} {self.band[1]:g} must be two frequencies above 0, the lower first."
+                f"band={self.band[0]:g} {self.band[1]:g} must be two frequencies above 0, the lower first."
             )
         if self.instrument and self.open_loop:
             raise ValueError(
-                "--open-loop asks for the direct estimate, --instrument for the joint one: give one of them."
+                "open_loop=True asks for the direct estimate, instrument=... for the joint one: give one of them."
             )
         (u, control), (y, output) = self.names
         if u == y or control == output:
             raise ValueError(
-                f"--input {self.input} and --output {self.output} are the same signal or have the same name."
+                f"input={self.input} and output={self.output} are the same signal or have the same name."
             )
         for name in (u, y):
             if name in RESERVED:
@@ -203,7 +203,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     used = sines or usable
     if not used and not tests and not (settings.whole or settings.period or settings.instrument):
         raise ValueError(
-            "no test was found: give --setpoint, --announced or --instrument, or use the --whole log."
+            "no test was found: give setpoint=..., announced=... or instrument=..., or whole=True for the whole log."
         )
     _require_one_axis(used)
     if sines and settings.band is not None:
@@ -222,7 +222,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         raise ValueError(
             f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) and no excitation is "
             "known, where a direct estimate tends to minus the inverse of the controller, whatever its coherence: "
-            "give the injected signal, --instrument SIGNAL, or --open-loop if you know that the loop was open."
+            "give the injected signal, instrument=SIGNAL, or open_loop=True if you know that the loop was open."
         )
     signals = {u: control, y: output}
     signals |= {INSTRUMENT: instrument} if instrument else {}
@@ -310,14 +310,14 @@ def _numbers(text: str, count: int) -> list[int]:
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if not match:
             raise ValueError(
-                f"--tests {text!r} is not understood: write numbers and ranges, e.g. 1,3-5."
+                f"tests={text!r} is not understood: write numbers and ranges, e.g. 1,3-5."
             )
         first, last = int(match[1]), int(match[2] or match[1])
         outside = [k for k in (first, last) if not 1 <= k <= count]
         if outside:
             raise ValueError(f"there is no test {outside[0]}; the log has {count}.")
         if first > last:
-            raise ValueError(f"--tests {part.strip()!r} runs backwards: write {last}-{first}.")
+            raise ValueError(f"tests={part.strip()!r} runs backwards: write {last}-{first}.")
         result += range(first, last + 1)
     return result
 
@@ -326,7 +326,7 @@ def _require_one_axis(used: Sequence[Segment]) -> None:
     axes = list(dict.fromkeys(segment.axis for segment in used))
     if len(axes) > 1:
         raise ValueError(
-            f"the tests are of several axes ({', '.join(axes)}): choose one, --axis {axes[0]!r}."
+            f"the tests are of several axes ({', '.join(axes)}): choose one, such as axis={axes[0]!r}."
         )
 
 
@@ -526,7 +526,7 @@ def _choices(
         )
     else:
         said.append(
-            f"{loop}: direct estimate; with the injected signal, --instrument, it is the joint one."
+            f"{loop}: direct estimate; with instrument=..., the injected signal, it is the joint one."
         )
     if response is not None and "dropped" in response.about:
         said.append(f"dropped: {response.about['dropped']}.")
@@ -542,6 +542,6 @@ def _choices(
     ]
     if others:
         said.append(
-            f"{others[0]} looks like a message that announces tests too: use it with --announced {others[0]}."
+            f"{others[0]} looks like a message that announces tests too: use it with announced={others[0]}."
         )
     return tuple(said)

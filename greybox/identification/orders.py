@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
+from greybox.modeling.model_reference import included_model
 from greybox.regression.levy import levy
 from greybox.regression.poles_and_zeros import NearPair, near_pairs
 from greybox.validation.parsimony import parsimony, smallest_supported
@@ -196,9 +196,7 @@ def _fitted(
     data: FrequencyResponse, n: int, m: int, integrators: int, delay: float, starts: int, seed: int
 ) -> OrderCandidate:
     radius = REACH * float(data.omega.max())
-    polynomial: Any = import_module(
-        "greybox.models.polynomial"
-    ).Polynomial  # a model, which this folder knows none of
+    polynomial: Any = included_model("greybox.models.polynomial", "Polynomial")
     model = polynomial(n, m, integrators, radius, radius / REACH, data.output or "y", delay)
     # The model's bounds are those of poles and zeros, for a gain of one.
     gain = float(np.max(np.abs(data.response)))

@@ -53,7 +53,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
     module_name, _, class_name = stored["class"].partition(":")
     missing = f"the model {printable(class_name)} of the module {module_name!r} is needed and was not found"
     cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=Mine()"
-    known = _given(stored["class"], given) or _included(module_name, class_name)
+    known = _given(stored["class"], given) or included_model(module_name, class_name)
     if known is None:
         raise UnknownModelError(
             f"{missing} among those that greybox includes or that were given", cure
@@ -82,7 +82,7 @@ def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Mode
     return given[alike[0]] if alike else None
 
 
-def _included(module_name: str, class_name: str) -> type[Model] | None:
+def included_model(module_name: str, class_name: str) -> type[Model] | None:
     """Return an included model, what is made of models, or a system whose numbers are its arguments."""
     kinds = (
         SeriesConnection,

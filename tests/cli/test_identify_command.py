@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from dataclasses import replace
 from importlib.resources import files
 
 import pytest
@@ -9,6 +10,8 @@ from command_line import run
 from synthetic_logs import px4_flight
 
 import greybox as gb
+from greybox.cli.identify_command import commands
+from greybox.problems import sitl_pitch
 
 OWN = """
 import greybox as gb
@@ -102,3 +105,62 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
     for name, truth in (("K_phi", 60.0), ("a", 2.0), ("T_rotor", 0.05)):
         for found in (answer["fit"], alone):
             assert abs(found["estimate"][name] - truth) < 3 * found["standard_error"][name]
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return gb.identify(sitl_pitch.LOG)
+
+
+def test_the_single_commands_say_what_was_chosen_and_stated(flown):
+    found, measured, fitted = commands(flown, "sitl_pitch.BIN", "sitl_pitch", [])
+    assert found == "greybox inspect sitl_pitch.BIN --announced SINE"
+    assert measured == (
+        "greybox response sitl_pitch.BIN --input u=RATE.POut --output theta=ATT.Pitch --announced SINE --out "
+        "sitl_pitch_response.csv"
+    )
+    assert fitted == (
+        "greybox fit --model rate:DampedAngle --data sitl_pitch_response.csv --criterion maximum-likelihood --starts "
+        "20 --seed 0 --out sitl_pitch_fit.h5 --plot sitl_pitch.png"
+    )
+    stated = replace(
+        flown.measurement.settings, announced="", fields={"omega": "W"}, setpoint="ATT.DesPitch", axis="pitch",
+        tests="1-3", instrument="SIDD.Targ", rate=50.0, settle=1.0, period=20.0, method="quadrature", points=30,
+        band=(1.0, 8.5), whole=True,
+    )  # fmt: skip
+    other = replace(
+        flown,
+        measurement=replace(flown.measurement, settings=stated),
+        chosen=flown.steps[3]._replace(through=("gyro-filter", "gyro-notch")),
+        starts=3,
+        seed=7,
+    )
+    finding = ["--fields", "omega=W", "--setpoint", "ATT.DesPitch"]
+    found, measured, fitted = map(shlex.split, commands(other, "my flight.BIN", "mine", []))
+    assert found == ["greybox", "inspect", "my flight.BIN", *finding]
+    assert measured == [
+        *(
+            "greybox",
+            "response",
+            "my flight.BIN",
+            "--input",
+            "u=RATE.POut",
+            "--output",
+            "theta=ATT.Pitch",
+            *finding,
+        ),
+        *"--axis pitch --tests 1-3 --instrument SIDD.Targ --rate 50.0 --settle 1.0 --period 20.0".split(),
+        *"--method quadrature --points 30 --band 1.0 8.5 --whole --out mine_response.csv".split(),
+    ]
+    assert fitted == [
+        *"greybox fit --model tilt:Tilt --data mine_response.csv --through gyro-filter gyro-notch".split(),
+        *"--free T_rotor T_delay --criterion maximum-likelihood --starts 3 --seed 7 --out mine_fit.h5".split(),
+        *("--plot", "mine.png"),
+    ]
+    assert [
+        words.split()[1]
+        for words in commands(replace(other, chosen=None), "log.BIN", "mine", ["time=t"])
+    ] == [
+        "inspect",
+        "response",
+    ]

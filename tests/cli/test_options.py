@@ -6,6 +6,7 @@ import pytest
 
 from greybox.cli.options import (
     UsageError,
+    as_options,
     assignments,
     intervals,
     nonnegative,
@@ -66,3 +67,19 @@ def test_intervals_and_uncertain_values():
             UsageError, match=r"--prior .* is not understood: write NAME=VALUE\+-SIGMA"
         ):
             uncertain_values([word], "--prior")
+
+
+@pytest.mark.parametrize(
+    ("text", "option"),
+    [
+        ("settle=-1 must be", "--settle -1 must be"),
+        ("give open_loop=True.", "give --open-loop."),
+        ("band=... chooses another", "--band chooses another"),
+        ("give input=u=MESSAGE.Field.", "give --input u=MESSAGE.Field."),
+        ("K=2 and settled=3", "K=2 and settled=3"),
+        ("settle = 2 s", "settle = 2 s"),
+    ],
+)
+def test_arguments_become_options(text, option):
+    options = argparse.Namespace(settle=2.0, open_loop=False, band=[], input="")
+    assert as_options(text, options) == option

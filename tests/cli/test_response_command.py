@@ -101,7 +101,7 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
     command = ["response", tmp_path / "sweep.csv", "--input", "u", "--output", "y", "--json"]
     status, out, _ = run(capsys, *command)
     assert status == 2
-    assert "or use the --whole log" in json.loads(out)["error"]
+    assert "--whole for the whole log" in json.loads(out)["error"]
     status, out, _ = run(capsys, *command, "--whole")
     answer = json.loads(out)
     omega = np.array(answer["omega"])

@@ -40,7 +40,7 @@ def test_a_manoeuvre_is_cut_with_what_comes_before_and_after():
     assert (found.spectrum.name, found.spectrum.source) == (name, "made.csv")
     assert found.choices == (
         f"from {found.record.time[0]:.2f} to {found.record.time[-1]:.2f} s, the answer after the input included.",
-        f"band up to {omega[-1]:.4g} rad/s, where the input fades; --band chooses another.",
+        f"band up to {omega[-1]:.4g} rad/s, where the input fades; band=... chooses another.",
     )
     said = f"{name}: u -> q, {len(omega)} lines from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
     assert str(found).endswith("\n".join(["", said, *found.choices]))
@@ -57,7 +57,7 @@ def test_a_stated_band_and_a_control_of_which_nothing_is_known():
     assert 1.0 <= found.spectrum.omega[0] < 3.0
     assert 5.0 < found.spectrum.omega[-1] <= 7.0
     assert found.choices[1:] == (
-        "u is taken as linear between samples, as nothing is known: --held u if it keeps its values, which makes "
+        "u is taken as linear between samples, as its hold is unknown: give held=u if it keeps its values, which makes "
         "delays 10 ms shorter.",
     )
     held = measure_manoeuvre(flown(), ["FLY.u"], ["FLY.q"], "2", band=(1.0, 7.0), held=["u"])
@@ -75,7 +75,7 @@ def test_the_answer_ends_where_the_next_manoeuvre_begins():
 def test_a_manoeuvre_in_a_loop_is_told_and_one_that_is_not_there():
     r = pulses(5.0, 2.0, 1.0, 1.0)
     looped = flown({"u": 0.0}, r=r)
-    found = measure_manoeuvre(looped, ["FLY.u"], ["FLY.q"], "1", signal="FLY.r")
+    found = measure_manoeuvre(looped, ["FLY.u"], ["FLY.q"], "1", setpoint="FLY.r")
     assert found.manoeuvre.axis == "FLY.r"
     assert found.choices[-1] == (
         "closed loop (r is in the log): noise of the outputs returns to the inputs, which are taken as known; where it "
@@ -84,16 +84,16 @@ def test_a_manoeuvre_in_a_loop_is_told_and_one_that_is_not_there():
     still = Recording({"FLY": flown()["FLY"].with_signals(u=0 * TIME)}, "made.csv")
     with pytest.raises(
         ValueError,
-        match=r"no manoeuvre was found in FLY\.u: name the signal that shows it, --setpoint",
+        match=r"no manoeuvre was found in FLY\.u: give setpoint=SIGNAL",
     ):
         measure_manoeuvre(still, ["FLY.u"], ["FLY.q"], "1")
-    with pytest.raises(ValueError, match=r"no manoeuvre was found in FLY\.q: name"):
+    with pytest.raises(ValueError, match=r"no manoeuvre was found in FLY\.q: give"):
         measure_manoeuvre(
             Recording({"FLY": still["FLY"].with_signals(q=0 * TIME)}),
             ["FLY.u"],
             [],
             "1",
-            signal="FLY.q",
+            setpoint="FLY.q",
         )
 
 

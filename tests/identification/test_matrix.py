@@ -70,7 +70,7 @@ def test_what_was_used_is_said_and_tabulated(found):
     )
     assert loop == (
         "open loop (no controller is seen in the log): averages over whole periods; the excitations FLY.e_a, FLY.e_b "
-        "tell which lines are whose, --instrument names others."
+        "tell which lines are whose, instrument=... names others."
     )
     lines = str(found).splitlines()
     assert lines[0].split() == [
@@ -113,7 +113,7 @@ def test_excitations_that_rest_are_told():
     still = flown()["FLY"].with_signals(e_a=np.ones(900), e_b=np.zeros(900))
     with pytest.raises(
         ValueError,
-        match="no excitation moves in the log: name the injected signals, one --instrument",
+        match="no excitation moves in the log: name the injected signals, one for each input",
     ):
         measure_matrix(
             Recording({"FLY": still}), *SIGNALS, PERIOD, excitations=["FLY.e_a", "FLY.e_b"]

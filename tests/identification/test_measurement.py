@@ -56,7 +56,7 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
         "estimate": "spectral, direct",
         "band": "2 to 12 rad/s",
     }
-    direct = "direct estimate; with the injected signal, --instrument, it is the joint one."
+    direct = "direct estimate; with instrument=..., the injected signal, it is the joint one."
     assert found.choices == (f"open loop (no controller is seen in the log): {direct}",)
     assert (found.tests, found.used, found.controller, found.difference) == ((), (), "", None)
     assert found.detail == str(replace(response, about={}))
@@ -158,7 +158,9 @@ def test_system_identification_mode_says_what_was_injected():
 
 def test_tests_of_several_axes_are_refused_until_one_is_chosen():
     made = flight(SWEEP, ATT=Record(TIME, {"DesRoll": SWEEP, "DesPitch": np.roll(SWEEP, 20)}))
-    axes = r"several axes \(ATT\.DesRoll, ATT\.DesPitch\): choose one, --axis 'ATT\.DesRoll'\."
+    axes = (
+        r"several axes \(ATT\.DesRoll, ATT\.DesPitch\): choose one, such as axis='ATT\.DesRoll'\."
+    )
     with pytest.raises(ValueError, match=axes):
         measure(made, Settings(**PAIR))
     found = measure(made, Settings(**PAIR, axis="ATT.DesPitch", band=(5.0, 10.0)))
@@ -171,7 +173,7 @@ def test_tests_of_several_axes_are_refused_until_one_is_chosen():
     [
         (
             {},
-            "no test was found: give --setpoint, --announced or --instrument, or use the --whole log.",
+            "no test was found: give setpoint=..., announced=... or instrument=..., or whole=True for the whole log.",
         ),
         ({"setpoint": "IN.w", "tests": "2"}, "there is no test 2; the log has 1."),
         ({"setpoint": "IN.w", "tests": "0"}, "there is no test 0; the log has 1."),
@@ -191,34 +193,34 @@ def test_what_is_not_there_is_told(swept, wanted, said):
     ("stated", "said"),
     [
         ({"settle": 0.0, "period": 0.0, "points": 2}, ""),
-        ({"settle": -1e-9}, "--settle -1e-09 must be a number of seconds of at least 0."),
-        ({"period": float("inf")}, "--period inf must be a number of seconds of at least 0."),
+        ({"settle": -1e-9}, "settle=-1e-09 must be a number of seconds of at least 0."),
+        ({"period": float("inf")}, "period=inf must be a number of seconds of at least 0."),
         ({"points": 10_000, "band": (1e-9, 2e-9)}, ""),
-        ({"points": 10_001}, "--points 10001 must lie between 2 and 10000."),
-        ({"points": 1}, "--points 1 must lie between 2 and 10000."),
-        ({"band": (0.0, 1.0)}, "--band 0 1 must be two frequencies above 0, the lower first."),
-        ({"band": (1.0, 1.0)}, "--band 1 1 must be two frequencies above 0, the lower first."),
+        ({"points": 10_001}, "points=10001 must lie between 2 and 10000."),
+        ({"points": 1}, "points=1 must lie between 2 and 10000."),
+        ({"band": (0.0, 1.0)}, "band=0 1 must be two frequencies above 0, the lower first."),
+        ({"band": (1.0, 1.0)}, "band=1 1 must be two frequencies above 0, the lower first."),
         (
             {"band": (1.0, float("inf"))},
-            "--band 1 inf must be two frequencies above 0, the lower first.",
+            "band=1 inf must be two frequencies above 0, the lower first.",
         ),
         ({"method": "quadrature", "open_loop": True}, ""),
-        ({"method": "quadratic"}, "--method 'quadratic' is not known: use"),
+        ({"method": "quadratic"}, "method='quadratic' is not known: use"),
         (
             {"open_loop": True, "instrument": "IN.w"},
-            "--open-loop asks for the direct estimate, --instrument for",
+            "open_loop=True asks for the direct estimate, instrument=... for",
         ),
         (
             {"output": "y=IN.u"},
-            "--input u=IN.u and --output y=IN.u are the same signal or have the same name.",
+            "input=u=IN.u and output=y=IN.u are the same signal or have the same name.",
         ),
         (
             {"output": "IN.u"},
-            "--input u=IN.u and --output IN.u are the same signal or have the same name.",
+            "input=u=IN.u and output=IN.u are the same signal or have the same name.",
         ),
         (
             {"output": "u=OUT.y"},
-            "--input u=IN.u and --output u=OUT.y are the same signal or have the same name.",
+            "input=u=IN.u and output=u=OUT.y are the same signal or have the same name.",
         ),
         (
             {"output": "setpoint=OUT.y"},
@@ -270,7 +272,7 @@ def test_sines_are_measured_one_by_one():
     other = measure(made, Settings(**PAIR, instrument="IN.w", whole=True))
     assert (
         other.choices[-1]
-        == "SINE looks like a message that announces tests too: use it with --announced SINE."
+        == "SINE looks like a message that announces tests too: use it with announced=SINE."
     )
 
 

@@ -1,10 +1,11 @@
-"""Ladders of structures to try on a measured response, from the simplest up: what `identify` fits and compares."""
+"""Ladders: the structures that `identify` fits to a measured response and compares, by the name of the output."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 
 class Step(NamedTuple):
-    """One structure of a ladder: the model as ``greybox fit --model`` names it, what is freed, and what it adds."""
+    """One structure: the file and class of an included model, the parameters to free, and what it describes."""
 
     model: str
     free: tuple[str, ...]
@@ -44,10 +45,25 @@ YAW_RATE = (
     Step("yaw:YawRate", ("T_delay",), "one additional state, (4.34)"),
 )
 
-# By the name of the output.
 LADDERS = {
     **dict.fromkeys(("phi", "theta"), TILT),
     **dict.fromkeys(("p", "q"), TILT_RATE),
     "psi": YAW,
     "r": YAW_RATE,
 }
+
+
+def ladder_for(output: str) -> Sequence[Step]:
+    """Return the included structures for an output, the simplest first.
+
+    Raises
+    ------
+    ValueError
+        If there are none for this name.
+    """
+    if output not in LADDERS:
+        raise ValueError(
+            f"no structures are known for the output {output!r}: name it as one of {', '.join(LADDERS)}, such as "
+            f"output={next(iter(LADDERS))}=SIGNAL."
+        )
+    return LADDERS[output]
