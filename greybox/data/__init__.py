@@ -1,14 +1,22 @@
-"""What was measured: frozen values in numpy, and the files that hold them.
+"""Measured data as frozen numpy values, and the files that store them.
 
-Begin with `record` (named signals on one time base) and `frequency_response` (one input-output pair
-over frequency, which `magnitude_phase` makes of decibels and degrees); `transient_spectrum` has the
-transforms of one manoeuvre; `test_segment` is one test within a record, and the table of several;
-`units` converts those of logs to SI; `intersample` is how a signal runs between its samples,
-`numerical_range` how large a number may be.
+Begin with `record` and `frequency_response`.
 
-Files: `record_file` (HDF5), `response_file` and `transient_file` (CSV, HDF5) write and read them;
-`response_columns` says which columns of a foreign table are a response; `pandas_frames` converts to
-data frames.
+| file | contents |
+| --- | --- |
+| `record` | named signals on one time base, and all records of a log |
+| `frequency_response` | the frequency response of one input-output pair |
+| `transient_spectrum` | Fourier integrals of the signals of one manoeuvre |
+| `test_segment` | one test within a record, and the table of several |
+| `intersample` | signals between their samples: held or continuous |
+| `units` | conversion of units to SI |
+| `magnitude_phase` | complex responses from decibels and degrees |
+| `checked_array` | read-only arrays of numbers within the range of arithmetic |
+| `record_file` | records in HDF5 |
+| `response_file` | frequency responses in CSV and HDF5 |
+| `transient_file` | spectra of manoeuvres in CSV and HDF5 |
+| `response_columns` | the columns of a table that are a frequency response |
+| `pandas_frames` | pandas data frames from and to records and responses |
 """
 
 from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse

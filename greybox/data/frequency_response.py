@@ -10,15 +10,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.checked_array import checked_array, out_of_range
 from greybox.data.magnitude_phase import angular_frequency, complex_response
-from greybox.data.numerical_range import out_of_range
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, one_line, printable
 
-ROUNDING = 1e-9  # relative, of sums of squares that were written out in decimals
+COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
 
 @dataclass(frozen=True)
@@ -100,21 +100,13 @@ class FrequencyResponse:
         """Convert to read-only arrays and check every value; write out control characters in names."""
         for name in ("input", "output", "name", "source"):
             object.__setattr__(self, name, printable(str(getattr(self, name))))
-        self._set("omega", self.omega, np.float64)
-        self._set("response", self.response, np.complex128)
-        if self.omega.size == 0:
-            raise ValueError("the frequency response is empty: give at least one frequency.")
-        for column in ("coherence", "variance", "dof"):
-            if getattr(self, column) is not None:
-                self._set(column, getattr(self, column), np.float64)
-        for column in ("response", "coherence", "variance", "dof"):
-            self._check_column(column)
-        self._check_omega()
-        self._check_ranges()
-        for column in ("omega", "response"):
-            self._check_size(column)
+        for name in COLUMNS:
+            if getattr(self, name) is not None:
+                kind = complex if name == "response" else float
+                object.__setattr__(self, name, checked_array(name, getattr(self, name), kind))
+        self._check_columns()
         if self.common_errors is not None:
-            self._set_common_errors(self.common_errors)
+            object.__setattr__(self, "common_errors", self._checked_errors(self.common_errors))
         object.__setattr__(self, "stretches", tuple(self.stretches))
         for name in ("units", "about"):
             texts = {
@@ -122,6 +114,62 @@ class FrequencyResponse:
                 for key, text in getattr(self, name).items()
             }
             object.__setattr__(self, name, texts)
+
+    def _check_columns(self) -> None:
+        if self.omega.size == 0:
+            raise ValueError("the frequency response is empty: give at least one frequency.")
+        for name in COLUMNS:
+            values = getattr(self, name)
+            if values is not None and values.size != self.omega.size:
+                raise ValueError(
+                    f"omega has {self.omega.size} values but {name} has {values.size}: they must match."
+                )
+
+        positive = np.isfinite(self.omega) & (self.omega > 0)
+        self._require("omega", positive, "frequencies must be finite and above 0 rad/s")
+        values, counts = np.unique(self.omega, return_counts=True)
+        if counts.max() > 1:
+            raise ValueError(
+                f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one frequency, "
+                "or add two problems, one for each experiment."
+            )
+        measured = np.isfinite(self.response)
+        self._require("response", measured, "leave out the points that were not measured")
+        for name in ("omega", "response"):
+            self._require(
+                name,
+                ~out_of_range(getattr(self, name)),
+                "squares of such numbers are beyond floating-point arithmetic; choose another unit, "
+                "or leave the point out",
+            )
+        for name in ("coherence", "variance", "dof"):
+            values = getattr(self, name)
+            if values is not None:
+                high = 1.0 if name == "coherence" else np.finfo(float).max
+                limit = "above 0 and at most 1" if name == "coherence" else "above 0"
+                self._require(name, (values > 0) & (values <= high), f"it must be {limit}")
+
+    def _require(self, name: str, sound: BoolArray, cure: str) -> None:
+        if not sound.all():
+            index = int(np.argmin(sound))
+            raise ValueError(f"{name} is {getattr(self, name)[index]:g} at index {index}: {cure}.")
+
+    def _checked_errors(self, value: ArrayLike) -> ComplexArray | None:
+        errors = np.atleast_2d(np.array(value, dtype=np.complex128))
+        if errors.ndim != 2 or errors.shape[1] != self.omega.size or not np.isfinite(errors).all():
+            raise ValueError(
+                f"common_errors has shape {np.shape(value)}: give finite numbers, a row of {self.omega.size} for each."
+            )
+        if self.variance is not None:
+            # 1e-9 allows for the rounding of sums of squares that were written out in decimals.
+            within = (np.abs(errors) ** 2).sum(axis=0) <= (1 + 1e-9) * self.variance
+            if not within.all():
+                raise ValueError(
+                    f"common_errors exceed the variance at omega = {self.omega[np.argmin(within)]:g} rad/s, "
+                    "but they are a part of it: add their squares to it."
+                )
+        errors.setflags(write=False)
+        return errors if len(errors) else None
 
     @classmethod
     def from_magnitude_phase(
@@ -164,86 +212,6 @@ class FrequencyResponse:
         response = complex_response(magnitude, phase, magnitude_unit, phase_unit)
         return cls(angular_frequency(frequency, frequency_unit), response, **others)
 
-    def _set(self, name: str, value: ArrayLike, kind: type) -> None:
-        try:
-            array = np.array(value, dtype=kind)
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"{name} must be a one-dimensional array of numbers, not {value!r:.60}."
-            ) from None
-        if array.ndim != 1:
-            raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
-        array.setflags(write=False)
-        object.__setattr__(self, name, array)
-
-    def _check_column(self, name: str) -> None:
-        values = getattr(self, name)
-        if values is None:
-            return
-        if values.size != self.omega.size:
-            raise ValueError(
-                f"omega has {self.omega.size} values but {name} has {values.size}: they must match."
-            )
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            raise ValueError(
-                f"{name} is {values[bad[0]]} at index {bad[0]} (omega = {self.omega[bad[0]]:g} rad/s): "
-                "leave out the points that were not measured."
-            )
-
-    def _check_omega(self) -> None:
-        bad = np.flatnonzero(~(np.isfinite(self.omega) & (self.omega > 0)))
-        if bad.size:
-            raise ValueError(
-                f"omega is {self.omega[bad[0]]:g} at index {bad[0]}: frequencies must be finite and above 0 rad/s."
-            )
-        values, counts = np.unique(self.omega, return_counts=True)
-        if counts.max() > 1:
-            raise ValueError(
-                f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one frequency, "
-                "or add two problems, one for each experiment."
-            )
-
-    def _check_size(self, name: str) -> None:
-        values = getattr(self, name)
-        bad = np.flatnonzero(out_of_range(values))
-        if bad.size:
-            raise ValueError(
-                f"{name} is {values[bad[0]]:g} at index {bad[0]}: squares of such numbers are beyond floating-point "
-                "arithmetic; choose another unit, or leave the point out."
-            )
-
-    def _check_ranges(self) -> None:
-        ranges = {"coherence": (0, 1), "variance": (0, np.inf), "dof": (0, np.inf)}
-        for name, (low, high) in ranges.items():
-            values = getattr(self, name)
-            if values is None:
-                continue
-            bad = np.flatnonzero(~((values > low) & (values <= high)))
-            if bad.size:
-                limit = f"above 0 and at most {high:g}" if np.isfinite(high) else "above 0"
-                raise ValueError(
-                    f"{name} is {values[bad[0]]:g} at index {bad[0]}: it must be {limit}."
-                )
-
-    def _set_common_errors(self, value: ArrayLike) -> None:
-        errors = np.atleast_2d(np.array(value, dtype=np.complex128))
-        if errors.ndim != 2 or errors.shape[1] != self.omega.size or not np.isfinite(errors).all():
-            raise ValueError(
-                f"common_errors has shape {np.shape(value)}: give finite numbers, a row of {self.omega.size} for each."
-            )
-        if self.variance is not None:
-            above = np.flatnonzero(
-                (np.abs(errors) ** 2).sum(axis=0) > (1 + ROUNDING) * self.variance
-            )
-            if above.size:
-                raise ValueError(
-                    f"common_errors exceed the variance at omega = {self.omega[above[0]]:g} rad/s, of which they are a "
-                    "part: add their squares to it."
-                )
-        errors.setflags(write=False)
-        object.__setattr__(self, "common_errors", errors if len(errors) else None)
-
     def __len__(self) -> int:
         return self.omega.size
 
@@ -284,7 +252,8 @@ class FrequencyResponse:
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names: the same data have the same checksum wherever they came from."""
         digest = hashlib.sha256(f"{self.input}->{self.output}".encode())
-        for values in (self.omega, self.response, self.coherence, self.variance, self.dof):
+        for name in COLUMNS:
+            values = getattr(self, name)
             digest.update(b"-" if values is None else np.ascontiguousarray(values).tobytes())
         if self.common_errors is not None:
             digest.update(np.ascontiguousarray(self.common_errors).tobytes())
@@ -292,9 +261,8 @@ class FrequencyResponse:
 
     def where(self, kept: BoolArray) -> "FrequencyResponse":
         """Return the points for which `kept` (n,) is true."""
-        columns = ("omega", "response", "coherence", "variance", "dof")
         arrays = {
-            name: values[kept] for name in columns if (values := getattr(self, name)) is not None
+            name: values[kept] for name in COLUMNS if (values := getattr(self, name)) is not None
         }
         common = None if self.common_errors is None else self.common_errors[:, kept]
         return replace(self, **arrays, common_errors=common)

@@ -5,11 +5,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import checked_array
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, ComplexArray
-
-DECIBELS = "db"
-ABSOLUTE = ("", "1", "abs", "absolute")
 
 
 def angular_frequency(frequency: ArrayLike, unit: str) -> Array:
@@ -20,11 +18,11 @@ def angular_frequency(frequency: ArrayLike, unit: str) -> Array:
     ValueError
         For another unit, or what is no array of numbers.
     """
-    values = _numbers(frequency, "frequency")
-    known = _known(unit)
-    if known == "Hz":
+    values = checked_array("frequency", frequency)
+    si = _si(unit)
+    if si == "Hz":
         return 2 * math.pi * to_si(unit).factor * values
-    if known == "rad/s":
+    if si == "rad/s":
         return to_si(unit).apply(values)
     raise ValueError(f"the unit of frequency is {unit!r:.40}: give 'rad/s' or 'Hz'.")
 
@@ -39,19 +37,20 @@ def complex_response(
     ValueError
         For other units, lengths that differ, or a negative absolute magnitude.
     """
-    size, angle = _numbers(magnitude, "magnitude"), _numbers(phase, "phase")
+    size = checked_array("magnitude", magnitude)
+    angle = checked_array("phase", phase)
     if size.shape != angle.shape:
         raise ValueError(
             f"magnitude has {size.size} values but phase has {angle.size}: they must match."
         )
-    if _known(phase_unit) != "rad":
+    if _si(phase_unit) != "rad":
         raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
-    if str(magnitude_unit).lower() == DECIBELS:
+    if str(magnitude_unit).lower() == "db":
         with np.errstate(
             over="ignore"
         ):  # what is too large is refused as a response, in a sentence of its own
             size = np.minimum(10 ** (size / 20), np.finfo(float).max)
-    elif magnitude_unit not in ABSOLUTE:
+    elif magnitude_unit not in ("", "1", "abs", "absolute"):
         raise ValueError(
             f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'."
         )
@@ -64,18 +63,9 @@ def complex_response(
     return np.asarray(size * np.exp(1j * to_si(phase_unit).apply(angle)), dtype=complex)
 
 
-def _known(unit: str) -> str:
-    """Return the SI unit of a unit; nothing where it is not known."""
+def _si(unit: str) -> str:
+    """Return the SI unit of a unit, or nothing."""
     try:
         return to_si(unit).si
     except (ValueError, AttributeError):
         return ""
-
-
-def _numbers(values: ArrayLike, what: str) -> Array:
-    try:
-        return np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"{what} must be a one-dimensional array of numbers, not {values!r:.60}."
-        ) from None

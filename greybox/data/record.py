@@ -10,8 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import checked_array, within_range
 from greybox.data.intersample import checked_hold
-from greybox.data.numerical_range import within_range
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
 from greybox.files.arrays import Array, IntArray
 from greybox.files.html_text import html_list, html_table, html_text
@@ -445,17 +445,13 @@ def _row_numbers(signals: Mapping[str, ArrayLike]) -> Array:
 
 
 def _read_only(values: ArrayLike, name: str) -> Array:
-    # An array that nobody can write to is kept, or a part of one: records of long logs are made
-    # without a copy.
+    """Return an array (n,) that nobody can write to, without a copy of one that already is."""
     owner = values.base if isinstance(values, np.ndarray) and values.base is not None else values
-    frozen = all(
-        isinstance(each, np.ndarray) and not each.flags.writeable for each in (values, owner)
-    )
-    array = np.asarray(values, dtype=float) if frozen else np.array(values, dtype=float)
-    if array.ndim != 1:
-        raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
-    array.setflags(write=False)
-    return array
+    arrays = (values, owner)
+    is_frozen = all(isinstance(x, np.ndarray) and not x.flags.writeable for x in arrays)
+    if not is_frozen or np.ndim(values) != 1:
+        return checked_array(name, values)
+    return np.asarray(values, dtype=float)
 
 
 def _printable(thing: Any) -> Any:

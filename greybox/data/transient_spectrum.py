@@ -7,13 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.checked_array import checked_array, out_of_range
 from greybox.data.frequency_response import Stretch
-from greybox.data.numerical_range import out_of_range
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line, printable
-
-# Share of a line of the grid by which a frequency may be off it: rounding.
-OFF_GRID = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +61,15 @@ class TransientSpectrum:
         for name in ("name", "source"):
             object.__setattr__(self, name, printable(str(getattr(self, name))))
         for kind in ("units", "input_change"):
-            kept = {printable(str(name)): value for name, value in getattr(self, kind).items()}
-            object.__setattr__(self, kind, kept)
+            values = {printable(str(name)): value for name, value in getattr(self, kind).items()}
+            object.__setattr__(self, kind, values)
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
                 f"duration {self.duration!r} s and step {self.step!r} s must be finite, and the step the shorter one."
             )
-        omega = _read_only(self.omega, float, "omega")
+        omega = _checked("omega", self.omega, float)
         lines = omega * self.duration / (2 * np.pi)
-        off = np.abs(lines - np.round(lines)) > OFF_GRID * np.maximum(lines, 1)
+        off = np.abs(lines - np.round(lines)) > 1e-6 * np.maximum(lines, 1)  # more than rounding
         if (
             omega.size == 0
             or np.any(off)
@@ -85,11 +82,11 @@ class TransientSpectrum:
             )
         object.__setattr__(self, "omega", omega)
         for kind in ("inputs", "outputs"):
-            given = getattr(self, kind)
-            if not given:
+            signals = getattr(self, kind)
+            if not signals:
                 raise ValueError(f"the spectrum has no {kind}: give at least one signal.")
             arrays = {
-                printable(str(name)): _read_only(x, complex, name) for name, x in given.items()
+                printable(str(name)): _checked(name, x, complex) for name, x in signals.items()
             }
             object.__setattr__(self, kind, arrays)
         for name, values in {**self.inputs, **self.outputs}.items():
@@ -147,15 +144,12 @@ class TransientSpectrum:
         return shift * self.inputs[name] - self.change(name) * (1 - shift) / (1j * self.omega)
 
 
-def _read_only(values: ArrayLike, kind: type, name: str) -> NDArray:
-    array = np.array(values, dtype=kind)
-    if array.ndim != 1 or not np.all(np.isfinite(array)):
-        raise ValueError(
-            f"{name} must be a one-dimensional array of finite numbers, but is {array!r:.60}."
-        )
+def _checked(name: str, values: ArrayLike, kind: type) -> NDArray:
+    array = checked_array(name, values, kind)
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} has numbers that are not finite: leave the frequencies out.")
     if np.any(out_of_range(array)):
         raise ValueError(
             f"{name} has numbers whose squares are beyond floating-point arithmetic: choose another unit."
         )
-    array.setflags(write=False)
     return array

@@ -44,9 +44,9 @@ def test_values_are_copied_and_read_only():
         ({"response": [1, 2]}, r"omega has 3 values but response has 2: they must match"),
         (
             {"response": [1, np.nan, 1j]},
-            r"response is \(nan\+0j\) at index 1 \(omega = 2 rad/s\): leave out",
+            r"response is nan\+0j at index 1: leave out",
         ),
-        ({"response": [np.inf, 1, 1j]}, r"response is \(inf\+0j\) at index 0"),
+        ({"response": [np.inf, 1, 1j]}, r"response is inf\+0j at index 0"),
         (
             {"omega": [1, 0, 4]},
             r"omega is 0 at index 1: frequencies must be finite and above 0 rad/s",
@@ -77,7 +77,7 @@ def test_values_are_copied_and_read_only():
         ({"common_errors": [1, np.nan, 0]}, r"common_errors has shape \(3,\): give finite numbers"),
         (
             {"variance": [1, 1, 1], "common_errors": [[0, 0.8, 0], [0, 0.8j, 0]]},
-            r"common_errors exceed the variance at omega = 2 rad/s, of which they are a part",
+            r"common_errors exceed the variance at omega = 2 rad/s",
         ),
     ],
 )

@@ -1,22 +1,31 @@
 """Readers of flight logs: one format a file, chosen by the contents of the file, then by its suffix.
 
-Begin here, with `FORMATS` and `read`. A reader is a module with ``read(path, messages=None) ->
+Begin with `FORMATS` and `read` below. A reader is a module with ``read(path, messages=None) ->
 Recording``. It is imported when a file of its format is read, so that `greybox.logs.readers` itself
 loads neither pymavlink nor h5py nor scipy.
 
-Formats
-    `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file),
-    `dataflash_units` and `imu_batches` (raw samples of the IMU); `dataflash_text` (ArduPilot,
-    text); `telemetry` (MAVLink), with `telemetry_packets` (finds the packets in a file) and
-    `telemetry_metadata`; `ulog` (PX4); `csv_table`, with `betaflight` (of its blackbox); `hdf5`;
-    `matlab`.
-Shared by several
-    `mapped_file` (files that are mapped into memory), `messages` (messages of one type, and the
-    records made of them), `time_stamps` (clock restarts, impossible and repeated stamps),
-    `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
-    parameters, modes, arming), `controller_outputs` (which signals a controller holds),
-    `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
-    `greybox.files.subprocess_reader` reads in a subprocess).
+| file | contents |
+| --- | --- |
+| `dataflash` | ArduPilot logs, binary |
+| `dataflash_index` | positions of the messages in a binary ArduPilot log |
+| `dataflash_text` | ArduPilot logs, text |
+| `dataflash_units` | unit tables of ArduPilot logs |
+| `imu_batches` | raw samples of the IMU in ArduPilot logs |
+| `ardupilot_metadata` | vehicle, firmware, parameters, modes and arming of ArduPilot logs |
+| `telemetry` | MAVLink telemetry logs |
+| `telemetry_packets` | packets in a telemetry log |
+| `telemetry_metadata` | vehicle, parameters, modes and arming of telemetry logs |
+| `ulog` | PX4 logs |
+| `csv_table` | tables as text |
+| `betaflight` | tables of Betaflight's blackbox |
+| `hdf5` | HDF5 and MATLAB 7.3 files |
+| `matlab` | MATLAB files up to version 7 |
+| `named_arrays` | records of the groups in HDF5, MATLAB and PX4 files |
+| `table_columns` | the time column, the units and the holds of a table |
+| `messages` | messages of one type, and the records made of them |
+| `time_stamps` | clock restarts, impossible and repeated stamps, gaps |
+| `controller_outputs` | signals that a controller holds |
+| `mapped_file` | files that are mapped into memory |
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -31,11 +40,6 @@ from greybox.files.text_table import printable
 from greybox.logs.named_columns import with_columns
 
 HEAD = 4096  # bytes by which a format is recognized
-HDF5 = b"\x89HDF\r\n\x1a\n"  # at byte 0, 512, 1024, 2048 ... (a MATLAB 7.3 file has it at 512)
-YEAR_2000, YEAR_2100 = (
-    946_684_800_000_000,
-    4_102_444_800_000_000,
-)  # µs since 1970, the stamps of telemetry logs
 
 
 class Format(NamedTuple):
@@ -47,37 +51,20 @@ class Format(NamedTuple):
     recognizes: Callable[[bytes], bool]
 
 
-def _is_dataflash(head: bytes) -> bool:
-    return head.startswith(b"\xa3\x95")
-
-
-def _is_ulog(head: bytes) -> bool:
-    return head.startswith(b"ULog\x01\x12\x35")
-
-
 def _is_hdf5(head: bytes) -> bool:
-    return any(head[at : at + 8] == HDF5 for at in (0, 512, 1024, 2048))
-
-
-def _is_matlab(head: bytes) -> bool:
-    return head.startswith(b"MATLAB 5.0 MAT-file")
+    # The signature is at byte 0, 512, 1024 or 2048; MATLAB 7.3 has it at 512.
+    return any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in (0, 512, 1024, 2048))
 
 
 def _is_telemetry(head: bytes) -> bool:
-    """Tell whether it starts with a time of this century in µs, then a MAVLink packet (version 1 or 2)."""
-    return (
-        len(head) > 8
-        and YEAR_2000 < int.from_bytes(head[:8], "big") < YEAR_2100
-        and head[8] in b"\xfe\xfd"
-    )
-
-
-def _is_dataflash_text(head: bytes) -> bool:
-    return b"FMT," in head and b"\0" not in head
+    """Return whether a time of this century in µs comes first, then a MAVLink packet."""
+    microseconds = int.from_bytes(head[:8], "big")
+    is_this_century = 946_684_800_000_000 < microseconds < 4_102_444_800_000_000
+    return len(head) > 8 and is_this_century and head[8] in b"\xfe\xfd"
 
 
 def _is_csv(head: bytes) -> bool:
-    """Tell whether it is text with at least two lines and a separator in the first that is no comment."""
+    """Return whether it is text with at least two lines and a separator in the first that is not a comment."""
     if b"\0" in head or not head.strip():
         return False
     lines = [
@@ -92,12 +79,19 @@ def _is_text(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("dataflash", "ArduPilot DataFlash, binary", (".bin",), _is_dataflash),
-    Format("ulog", "PX4 ULog", (".ulg",), _is_ulog),
+    Format(
+        "dataflash", "ArduPilot DataFlash, binary", (".bin",), lambda h: h.startswith(b"\xa3\x95")
+    ),
+    Format("ulog", "PX4 ULog", (".ulg",), lambda h: h.startswith(b"ULog\x01\x12\x35")),
     Format("hdf5", "HDF5 or MATLAB 7.3", (".h5", ".hdf5", ".hdf"), _is_hdf5),
-    Format("matlab", "MATLAB", (".mat",), _is_matlab),
+    Format("matlab", "MATLAB", (".mat",), lambda h: h.startswith(b"MATLAB 5.0 MAT-file")),
     Format("telemetry", "MAVLink telemetry", (".tlog",), _is_telemetry),
-    Format("dataflash_text", "ArduPilot DataFlash, text", (".log",), _is_dataflash_text),
+    Format(
+        "dataflash_text",
+        "ArduPilot DataFlash, text",
+        (".log",),
+        lambda h: b"FMT," in h and b"\0" not in h,
+    ),
     Format(
         "csv_table", "a table with a header line", (".csv", ".txt", ".tsv", ".dat", ".asc"), _is_csv
     ),
@@ -137,26 +131,26 @@ def read(
         If it is of no known format, or nothing in it can be read.
     """
     path = Path(path)
-    wanted = (messages,) if isinstance(messages, str) else messages
+    names = (messages,) if isinstance(messages, str) else messages
     reader = import_module(f"greybox.logs.readers.{_format(path).module}")
     try:
         if columns is None:
-            return reader.read(path, wanted)
+            return reader.read(path, names)
         numbered = {"numbered": True} if "numbered" in signature(reader.read).parameters else {}
-        return with_columns(reader.read(path, wanted, **numbered), columns)
-    except ValueError as refused:
-        raise ValueError(printable(str(refused))) from None  # it may quote the file
+        return with_columns(reader.read(path, names, **numbered), columns)
+    except ValueError as error:
+        raise ValueError(printable(str(error))) from None  # it may quote the file
 
 
 def _format(path: Path) -> Format:
     head = _head(path)
-    for known in FORMATS:
-        if known.recognizes(head):
-            return known
-    for known in FORMATS:
-        if path.suffix.lower() in known.suffixes:
-            return known
-    kinds = "; ".join(f"{known.about} ({', '.join(known.suffixes)})" for known in FORMATS)
+    for candidate in FORMATS:
+        if candidate.recognizes(head):
+            return candidate
+    for candidate in FORMATS:
+        if path.suffix.lower() in candidate.suffixes:
+            return candidate
+    kinds = "; ".join(f"{format_.about} ({', '.join(format_.suffixes)})" for format_ in FORMATS)
     raise ValueError(f"{path} {_looks(head)}, which greybox does not read; supported are: {kinds}.")
 
 
@@ -181,15 +175,15 @@ def _head(path: Path) -> bytes:
 
 def _looks(head: bytes) -> str:
     """Say in words what a file looks like."""
-    known = {
+    signatures = {
         b"PK": "a zip archive",
         b"\x1f\x8b": "a gzip archive",
         b"%PDF": "a PDF",
         b"\x89PNG": "a PNG image",
     }
-    for start, what in known.items():
+    for start, kind in signatures.items():
         if head.startswith(start):
-            return f"looks like {what}"
+            return f"looks like {kind}"
     if _is_text(head):
         return f"looks like text that starts with {head[:30].decode('utf-8', 'replace').strip()!r}"
     return f"looks like binary data that start with {head[:4].hex(' ')}"

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from synthetic_logs import table
 
-from greybox.data.numerical_range import within_range
+from greybox.data.checked_array import within_range
 from greybox.logs.readers import read
 
 

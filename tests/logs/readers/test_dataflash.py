@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pymavlink import DFReader
 from synthetic_logs import Log, flight
 
-from greybox.data.numerical_range import within_range
+from greybox.data.checked_array import within_range
 from greybox.logs.readers import read
 from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.dataflash import clock_column

@@ -1,0 +1,50 @@
+"""Converts measured numbers to read-only arrays, and says how large and how small they may be.
+
+Fourth powers of the numbers, as in squares of sums of squares, must be finite. No physical quantity
+in any unit is outside of this range, but damaged files have such numbers.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.files.arrays import Array, BoolArray
+
+LARGEST = 1e75  # its fourth power is 1e300; floating-point numbers end at 1.8e308
+SMALLEST = 1e-75
+
+
+def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
+    """Return a read-only copy (n,) of measured numbers, in floating point or complex.
+
+    Raises
+    ------
+    ValueError
+        If the values are not a one-dimensional array of numbers.
+    """
+    try:
+        array = np.array(values, dtype=kind)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be a one-dimensional array of numbers, not {values!r:.60}."
+        ) from None
+    if array.ndim != 1:
+        raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
+    array.setflags(write=False)
+    return array
+
+
+def within_range(values: Array) -> Array:
+    """Return the values (n,), read-only: larger ones as infinite, which counts as missing, and smaller ones as zero."""
+    if not out_of_range(values).any():
+        return values
+    size = np.abs(values)
+    infinite = np.copysign(np.inf, values)
+    inside = np.where(size > LARGEST, infinite, np.where(size < SMALLEST, 0.0, values))
+    inside.setflags(write=False)
+    return inside
+
+
+def out_of_range(values: NDArray) -> BoolArray:
+    """Return which of the values (n,), real or complex, are too large, or too small without being zero."""
+    size = np.abs(values)
+    return (size > LARGEST) | ((size > 0) & (size < SMALLEST))
