@@ -11,7 +11,7 @@ from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
-from greybox.validation.comparison import PARTS, Comparison
+from greybox.validation.comparison import Comparison
 
 EXAMPLES = (
     "linear.h5 nonlinear.h5",
@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--folds",
         type=_folds,
         metavar="N",
-        help=f"fit again without every N-th frequency, or with '{PARTS}' without one response, and predict it",
+        help="fit again without every N-th frequency, and predict it",
     )
     add_model_option(parser)
     add_common_options(parser)
@@ -41,15 +41,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, or the study, and compare."""
     if len(options.results) > 1:
-        found = _compared(options)
-        return _summary(found), str(found), USABLE
+        comparison = _comparison(options)
+        return _summary(comparison), str(comparison), USABLE
     if options.results[0].is_file():
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     study = read_study(options.results[0])
     return as_json(study), str(study), USABLE
 
 
-def _compared(options: argparse.Namespace) -> Comparison:
+def _comparison(options: argparse.Namespace) -> Comparison:
     paths: Sequence[Path] = options.results
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
@@ -60,19 +60,18 @@ def _compared(options: argparse.Namespace) -> Comparison:
     )
 
 
-def _summary(found: Comparison) -> dict[str, Any]:
+def _summary(comparison: Comparison) -> dict[str, Any]:
     return {
-        "labels": list(found.labels),
-        "data": found.data,
-        "supported": found.supported,
-        "verdict": found.verdict,
-        "table": found.table,
-        "statements": list(found.statements),
+        "labels": list(comparison.labels),
+        "data": comparison.data,
+        "supported": comparison.supported,
+        "verdict": comparison.verdict,
+        "table": comparison.table,
+        "statements": list(comparison.statements),
     }
 
 
-def _folds(text: str) -> int | str:
-    """Return a number of folds, or the word for leaving out parts."""
-    if text == PARTS or (text.isascii() and text.isdigit() and int(text) > 1):
-        return text if text == PARTS else int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is neither a number of at least 2 nor '{PARTS}'")
+def _folds(text: str) -> int:
+    if text.isascii() and text.isdigit() and int(text) > 1:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 2")

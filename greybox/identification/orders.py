@@ -102,9 +102,7 @@ class OrderSelection:
     def verdict(self) -> str:
         """Which structure the data support, in one sentence as `gb.compare` says it, and whether it is too large."""
         of = self.candidates
-        _, text = parsimony(
-            [c.label for c in of], [c.bic for c in of], [c.parameters for c in of], {}
-        )
+        _, text = parsimony([c.label for c in of], [c.bic for c in of], [c.parameters for c in of])
         pairs = (
             f"; but {self.chosen.pairs[0]}"
             if self.chosen.pairs

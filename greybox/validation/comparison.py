@@ -11,10 +11,7 @@ from greybox.simulation.windows import seconds
 
 IDENTIFICATION = "identification"
 HELD_OUT = "held-out"
-# What is left out of fits of responses, one part of it after the other, and predicted by the fit to
-# the rest.
-FREQUENCIES = "frequencies"
-PARTS = "parts"
+FREQUENCIES = "frequencies"  # left out of fits of responses, and predicted by the fit to the rest
 
 # p-value below which a difference counts: the customary 5 %, one false alarm in twenty comparisons.
 SIGNIFICANT = 0.05
@@ -136,13 +133,10 @@ class Comparison:
         lines += [f"  {self.verdict}", ""] if self.verdict else []
         shown = self._shown()
         lines += self._section([r for r in shown if r.data == "fit"])
-        for data, title in ((FREQUENCIES, "left-out frequencies"), (PARTS, "left-out responses")):
-            rows = [r for r in self.rows if r.data == data]
-            lines += (
-                [f"  {title}, predicted by the fit to the others", "", *self._section(rows)]
-                if rows
-                else []
-            )
+        rows = [r for r in self.rows if r.data == FREQUENCIES]
+        if rows:
+            lines += ["  left-out frequencies, predicted by the fit to the others", ""]
+            lines += self._section(rows)
         for data in (IDENTIFICATION, HELD_OUT):
             rows = [r for r in self.rows if r.data == data]
             if rows:

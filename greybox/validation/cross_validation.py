@@ -1,13 +1,13 @@
-"""Frequency responses predicted by fits that have not seen them: over frequencies, or one part of a sum at a time.
+"""Frequency responses predicted by fits that have not seen them: every n-th frequency is left out.
 
 Points at one frequency are left out together, in all parts, since errors of one test are alike
-there. A part that is left out may have parameters of its own, which no other part tells of: these
-are estimated from it, at the values that the others give to what is shared.
+there.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -18,22 +18,16 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted, number
 from greybox.formulation.problem import Problem
-from greybox.formulation.sum import Sum
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.statistics.metrics import rms
 from greybox.validation.common_likelihood import has_responses_alone
-from greybox.validation.comparison import FREQUENCIES, PARTS, SIGNIFICANT, Row, p_text
-
-FEWEST_FOLDS = 2
-FEWEST_FREQUENCIES = (
-    5  # at which a mean difference is tested: with fewer the threshold of Student's t is above 2.8
-)
+from greybox.validation.comparison import FREQUENCIES, SIGNIFICANT, Row, p_text
 
 
 def cross_validation(
-    fits: Sequence[Fit], labels: Sequence[str], folds: int | str
+    fits: Sequence[Fit], labels: Sequence[str], folds: int
 ) -> tuple[list[Row], list[str]]:
-    """Return measures of the predictions of left-out points by every fit, and sentences on pairs of them.
+    """Return measures of the predictions of left-out frequencies, and a sentence on every pair.
 
     Raises
     ------
@@ -44,128 +38,63 @@ def cross_validation(
         raise ValueError(
             "folds are for frequency responses alone: hold records out by records=[...]."
         )
-    problems = [problem_of(fit) for fit in fits]
-    if folds == PARTS:
-        each = zip(fits, problems, labels, strict=True)
-        predicted = [_parts_left_out(fit, problem, label) for fit, problem, label in each]
-        kind = PARTS
-    else:
-        left_out = _folds(fits[0], folds)
-        predicted = [
-            _frequencies_left_out(fit, problem, left_out)
-            for fit, problem in zip(fits, problems, strict=True)
-        ]
-        kind = FREQUENCIES
-    measured = [part.data.response for part in fits[0].responses]
-    errors = [
-        np.concatenate([np.abs(p / m - 1) for p, m in zip(of_fit, measured, strict=True)])
-        for of_fit, _ in predicted
-    ]
-    own = [float(count) for _, count in predicted]
+    left_out = _folds(fits[0], folds)
+    measured = np.concatenate([part.data.response for part in fits[0].responses])
+    predicted = [_predicted(fit, problem_of(fit), left_out) for fit in fits]
+    errors = [np.abs(values / measured - 1) for values in predicted]
+    measures = {
+        ("sum of relative errors", ""): [float(e.sum()) for e in errors],
+        ("relative error (rms)", "%"): [100 * rms(e) for e in errors],
+    }
     rows = [
-        Row(kind, "", "sum of relative errors", "", _known(float(e.sum()) for e in errors)),
-        Row(kind, "", "relative error (rms)", "%", _known(100 * rms(e) for e in errors)),
+        Row(FREQUENCIES, "", measure, unit, tuple(v if math.isfinite(v) else None for v in values))
+        for (measure, unit), values in measures.items()
     ]
-    if any(own):
-        rows.append(Row(kind, "", "values estimated from what is left out", "", tuple(own)))
     omega = np.concatenate([part.data.omega for part in fits[0].responses])
-    return rows, list(_verdicts(errors, labels, omega, kind))
+    pairs = combinations(zip(labels, errors, strict=True), 2)
+    return rows, [pair_verdict(*first, *second, omega) for first, second in pairs]
 
 
-def _known(values: Iterable[float]) -> tuple[float | None, ...]:
-    return tuple(value if math.isfinite(value) else None for value in values)
-
-
-def _folds(fit: Fit, folds: int | str) -> list[list[BoolArray]]:
-    """Return for every fold which points of every part it leaves out: every `folds`-th frequency."""
+def _folds(fit: Fit, folds: int) -> list[list[BoolArray]]:
+    """Return for every fold which points of every part it leaves out."""
     omega = np.unique(np.concatenate([part.data.omega for part in fit.responses]))
-    if (
-        not isinstance(folds, int)
-        or isinstance(folds, bool)
-        or not FEWEST_FOLDS <= folds <= len(omega)
-    ):
+    if not isinstance(folds, int) or not 2 <= folds <= len(omega):
         raise ValueError(
-            f"folds is {folds!r}: give a number from {FEWEST_FOLDS} to {len(omega)}, the number of frequencies, or "
-            f"{PARTS!r} to leave out one response at a time."
+            f"folds is {folds!r}: give a number from 2 to {len(omega)}, the number of frequencies."
         )
-    found = []
-    for k in range(folds):
-        left_out = [np.isin(part.data.omega, omega[k::folds]) for part in fit.responses]
-        if any(out.all() for out in left_out):
-            raise ValueError(
-                f"folds is {folds}: one of them leaves no point of a response; give more folds."
-            )
-        found.append(left_out)
-    return found
+    left_out = [
+        [np.isin(part.data.omega, omega[k::folds]) for part in fit.responses] for k in range(folds)
+    ]
+    if any(points.all() for fold in left_out for points in fold):
+        raise ValueError(
+            f"folds is {folds}: one of them leaves no point of a response; give more folds."
+        )
+    return left_out
 
 
-def _frequencies_left_out(
-    fit: Fit, problem: AnyProblem, folds: Sequence[Sequence[BoolArray]]
-) -> tuple[list[ComplexArray], int]:
-    """Return the predicted responses of all parts, each point by the fit without its fold."""
+def _predicted(fit: Fit, problem: AnyProblem, folds: Sequence[Sequence[BoolArray]]) -> ComplexArray:
+    """Return the responses of all parts, each point by the fit without its fold, NaN without one."""
     predicted = [np.full(len(part.data), np.nan, dtype=complex) for part in fit.responses]
-    for left_out in folds:
-        kept = [
-            part.with_(data=part.response.where(~out), amplitude=_sine(part, ~out))
-            for part, out in zip(problem.parts, left_out, strict=True)
-        ]
-        found = _refitted(problem.with_parts(kept), fit)
-        for values, part, out in zip(predicted, problem.parts, left_out, strict=True):
-            if found is not None and out.any():
-                values[out] = _response(part, found.estimate)[out]
-    return predicted, 0
+    start = {name: fit.estimate[name] for name in fit.free}
+    for fold in folds:
+        stored = [_without(part, points) for part, points in zip(problem.parts, fold, strict=True)]
+        refit = fit_problem(problem.with_parts(stored), [start], profiles=False, progress=False)
+        for values, part, points in zip(predicted, problem.parts, fold, strict=True):
+            if refit.converged and points.any():
+                values[points] = _response(part, refit)[points]
+    return np.concatenate(predicted)
 
 
-def _parts_left_out(fit: Fit, problem: AnyProblem, label: str) -> tuple[list[ComplexArray], int]:
-    """Return the responses of all parts, each predicted by the fit to the others, and how many values were its own."""
-    if len(problem.parts) < FEWEST_FOLDS:
-        raise ValueError(
-            f"{label} has one response, which cannot be left out: give folds as a number."
-        )
-    predicted, count = [], 0
-    for k, part in enumerate(problem.parts):
-        others = [other for i, other in enumerate(problem.parts) if i != k]
-        shared = {name for other in others for name in other.parameters}
-        of_part = {
-            part.outside(name): name for name in part.declared if part.outside(name) in fit.free
-        }
-        if not shared & set(of_part):
-            raise ValueError(
-                f"{part.name!r} of {label} shares no free parameter with the other parts, which then say nothing of it."
-            )
-        found = _refitted(Sum(tuple(others)) if len(others) > 1 else others[0], fit)
-        own = {outside for outside in of_part if outside not in shared}
-        count += len(own)
-        values = {} if found is None else {**fit.estimate, **found.estimate}
-        if own and found is not None:
-            held = {
-                inside: values[outside] for outside, inside in of_part.items() if outside not in own
-            }
-            alone = _refitted(part.with_(fixed={**part.fixed_values, **held}), fit)
-            values = {} if alone is None else {**values, **alone.estimate}
-        predicted.append(
-            _response(part, values) if values else np.full(len(part.data), np.nan, dtype=complex)
-        )
-    return predicted, count
-
-
-def _refitted(problem: AnyProblem, fit: Fit) -> Fit | None:
-    """Return the fit from the estimate of another one, which is near; None where it fails."""
-    start = {name: fit.estimate[name] for name, p in problem.parameters.items() if not p.fixed}
-    found = fit_problem(problem, [start], profiles=False, progress=False)
-    return found if found.converged else None
-
-
-def _sine(part: Problem, kept: BoolArray) -> object:
+def _without(part: Problem, points: BoolArray) -> Problem:
     sine = part.amplitude
-    if sine is None or not np.ndim(sine.amplitude):
-        return sine
-    return replace(sine, amplitude=np.asarray(sine.amplitude)[kept])
+    if sine is not None and np.ndim(sine.amplitude):
+        sine = replace(sine, amplitude=np.asarray(sine.amplitude)[~points])
+    return part.with_(data=part.response.where(~points), amplitude=sine)
 
 
-def _response(part: Problem, values: dict[str, float]) -> ComplexArray:
+def _response(part: Problem, fit: Fit) -> ComplexArray:
     data = part.response
-    inside = {name: values[part.outside(name)] for name in part.model.parameters}
+    inside = {name: fit.estimate[part.outside(name)] for name in part.model.parameters}
     signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}
     try:
         return response_of_test(
@@ -175,46 +104,33 @@ def _response(part: Problem, values: dict[str, float]) -> ComplexArray:
         return np.full(len(data), np.nan, dtype=complex)
 
 
-def _verdicts(errors: Sequence[Array], labels: Sequence[str], omega: Array, kind: str) -> list[str]:
-    """Compare the relative errors of left-out points in pairs, by the mean over all points of a frequency."""
-    from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
+def pair_verdict(first: str, errors: Array, second: str, rivals: Array, omega: Array) -> str:
+    """Compare the relative errors of two fits, by their mean over all points of a frequency."""
+    from scipy.stats import ttest_1samp  # noqa: PLC0415  (takes long to import)
 
-    said = []
+    failed = [n for n, e in ((first, errors), (second, rivals)) if not np.all(np.isfinite(e))]
+    if failed:
+        return f"{' and '.join(failed)} could not be fitted without some of the points."
     _, group = np.unique(omega, return_inverse=True)
-    counts = np.bincount(group)
-    what = "left-out frequencies" if kind == FREQUENCIES else "responses that were left out"
-    for a in range(len(errors)):
-        for b in range(a + 1, len(errors)):
-            failed = [labels[i] for i in (a, b) if not np.all(np.isfinite(errors[i]))]
-            if failed:
-                said.append(
-                    f"{' and '.join(failed)} could not be fitted without some of the points."
-                )
-                continue
-            difference = np.bincount(group, errors[b] - errors[a]) / counts
-            n, spread = (
-                len(difference),
-                float(np.std(difference, ddof=1)) if len(difference) > 1 else 0.0,
-            )
-            sizes = [f"{number(100 * rms(errors[i]), 3)} %" for i in (a, b)]
-            if n < FEWEST_FREQUENCIES or not spread > 0:
-                said.append(
-                    f"{labels[a]} and {labels[b]} predict {what} to {sizes[0]} and {sizes[1]} rms."
-                )
-                continue
-            t = float(difference.mean()) / (spread / math.sqrt(n))
-            p = float(2 * stdtr(n - 1, -abs(t)))
-            if p >= SIGNIFICANT:
-                said.append(
-                    f"It cannot be told which of {labels[a]} and {labels[b]} predicts {what} better: {sizes[0]} and "
-                    f"{sizes[1]} rms ({p_text(p)})."
-                )
-                continue
-            better, worse = (a, b) if t > 0 else (b, a)
-            better_size, worse_size = sizes if t > 0 else sizes[::-1]
-            share = int(np.sum(np.sign(difference) == np.sign(t)))
-            said.append(
-                f"{labels[better]} predicts {what} better than {labels[worse]}, to {better_size} rms against "
-                f"{worse_size}, at {share} of {counted(n, 'frequency', 'frequencies')} ({p_text(p)})."
-            )
-    return said
+    difference = np.bincount(group, rivals - errors) / np.bincount(group)
+    sizes = {
+        first: f"{number(100 * rms(errors), 3)} %",
+        second: f"{number(100 * rms(rivals), 3)} %",
+    }
+    both = " and ".join(sizes.values())
+    # With fewer than five frequencies the threshold of Student's t is above 2.8.
+    if len(difference) < 5 or not np.ptp(difference) > 0:
+        return f"{first} and {second} predict left-out frequencies to {both} rms."
+    test = ttest_1samp(difference, 0)
+    if test.pvalue >= SIGNIFICANT:
+        return (
+            f"It cannot be told which of {first} and {second} predicts left-out frequencies better: "
+            f"{both} rms ({p_text(test.pvalue)})."
+        )
+    better, worse = (first, second) if test.statistic > 0 else (second, first)
+    share = int(np.sum(np.sign(difference) == np.sign(test.statistic)))
+    count = counted(len(difference), "frequency", "frequencies")
+    return (
+        f"{better} predicts left-out frequencies better than {worse}, to {sizes[better]} rms against "
+        f"{sizes[worse]}, at {share} of {count} ({p_text(test.pvalue)})."
+    )

@@ -24,6 +24,6 @@ def test_saved_fits_are_compared(capsys, tmp_path):
     )
     assert "there is one fit" in refused(capsys, "compare", paths["four"])
     assert "is given twice" in refused(capsys, "compare", paths["four"], paths["four"])
-    assert "is neither a number" in refused(
+    assert "is not a number" in refused(
         capsys, "compare", paths["four"], paths["three"], "--folds", "1"
     )

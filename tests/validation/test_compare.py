@@ -24,9 +24,7 @@ def test_a_quadratic_truth_is_told_on_records_that_were_held_out(quadratic):
     assert "QuadraticDrag predicts held-out data better than LinearDrag" in text
     assert "QuadraticDrag fits the data better than LinearDrag (Vuong, p < 0.0001)" in text
     (said,) = [s for s in found.statements if s.startswith("C_x")]
-    assert said.endswith("1/m (QuadraticDrag): determined by these data.")
-    (said,) = [s for s in found.statements if s.startswith("a5")]
-    assert "QuadraticDrag, without it, explains the data better" in said
+    assert said.endswith("1/m (QuadraticDrag): distinguishable from zero.")
     for place in ("identification", "held-out"):
         fits = [found.value("fit", name, place, "v") for name in found.labels]
         assert fits[1] > fits[0] + 0.5
@@ -46,8 +44,7 @@ def test_a_linear_truth_is_not_taken_for_a_quadratic_one():
     assert said.endswith("(Drag): not distinguishable from zero.")
     assert "equally well" in str(found)
     found = gb.compare(quadratic, linear, records=[other])
-    (said,) = [s for s in found.statements if s.startswith("C_x")]
-    assert said.endswith("not zero, but LinearDrag, without it, explains the data better.")
+    assert "LinearDrag fits the data better than QuadraticDrag (Vuong" in str(found)
 
 
 def test_slow_flight_does_not_determine_the_quadratic_term():
@@ -56,7 +53,7 @@ def test_slow_flight_does_not_determine_the_quadratic_term():
     )
     found = gb.compare(fitted(Drag(), record), fitted(LinearDrag(), record), records=other)
     (said,) = [s for s in found.statements if s.startswith("C_x")]
-    assert "determined by these data" not in said
+    assert "not determined" in said
 
 
 def test_a_comparison_does_not_contradict_the_nested_test():
@@ -71,8 +68,7 @@ def test_a_comparison_does_not_contradict_the_nested_test():
         assert str(test) in found.statements[0]
         (said,) = [s for s in found.statements if s.startswith("C_x = ")]
         assert not any("Vuong" in s for s in found.statements)
-        assert ("determined by these data" in said) == (test.p_value < 0.05)
-        assert "as well" not in said
+        assert said.endswith("not distinguishable from zero.") == (test.p_value >= 0.05)
         significant += test.p_value < 0.05
     assert significant >= 2
 
@@ -80,13 +76,8 @@ def test_a_comparison_does_not_contradict_the_nested_test():
 def test_too_few_held_out_windows_take_nothing_from_what_the_fits_show(quadratic):
     right, wrong, other = quadratic
     found = gb.compare(right, wrong, records=other.between(0, 2.5))
-    (said,) = [s for s in found.statements if s.startswith("C_x")]
-    assert (
-        "2 windows cannot show whether QuadraticDrag or LinearDrag predicts held-out data better"
-        in str(found)
-    )
-    assert said.endswith("(QuadraticDrag): determined by these data.")
-    assert "as well" not in str(found)
+    assert "2 windows cannot show which of QuadraticDrag and LinearDrag" in str(found)
+    assert "QuadraticDrag fits the data better than LinearDrag" in str(found)
 
 
 def test_the_user_may_say_what_removes_a_term(quadratic):

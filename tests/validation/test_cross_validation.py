@@ -1,27 +1,20 @@
-"""What is said of the errors at points that were left out."""
-
-from types import SimpleNamespace
+"""Points of responses are predicted by the fit to the other frequencies, and the errors are compared."""
 
 import numpy as np
 import pytest
 from declared_models import measured
+from drag_flights import Drag, LinearDrag, fitted, flight
 from scipy.stats import ttest_1samp
 
 import greybox as gb
-from greybox.validation import cross_validation
 from greybox.validation.comparison import p_text
-from greybox.validation.cross_validation import FREQUENCIES, PARTS, _verdicts
+from greybox.validation.cross_validation import cross_validation, pair_verdict
 
 
-def test_of_few_frequencies_sizes_are_told_of_every_pair_once():
-    """Too few for a test of Student's t."""
-    omega, labels = np.array([1.0, 2.0, 3.0]), ("a", "b", "c")
-    said = _verdicts([np.full(3, size) for size in (0.1, 0.2, 0.3)], labels, omega, FREQUENCIES)
-    assert said == [
-        "a and b predict left-out frequencies to 10 % and 20 % rms.",
-        "a and c predict left-out frequencies to 10 % and 30 % rms.",
-        "b and c predict left-out frequencies to 20 % and 30 % rms.",
-    ]
+def test_of_few_frequencies_only_the_sizes_are_given():
+    omega = np.array([1.0, 2.0, 3.0])
+    verdict = pair_verdict("a", np.full(3, 0.1), "b", np.full(3, 0.2), omega)
+    assert verdict == "a and b predict left-out frequencies to 10 % and 20 % rms."
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -31,32 +24,26 @@ def test_more_frequencies_are_tested_by_students_t_of_their_means(swapped):
     omega = np.tile(np.arange(1.0, 9.0), 2)
     good, bad = 0.05 * random.uniform(0.5, 1, 16), 0.05 * random.uniform(1.2, 2, 16)
     bad[[0, 8]] = 0.01
-    errors, labels = ([bad, good], ("b", "g")) if swapped else ([good, bad], ("g", "b"))
-    (said,) = _verdicts(errors, labels, omega, FREQUENCIES)
+    both = ("b", bad, "g", good) if swapped else ("g", good, "b", bad)
+    verdict = pair_verdict(*both, omega)
     difference = (bad - good).reshape(2, 8).mean(axis=0)
     p = ttest_1samp(difference, 0).pvalue
     assert p < 0.05
-    sizes = [f"{100 * np.sqrt(np.mean(e**2)):.3g} %" for e in (good, bad)]
-    assert said == (
-        f"g predicts left-out frequencies better than b, to {sizes[0]} rms against {sizes[1]}, at "
-        f"{np.sum(difference > 0)} of 8 frequencies ({p_text(p)})."
-    )
+    assert verdict.startswith("g predicts left-out frequencies better than b")
+    assert f"{np.sum(difference > 0)} of 8 frequencies ({p_text(p)})" in verdict
 
 
-def test_no_difference_and_failed_fits_are_told():
+def test_no_difference_and_failed_fits_are_reported():
     random = np.random.default_rng(1)
     omega = np.arange(1.0, 6.0)
     one, other = random.uniform(0.1, 0.2, (2, 5))
     p = ttest_1samp(other - one, 0).pvalue
     assert p > 0.05
-    sizes = [f"{100 * np.sqrt(np.mean(e**2)):.3g} %" for e in (one, other)]
-    failed = np.full(5, np.nan)
-    assert _verdicts([one, other, failed], ("a", "b", "c"), omega, PARTS) == [
-        "It cannot be told which of a and b predicts responses that were left out better: "
-        f"{sizes[0]} and {sizes[1]} rms ({p_text(p)}).",
-        "c could not be fitted without some of the points.",
-        "c could not be fitted without some of the points.",
-    ]
+    verdict = pair_verdict("a", one, "b", other, omega)
+    assert verdict.startswith("It cannot be told which of a and b")
+    assert p_text(p) in verdict
+    failed = pair_verdict("a", one, "c", np.full(5, np.nan), omega)
+    assert failed == "c could not be fitted without some of the points."
 
 
 # --- a gain that all responses share, beside one of each: linear in its parameters
@@ -107,82 +94,59 @@ def least_squares(blocks):
 
 
 def test_points_are_predicted_by_the_fit_to_the_other_folds(shared):
+    """Held against linear algebra."""
     fit, problem = shared
     data = [part.response for part in problem.parts]
-    folds = cross_validation._folds(fit, 3)
-    assert [[out.tolist() for out in fold] for fold in folds] == [
-        [[k % 3 == j for k in range(6)]] * 3 for j in range(3)
-    ]
-    predicted, own = cross_validation._frequencies_left_out(fit, problem, folds)
-    assert own == 0
-    for fold in folds:
-        kept = [
-            rows_of(d.where(~out), k, 3) for k, (d, out) in enumerate(zip(data, fold, strict=True))
-        ]
-        found = least_squares(kept)
-        for k, (values, out) in enumerate(zip(predicted, fold, strict=True)):
-            expected = found[0] / (1j * OMEGA + 1) + found[1 + k]
-            assert values[out] == pytest.approx(expected[out], rel=1e-5)
-
-
-def test_a_response_is_predicted_by_the_others_and_what_is_its_own_by_itself(shared):
-    fit, problem = shared
-    data = [part.response for part in problem.parts]
-    predicted, own = cross_validation._parts_left_out(fit, problem, "it")
-    assert own == 3
-    for k, values in enumerate(predicted):
-        K = least_squares([rows_of(d, i, 3) for i, d in enumerate(data) if i != k])[0]
-        A, b = rows_of(data[k], 0, 1)
-        c = least_squares([(A[:, 1:], b - A[:, 0] * K)])[0]
-        assert values == pytest.approx(K / (1j * OMEGA + 1) + c, rel=1e-5)
+    errors = []
+    for fold in range(3):
+        out = np.arange(6) % 3 == fold
+        K, *c = least_squares([rows_of(d.where(~out), k, 3) for k, d in enumerate(data)])
+        for d, gain in zip(data, c, strict=True):
+            errors += [*np.abs((K / (1j * OMEGA + 1) + gain) / d.response - 1)[out]]
+    rows, _ = cross_validation([fit, fit], ("a", "b"), 3)
+    values = {row.measure: row.values for row in rows}
+    assert values["sum of relative errors"] == pytest.approx([np.sum(errors)] * 2, rel=1e-5)
+    rms = 100 * np.sqrt(np.mean(np.square(errors)))
+    assert values["relative error (rms)"] == pytest.approx([rms] * 2, rel=1e-5)
 
 
 @pytest.mark.parametrize("folds", [1, 7, 2.0, True, "axes"])
 def test_folds_are_two_to_the_number_of_frequencies(shared, folds):
-    with pytest.raises(
-        ValueError, match=r"folds is .*: give a number from 2 to 6, the number of frequencies"
-    ):
-        cross_validation._folds(shared[0], folds)
-    assert len(cross_validation._folds(shared[0], 6)) == 6
+    with pytest.raises(ValueError, match="give a number from 2 to 6"):
+        cross_validation([shared[0]], ("a",), folds)
 
 
-def test_responses_that_cannot_be_left_out_are_told(shared):
+def test_what_cannot_be_left_out_is_refused(shared):
     _, problem = shared
-    alone = problem.parts[0]
-    one = gb.fit(alone, [{}], progress=False, profiles=False)
-    with pytest.raises(ValueError, match="it has one response, which cannot be left out"):
-        cross_validation._parts_left_out(one, alone, "it")
-    apart = alone + problem.parts[1].with_(rename={"c": "c1", "K": "K1"})
-    with pytest.raises(ValueError, match="of it shares no free parameter with the other parts"):
-        cross_validation._parts_left_out(
-            gb.fit(apart, [{}], progress=False, profiles=False), apart, "it"
-        )
     few = gb.FrequencyResponse(
         OMEGA[:1], problem.parts[1].response.response[:1], input="u", output="y"
     )
-    lonely = alone + problem.parts[1].with_(data=few, fixed={"c": 1.0}, rename={})
-    with pytest.raises(
-        ValueError, match="folds is 3: one of them leaves no point of a response; give more folds"
-    ):
-        cross_validation._folds(gb.fit(lonely, [{}], progress=False, profiles=False), 3)
+    lonely = problem.parts[0] + problem.parts[1].with_(data=few, fixed={"c": 1.0}, rename={})
+    fit = gb.fit(lonely, [{}], progress=False, profiles=False)
+    with pytest.raises(ValueError, match="leaves no point of a response"):
+        cross_validation([fit], ("a",), 3)
+    record = flight({"a5": 0.2, "C_x": 0.05}, 8, duration=6.0)
+    with pytest.raises(ValueError, match="frequency responses alone"):
+        gb.compare(fitted(Drag(), record), fitted(LinearDrag(), record), folds=3)
 
 
-def test_amplitudes_of_single_frequencies_are_those_of_the_points_that_are_kept(shared):
-    kept = np.array([True, False, True])
-    sine = gb.modeling.Sine("u", np.array([1.0, 2.0, 3.0]))
-    assert cross_validation._sine(SimpleNamespace(amplitude=sine), kept).amplitude.tolist() == [
-        1.0,
-        3.0,
-    ]
-    one = gb.modeling.Sine("u", 2.0)
-    assert cross_validation._sine(SimpleNamespace(amplitude=one), kept) is one
-    assert cross_validation._sine(SimpleNamespace(amplitude=None), kept) is None
+class Softening(gb.StateSpace):
+    """A lag whose output is bent, so that its response depends on the amplitude."""
+
+    states, inputs, outputs = ("x",), ("u",), ("y",)
+    K = gb.Parameter(2.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return (p.K * u.u - x.x,)
+
+    def output(self, x, u, p):
+        return (x.x - 0.1 * x.x**3,)
 
 
-def test_records_are_held_out_otherwise():
-    with pytest.raises(
-        ValueError, match="folds are for frequency responses alone: hold records out by records="
-    ):
-        cross_validation.cross_validation(
-            [SimpleNamespace(responses=(), parts=("a record",))], ("a",), 3
-        )
+def test_amplitudes_of_single_frequencies_follow_the_points_that_stay():
+    """Without noise every point is predicted exactly, by its own amplitude alone."""
+    sine = gb.modeling.Sine("u", np.linspace(0.1, 1.0, 6))
+    data = gb.modeling.harmonic_response(Softening(), {"K": 2.0}, OMEGA, amplitude=sine)
+    fit = gb.fit(gb.Problem(Softening(), data, amplitude=sine), [{"K": 1.9}], progress=False)
+    rows, _ = cross_validation([fit], ("a",), 3)
+    assert rows[0].values[0] < 1e-4
