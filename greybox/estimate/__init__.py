@@ -16,7 +16,7 @@ Begin with `fit`.
 | `equivalent_minima` | different parameters that give one response |
 | `sensitivity` | where the information on each parameter comes from |
 | `response_band` | confidence band of a fitted response |
-| `profile`, `profiles`, `held_records` | likelihood profiles, their values, and how records are refitted |
+| `profile`, `profiles`, `held_quantity` | likelihood profiles, their values, and minima with a quantity held |
 | `harmonic_numbers` | how many harmonics a sine test needs |
 | `diagnostics` | the folder of warnings |
 | `verdict`, `summary` | the answer in three sentences, and as plain values for JSON |

@@ -1,4 +1,4 @@
-"""Profiles of a fit as values that print themselves; `profile` makes them."""
+"""Profiles and contours of a fit as values that print themselves; `profile` computes them."""
 
 import math
 from dataclasses import dataclass
@@ -21,25 +21,24 @@ class ProfileOf:
     ----------
     name, unit : str
     estimate, standard_error : float
-        Of the fit; the error is NaN where there is none.
+        Of the fit; the error is NaN where the data determine none.
     values, costs, roots : (n,) arrays
-        Where the quantity was held, in rising order; the lowest cost there, and the signed root of
-        the likelihood ratio.
+        Values at which the quantity was held, increasing; the lowest cost at each, and the signed
+        root of the likelihood ratio.
     others : (n, p) array
-        All free parameters at these values.
+        All free parameters at these minima.
     interval : (float, float)
         Infinite on a side that the data leave open.
     ends : (End, End)
-        How the profile ended below and above: it "crossed" the limit; reached the "bound" of the
-        parameter, where the search ends, below it; is "flat" however far it goes; or "failed" to
-        converge.
+        How the profile ended below and above the estimate: it "crossed" the limit, reached the
+        "bound" of the parameter first, is "flat" however far it goes, or "failed" to converge.
     bounds : (float, float)
     bias : float
-        Of the estimate, in standard errors (`Quantity.bias`): the ends are where the root plus it
-        is at -limit and limit.
+        Of the estimate, in standard errors (`Quantity.bias`): at the ends the root plus the bias is
+        -limit and limit.
     at_bound : (tuple of str, tuple of str)
-        Other parameters that a bound holds where the profile crosses the limit below and above:
-        that end follows from the bound too, not from the data alone.
+        Other parameters at a bound where the profile crosses the limit below and above: that end
+        follows from the bound too, not from the data alone.
     connected : bool
         False when values inside the interval have a cost above the limit.
     """
@@ -64,28 +63,25 @@ class ProfileOf:
         unit = f" {self.unit}" if self.unit else ""
         is_open = [math.isinf(value) for value in self.interval]
         if all(is_open):
-            said = "not limited by the data on either side"
+            text = "not limited by the data on either side"
         elif is_open[1]:
-            said = f"above {low}{unit}, no upper limit{self._why(1)}"
+            text = f"above {low}{unit}, no upper limit{self._reason(1, 'up')}"
         elif is_open[0]:
-            said = f"below {high}{unit}, no lower limit{self._why(0)}"
+            text = f"below {high}{unit}, no lower limit{self._reason(0, 'down')}"
         else:
-            said = f"{low} to {high}{unit}"
-        held = [
-            f", the {end} limit with {', '.join(names)} at {'its bound' if len(names) == 1 else 'their bounds'}"
-            for end, names in zip(("lower", "upper"), self.at_bound, strict=True)
-            if names
-        ]
-        return f"{said}{''.join(held)}{'' if self.connected else ', in separate pieces'}"
+            text = f"{low} to {high}{unit}"
+        for end, names in zip(("lower", "upper"), self.at_bound, strict=True):
+            if names:
+                bounds = "its bound" if len(names) == 1 else "their bounds"
+                text += f", the {end} limit with {', '.join(names)} at {bounds}"
+        return text if self.connected else f"{text}, in separate pieces"
 
-    def _why(self, side: int) -> str:
-        if self.ends[side] == "bound":
-            return (
-                f" up to the bound {self.bounds[side]:g}"
-                if side
-                else f" down to the bound {self.bounds[side]:g}"
-            )
-        return " that could be found: solves failed beyond" if self.ends[side] == "failed" else ""
+    def _reason(self, side: int, direction: str) -> str:
+        reasons = {
+            "bound": f" {direction} to the bound {self.bounds[side]:g}",
+            "failed": " that could be found: solves failed beyond",
+        }
+        return reasons.get(self.ends[side], "")
 
     def __repr__(self) -> str:
         return one_line(self, self.name, str(self))
@@ -181,7 +177,7 @@ class Profiles:
 
 @dataclass(frozen=True, eq=False)
 class Contour:
-    """The region of two parameters that a likelihood ratio leaves, all others fitted again at every point.
+    """The confidence region of two parameters by the likelihood ratio, all others fitted again at every point.
 
     Attributes
     ----------
@@ -193,11 +189,11 @@ class Contour:
     limit : float
         Of the root of the ratio.
     points : (n, 2) array
-        Where rays from the estimate leave the region, in the order of their directions; NaN where
-        solves failed.
+        Where rays from the estimate leave the region, in the order of their directions; NaN where a
+        solve failed.
     ends : tuple of End
-        Of every ray: it "crossed" the limit; reached the "bound" of one of the two before; or is
-        "flat" or "failed".
+        Of every ray: it "crossed" the limit, reached the "bound" of one of the two parameters
+        first, is "flat", or "failed".
     """
 
     names: tuple[str, str]

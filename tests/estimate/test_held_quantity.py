@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.held_records import NoMinimumError, _equation, best_of_records, slope_of
+from greybox.estimate.held_quantity import NoMinimumError, best_of_records, slope_of, steep_equation
 from greybox.solve.outcome import Outcome
 
 
@@ -16,11 +16,11 @@ def test_an_equation_is_as_steep_as_a_bound_is():
     quantity = ca.Function("q", [z], [3 * z[0] ** 2 + 4 * z[1]])
     at = np.array([1.0, 5.0])
     assert_allclose(slope_of(quantity, at), [6, 4])
-    equation = _equation(quantity, at, 7.0)
+    equation = steep_equation(quantity, at, 7.0)
     assert_allclose(slope_of(equation, at), np.array([6, 4]) / np.sqrt(52))
     assert float(equation([2.0, -0.5])) == pytest.approx((12 - 2 - 7) / np.sqrt(52))
     flat = ca.Function("q", [z], [0 * z[0] + 2])
-    assert float(_equation(flat, at, 0.5)(at)) == pytest.approx(1.5)
+    assert float(steep_equation(flat, at, 0.5)(at)) == pytest.approx(1.5)
 
 
 class Filter(gb.StateSpace):
@@ -97,8 +97,8 @@ def test_costs_with_a_parameter_or_a_quantity_held_rise_as_those_of_least_square
 def test_where_no_minimum_is_found_again_there_is_an_error(held, monkeypatch):
     nlp = held[0]
     lost = Outcome(np.zeros(2), "iterations exceeded", 3, 0.1, converged=False)
-    monkeypatch.setattr("greybox.estimate.held_records.GaussNewton.solved_from", lambda *_: lost)
-    with pytest.raises(NoMinimumError, match="is found at the estimate again: iterations exceeded"):
+    monkeypatch.setattr("greybox.estimate.held_quantity.GaussNewton.solved_from", lambda *_: lost)
+    with pytest.raises(NoMinimumError, match="from the estimate: iterations exceeded"):
         best_of_records(nlp, held[3][:2])
 
 
