@@ -1,28 +1,27 @@
 """Frequency responses of sweeps and noise, band by band: the local polynomial method.
 
 At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T
-+ V. T is what began before the stretch or lasts beyond it; it is as smooth as P (Pintelon and
-Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines both are polynomials,
-found by least squares, or with an instrument r from outside the loop by instrumental variables.
-Nothing is windowed, so nothing is smeared: what is left is the error of the polynomials, which
-falls with the fourth power of the width of the band, where that of windows falls with the square.
++ V. The transient T began before the stretch or lasts beyond it, and is as smooth as P (Pintelon and
+Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines, both are polynomials,
+estimated by least squares, or by instrumental variables with an instrument r from outside the loop.
+There is no window, so nothing is smeared. The remaining error is that of the polynomials; it falls
+with the fourth power of the width of the band, the error of windows with the square.
 
 Resolution
-    A quadratic that is fitted over a band holds three values. They are read at the three Gauss
-    nodes of the band, where the errors of a fitted polynomial are uncorrelated, and where a cubic
-    would change nothing (Davis and Rabinowitz, Methods of Numerical Integration, section 2.7).
-    Bands do not overlap. So the errors of all points are independent to a good approximation, and
-    three points keep what a band knows.
+    A quadratic over a band has three coefficients. It is evaluated at the three Gauss nodes of the
+    band, where the errors of a fitted polynomial are uncorrelated, and where a cubic would change
+    nothing (Davis and Rabinowitz, Methods of Numerical Integration, section 2.7). Bands do not
+    overlap. So the errors of all points are nearly independent, and three points contain all
+    information of the band.
 Error of the polynomials
-    In a band twice as wide, a quartic is held against the quadratic. Where they differ by more than
-    noise explains, the band is halved, down to the narrowest that leaves something to judge the
-    noise by. There a pole is allowed for: the polynomials fitted to the response with that pole
-    miss it by a known amount, which is taken off (the local rational method: McKelvey and Guérin
-    (2012), 16th IFAC Symposium on System Identification).
+    In a band twice as wide, the quadratic is compared with a quartic. If they differ by more than
+    noise explains, the band is halved, down to the narrowest band that still leaves residuals for
+    the noise. There, a pole is added: the error of the polynomials for a response with that pole is
+    known, and subtracted (the local rational method: McKelvey and Guérin (2012), 16th IFAC
+    Symposium on System Identification).
 Noise
-    Its spectrum S comes from the residuals of the narrowest bands that have any, where the
-    polynomials are least wrong, over a neighborhood. With the estimate aY the variance E|P̂ - P|²
-    is S aaᴴ.
+    Its spectrum S is estimated from the residuals of the narrowest bands in a neighborhood, where
+    the polynomials are most accurate. For the estimate aY, the variance E|P̂ - P|² is S aaᴴ.
 """
 
 import math
@@ -37,100 +36,99 @@ from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.spectral.uniform_stretches import UniformStretch
 from greybox.spectral.welch import EPS, HZ, STRONG, WORST_CONDITION, WindowedPoint
 
-# Of the response in a band. The error of order R in a band of half-width b beside a pole at the
-# distance ρ goes as (b/ρ)**(R + 1), and the lines that 2R + 2 unknowns need widen the band: orders
-# from 2 to 4 are equally good.
+# Order of the response in a band. The error of order R in a band of half-width b beside a pole at the
+# distance ρ is proportional to (b/ρ)**(R + 1), but 2R + 2 unknowns need more lines and so a wider
+# band: orders from 2 to 4 are equally good.
 ORDER = 2
 NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
 
-# Of the transient: its share of the output is about (memory / duration)**0.5, which is small, so
-# that one order less leaves an error as small as that of the response.
+# Order of the transient. Its share of the output is small, about (memory / duration)**0.5, so one
+# order less leaves an error as small as that of the response.
 TRANSIENT_ORDER = 1
 
-EXTRA = 2  # orders by which the polynomials are raised to see whether they are enough
-DOUBLED = 2  # how much wider the band is in which this is tried
-GROWTH = DOUBLED ** (ORDER + 2)  # by which the error at the nodes grows there
+EXTRA = 2  # additional orders in the check of the polynomials
+DOUBLED = 2  # width of the band of that check over the width of the band
+GROWTH = DOUBLED ** (ORDER + 2)  # growth of the error at the nodes in that wider band
 
-# Squared difference of quadratic and quartic over its variance, which for noise alone has an
-# exponential distribution: exceeded in 1 % of cases, from where a band is halved; and in 0.01 %,
-# from where there is a pole to be found in noise.
+# Squared difference of quadratic and quartic over its variance. For noise alone it has an exponential
+# distribution: a band is halved from the value exceeded in 1 % of cases, and a pole is estimated
+# from the value exceeded in 0.01 %.
 VISIBLE = 4.6
 CERTAIN = 9.2
 
-# Of the response: an error of the polynomials that nobody needs to see, below a thousandth of a dB.
+# Relative error of the polynomials that never matters: a thousandth of a dB.
 NEGLIGIBLE = 1e-4
 
-# What the correction by a pole leaves of the error, squared: it goes into the variance.
+# Share of the squared error that remains after the correction by a pole, and enters the variance.
 UNCORRECTED = 0.01
 
-LEAST_RESIDUALS = 3  # complex, that the narrowest band of a point leaves: six degrees of freedom
+LEAST_RESIDUALS = 3  # complex residuals in the narrowest band of a point: six degrees of freedom
 
-# Of the lines of the narrowest band of a point, the share that transients may take: what is beyond
-# is lost for the response. It matters for several short stretches.
+# Largest share of the lines of the narrowest band that transients may use; several short stretches
+# need many of them.
 TRANSIENT_SHARE = 0.5
 
-# Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are
-# laid over it. As they overlap, 8 residuals become about 12, and the variance has 25 degrees of
+# Fewest residuals of the neighborhood from which the noise is estimated, and the number of narrow
+# bands in it. As these overlap, 8 residuals become about 12, and the variance has 25 degrees of
 # freedom.
 NEIGHBORHOOD = 8
 PLACES = 24  # for bands with one residual
 LEAST_PLACES = 6
 
-# Noise falls or rises by a power of the frequency. The power is taken from an octave on either
-# side, by least squares on logarithms, whose scatter is π/√6 for one residual, with a prior of this
-# standard deviation. With 2 the squared errors of the three lowest points of a sweep are 1.39 times
-# the stated variance, with 1 they are 1.24 times (white noise; with AR(0.95) 1.32 and 1.37 times).
+# Noise falls or rises with a power of the frequency. The exponent is estimated from an octave on
+# either side, by least squares on logarithms, whose scatter is π/√6 for one residual, with a prior of
+# this standard deviation. With 2, the squared errors of the three lowest points of a sweep are 1.39
+# times the stated variance, with 1 they are 1.24 times (white noise; AR(0.95): 1.32 and 1.37 times).
 STEEP = 1.0
 LOG_SCATTER = math.pi / math.sqrt(6)
 
-# Half-width of a band over its frequency, where nothing else limits it: a tenth of a decade on
-# either side.
+# Largest half-width of a band over its frequency: 0.15 decades on either side.
 WIDEST = 0.35
 
 
 class Lines(NamedTuple):
-    """Lines of all stretches, by frequency.
+    """Spectral lines of all stretches, sorted by frequency.
 
     Attributes
     ----------
     omega : (n,) array, rad/s
     values : (signals, n) complex array
-        Input, output, instrument, conditioned inputs, scaled so that noise has the variance of its
+        Input, output, instrument, conditioned inputs; scaled so that the variance of noise is its
         spectral density.
     stretch : (n,) array
-        Which stretch each line is of.
+        Index of the stretch of each line.
     spacing : float, rad/s
-        Of the lines of the longest stretch.
-    same : bool
-        The instrument is the input.
+        Distance of the lines of the longest stretch.
+    direct : bool
+        The instrument is the input itself.
     """
 
     omega: Array
     values: ComplexArray
     stretch: IntArray
     spacing: float
-    same: bool
+    direct: bool
 
 
 class Fitted(NamedTuple):
-    """Polynomials in one band.
+    """Polynomials fitted in one band.
 
     Attributes
     ----------
     center, half : float, rad/s
     rows : (n,) array of int
-        Lines used.
+        Indices of the lines in the band.
     x : (n,) array
-        Their place in the band, -1 to 1.
+        Their positions in the band, -1 to 1.
     regressors, basis : (n, m) complex arrays
-        Of the coefficients of the response, then of conditioned inputs; an orthonormal basis of the
-        instruments. Both without transients.
+        Regressors of the response, then of conditioned inputs; an orthonormal basis of the
+        instruments. Transients are projected out of both.
     solution : (m, n) complex array
-        From the output to the coefficients.
+        Maps the output to the coefficients.
     transients : (n, t) array
-        An orthonormal basis.
+        An orthonormal basis of the transients.
     order : int
-        Of the response.
+        Order of the response.
     """
 
     center: float
@@ -144,21 +142,21 @@ class Fitted(NamedTuple):
     order: int
 
     def weights(self, omega: Array) -> ComplexArray:
-        """From the output at the lines to the response at `omega` (k,): (k, n)."""
+        """Return the matrix (k, n) from the output at the lines to the response at `omega` (k,)."""
         powers = np.vander((omega - self.center) / self.half, self.order + 1, increasing=True)
         return powers @ self.solution[: self.order + 1]
 
     @property
     def number(self) -> int:
-        """How many residuals are left."""
+        """The number of residual degrees of freedom (complex)."""
         return self.rows.size - self.basis.shape[1] - self.transients.shape[1]
 
     def residuals(self, y: ComplexArray) -> ComplexArray:
-        """Return what the polynomials do not explain, (n,)."""
+        """Return the residuals of the output (n,)."""
         return _without(self.transients, y) - self.regressors @ (self.solution @ y)
 
     def trace(self) -> float:
-        """Return E|residuals|² of noise of variance one: tr QQᴴ with Q the way from the noise to the residuals."""
+        """Return E|residuals|² for noise of variance one: tr QQᴴ, with residuals = Q noise."""
         gram = (self.solution @ self.solution.conj().T) @ (
             self.regressors.conj().T @ self.regressors
         )
@@ -166,19 +164,19 @@ class Fitted(NamedTuple):
 
 
 class Band(NamedTuple):
-    """A band whose polynomials are taken, the frequencies at which they are read, and their error there.
+    """A band, the frequencies at which its polynomials are evaluated, and their error there.
 
     Attributes
     ----------
     fitted : Fitted
     omega : (k,) array, rad/s
     correction : (k,) complex array
-        What is taken off the response.
+        Subtracted from the response.
     squared_error : (k,) array
-        What the correction leaves.
+        Squared error that remains after the correction.
     pole_noise : (float, float) or None
-        Sum of squared residuals with a pole, and their number, where the polynomials alone are
-        visibly wrong.
+        Sum of squared residuals with a pole, and their number, if the polynomials alone are visibly
+        wrong.
     """
 
     fitted: Fitted
@@ -189,7 +187,7 @@ class Band(NamedTuple):
 
 
 def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
-    """Transform stretches whose rows are input, output, instrument and inputs to condition on."""
+    """Transform stretches; their rows are input, output, instrument and conditioned inputs."""
     omega, values, stretch = [], [], []
     for index, piece in enumerate(stretches):
         count = piece.values.shape[1]
@@ -214,22 +212,22 @@ def tiled_points(
 ) -> tuple[Array, list[WindowedPoint]]:
     """Return frequencies between `low` and `high`, and the estimates there.
 
-    There are about `points`, log spaced, where the response is smooth; more where it is not, and
-    fewer where `lines` do not resolve as many.
+    If the response is smooth, there are about `points`, log spaced; more where it is not, and fewer
+    where the lines do not resolve as many.
     """
     widths = _Widths.of(lines, math.sqrt(low * high))
     edges = _edges(low, high, max(round(points / NODES), 1), widths.point)
     bands = [
-        band for left, right in pairwise(edges) for band in _halved(lines, left, right, widths)
+        band for orthogonal, right in pairwise(edges) for band in _halved(lines, left, right, widths)
     ]
     estimates = [point for band in bands for point in _estimates(lines, band, bands, widths)]
     return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
 
 
 def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
-    """Return the estimates at `omega` (n,), each in the middle of a band that reaches half way to the next ones.
+    """Return the estimates at `omega` (n,), each from a band that reaches halfway to its neighbors.
 
-    Where they are closer than the resolution the bands overlap, and the errors of neighbors are
+    If frequencies are closer than the resolution, the bands overlap and the errors of neighbors are
     correlated.
     """
     widths = _Widths.of(lines, float(np.exp(np.mean(np.log(omega)))))
@@ -241,14 +239,14 @@ def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
     for center in omega.tolist():
         half = max(min(nearest[center] / 2, WIDEST * center), widths.point / 2)
         bands.append(_centered(lines, center, half, widths))
-    known = [band for band in bands if band is not None]
+    fitted = [band for band in bands if band is not None]
     return [
-        _estimates(lines, band, known, widths)[0] if band else WindowedPoint() for band in bands
+        _estimates(lines, band, fitted, widths)[0] if band else WindowedPoint() for band in bands
     ]
 
 
 class _Widths(NamedTuple):
-    """Of the narrowest bands, rad/s: for a point, for the noise, and the residuals that the latter leaves."""
+    """Widths of the narrowest bands for a point and for the noise, rad/s, and residuals of the last."""
 
     point: float
     noise: float
@@ -263,9 +261,9 @@ class _Widths(NamedTuple):
 def _narrowest(
     lines: Lines, omega: float, residuals: int, transient_share: float = 1.0
 ) -> tuple[float, int]:
-    """Return the width of the narrowest band around `omega` that leaves `residuals`, wherever its edges lie, and those.
+    """Return the width of the narrowest band around `omega` with enough residuals, and their number.
 
-    A band of a certain width holds one line more or less.
+    The number of lines in a band of given width depends on its position: the worst case counts.
     """
     half_lines = 2
     while True:
@@ -273,24 +271,24 @@ def _narrowest(
         center = max(omega, half + lines.spacing)
         if center + half > lines.omega[-1]:
             raise ValueError(
-                "the records are too short for any polynomial in frequency: record longer."
+                "the records are too short for a polynomial in frequency: record longer."
             )
         fits = [
             fit_band(lines, center + shift * lines.spacing, half, residuals=residuals)
             for shift in (0.0, 0.25, 0.5)
         ]
-        found = [
-            f
-            for f in fits
-            if f is not None and f.transients.shape[1] <= transient_share * f.rows.size
+        usable = [
+            fit
+            for fit in fits
+            if fit is not None and fit.transients.shape[1] <= transient_share * fit.rows.size
         ]
-        if len(found) == len(fits):
-            return 2 * half, min(f.number for f in found)
+        if len(usable) == len(fits):
+            return 2 * half, min(fit.number for fit in usable)
         half_lines += 1
 
 
 def _edges(low: float, high: float, count: int, least: float) -> Array:
-    """Return the edges of bands of one ratio, but nowhere narrower than `least`."""
+    """Return the edges of bands of equal ratio that are nowhere narrower than `least`."""
     ratio = (high / low) ** (1 / count)
     edges = [low]
     while edges[-1] < high * (1 - 1e-9):
@@ -304,10 +302,10 @@ def _edges(low: float, high: float, count: int, least: float) -> Array:
 def fit_band(
     lines: Lines, center: float, half: float, *, extra: int = 0, residuals: int = 1
 ) -> Fitted | None:
-    """Fit polynomials in a band, of orders raised by `extra`; None where they are not determined.
+    """Fit polynomials in a band, of orders raised by `extra`; None if they are not determined.
 
-    Stretches with as few lines in the band as their transient has coefficients tell nothing, and
-    are left out.
+    A stretch with no more lines in the band than its transient has coefficients has no information,
+    and is left out.
     """
     order, transient_order = ORDER + extra, TRANSIENT_ORDER + extra
     rows, stretches = _rows(lines, center, half, transient_order)
@@ -323,7 +321,7 @@ def fit_band(
     transients = _transients(lines.stretch[rows], stretches, powers[:, : transient_order + 1])
     regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
     instruments = regressors
-    if not lines.same:
+    if not lines.direct:
         instruments = _without(
             transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)])
         )
@@ -335,25 +333,25 @@ def fit_band(
 
 
 def _transients(stretch: IntArray, stretches: Sequence[int], powers: Array) -> Array:
-    """Return an orthonormal basis (n, t) of polynomials of one stretch each; their columns are powers (n, k)."""
+    """Return an orthonormal basis (n, t) of the polynomials of each stretch, from powers (n, k)."""
     width = powers.shape[1]
     basis = np.zeros((len(powers), width * len(stretches)))
     for place, number in enumerate(stretches):
-        own = np.flatnonzero(stretch == number)
-        basis[own, width * place : width * (place + 1)] = np.linalg.qr(powers[own])[0]
+        rows = np.flatnonzero(stretch == number)
+        basis[rows, width * place : width * (place + 1)] = np.linalg.qr(powers[rows])[0]
     return basis
 
 
 def _without(basis: Array, columns: ComplexArray) -> ComplexArray:
     """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
-    left: ComplexArray = columns - basis @ (basis.T @ columns)
-    return left
+    orthogonal: ComplexArray = columns - basis @ (basis.T @ columns)
+    return orthogonal
 
 
 def _rows(
     lines: Lines, center: float, half: float, transient_order: int
 ) -> tuple[IntArray, list[int]]:
-    """Return the lines of a band, and the stretches they are of."""
+    """Return the indices of the lines in a band, and their stretches."""
     first, last = np.searchsorted(
         lines.omega, [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)]
     )
@@ -368,7 +366,7 @@ def _rows(
 def _solved(
     regressors: ComplexArray, instruments: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray] | None:
-    """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None where that is ill conditioned."""
+    """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None if ill conditioned."""
     x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):
         return None
@@ -380,7 +378,7 @@ def _solved(
 
 
 def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band]:
-    """Return the band, or its halves where its polynomials are visibly wrong."""
+    """Return the band, or its halves if its polynomials are visibly wrong."""
     center, half = (low + high) / 2, (high - low) / 2
     fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
     if fitted is None:
@@ -394,7 +392,7 @@ def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band
 
 
 def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band | None:
-    """Return the widest band around `center`, up to `half`, whose polynomials are not visibly wrong."""
+    """Return the widest band around `center`, up to `half`, whose polynomials are accurate."""
     while True:
         fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
         if fitted is None:
@@ -406,10 +404,10 @@ def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band
 
 
 def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
-    """Return the zeros of the next polynomial that is orthogonal over the lines, weighted by the excitation.
+    """Return the zeros of the next polynomial orthogonal over the lines, weighted by the excitation.
 
-    They are the eigenvalues of the multiplication by x, seen among the polynomials of the fitted
-    order (Golub and Welsch (1969), Mathematics of Computation 23).
+    They are the eigenvalues of multiplication by x, projected on the polynomials of the fitted order
+    (Golub and Welsch (1969), Mathematics of Computation 23).
     """
     u, _, r, *_ = lines.values[:, fitted.rows]
     amplitude = np.sqrt(np.abs(u) * np.abs(r))
@@ -419,7 +417,7 @@ def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
 
 
 def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
-    """Return the band read at `omega`, and whether its polynomials are visibly wrong there."""
+    """Return the band evaluated at `omega`, and whether its polynomials are visibly wrong."""
     plain = Band(fitted, omega, np.zeros(omega.size, complex), np.zeros(omega.size), None)
     wide, wider_half = fitted.center, DOUBLED * fitted.half
     quadratic = fit_band(lines, wide, wider_half)
@@ -449,7 +447,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
 def _with_pole(
     lines: Lines, fitted: Fitted, omega: Array
 ) -> tuple[ComplexArray, tuple[float, float]] | None:
-    """Return the error of the polynomials at `omega` if there is a pole, and the residuals with that pole.
+    """Return the error of the polynomials at `omega` given a pole, and the residuals with it.
 
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
     T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
@@ -481,31 +479,29 @@ def _with_pole(
         np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1] / (1 + pole * at)
     )
     correction = fitted.weights(omega) @ output[places] - response
-    left = float(np.sum(np.abs(y - output) ** 2))
-    if not (np.all(np.isfinite(correction)) and math.isfinite(left)):
+    squares = float(np.sum(np.abs(y - output) ** 2))
+    if not (np.all(np.isfinite(correction)) and math.isfinite(squares)):
         return None
-    return correction, (left, float(number))
+    return correction, (squares, float(number))
 
 
 def _estimates(
     lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths
 ) -> list[WindowedPoint]:
-    """Return what a band gives at its frequencies."""
-    found = _noise(lines, band, bands, widths)
-    if found is None:
+    """Return the estimates of a band at its frequencies."""
+    densities = _noise(lines, band, bands, widths)
+    if densities is None:
         return [WindowedPoint()] * band.omega.size
-    noise, of_input, dof = found
+    noise, input_noise, dof = densities
 
     fitted = band.fitted
     weights = fitted.weights(band.omega)
     spread = np.sum(np.abs(weights) ** 2, axis=1)
     response = weights @ lines.values[1, fitted.rows] - band.correction
     variance = noise * spread + band.squared_error
-    rounding = (
-        4 * EPS * np.abs(response)
-    ) ** 2  # noise-free data have no smaller variance than their rounding errors
+    rounding = (4 * EPS * np.abs(response)) ** 2  # the least variance, for data without noise
     coherence = _coherence(lines, fitted, noise)
-    weak = STRONG * spread * of_input > 1
+    weak = STRONG * spread * input_noise > 1
     return [
         WindowedPoint(weak=True) if hidden else WindowedPoint(complex(p), float(v), dof, coherence)
         for p, v, hidden in zip(response, np.maximum(variance, rounding), weak, strict=True)
@@ -513,10 +509,10 @@ def _estimates(
 
 
 class _Residual(NamedTuple):
-    """What polynomials leave in a narrow band.
+    """Residuals of a narrow band.
 
-    Sums of squares (2,), of the output and of what the instrument leaves of the input; their
-    number; the projection (n, n) to them.
+    `squares` (2,) are the sums of squares for the output and for the part of the input that the
+    instrument does not explain, `number` their count, `projection` (n, n) maps signals to them.
     """
 
     center: float
@@ -529,15 +525,15 @@ class _Residual(NamedTuple):
 def _noise(
     lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths
 ) -> tuple[float, float, float] | None:
-    """Return the spectral densities of the noise of output and input around a band, and the degrees of freedom.
+    """Return the noise densities of output and input around a band, and the degrees of freedom.
 
-    The noise of the input is what the instrument does not explain: none in the direct estimate.
-    Bands in which the polynomials are visibly wrong do not count; if the band itself is one, its
-    residuals with the pole do.
+    The noise of the input is the part that the instrument does not explain: zero in the direct
+    estimate. Bands with visibly wrong polynomials are skipped; if the band itself is one, its
+    residuals with the pole are used.
     """
     squares, number = band.pole_noise or (0.0, 0.0)
-    told = number >= LEAST_RESIDUALS
-    if told and lines.same:
+    pole_suffices = number >= LEAST_RESIDUALS
+    if pole_suffices and lines.direct:
         return squares / number, 0.0, 2 * number
 
     center, half = band.fitted.center, band.fitted.half
@@ -574,38 +570,38 @@ def _noise(
     level = np.array([(r.center / center) ** slopes for r in near])
     trace = sum(r.number for r in near)
     output, input = np.sum([r.squares for r in near] / level, axis=0) / trace
-    if told:
+    if pole_suffices:
         return squares / number, float(input), 2 * number
     return float(output), float(input), 2 * trace**2 / _overlap(near)
 
 
 def _overlap(residuals: Sequence[_Residual]) -> float:
-    """Return Σ |projection_i projection_jᴴ|² over all pairs, the traces of Satterthwaite's formula."""
+    """Return Σ |projection_i projection_jᴴ|² over all pairs, for Satterthwaite's formula."""
     total = 0.0
-    for i, one in enumerate(residuals):
-        for other in residuals[i:]:
-            if other.rows[0] > one.rows[-1]:
+    for i, first in enumerate(residuals):
+        for second in residuals[i:]:
+            if second.rows[0] > first.rows[-1]:
                 break
-            _, left, right = np.intersect1d(
-                one.rows, other.rows, assume_unique=True, return_indices=True
+            _, columns, rows = np.intersect1d(
+                first.rows, second.rows, assume_unique=True, return_indices=True
             )
-            product = np.sum(np.abs(one.projection[:, left] @ other.projection[right]) ** 2)
-            total += float(product) * (1 if other is one else 2)
+            product = np.sum(np.abs(first.projection[:, columns] @ second.projection[rows]) ** 2)
+            total += float(product) * (1 if second is first else 2)
     return total
 
 
 def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -> _Residual | None:
-    """Return what is left in a narrow band.
+    """Return the residuals of a narrow band; None if its polynomials are not determined.
 
-    With an instrument, Y - P̂U with the response of the nearest band is projected, so that an
-    instrument too weak to give a response in the narrow band does no harm; without one this is the
-    residual of least squares.
+    With an instrument, Y - P̂U is projected with the response P̂ of the nearest band: the instrument
+    may be too weak for a response in the narrow band. Without one, these are the residuals of least
+    squares.
     """
     fitted = fit_band(lines, center, half)
     if fitted is None:
         return None
     u, y, *_ = lines.values[:, fitted.rows]
-    if not lines.same:
+    if not lines.direct:
         nearest = min((b.fitted for b in bands), key=lambda f: abs(center - f.center) / f.half)
         inside = np.clip(
             lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half
@@ -618,9 +614,9 @@ def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -
 
 
 def _slopes(residuals: Sequence[_Residual], apart: float) -> Array:
-    """Return the slopes (2,) of the noise, log power by log frequency, held back where few residuals tell them.
+    """Return the slopes (2,) of the noise, log power over log frequency, shrunk by a prior.
 
-    So many bands lie `apart`; where there are more residuals than that, they tell as much as these.
+    Only `apart` bands are disjoint; more residuals than that have no more information.
     """
     omega = np.log([r.center for r in residuals])
     power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
@@ -633,22 +629,23 @@ def _slopes(residuals: Sequence[_Residual], apart: float) -> Array:
 
 
 def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
-    """Return the partial γ², without transient and conditioned inputs, of instrument and output.
+    """Return the partial γ² of instrument and output, without transients and conditioned inputs.
 
-    With an instrument it is the lower one of instrument with input and with output.
+    With an instrument, it is the lower of the coherences with input and output.
     """
     u, y, *_ = lines.values[:, fitted.rows]
     n = fitted.rows.size
-    rest = np.hstack([fitted.transients, np.linalg.qr(fitted.regressors[:, fitted.order + 1 :])[0]])
-    everything = np.hstack([fitted.transients, fitted.basis])
+    conditioned = np.linalg.qr(fitted.regressors[:, fitted.order + 1 :])[0]
+    nuisance = np.hstack([fitted.transients, conditioned])
+    complete = np.hstack([fitted.transients, fitted.basis])
 
     def unexplained(signal: ComplexArray, basis: NDArray[Any]) -> float:
-        left = signal - basis @ (basis.conj().T @ signal)
-        return float(np.sum(np.abs(left) ** 2)) / (n - basis.shape[1])
+        residual = signal - basis @ (basis.conj().T @ signal)
+        return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
 
-    output = max(unexplained(y, rest), np.finfo(float).tiny)
-    if lines.same:
+    output = max(unexplained(y, nuisance), np.finfo(float).tiny)
+    if lines.direct:
         return float(np.clip(1 - noise / output, EPS, 1))
-    input = max(unexplained(u, rest), np.finfo(float).tiny)
-    shares = (unexplained(y, everything) / output, unexplained(u, everything) / input)
+    input = max(unexplained(u, nuisance), np.finfo(float).tiny)
+    shares = (unexplained(y, complete) / output, unexplained(u, complete) / input)
     return float(np.clip(1 - max(shares), EPS, 1))

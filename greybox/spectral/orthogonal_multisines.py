@@ -1,9 +1,9 @@
 """A matrix of responses from multisines on several inputs at once, each with lines of its own.
 
-Where the inputs are coupled, by a mixer or a controller, every input has something of every line:
-the ratio of an output and an input at a line is then no response. But what one input does at the
-lines of another follows from its response at its own lines, between which responses are smooth. So
-the outputs at all lines together are one linear system for all responses at their own lines.
+If a mixer or a controller couples the inputs, every input contains all lines, and the ratio of an
+output and an input at a line is not a response. But responses are smooth, so the effect of an input
+at the lines of another follows by interpolation from its response at its own lines. The outputs at
+all lines are therefore one linear system for all responses, each at its own lines.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ from greybox.files.text_table import counted
 from greybox.spectral.multisine_lines import EXCITED, whole_periods
 from greybox.spectral.uniform_stretches import uniform_stretches
 
-# Condition number of that system, with rows and columns of length one, from which the inputs cannot
-# be told apart: an error of a thousandth in the inputs is then one of a tenth in the responses.
+# Condition number of that system, with rows and columns of length one, at which the effects of the
+# inputs cannot be separated: an error of 0.1 % in the inputs then becomes 10 % in the responses.
 TOO_ALIKE = 100.0
 
 
@@ -31,10 +31,10 @@ def response_matrix(
     excitations: Sequence[str] = (),
     name: str = "",
 ) -> tuple[FrequencyResponse, ...]:
-    """Estimate the responses of all outputs to all inputs, each at the lines of its input, cross-coupling removed.
+    """Estimate the responses of all outputs to all inputs, without cross-coupling.
 
-    The signals are averaged over the periods, of which the first must be left out while the plant
-    settles; variances come from the scatter of the periods (jackknife).
+    Each response is estimated at the lines of its input. The signals are averaged over the periods
+    (cut off those in which the plant settles); variances come from their scatter (jackknife).
 
     Parameters
     ----------
@@ -43,32 +43,29 @@ def response_matrix(
         A whole number of samples.
     inputs, outputs : sequence of str
     excitations : sequence of str
-        The injected signals, one for each input, by which the lines are assigned; by default the
-        inputs themselves.
+        The injected signals, one for each input, which assign the lines; by default the inputs.
     name : str
 
     Returns
     -------
     tuple of FrequencyResponse
-        Output by output, for each the inputs in turn. `greybox.data.write_responses` keeps them in
-        one file, `greybox.plotting.response_matrix` draws them.
+        By output, then by input. `greybox.data.write_responses` writes them to one file,
+        `greybox.plotting.response_matrix` draws them.
 
     Raises
     ------
     ValueError
         If there are fewer than three whole periods, an input has fewer than two lines of its own,
-        or the inputs are so much alike that their effects cannot be told apart.
+        or the inputs are so similar that their effects cannot be separated.
 
     Notes
     -----
     Pintelon and Schoukens, System Identification, 2nd ed., section 2.7 (orthogonal multisines);
     Morelli and Klein, Aircraft System Identification, 2nd ed., section 9.5.
     """
-    inputs, outputs, excitations = (
-        tuple(inputs),
-        tuple(outputs),
-        tuple(excitations) or tuple(inputs),
-    )
+    inputs = tuple(inputs)
+    outputs = tuple(outputs)
+    excitations = tuple(excitations) or inputs
     if len(excitations) != len(inputs):
         raise ValueError(
             f"there are {len(excitations)} excitations for {len(inputs)} inputs: give one for each."
@@ -81,43 +78,47 @@ def response_matrix(
     periods = [
         np.split(s.values, round(s.values.shape[1] * s.step / period), axis=1) for s in stretches
     ]
-    every = np.array([np.fft.rfft(one, axis=1)[:, 1:-1] for each in periods for one in each])
-    if len(every) < 3:
+    spectra = np.array([np.fft.rfft(p, axis=1)[:, 1:-1] for stretch in periods for p in stretch])
+    if len(spectra) < 3:
         raise ValueError(
-            f"the records hold {counted(len(every), 'whole period')} of {period:g} s, and a variance needs the scatter "
-            "of three at least: record longer."
+            f"the records hold {counted(len(spectra), 'whole period')} of {period:g} s, and a variance "
+            "needs at least three: record longer."
         )
-    omega = 2 * np.pi / period * np.arange(1, every.shape[2] + 1)
+    omega = 2 * np.pi / period * np.arange(1, spectra.shape[2] + 1)
     m, k = len(inputs), len(outputs)
-    size = np.abs(every[:, m + k :].mean(axis=0))
+    size = np.abs(spectra[:, m + k :].mean(axis=0))
     relative = size / size.max(axis=1, keepdims=True)
     owner = np.where(relative.max(axis=0) > EXCITED, relative.argmax(axis=0), -1)
     lines = np.flatnonzero(owner >= 0)
-    own = [np.flatnonzero(owner[lines] == j) for j in range(m)]
-    for j, rows in enumerate(own):
+    rows_of = [np.flatnonzero(owner[lines] == j) for j in range(m)]
+    for j, rows in enumerate(rows_of):
         if rows.size < 2:
             raise ValueError(
-                f"{inputs[j]} has {counted(rows.size, 'line')} of its own, and a response between lines needs two at "
-                "least: give every input a multisine of its own, gb.experiment.multisine(signals=[...])."
+                f"{inputs[j]} has {counted(rows.size, 'line')} of its own, and interpolation needs at "
+                "least two: excite every input with its own multisine, "
+                "gb.experiment.multisine(signals=[...])."
             )
-    between = [_interpolation(omega[lines[rows]], omega[lines]) for rows in own]
-    total = every[:, :, lines].sum(axis=0)
-    means = [total / len(every), *((total - one[:, lines]) / (len(every) - 1) for one in every)]
+    between = [_interpolation(omega[lines[rows]], omega[lines]) for rows in rows_of]
+    total = spectra[:, :, lines].sum(axis=0)
+    # The mean over all periods, then the means without one of them, for the jackknife.
+    count = len(spectra)
+    means = [total / count, *((total - p[:, lines]) / (count - 1) for p in spectra)]
     solved = np.array([_solved(mean[:m], mean[m : m + k], between) for mean in means])
-    left_out = solved[1:]
-    variance = (len(every) - 1) * np.mean(np.abs(left_out - left_out.mean(axis=0)) ** 2, axis=0)
-    begins = np.concatenate([[0], np.cumsum([rows.size for rows in own])])
+    jackknife = solved[1:]
+    variance = (count - 1) * np.mean(np.abs(jackknife - jackknife.mean(axis=0)) ** 2, axis=0)
+
+    begins = np.concatenate([[0], np.cumsum([rows.size for rows in rows_of])])
     units = {key: unit for s in stretches for key, unit in s.units.items() if unit}
     return tuple(
         FrequencyResponse(
-            omega[lines[own[j]]],
+            omega[lines[rows_of[j]]],
             solved[0, begins[j] : begins[j + 1], i],
             inputs[j],
             outputs[i],
             variance=np.maximum(
                 variance[begins[j] : begins[j + 1], i], np.finfo(float).tiny ** 0.5
             ),
-            dof=np.full(own[j].size, 2.0 * (len(every) - 1)),
+            dof=np.full(rows_of[j].size, 2.0 * (count - 1)),
             name=f"{name} {inputs[j]} to {outputs[i]}".strip(),
             source=stretches[0].source,
             stretches=[s.origin for s in stretches if s.origin is not None],
@@ -128,18 +129,18 @@ def response_matrix(
     )
 
 
-def _interpolation(own: Array, wanted: Array) -> Array:
-    """Return the matrix (wanted, own) of the cubic spline over log ω; beyond its ends the value there."""
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a fifth of a second to import)
+def _interpolation(lines: Array, at: Array) -> Array:
+    """Return the matrix (at, lines) of a cubic spline over log ω, constant beyond its ends."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (slow import)
 
-    spline = make_interp_spline(np.log(own), np.eye(own.size), k=min(3, own.size - 1))
-    return np.asarray(spline(np.log(np.clip(wanted, own[0], own[-1]))))
+    spline = make_interp_spline(np.log(lines), np.eye(lines.size), k=min(3, lines.size - 1))
+    return np.asarray(spline(np.log(np.clip(at, lines[0], lines[-1]))))
 
 
 def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array]) -> ComplexArray:
-    """Return the responses (own lines of all inputs, outputs) from inputs (m, lines) and outputs (k, lines)."""
+    """Return the responses (lines, outputs) from inputs (m, lines) and outputs (k, lines)."""
     system = np.concatenate(
-        [u[:, None] * way for u, way in zip(inputs, between, strict=True)], axis=1
+        [u[:, None] * matrix for u, matrix in zip(inputs, between, strict=True)], axis=1
     )
     rows = np.linalg.norm(system, axis=1, keepdims=True)
     columns = np.linalg.norm(system / rows, axis=0)
@@ -147,7 +148,7 @@ def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array
     condition = np.linalg.cond(scaled)
     if not condition < TOO_ALIKE:
         raise ValueError(
-            f"the inputs have so much of each other's lines (condition number {condition:.3g}) that their effects "
-            "cannot be told apart: excite each more, or fewer at once."
+            f"the inputs share their lines so much (condition number {condition:.3g}) that their "
+            "effects cannot be separated: excite each input more, or fewer at once."
         )
     return np.linalg.solve(scaled, outputs.T / rows) / columns[:, None]

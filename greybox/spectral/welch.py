@@ -1,22 +1,22 @@
-"""The spectral estimate with windows of one length (Welch): transforms, leakage, response, variance and coherence.
+"""Spectral estimates with windows of one length (Welch), their variance and coherence.
 
-At a frequency ω the transforms of the windows k obey Y_k = P U_k + Σ_d c_d U_k⁽ᵈ⁾ + V_k. The sum is
-leakage: a window cuts off the past that the output remembers. Expanding w(t + τ) in the convolution
-gives the transforms U⁽ᵈ⁾ of the input under the d-th derivative of the window, c_1 = j dP/dω, c_2 =
--½ d²P/dω². They are estimated along with P, which removes most of the bias of short windows (the
-counterpart in time of the local polynomial method in frequency: Pintelon and Schoukens, System
-Identification, 2nd ed., chapter 7). Without them the direct estimate is H1 = S_uy / S_uu = ΣU*Y /
-ΣU*U, and the joint input-output estimate with an instrument r from outside the loop is S_ry / S_ru
-= ΣR*Y / ΣR*U. Noise that feedback returns to U biases the first, not the second (Tischler and
-Remple, 2nd ed., section 5.7).
+At a frequency ω, the transforms of the windows k obey Y_k = P U_k + Σ_d c_d U_k⁽ᵈ⁾ + V_k. The sum is
+leakage: a window cuts off the past that the output remembers. An expansion of w(t + τ) in the
+convolution gives the transforms U⁽ᵈ⁾ of the input under the d-th derivative of the window, with
+c_1 = j dP/dω and c_2 = -½ d²P/dω². They are estimated together with P, which removes most of the
+bias of short windows (the counterpart in time of the local polynomial method in frequency: Pintelon
+and Schoukens, System Identification, 2nd ed., chapter 7). Without leakage terms, the direct estimate
+is H1 = S_uy / S_uu = ΣU*Y / ΣU*U, and the joint input-output estimate with an instrument r from
+outside the loop is S_ry / S_ru = ΣR*Y / ΣR*U. Noise that feedback returns to U biases the first
+estimate, not the second (Tischler and Remple, 2nd ed., section 5.7).
 
-With regressors X and instruments Z the estimate is the first row a of A = (ZᴴX)⁻¹Zᴴ, applied to Y.
-With noise V that is stationary and whose spectrum is flat over the width of a window, E V_k V_l* =
-S_v C_kl, where C holds the correlations of overlapping windows. So E|P̂ - P|² = S_v aCaᴴ, and the
-residuals QV, Q = I - XA, give S_v = |residuals|² / tr QCQᴴ with 2 (tr QCQᴴ)² / tr (QCQᴴ)² degrees
-of freedom (Satterthwaite). Where U has one size in all windows this is the (1 - γ²) / (γ² n) |P|²
-of Bendat and Piersol (Random Data, 4th ed., chapter 9), n being the effective number of averages of
-overlapping windows (Welch 1967); it also holds for a sweep, which excites each frequency in few
+With regressors X and instruments Z, the estimate is the first row a of A = (ZᴴX)⁻¹Zᴴ, applied to Y.
+For stationary noise V whose spectrum is flat over the width of a window, E V_k V_l* = S_v C_kl,
+where C contains the correlations of overlapping windows. So E|P̂ - P|² = S_v aCaᴴ, and the residuals
+QV with Q = I - XA give S_v = |residuals|² / tr QCQᴴ with 2 (tr QCQᴴ)² / tr (QCQᴴ)² degrees of
+freedom (Satterthwaite). If U has the same size in all windows, this is the (1 - γ²) / (γ² n) |P|² of
+Bendat and Piersol (Random Data, 4th ed., chapter 9), with n the effective number of averages of
+overlapping windows (Welch 1967). It also holds for a sweep, which excites each frequency in few
 windows.
 """
 
@@ -35,29 +35,27 @@ from greybox.spectral.uniform_stretches import UniformStretch
 HZ = 2 * math.pi  # rad/s
 EPS = np.finfo(float).eps
 
-# Periods that a window holds at least: half the width of the main lobe of the Hann window, so that
-# neither the mean nor the negative frequency leaks into the estimate.
+# Fewest periods in a window: half the width of the main lobe of the Hann window, so that neither the
+# mean nor the negative frequency leaks into the estimate.
 PERIODS = 2
 
-# Of an estimate that is used: the smallest number for which Student's t, the error over its
-# estimated standard deviation, has a finite variance.
+# Fewest degrees of freedom of an estimate: from here on, Student's t has a finite variance.
 LEAST_DOF = 3
 
-# How many times as strong as its noise the part of the input must be that the instrument explains,
-# in power: with less the ratio is drawn toward the direct estimate, and its standard error is too
-# small (Staiger and Stock (1997), Econometrica 65, for the bias of instrumental variables; the F
-# statistic of their first stage).
+# Power of the part of the input that the instrument explains, over the power of the noise in it. With
+# less, the ratio is biased toward the direct estimate and its standard error is too small (Staiger
+# and Stock (1997), Econometrica 65: the F statistic of the first stage).
 STRONG = 10
 
-COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
+COHERENT = 0.6  # least coherence of an automatic point: Tischler and Remple, section 5.5
 
-# Of ZᴴX with columns of length one. Rounding errors of the solution reach this times 2e-16; beyond
-# it, the leakage terms are taken as dependent.
+# Largest condition number of ZᴴX with columns of length one. Rounding errors of the solution reach
+# this times 2e-16; beyond, the leakage terms count as linearly dependent.
 WORST_CONDITION = 1e6
 
 
 class WindowedPoint(NamedTuple):
-    """One frequency, one window length; NaN where there are too few windows, or the instrument is `weak`."""
+    """The estimate at one frequency; NaN if there are too few windows or the instrument is `weak`."""
 
     response: complex = complex("nan")
     variance: float = math.nan
@@ -67,16 +65,16 @@ class WindowedPoint(NamedTuple):
 
 
 class Transforms(NamedTuple):
-    """Transforms (windows, frequencies) of input, output and instrument, and the equations that they stand in.
+    """Transforms (windows, frequencies) of input, output and instrument, and their equations.
 
     Attributes
     ----------
     u, y, r : (windows, frequencies) complex arrays
-    regressors, instruments : lists of such arrays, X and Z
-        The input (or instrument) first, then the conditioned inputs, then the leakage terms.
+    regressors, instruments : lists of (windows, frequencies) arrays, X and Z
+        First the input (or instrument), then the conditioned inputs, then the leakage terms.
     correlation : (windows, windows) sparse array, C
     inputs : int
-        How many of the regressors are inputs, not leakage.
+        Number of regressors that are inputs, not leakage.
     """
 
     u: ComplexArray
@@ -96,22 +94,22 @@ def transforms(
     taper: bool = True,
     leakage_terms: int = 0,
 ) -> Transforms:
-    """Transform every window of every stretch; a stretch shorter than a window has none.
+    """Transform every window of every stretch; stretches shorter than a window are skipped.
 
     Parameters
     ----------
     stretches : sequence of UniformStretch
         Rows: input, output, instrument, and inputs to condition on.
     length : float, s
-        Of a window.
+        Length of a window.
     overlap : float
         Share of a window that the next one repeats.
     omega : (n,) array, rad/s
     taper : bool
-        Hann windows; rectangular ones otherwise.
+        Hann windows if true, rectangular ones otherwise.
     leakage_terms : 0, 1 or 2
     """
-    from scipy.sparse import block_diag  # noqa: PLC0415 - scipy takes longer to import than this package
+    from scipy.sparse import block_diag  # noqa: PLC0415  (slow import)
 
     per_stretch = []
     correlations = []
@@ -121,8 +119,7 @@ def transforms(
         if room < 0:
             continue
 
-        # Whole hops through the room that is left: the last window reaches the end, up to fewer
-        # samples than hops.
+        # The hops fill the stretch, so that the last window reaches its end but for a few samples.
         hop = max(room // max(math.ceil(room / (count * (1 - overlap))), 1), 1)
         tapers = hann_tapers(count, leakage_terms) if taper else np.ones((1, count))
         frames = np.lib.stride_tricks.sliding_window_view(stretch.values, count, axis=1)[:, ::hop]
@@ -141,16 +138,16 @@ def transforms(
 
 
 def estimates(spectra: Transforms, radians: Array) -> list[WindowedPoint]:
-    """Return one estimate per frequency; none where the window, `radians` long, holds too few periods."""
+    """Return one estimate per frequency; NaN where the window, `radians` long, is too short."""
     enough = radians >= PERIODS * HZ * (1 - 1e-9)
     return [estimate(spectra, k) if good else WindowedPoint() for k, good in enumerate(enough)]
 
 
 def estimate(spectra: Transforms, k: int) -> WindowedPoint:
-    """Solve instrumentsᴴ (Y - regressors P) = 0 at the frequency of column k; P̂ belongs to the first regressor.
+    """Solve instrumentsᴴ (Y - regressors P) = 0 at frequency k for P̂, of the first regressor.
 
-    A periodic input in steady state has no leakage: where its terms are not independent they are
-    left out.
+    A periodic input in steady state has no leakage: its terms are then linearly dependent, and left
+    out.
     """
     x = np.array([column[:, k] for column in spectra.regressors]).T
     z = np.array([column[:, k] for column in spectra.instruments]).T
@@ -165,9 +162,8 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     solution = np.linalg.solve(z.conj().T @ x, z.conj().T)
     trace, trace_of_square = traces(c, x, solution.conj().T.astype(complex))
     dof = 2 * trace**2 / trace_of_square
-    if (
-        trace < 1e-9 * c.trace() or dof < LEAST_DOF
-    ):  # a trace of rounding errors: as many unknowns as windows
+    # With as many unknowns as windows, the trace is a rounding error.
+    if trace < 1e-9 * c.trace() or dof < LEAST_DOF:
         return WindowedPoint()
 
     spread = (solution[0] @ c @ solution[0].conj()).real
@@ -176,9 +172,7 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     noise = np.sum(np.abs(y - x @ (solution @ y)) ** 2) / trace
     variance = noise * spread
     response = complex(solution[0] @ y)
-    rounding = (
-        4 * EPS * abs(response)
-    ) ** 2  # noise-free data have no smaller variance than their rounding errors
+    rounding = (4 * EPS * abs(response)) ** 2  # the least variance, for data without noise
     return WindowedPoint(response, max(variance, rounding), dof, _coherence(x, z, y))
 
 
@@ -188,14 +182,14 @@ def response_at(
     names: tuple[str, str, str],
     stretches: Sequence[UniformStretch],
 ) -> FrequencyResponse:
-    """Collect the points that could be estimated; `names` are those of input, output and response.
+    """Return the points that could be estimated; `names` are those of input, output and response.
 
-    Where the instrument is too weak there is none, as `about` says.
+    Points where the instrument is too weak are left out, and `about` says so.
 
     Raises
     ------
     ValueError
-        If there is none.
+        If no point could be estimated.
     """
     response, variance, dof, coherence, weak = (
         np.array(column) for column in zip(*estimates, strict=True)
@@ -204,12 +198,12 @@ def response_at(
     input, output, name = names
     if not good.any() and weak.any():
         raise ValueError(
-            f"the instrument hardly moves {input}: at no frequency is its part {STRONG} times as strong as the noise; "
-            "excite more strongly or longer, or give another instrument."
+            f"the instrument hardly moves {input}: at no frequency is its effect {STRONG} times as "
+            "strong as the noise; excite more strongly or longer, or use another instrument."
         )
     if not good.any():
         raise ValueError(
-            "no frequency has enough windows for a variance: record longer, or give shorter windows."
+            "no frequency has enough windows for a variance: record longer, or use shorter windows."
         )
     return FrequencyResponse(
         omega[good],
@@ -230,7 +224,7 @@ def response_at(
 
 
 def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
-    """Leave the points out whose coherence is low, and say so in `about`; where all are, they remain to be judged."""
+    """Leave out points of low coherence and say so in `about`; if all are low, keep them."""
     coherent = response.coherence >= COHERENT  # type: ignore[operator]
     if not coherent.any() or coherent.all():
         return response
@@ -242,14 +236,14 @@ def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
 
 
 def _dropped(omega: Array, gone: BoolArray, why: str) -> str:
-    """Say which points are left out, and why."""
+    """Return a sentence on the points that are left out, and the reason."""
     low, high = omega[gone].min(), omega[gone].max()
-    where = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
-    return f"{gone.sum()} of {counted(omega.size, 'point')}, {why}, at {where}"
+    place = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
+    return f"{gone.sum()} of {counted(omega.size, 'point')}, {why}, at {place}"
 
 
 def hann_tapers(count: int, derivatives: int) -> Array:
-    """Return the Hann window and its derivatives by the phase of a whole window, (derivatives + 1, count)."""
+    """Return the Hann window and its derivatives by phase, (derivatives + 1, count)."""
     phase = HZ * (np.arange(count) + 0.5) / count
     return np.array(
         [0.5 - 0.5 * np.cos(phase), 0.5 * np.sin(phase), 0.5 * np.cos(phase)][: derivatives + 1]
@@ -257,8 +251,8 @@ def hann_tapers(count: int, derivatives: int) -> Array:
 
 
 def window_correlation(window: Array, hop: int, count: int) -> Any:
-    """Σ w_k w_l of windows some hops apart, (count, count), sparse."""
-    from scipy.sparse import diags_array  # noqa: PLC0415 - as above
+    """Return Σ w_k w_l of windows that are some hops apart, (count, count), sparse."""
+    from scipy.sparse import diags_array  # noqa: PLC0415  (slow import)
 
     lags = [
         window[: window.size - d] @ window[d:] for d in range(0, min(window.size, hop * count), hop)
@@ -268,7 +262,7 @@ def window_correlation(window: Array, hop: int, count: int) -> Any:
 
 
 def solvable(z: ComplexArray, x: ComplexArray) -> bool:
-    """Tell whether ZᴴX, with columns scaled to length one, is well conditioned."""
+    """Return whether ZᴴX, with columns scaled to length one, is well conditioned."""
     tiny = np.finfo(float).tiny
     z_length, x_length = (
         np.maximum(np.sqrt(np.sum(np.abs(side) ** 2, axis=0)), tiny) for side in (z, x)
@@ -279,10 +273,10 @@ def solvable(z: ComplexArray, x: ComplexArray) -> bool:
 
 
 def unexplained(c: Any, input: ComplexArray, z: ComplexArray) -> float:
-    """Return the spectral density of what the instruments leave of an input."""
+    """Return the spectral density of the part of an input that the instruments do not explain."""
     basis = np.linalg.qr(z)[0].astype(complex)
-    left = input - basis @ (basis.conj().T @ input)
-    return float(np.sum(np.abs(left) ** 2)) / traces(c, basis, basis)[0]
+    residual = input - basis @ (basis.conj().T @ input)
+    return float(np.sum(np.abs(residual) ** 2)) / traces(c, basis, basis)[0]
 
 
 def traces(c: Any, left: ComplexArray, right: ComplexArray) -> tuple[float, float]:
@@ -290,9 +284,9 @@ def traces(c: Any, left: ComplexArray, right: ComplexArray) -> tuple[float, floa
     cr = c @ right
     inner = right.conj().T @ cr
     factor = np.hstack([left, cr])
-    one = np.eye(left.shape[1])
+    identity = np.eye(left.shape[1])
     zero = np.zeros(inner.shape)
-    core = np.block([[inner, -one], [-one, zero]])  # M = C + factor core factorᴴ
+    core = np.block([[inner, -identity], [-identity, zero]])  # M = C + factor core factorᴴ
     gram = core @ (factor.conj().T @ factor)
     trace = c.trace() + np.trace(gram).real
     square_of_c = c.multiply(c).sum()
@@ -302,8 +296,8 @@ def traces(c: Any, left: ComplexArray, right: ComplexArray) -> tuple[float, floa
 
 
 def _coherence(x: ComplexArray, z: ComplexArray, y: ComplexArray) -> float:
-    """Return the partial γ² of first instrument and output, or of it and the first regressor if that is lower."""
+    """Return the partial γ² of the first instrument with output or first regressor, if lower."""
     basis = np.linalg.qr(x[:, 1:])[0]
-    r, *others = (v - basis @ (basis.conj().T @ v) for v in (z[:, 0], y, x[:, 0]))
-    squares = (abs(np.vdot(r, v)) ** 2 / (np.vdot(r, r).real * np.vdot(v, v).real) for v in others)
+    r, *signals = (v - basis @ (basis.conj().T @ v) for v in (z[:, 0], y, x[:, 0]))
+    squares = (abs(np.vdot(r, v)) ** 2 / (np.vdot(r, r).real * np.vdot(v, v).real) for v in signals)
     return float(np.clip(min(squares), EPS, 1))

@@ -179,7 +179,7 @@ def test_where_the_instrument_hardly_moves_the_input_there_is_no_joint_estimate(
     assert 0.7 < np.sqrt(np.mean(np.concatenate(standardized))) < 1.4
     noise = np.random.default_rng(3).standard_normal(theta.size)
     with pytest.raises(
-        ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times"
+        ValueError, match="the instrument hardly moves u"
     ):
         spectral_response(
             record(FAST, u=u, theta=theta, r=noise),
@@ -290,7 +290,7 @@ def test_a_band_is_kept_to_as_far_as_the_record_resolves_it():
     assert got.omega.max() <= 0.4 * HZ * RATE
     with pytest.raises(ValueError, match="these records resolve"):
         spectral_response(flown, band=(1e-4, 1e-3))
-    with pytest.raises(ValueError, match="give 0 < low < high"):
+    with pytest.raises(ValueError, match="must be increasing"):
         spectral_response(flown, band=(3.0, 2.0))
 
 

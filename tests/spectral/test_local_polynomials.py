@@ -209,10 +209,10 @@ def test_lines_are_transforms_of_whole_stretches_by_frequency():
     np.testing.assert_array_equal(found.stretch, [row[1] for row in rows])
     np.testing.assert_allclose(found.values, np.array([row[2] for row in rows]).T, atol=1e-12)
     assert found.spacing == pytest.approx(2 * np.pi / 0.6)
-    assert not found.same
+    assert not found.direct
     same = [p._replace(values=p.values[[0, 1, 0]]) for p in pieces]
-    assert local_polynomials.lines_of(same).same
-    assert not local_polynomials.lines_of([same[0], pieces[1]]).same
+    assert local_polynomials.lines_of(same).direct
+    assert not local_polynomials.lines_of([same[0], pieces[1]]).direct
 
 
 def quiet():

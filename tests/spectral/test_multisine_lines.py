@@ -124,7 +124,7 @@ def test_a_period_is_a_whole_number_of_samples_two_at_least():
             match=r"a period of 1 s has (10\.0001|9\.99989) samples: resample",
         ):
             whole_periods(UniformStretch(values, step, ""), 1.0)
-    with pytest.raises(ValueError, match="a period of 1 s is 1 samples"):
+    with pytest.raises(ValueError, match="a period of 1 s has 1 samples"):
         whole_periods(UniformStretch(values, 1.0, ""), 1.0)
     assert whole_periods(UniformStretch(values, 0.5, ""), 1.0).values.shape == (2, 40)
 

@@ -73,7 +73,7 @@ def test_inputs_that_are_alike_are_refused():
     """And too few periods."""
     data = record(0.0)
     same = data.with_signals(dr=data["da"])
-    with pytest.raises(ValueError, match="cannot be told apart"):
+    with pytest.raises(ValueError, match="cannot be separated"):
         estimated(same)
     with pytest.raises(ValueError, match="2 whole periods of 20 s"):
         estimated(data.between(0, 2 * PERIOD))
@@ -165,7 +165,7 @@ def test_three_periods_two_lines_for_each_input_and_one_excitation_for_each():
         response_matrix(data, 2.0, ["a", "b"], ["y"], excitations=["a"])
     lone = data.with_signals(b=np.sin(3 * np.pi * t))
     with pytest.raises(
-        ValueError, match="b has 1 line of its own, and a response between lines needs two"
+        ValueError, match="b has 1 line of its own"
     ):
         response_matrix(lone, 2.0, ["a", "b"], ["y"])
 

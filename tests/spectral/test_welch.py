@@ -282,7 +282,7 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
     }
     assert welch.response_at(omega[:2], points("", "lost"), ("u", "y", ""), []).about == {}
     with pytest.raises(
-        ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times as"
+        ValueError, match="the instrument hardly moves u"
     ):
         welch.response_at(omega[:2], points("weak", "lost"), ("u", "y", ""), [])
     with pytest.raises(
