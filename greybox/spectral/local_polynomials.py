@@ -218,7 +218,7 @@ def tiled_points(
     widths = _Widths.of(lines, math.sqrt(low * high))
     edges = _edges(low, high, max(round(points / NODES), 1), widths.point)
     bands = [
-        band for orthogonal, right in pairwise(edges) for band in _halved(lines, left, right, widths)
+        band for first, last in pairwise(edges) for band in _halved(lines, first, last, widths)
     ]
     estimates = [point for band in bands for point in _estimates(lines, band, bands, widths)]
     return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates

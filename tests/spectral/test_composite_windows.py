@@ -178,9 +178,7 @@ def test_where_the_instrument_hardly_moves_the_input_there_is_no_joint_estimate(
         standardized.append(np.abs(joint.response - truth) ** 2 / joint.variance)
     assert 0.7 < np.sqrt(np.mean(np.concatenate(standardized))) < 1.4
     noise = np.random.default_rng(3).standard_normal(theta.size)
-    with pytest.raises(
-        ValueError, match="the instrument hardly moves u"
-    ):
+    with pytest.raises(ValueError, match="the instrument hardly moves u"):
         spectral_response(
             record(FAST, u=u, theta=theta, r=noise),
             instrument="r",

@@ -164,9 +164,7 @@ def test_three_periods_two_lines_for_each_input_and_one_excitation_for_each():
     with pytest.raises(ValueError, match="there are 1 excitations for 2 inputs: give one for each"):
         response_matrix(data, 2.0, ["a", "b"], ["y"], excitations=["a"])
     lone = data.with_signals(b=np.sin(3 * np.pi * t))
-    with pytest.raises(
-        ValueError, match="b has 1 line of its own"
-    ):
+    with pytest.raises(ValueError, match="b has 1 line of its own"):
         response_matrix(lone, 2.0, ["a", "b"], ["y"])
 
 

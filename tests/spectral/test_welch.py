@@ -281,9 +281,7 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
         "dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"
     }
     assert welch.response_at(omega[:2], points("", "lost"), ("u", "y", ""), []).about == {}
-    with pytest.raises(
-        ValueError, match="the instrument hardly moves u"
-    ):
+    with pytest.raises(ValueError, match="the instrument hardly moves u"):
         welch.response_at(omega[:2], points("weak", "lost"), ("u", "y", ""), [])
     with pytest.raises(
         ValueError, match="no frequency has enough windows for a variance: record longer"
