@@ -239,14 +239,13 @@ class FrequencyResponse:
         ``alpha, beta``, then as far as known ``coherence, variance, dof``, and ``alpha_common1,
         beta_common1`` and so on for the common errors.
         """
-        known = {
+        columns = {
             name: getattr(self, name) for name in ("alpha", "beta", "coherence", "variance", "dof")
         }
-        for j, errors in enumerate(
-            () if self.common_errors is None else self.common_errors, start=1
-        ):
-            known |= {f"alpha_common{j}": errors.real, f"beta_common{j}": errors.imag}
-        return {name: values for name, values in known.items() if values is not None}
+        common = () if self.common_errors is None else self.common_errors
+        for j, errors in enumerate(common, start=1):
+            columns |= {f"alpha_common{j}": errors.real, f"beta_common{j}": errors.imag}
+        return {name: values for name, values in columns.items() if values is not None}
 
     @property
     def checksum(self) -> str:
@@ -347,13 +346,13 @@ class FrequencyResponse:
             [number(float(value), 4) for value in row]
             for row in zip(*columns.values(), strict=True)
         ]
-        said = [f"{key}: {text}" for key, text in self.about.items()]
-        return html_text(str(self)) + html_table(list(columns), rows, ()) + html_list(said)
+        remarks = [f"{key}: {text}" for key, text in self.about.items()]
+        return html_text(str(self)) + html_table(list(columns), rows, ()) + html_list(remarks)
 
     def __str__(self) -> str:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"
-        known = {c: getattr(self, c) for c in ("coherence", "variance", "dof", "common_errors")}
-        extras = [name.replace("_", " ") for name, values in known.items() if values is not None]
+        optional = {c: getattr(self, c) for c in ("coherence", "variance", "dof", "common_errors")}
+        extras = [name.replace("_", " ") for name, values in optional.items() if values is not None]
         return (
             f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
             f"{self.omega.min():g} to {self.omega.max():g} rad/s"

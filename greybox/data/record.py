@@ -219,7 +219,7 @@ class Record:
             For what is no data frame, no table of numbers, or no record.
         """
         columns = columns_of(frame)
-        stated = {
+        described = {
             name: frame.attrs[name]
             for name in ("units", "hold", "name", "source")
             if name in frame.attrs
@@ -233,7 +233,7 @@ class Record:
             columns.pop(time)
         else:
             moments = seconds_of(frame.index, "index")
-        options = stated | others | ({} if units is None else {"units": units})
+        options = described | others | ({} if units is None else {"units": units})
         return cls(moments, columns, **options)  # type: ignore[arg-type]
 
     def to_pandas(self) -> Frame:
@@ -400,7 +400,7 @@ def require_time(record: Record, what: str) -> None:
 
 
 def share_samples(a: Record, b: Record) -> bool:
-    """Tell whether two records hold some of the same measured samples.
+    """Return whether two records hold some of the same measured samples.
 
     Of one file they do where their times overlap outside of gaps, or where they have a row in
     common; others where they have the same values at the same times, as after
@@ -412,13 +412,13 @@ def share_samples(a: Record, b: Record) -> bool:
         return bool(np.intersect1d(a.time, b.time).size)
     if a.checksum == b.checksum:
         return any(
-            one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1]
-            for one in a.pieces
-            for other in b.pieces
+            piece.time[0] <= other_piece.time[-1] and other_piece.time[0] <= piece.time[-1]
+            for piece in a.pieces
+            for other_piece in b.pieces
         )
-    _, rows, others = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
+    _, rows, other_rows = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
     alike = [
-        np.isclose(a[name][rows], b[name][others], rtol=0.0, atol=0.0, equal_nan=True)
+        np.isclose(a[name][rows], b[name][other_rows], rtol=0.0, atol=0.0, equal_nan=True)
         for name in a.signals
         if name in b.signals
     ]
@@ -430,11 +430,11 @@ def share_samples(a: Record, b: Record) -> bool:
 
 def _range(values: Array) -> tuple[str, str, str]:
     """Return the lowest and the highest value, and how many are missing, as text."""
-    known = values[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     low, high = (
-        (number(float(known.min())), number(float(known.max()))) if known.size else ("-", "-")
+        (number(float(finite.min())), number(float(finite.max()))) if finite.size else ("-", "-")
     )
-    return low, high, str(values.size - known.size)
+    return low, high, str(values.size - finite.size)
 
 
 def _row_numbers(signals: Mapping[str, ArrayLike]) -> Array:

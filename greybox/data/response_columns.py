@@ -115,7 +115,7 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
     ValueError
         For half of a common error.
     """
-    known: dict[str, Any] = {name: values[name] for name in EXTRAS if name in values}
+    optional: dict[str, Any] = {name: values[name] for name in EXTRAS if name in values}
     numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
     errors = []
     for j in numbers:
@@ -126,7 +126,7 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
                 f"there is no column {missing!r}: give both parts of a common error, or none."
             )
         errors.append(values[alpha] + 1j * values[beta])
-    return known | ({"common_errors": np.array(errors)} if errors else {})
+    return optional | ({"common_errors": np.array(errors)} if errors else {})
 
 
 def find_column(text: str, header: Sequence[str]) -> Column:

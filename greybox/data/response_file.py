@@ -66,15 +66,15 @@ def read_response(
     if f"{output}_{input}_alpha" in table.header and "alpha" not in table.header:
         prefix = prefix or f"{output}_{input}_"
     try:
-        found = columns_by_role(columns or written_columns(table.header, prefix), table.header)
+        places = columns_by_role(columns or written_columns(table.header, prefix), table.header)
     except ValueError as error:
         raise ValueError(f"{path} {error}") from None
-    values = table.numbers({role: column.place for role, column in found.items()})
+    values = table.numbers({role: column.place for role, column in places.items()})
     about = described({} if prefix else table.facts)
     about["input"] = input or about["input"]
     about["output"] = output or about["output"]
     try:
-        return assembled(values, found, **about | {"name": name or path.stem, "source": path.name})
+        return assembled(values, places, **about | {"name": name or path.stem, "source": path.name})
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

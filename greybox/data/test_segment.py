@@ -126,10 +126,10 @@ def segment_table(segments: Sequence[Segment]) -> str:
 
 def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
     """Return the segments; TypeError for anything else, such as the maneuvers of an `Excitation`."""
-    found = tuple(segments)
-    for segment in found:
+    checked = tuple(segments)
+    for segment in checked:
         if not isinstance(segment, Segment):
             raise TypeError(
                 f"a segment is {segment!r:.60}: give those of gb.logs.find_segments, or gb.data.Segment(start, end)."
             )
-    return tuple(segment for segment in found if isinstance(segment, Segment))
+    return tuple(segment for segment in checked if isinstance(segment, Segment))

@@ -121,11 +121,11 @@ def read_group(group: Node) -> TransientSpectrum:
     """Read what `write_group` wrote."""
     signals: dict[str, dict[str, Any]] = {"inputs": {}, "outputs": {}}
     units, change = {}, {}
-    for kind, found in signals.items():
+    for kind, spectra in signals.items():
         for key, dataset in group[kind].items():
             name = unescaped(key)
             real, imaginary = dataset[()]
-            found[name] = real + 1j * imaginary
+            spectra[name] = real + 1j * imaginary
             if dataset.attrs["unit"]:
                 units[name] = str(dataset.attrs["unit"])
             if kind == "inputs":

@@ -185,12 +185,12 @@ def to_si(unit: str) -> Conversion:
     text = unit.strip()
     if not text:
         return Conversion(1.0, 0.0, "")
-    known = _named(text)
-    if known is not None:
-        conversion = Conversion(known.factor, known.zero, _written(_powers(known.si)))
+    named = _named(text)
+    if named is not None:
+        conversion = Conversion(named.factor, named.zero, _written(_powers(named.si)))
         if text not in DOUBTFUL:
             return conversion
-        scale = f"{known.factor:g} {conversion.si}" if not known.zero else "degrees Celsius"
+        scale = f"{named.factor:g} {conversion.si}" if not named.zero else "degrees Celsius"
         return replace(conversion, remark=f"{text} was taken for {scale}, not for {DOUBTFUL[text]}")
 
     leading = LEADING.match(text)
@@ -199,11 +199,11 @@ def to_si(unit: str) -> Conversion:
     for name, power in _powers(text[leading.end() :] if leading else text).items():
         if name.lower() in POUNDS:
             raise ValueError(f"{name} may be a pound of mass or of force, write lbm or lbf")
-        known = None if name in DOUBTFUL else _named(name)
-        if known is None:
+        named = None if name in DOUBTFUL else _named(name)
+        if named is None:
             raise ValueError(f"the unit {unit!r} is not known")
-        factor *= known.factor**power
-        for si, exponent in _powers(known.si).items():
+        factor *= named.factor**power
+        for si, exponent in _powers(named.si).items():
             powers[si] = powers.get(si, 0) + exponent * power
     if not powers:
         raise ValueError(f"the unit {unit!r} is not known")
@@ -211,7 +211,7 @@ def to_si(unit: str) -> Conversion:
 
 
 def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
-    """Tell whether numbers in two units measure the same kind of quantity; radians are pure numbers."""
+    """Return whether numbers in two units measure the same kind of quantity; radians are pure numbers."""
     kinds = []
     for conversion in (a, b):
         powers: dict[str, int] = {}

@@ -18,9 +18,9 @@ class Heading(NamedTuple):
 
 def heading(cell: str) -> Heading:
     """Split ``pitch [deg]`` or ``pitch (deg)`` into name and unit; ``motor[0]`` is a name."""
-    found = None if INDEX.fullmatch(cell.strip()) else BRACKETS.match(cell.strip())
+    match = None if INDEX.fullmatch(cell.strip()) else BRACKETS.match(cell.strip())
     return (
-        Heading(found[1].strip(), (found[2] or found[3] or "").strip())
-        if found
+        Heading(match[1].strip(), (match[2] or match[3] or "").strip())
+        if match
         else Heading(cell.strip(), "")
     )

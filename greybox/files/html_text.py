@@ -32,10 +32,10 @@ def html_table(
         )
         return f"<tr>{''.join(columns)}</tr>"
 
-    more = len(rows) - ROWS
-    body = [line(row, "td") for row in (rows[:ROWS] if more > 0 else rows)]
-    if more > 0:
-        body.append(f'<tr><td colspan="{len(header)}">and {more} more</td></tr>')
+    hidden = len(rows) - ROWS
+    body = [line(row, "td") for row in (rows[:ROWS] if hidden > 0 else rows)]
+    if hidden > 0:
+        body.append(f'<tr><td colspan="{len(header)}">and {hidden} more</td></tr>')
     return f"<table><thead>{line(header, 'th')}</thead><tbody>{''.join(body)}</tbody></table>"
 
 

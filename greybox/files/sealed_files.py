@@ -38,10 +38,10 @@ class Stored:
         """Return the values of a dataset for ``()``, otherwise the group or dataset at a path below."""
         if isinstance(place, tuple):
             return self.values
-        found = self
+        item = self
         for name in place.split("/"):
-            found = found.members[name]
-        return found
+            item = item.members[name]
+        return item
 
     def __contains__(self, name: str) -> bool:
         return name in self.members
@@ -64,12 +64,12 @@ def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
     """
     import h5py  # noqa: PLC0415  (reading needs it in the subprocess only)
 
-    whole = io.BytesIO()
-    with h5py.File(whole, "w", userblock_size=BLOCK) as file:
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", userblock_size=BLOCK) as file:
         fill(file)
     # No copy of what may be large; and no view of the buffer, which held by a traceback crashes
     # Python 3.12 at its end.
-    body = memoryview(whole.getvalue())[BLOCK:]
+    body = memoryview(buffer.getvalue())[BLOCK:]
     head = _block(kind, hashlib.sha256(body).hexdigest())
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(head)
@@ -123,7 +123,7 @@ def seal(path: Path, kind: str) -> None:
 
 
 def is_sealed(path: Path, kind: str) -> bool:
-    """Tell whether a file claims to be a sealed one of this kind."""
+    """Return whether a file claims to be a sealed one of this kind."""
     with path.open("rb") as file:
         return file.read(BLOCK).startswith(_title(kind).encode())
 

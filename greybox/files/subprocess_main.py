@@ -65,7 +65,7 @@ class Collector:
         self.about: dict[str, Any] = {}
 
     def reserve(self, numbers: int) -> bool:
-        """Tell whether there is room for so many numbers, and take it."""
+        """Return whether there is room for so many numbers, and take it."""
         fits = 8 * numbers <= self.room and len(self.arrays) < MOST
         self.room -= 8 * numbers if fits else 0
         self.allow_memory(8 * numbers if fits else 0)
@@ -99,7 +99,7 @@ class Collector:
             out.write(array.data if array.size else b"")
 
 
-def hdf5_objects(path: str, found: Collector) -> Iterator[tuple[str, Any]]:
+def hdf5_objects(path: str, collector: Collector) -> Iterator[tuple[str, Any]]:
     """Yield the groups and datasets of an HDF5 file by path, each once.
 
     Soft links are not followed, so there is no loop. Refused are links to other files, datasets
@@ -121,15 +121,15 @@ def hdf5_objects(path: str, found: Collector) -> Iterator[tuple[str, Any]]:
                 _require_own_storage(name, thing)
             yield name, thing
             if isinstance(thing, h5py.Group):
-                waiting += reversed([*_members(name, thing, found, addresses)])
+                waiting += reversed([*_members(name, thing, collector, addresses)])
 
 
 def _members(
-    path: str, group: Any, found: Collector, addresses: set[int]
+    path: str, group: Any, collector: Collector, addresses: set[int]
 ) -> Iterator[tuple[str, Any]]:
     """Yield what the hard links of a group lead to, and not twice what is at one address."""
-    found.links -= len(group)
-    if found.links < 0:
+    collector.links -= len(group)
+    if collector.links < 0:
         raise RefusedError(f"it has more than {LINKS} links")
     for name in group:
         place = f"{path}/{name}".lstrip("/")
@@ -157,69 +157,71 @@ def _stored(dataset: Any) -> int:
     return math.ceil(largest * max(dataset.dtype.itemsize / 8, len(dataset.dtype.names or "1")))
 
 
-def hdf5(path: str, found: Collector, _: list[str]) -> None:
+def hdf5(path: str, collector: Collector, _: list[str]) -> None:
     """Collect the numeric datasets, and the fields of tables."""
-    for name, thing in hdf5_objects(path, found):
+    for name, thing in hdf5_objects(path, collector):
         if hasattr(thing, "dtype"):
             try:
-                _keep_dataset(name, thing, found)
+                _keep_dataset(name, thing, collector)
             except PROBLEMS:
-                found.findings.append(f"{name}: it cannot be read, the file is damaged there.")
+                collector.findings.append(f"{name}: it cannot be read, the file is damaged there.")
 
 
-def _keep_dataset(name: str, dataset: Any, found: Collector) -> None:
+def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
     if dataset.shape is None:
         return
     fields = dataset.dtype.names
     numeric = dataset.dtype.kind in "biuf" or (fields and dataset.ndim == 1)
     if not numeric or not 1 <= dataset.ndim <= 2 or not dataset.size:
         return
-    if not found.reserve(_stored(dataset)):
+    if not collector.reserve(_stored(dataset)):
         raise ValueError
     values = dataset[()]
     if not fields:
-        found.add(name, values, unit=_text(dataset.attrs, "unit") or _text(dataset.attrs, "units"))
+        collector.add(
+            name, values, unit=_text(dataset.attrs, "unit") or _text(dataset.attrs, "units")
+        )
     for field in fields or ():
         if values[field].dtype.kind in "biuf" and values[field].ndim == 1:
-            found.add(f"{name}/{field}", values[field], unit="")
+            collector.add(f"{name}/{field}", values[field], unit="")
 
 
-def sealed(path: str, found: Collector, _: list[str]) -> None:
+def sealed(path: str, collector: Collector, _: list[str]) -> None:
     """Collect everything that `sealed_files` writes: attributes, numbers, and lists of texts."""
-    for name, thing in hdf5_objects(path, found):
-        about = {"attributes": _attributes(thing, found)}
+    for name, thing in hdf5_objects(path, collector):
+        about = {"attributes": _attributes(thing, collector)}
         if not hasattr(thing, "dtype"):
-            found.items.append({"path": name, "holds": "members", **about})
-        elif thing.shape is not None and thing.ndim <= 2 and found.reserve(_stored(thing)):
-            _keep_values(name, thing, found, about)
+            collector.items.append({"path": name, "holds": "members", **about})
+        elif thing.shape is not None and thing.ndim <= 2 and collector.reserve(_stored(thing)):
+            _keep_values(name, thing, collector, about)
         else:
             raise RefusedError(f"{name} is larger than the file")
 
 
-def _keep_values(name: str, dataset: Any, found: Collector, about: dict[str, Any]) -> None:
+def _keep_values(name: str, dataset: Any, collector: Collector, about: dict[str, Any]) -> None:
     if _is_number(dataset.dtype):
-        found.add(name, dataset[()], holds="numbers", **about)
+        collector.add(name, dataset[()], holds="numbers", **about)
     elif _is_text(dataset.dtype) and dataset.ndim == 1:
-        texts = [found.text(text) for text in dataset.asstr()[()]]
-        found.items.append({"path": name, "holds": "texts", "texts": texts, **about})
+        texts = [collector.text(text) for text in dataset.asstr()[()]]
+        collector.items.append({"path": name, "holds": "texts", "texts": texts, **about})
     else:
         raise RefusedError(f"{name} holds neither numbers nor text")
 
 
-def _attributes(thing: Any, found: Collector) -> dict[str, Any]:
+def _attributes(thing: Any, collector: Collector) -> dict[str, Any]:
     """Return the texts and numbers among the attributes."""
     if len(thing.attrs) > ATTRIBUTES:
         raise RefusedError(f"a group in it has more than {ATTRIBUTES} attributes")
-    known = {}
+    attributes = {}
     for name in thing.attrs:
         stored = thing.attrs.get_id(name)
         if stored.shape != ():
             continue
         if _is_text(stored.dtype):
-            known[name] = found.text(str(thing.attrs[name]))
+            attributes[name] = collector.text(str(thing.attrs[name]))
         elif _is_number(stored.dtype):
-            known[name] = thing.attrs[name].item()
-    return known
+            attributes[name] = thing.attrs[name].item()
+    return attributes
 
 
 def _is_number(dtype: Any) -> bool:
@@ -227,7 +229,7 @@ def _is_number(dtype: Any) -> bool:
 
 
 def _is_text(dtype: Any) -> bool:
-    """Tell whether it is text of any length, as greybox writes it."""
+    """Return whether it is text of any length, as greybox writes it."""
     import h5py  # noqa: PLC0415
 
     string = h5py.check_string_dtype(dtype)
@@ -250,27 +252,29 @@ def _text(attributes: Any, name: str) -> str:
         return ""
 
 
-def matlab(path: str, found: Collector, _: list[str]) -> None:
+def matlab(path: str, collector: Collector, _: list[str]) -> None:
     """Collect the numeric vectors and matrices of the workspace and of the structs in it; scipy's warnings too."""
     from scipy.io import loadmat  # noqa: PLC0415 (only one of these libraries is needed)
 
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")
         contents = loadmat(path, simplify_cells=True)
-    found.findings += sorted({f"scipy says: {str(w.message).splitlines()[0]:.160}" for w in said})
-    _keep_struct("", contents, found)
+    collector.findings += sorted(
+        {f"scipy says: {str(w.message).splitlines()[0]:.160}" for w in raised}
+    )
+    _keep_struct("", contents, collector)
 
 
-def _keep_struct(group: str, contents: Mapping[str, Any], found: Collector) -> None:
+def _keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -> None:
     simulink = _simulink(contents)
     for key, value in {**contents, **simulink}.items():
         if key.startswith("__") or (simulink and key == "signals"):
             continue
         if isinstance(value, Mapping):
             if group.count("/") < DEEPEST:
-                _keep_struct(f"{group}{key}/", value, found)
+                _keep_struct(f"{group}{key}/", value, collector)
         elif type(value).__name__ in OPAQUE:
-            found.findings.append(
+            collector.findings.append(
                 f"{key}: only MATLAB can read this object (a timetable?); save it as a struct."
             )
         elif (
@@ -279,15 +283,15 @@ def _keep_struct(group: str, contents: Mapping[str, Any], found: Collector) -> N
             and value.ndim in (1, 2)
             and value.size
         ):
-            if not found.reserve(value.size):
+            if not collector.reserve(value.size):
                 raise ValueError("its arrays are too large for the size of the file")
-            found.add(f"{group}{key}", value, unit="")
+            collector.add(f"{group}{key}", value, unit="")
 
 
 def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
     """Return the signals of a "structure with time": ``signals`` holds one or several of ``values`` and ``label``."""
     signals = contents.get("signals") if "time" in contents else None
-    several = (
+    structs = (
         [signals]
         if isinstance(signals, Mapping)
         else signals
@@ -295,7 +299,7 @@ def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
         else []
     )
     columns = {}
-    for i, signal in enumerate(several):
+    for i, signal in enumerate(structs):
         if isinstance(signal, Mapping) and isinstance(signal.get("values"), np.ndarray):
             label = signal.get("label", "")
             columns[label if isinstance(label, str) and label else f"signal{i + 1}"] = signal[
@@ -304,24 +308,24 @@ def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
     return columns
 
 
-def ulog(path: str, found: Collector, topics: list[str]) -> None:
+def ulog(path: str, collector: Collector, topics: list[str]) -> None:
     """Collect the topics of a PX4 log, their fields and what the log says about the vehicle."""
     from pyulog import ULog  # noqa: PLC0415 (only one of these libraries is needed)
 
     with contextlib.redirect_stdout(io.StringIO()):
         log = ULog(path, topics or None)
-    several = {topic.name for topic in log.data_list if topic.multi_id}
+    repeated = {topic.name for topic in log.data_list if topic.multi_id}
     for topic in log.data_list:
-        name = f"{topic.name}[{topic.multi_id}]" if topic.name in several else topic.name
+        name = f"{topic.name}[{topic.multi_id}]" if topic.name in repeated else topic.name
         for field, values in topic.data.items():
-            if not found.reserve(values.size):
+            if not collector.reserve(values.size):
                 raise ValueError("its arrays are too large for the size of the file")
-            found.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
+            collector.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
     parameters = {
         **log.initial_parameters,
         **{name: value for _, name, value in log.changed_parameters},
     }
-    found.about = {
+    collector.about = {
         "parameters": parameters,
         "defaults": log.get_default_parameters(0),
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],
@@ -333,10 +337,10 @@ def ulog(path: str, found: Collector, topics: list[str]) -> None:
     }
 
     if log.file_corruption:
-        found.findings.append("parts of the file are damaged and were skipped.")
+        collector.findings.append("parts of the file are damaged and were skipped.")
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
-        found.findings.append(
+        collector.findings.append(
             f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in total."
         )
 
@@ -385,20 +389,20 @@ KINDS = {
 
 def main() -> None:
     """Write the contents of a file to standard output, or exit with the reason why not."""
-    kind, path, *wanted = sys.argv[1:]
+    kind, path, *topics = sys.argv[1:]
     library, collect = KINDS[kind]
     size = os.path.getsize(path)
     # greybox compresses nothing; a truth value, which takes one byte in a file, takes eight here.
-    found = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
+    collector = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
     try:
         importlib.import_module(library)
         _limit_time(size)
         # Libraries that take a file as a whole need memory for all of it at once.
-        _allow_memory(0 if library == "h5py" else found.room)
+        _allow_memory(0 if library == "h5py" else collector.room)
         if library == "h5py":
-            found.allow_memory = _allow_memory
-        collect(path, found, wanted)
-        found.write()
+            collector.allow_memory = _allow_memory
+        collect(path, collector, topics)
+        collector.write()
     except RefusedError as reason:
         sys.stderr.write(str(reason))
         sys.exit(REFUSED)

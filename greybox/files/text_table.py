@@ -73,16 +73,16 @@ def some(names: Sequence[str], most: int = 4) -> str:
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return which of the known names a misspelled one probably means, None if it resembles none."""
-    spelled = {other.lower(): other for other in known}
-    found = difflib.get_close_matches(name.lower(), spelled, n=1)
-    return spelled[found[0]] if found else None
+    spelled = {candidate.lower(): candidate for candidate in known}
+    matches = difflib.get_close_matches(name.lower(), spelled, n=1)
+    return spelled[matches[0]] if matches else None
 
 
-def alternatives(name: object, known: Iterable[str]) -> str:
+def alternatives(name: object, names: Iterable[str]) -> str:
     """Return the end of a sentence about a name that is not known: the known ones, and which of them was meant."""
-    known = list(known)
-    near = nearest(str(name), known)
-    return (", ".join(known) or "none") + (f": did you mean {near!r}?" if near else ".")
+    names = list(names)
+    near = nearest(str(name), names)
+    return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
 
 
 def with_error(value: float, error: float) -> tuple[str, str]:
@@ -116,7 +116,7 @@ def in_greek(name: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Tell whether a cell of a table is a number."""
+    """Return whether a cell of a table is a number."""
     try:
         float(cell)
     except ValueError:

@@ -22,8 +22,8 @@ def axis_of(signal: str) -> str:
     return next(
         (
             axis
-            for axis, own in AXES.items()
-            if signal in (*own.controls, *own.setpoints, *own.terms)
+            for axis, signals in AXES.items()
+            if signal in (*signals.controls, *signals.setpoints, *signals.terms)
         ),
         "",
     )

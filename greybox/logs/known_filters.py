@@ -68,7 +68,7 @@ KINDS = {kind.__name__: kind for kind in (LowPass, FirstOrderLowPass, Notch)}
 
 def in_series(filters: Sequence[KnownFilter]) -> str:
     """Return filters in series as text that `from_text` reads."""
-    return SERIES.join(known.model for known in filters)
+    return SERIES.join(filter_.model for filter_ in filters)
 
 
 def from_text(text: str) -> tuple[KnownFilter, ...]:

@@ -82,7 +82,7 @@ def find_manoeuvres(
         If a signal that was named does not exist.
     """
     names = [signal] if isinstance(signal, str) and signal else signal
-    found = []
+    manoeuvres = []
     for name in names or _usual_inputs(data):
         record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
         if not record.has_time:
@@ -90,13 +90,15 @@ def find_manoeuvres(
         unit = record.units.get(field, "")
         turn = whole_turn(unit)
         for piece in record.pieces:
-            known = np.isfinite(piece[field])
-            values = piece[field][known]
+            finite = np.isfinite(piece[field])
+            values = piece[field][finite]
             runs = manoeuvres_in(
-                piece.time[known], np.unwrap(values, period=turn) if turn else values
+                piece.time[finite], np.unwrap(values, period=turn) if turn else values
             )
-            found += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]
-    return tuple(sorted(found, key=lambda s: (s.start, s.axis)))
+            manoeuvres += [
+                replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs
+            ]
+    return tuple(sorted(manoeuvres, key=lambda s: (s.start, s.axis)))
 
 
 def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
@@ -110,16 +112,16 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     drift = max(AT_REST * float(high - low), 1e-12 * float(np.abs(values).max()))
     height = max(drift, NOISE * noise)
     rests = _rests(time, values, height)
-    found = []
+    manoeuvres = []
     k = 0
     while k < len(rests):
         end = k + 1
         while end < len(rests) and not _is_reached(time, rests, k, end, drift):
             end += 1
         if end < len(rests):
-            found.append(_named(time, values, rests[k], rests[end], drift, height))
+            manoeuvres.append(_named(time, values, rests[k], rests[end], drift, height))
         k = end
-    return [segment for segment in found if segment]
+    return [segment for segment in manoeuvres if segment]
 
 
 def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
@@ -141,10 +143,14 @@ def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
 
 
 def _is_reached(time: Array, rests: Sequence[_Rest], k: int, end: int, drift: float) -> bool:
-    """Tell whether a manoeuvre that left rest k is over at rest `end`."""
-    rest = rests[end]
-    returned = abs(rest.begins - rests[k].ends) <= 2 * drift
-    return returned or end == len(rests) - 1 or bool(time[rest.last] - time[rest.first] > NEW_REST)
+    """Return whether a manoeuvre that left rest k is over at rest `end`."""
+    reached = rests[end]
+    returned = abs(reached.begins - rests[k].ends) <= 2 * drift
+    return (
+        returned
+        or end == len(rests) - 1
+        or bool(time[reached.last] - time[reached.first] > NEW_REST)
+    )
 
 
 def _named(
@@ -189,11 +195,11 @@ def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, 
         elif way > PAUSE * longest:
             pulses += [(0, way), (sign, duration)]
         else:
-            last, before = pulses.pop()
+            last, duration_before = pulses.pop()
             if last == sign:
-                pulses.append((sign, before + way + duration))
+                pulses.append((sign, duration_before + way + duration))
             else:
-                pulses += [(last, before + way / 2), (sign, duration + way / 2)]
+                pulses += [(last, duration_before + way / 2), (sign, duration + way / 2)]
         way = 0.0
     return pulses
 
@@ -286,8 +292,8 @@ def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
     numbers = [k for k, segment in enumerate(segments, start=1) if segment.kind == wanted]
     if not numbers:
         kinds = list(dict.fromkeys(segment.kind for segment in segments))
-        there = f"; it has {alternatives(wanted, kinds)}" if kinds else "."
-        raise ValueError(f"the log has no manoeuvre of the kind {wanted!r}{there}")
+        alternative = f"; it has {alternatives(wanted, kinds)}" if kinds else "."
+        raise ValueError(f"the log has no manoeuvre of the kind {wanted!r}{alternative}")
     if len(numbers) > 1:
         raise ValueError(
             f"the log has {len(numbers)} manoeuvres of the kind {wanted!r}: give the number of one, "

@@ -40,10 +40,10 @@ def with_columns(log: Recording, columns: Mapping[str, str]) -> Recording:
             sentence = str(error)
             joint = " " if sentence.startswith("has ") else f": {text}: "
             raise ValueError(f"{log.source}{joint}{sentence.rstrip('.')}.") from None
-        own = [*record.signals][place]
-        signals[name] = conversion.apply(record[own])
+        column = [*record.signals][place]
+        signals[name] = conversion.apply(record[column])
         units[name] = conversion.si
-        hold |= {name: record.hold[own]} if own in record.hold else {}
+        hold |= {name: record.hold[column]} if column in record.hold else {}
     time = signals.pop(TIME, record.time if record.has_time else None)
-    kept = replace(record, time=time, signals=signals, units=units, hold=hold, has_time=True)
-    return replace(log, records={key: kept})
+    renamed = replace(record, time=time, signals=signals, units=units, hold=hold, has_time=True)
+    return replace(log, records={key: renamed})

@@ -207,7 +207,7 @@ class _Source:
         return self.hold is not None and intersample(self.hold, self.step).held
 
     def is_filtered(self, rate: float) -> bool:
-        """Tell whether a record at this rate needs the anti-alias filter."""
+        """Return whether a record at this rate needs the anti-alias filter."""
         return rate < SAME_RATE / self.step
 
     def hold_at(self, rate: float) -> float | None:
@@ -220,9 +220,9 @@ class _Source:
 def _source(recording: Recording, signal: str, start: float, end: float) -> _Source:
     record, field = recording.locate(signal)
     require_time(record, "prepare")
-    known = np.isfinite(record[field])
-    time = record.time[known]
-    values = record[field][known]
+    finite = np.isfinite(record[field])
+    time = record.time[finite]
+    values = record[field][finite]
     if time.size < 2:
         raise ValueError(
             f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base."
@@ -281,16 +281,16 @@ def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
         if time.size < 2 or not inside.any():
             continue
-        here = np.clip(grid[inside], time[0], time[-1])
+        times = np.clip(grid[inside], time[0], time[-1])
         if source.is_held and not source.is_filtered(rate):
-            result[inside] = _held_mean(time, values, here, 1 / rate)
+            result[inside] = _held_mean(time, values, times, 1 / rate)
             continue
         smooth = (
             _low_passed(time, values, source.step, rate)
             if source.is_filtered(rate)
             else (time, values)
         )
-        result[inside] = _interpolated(*smooth, here, interpolation)
+        result[inside] = _interpolated(*smooth, times, interpolation)
     return result
 
 
@@ -358,4 +358,4 @@ def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...
         record, field = recording.locate(name)
         if field in record.filters:
             return record.filters[field]
-    return next((known for name in names if (known := passed_filters(recording, name))), ())
+    return next((filters for name in names if (filters := passed_filters(recording, name))), ())

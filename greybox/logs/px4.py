@@ -36,17 +36,17 @@ def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]
     """Return the filters that angular velocities have passed before they were logged, if `signal` is one of them."""
     if signal.rpartition(".")[0].partition("[")[0] not in FILTERED:
         return ()
-    known = named_filters(recording)
-    return (*known.get("gyro-notch", ()), *known.get("gyro-filter", ()))
+    filters = named_filters(recording)
+    return (*filters.get("gyro-notch", ()), *filters.get("gyro-filter", ()))
 
 
 def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters of the gyro whose parameters are known, by name."""
     parameters = recording.metadata.get("parameters", {})
-    found: dict[str, tuple[KnownFilter, ...]] = {}
+    filters: dict[str, tuple[KnownFilter, ...]] = {}
     for name, key in (("gyro-filter", "IMU_GYRO_CUTOFF"), ("d-term-filter", "IMU_DGYRO_CUTOFF")):
         cutoff = parameters.get(key, 0)
-        found |= {name: (LowPass(float(cutoff)),)} if cutoff > 0 else {}
+        filters |= {name: (LowPass(float(cutoff)),)} if cutoff > 0 else {}
     pairs = [
         (parameters.get(f"IMU_GYRO_NF{k}_FRQ", 0), parameters.get(f"IMU_GYRO_NF{k}_BW", 0))
         for k in (0, 1)
@@ -56,4 +56,4 @@ def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
         for center, width in pairs
         if center > 0 < width
     )
-    return found | ({"gyro-notch": notches} if notches else {})
+    return filters | ({"gyro-notch": notches} if notches else {})

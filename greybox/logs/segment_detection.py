@@ -279,18 +279,18 @@ def _usual_setpoints(data: Recording | Record) -> list[str]:
 
 def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
     record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
-    found = []
+    segments = []
     unit = record.units.get(field, "")
     turn = whole_turn(unit)
-    known = np.isfinite(record[field])
+    finite = np.isfinite(record[field])
     # A shorter gap ends no test: what is sought are crossings in time, and one that is lost ends a
     # sine by itself.
-    cuts = np.flatnonzero(np.diff(record.time[known]) > max(PAUSE, GAP * record.step)) + 1
+    cuts = np.flatnonzero(np.diff(record.time[finite]) > max(PAUSE, GAP * record.step)) + 1
     for time, values in zip(
-        np.split(record.time[known], cuts), np.split(record[field][known], cuts), strict=True
+        np.split(record.time[finite], cuts), np.split(record[field][finite], cuts), strict=True
     ):
-        found += sines_and_sweeps(time, np.unwrap(values, period=turn) if turn else values)
-    return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in found]
+        segments += sines_and_sweeps(time, np.unwrap(values, period=turn) if turn else values)
+    return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in segments]
 
 
 def whole_turn(unit: str) -> float:

@@ -108,14 +108,15 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
         sweeps = _sweeps([s for s in pieces if s is not None and s.kind == "sweep"])
         candidates += [_whole(time, values, corners, crossings, swings, sweep) for sweep in sweeps]
 
-    kept: list[Segment] = []
+    accepted: list[Segment] = []
     for run in sorted(candidates, key=lambda s: -s.duration):
         if all(
-            min(run.end, k.end) - max(run.start, k.start) < OVERLAP * run.duration for k in kept
+            min(run.end, other.end) - max(run.start, other.start) < OVERLAP * run.duration
+            for other in accepted
         ):
-            kept.append(run)
-    sweeps = [run for run in kept if run.kind == "sweep"]
-    alone = [run for run in kept if not any(_part_of(run, sweep) for sweep in sweeps)]
+            accepted.append(run)
+    sweeps = [run for run in accepted if run.kind == "sweep"]
+    alone = [run for run in accepted if not any(_part_of(run, sweep) for sweep in sweeps)]
     return sorted(alone, key=lambda s: s.start)
 
 
@@ -177,7 +178,7 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
 
 
 def _continues(crossings: Array, swings: Array) -> bool:
-    """Tell whether the last crossing lies where the line through the others predicts it, with as high a swing."""
+    """Return whether the last crossing lies where the line through the others predicts it, with as high a swing."""
     n = crossings.size - 1
     past = crossings[:-1]
     centered = np.arange(n) - (n - 1) / 2
@@ -291,7 +292,7 @@ def _whole(
         return sweep
 
     def is_full(k: int, way: int) -> bool:
-        """Tell whether the signal between crossing k and the next one is a half wave."""
+        """Return whether the signal between crossing k and the next one is a half wave."""
         a, b = np.searchsorted(time, sorted((crossings[k], crossings[k + way])))
         middle = (values[corners[k]] + values[corners[k + 1]]) / 2
         peak = values[corners[max(k, k + way)]] - middle
@@ -321,7 +322,7 @@ def _whole(
         crossings[first : first + KNOWN_PERIODS + 1],
         crossings[last - KNOWN_PERIODS : last + 1][::-1],
     )
-    slow, fast = sorted((_end_frequency(each) for each in ends), key=max)
+    slow, fast = sorted((_end_frequency(crossings_of_end) for crossings_of_end in ends), key=max)
     return replace(sweep, start=start, end=stop, band=(min(slow), max(fast)))
 
 
@@ -339,9 +340,9 @@ def _beyond(steps: float) -> Array:
 
 
 def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
-    """Tell whether the crossing after k, one way, is where a smooth change of the frequency predicts it."""
-    known = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
-    frequency = 1 / np.abs(np.diff(known))
+    """Return whether the crossing after k, one way, is where a smooth change of the frequency predicts it."""
+    crossings_used = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
+    frequency = 1 / np.abs(np.diff(crossings_used))
     least = 0.5 * frequency[0]
     linear = max(float(_beyond(1.0) @ frequency), least)
     square = math.sqrt(max(float(_beyond(1.0) @ frequency**2), least**2))
@@ -369,7 +370,7 @@ def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossing
 
 
 def _part_of(sine: Segment, sweep: Segment) -> bool:
-    """Tell whether a "sine" is the slow start or the end of a sweep: short, and next to it.
+    """Return whether a "sine" is the slow start or the end of a sweep: short, and next to it.
 
     The end of a sweep may be far from its last piece when it is very short; a sine of up to four
     periods, or one of the sweep's own frequencies (within a factor of 1.5) and up to 15 % of its

@@ -50,23 +50,23 @@ def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]
     message, _, field = signal.rpartition(".")
     if field not in GYRO_RATES.get(message.partition("[")[0], ()):
         return ()
-    known = named_filters(recording)
-    return (*known.get("gyro-notch", ()), *known.get("gyro-filter", ()))
+    filters = named_filters(recording)
+    return (*filters.get("gyro-notch", ()), *filters.get("gyro-filter", ()))
 
 
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters whose parameters are known, by name: of the gyro, and of the rate controller of an axis."""
     parameters = recording.metadata.get("parameters", {})
-    found: dict[str, tuple[KnownFilter, ...]] = {}
+    filters: dict[str, tuple[KnownFilter, ...]] = {}
     if parameters.get("INS_GYRO_FILTER", 0) > 0:
-        found["gyro-filter"] = (LowPass(float(parameters["INS_GYRO_FILTER"])),)
+        filters["gyro-filter"] = (LowPass(float(parameters["INS_GYRO_FILTER"])),)
         notches = _harmonic_notches(recording, parameters)
-        found |= {"gyro-notch": notches} if notches else {}
+        filters |= {"gyro-notch": notches} if notches else {}
     controller = CONTROLLERS.get(axis, "")
     for name, end in CONTROLLER_FILTERS.items():
         cutoff = parameters.get(f"ATC_RAT_{controller}_{end}", 0)
-        found |= {name: (FirstOrderLowPass(float(cutoff)),)} if cutoff > 0 else {}
-    return found
+        filters |= {name: (FirstOrderLowPass(float(cutoff)),)} if cutoff > 0 else {}
+    return filters
 
 
 def _harmonic_notches(recording: Recording, parameters: Mapping[str, float]) -> tuple[Notch, ...]:

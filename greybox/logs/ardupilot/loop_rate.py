@@ -136,8 +136,8 @@ def _passed(parameters: Mapping[str, float], axis: str, loop: float) -> float:
 
 def _first_order(filters: tuple, s: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
     result = np.ones_like(s)
-    for known in filters:
-        result = result / (1 + s / (2 * math.pi * known.cutoff))
+    for filter_ in filters:
+        result = result / (1 + s / (2 * math.pi * filter_.cutoff))
     return result
 
 
@@ -152,15 +152,15 @@ def _cure(parameters: Mapping[str, float], mode: str) -> str:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
     mask = int(parameters.get("LOG_BITMASK", 0))
     if mode == "SYSTEMID":
-        wanted, bits = (
+        needed, bits = (
             mask | FAST | MEDIUM,
             "fast and medium attitude: System Identification mode needs both",
         )
     else:
-        wanted, bits = mask | FAST, "fast attitude"
+        needed, bits = mask | FAST, "fast attitude"
     return (
-        f"set LOG_BITMASK {wanted} ({bits})"
-        if wanted != mask
+        f"set LOG_BITMASK {needed} ({bits})"
+        if needed != mask
         else "log to a faster card, or lower SCHED_LOOP_RATE"
     )
 

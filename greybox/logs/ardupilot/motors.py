@@ -45,12 +45,12 @@ def pwm_of_control(parameters: Mapping[str, float]) -> float:
     """Return by how many µs a control of 1 moves a motor in hover; NaN for a vehicle without such motors."""
     if "MOT_THST_EXPO" not in parameters:
         return math.nan
-    known = {name: float(parameters.get(name, value)) for name, value in DEFAULTS.items()}
-    expo = known["MOT_THST_EXPO"]
+    values = {name: float(parameters.get(name, value)) for name, value in DEFAULTS.items()}
+    expo = values["MOT_THST_EXPO"]
     # thrust = (1 - expo) a + expo a², of the actuator's a from 0 to 1
-    slope = math.sqrt((1 - expo) ** 2 + 4 * expo * known["MOT_THST_HOVER"])
+    slope = math.sqrt((1 - expo) ** 2 + 4 * expo * values["MOT_THST_HOVER"])
     low, high = _range(parameters)
-    return SHARE * (known["MOT_SPIN_MAX"] - known["MOT_SPIN_MIN"]) * (high - low) / slope
+    return SHARE * (values["MOT_SPIN_MAX"] - values["MOT_SPIN_MIN"]) * (high - low) / slope
 
 
 def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:

@@ -24,7 +24,7 @@ FIELDS = (
 
 
 def is_truncated(signal: str, values: Array) -> bool:
-    """Tell whether a signal of a log, deg, was cut: a log of later firmware, not in whole hundredths, was not."""
+    """Return whether a signal of a log, deg, was cut: a log of later firmware, not in whole hundredths, was not."""
     message, _, field = signal.rpartition(".")
     if message.partition("[")[0] not in MESSAGES or field not in FIELDS:
         return False

@@ -58,16 +58,16 @@ def metadata(groups: Iterable[Messages], span: tuple[float, float]) -> dict[str,
     The `span` is the first and the last time of the log, s.
     """
     by_name = {group.name: group for group in groups}
-    known = {
+    about = {
         **_firmware(by_name),
         **_parameters(by_name.get("PARM")),
         "texts": _texts(by_name.get("MSG")),
     }
-    said = by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
-    known |= frame_and_board(said, known.get("parameters", {}))
-    known["modes"] = _modes(by_name.get("MODE"), known.get("vehicle", ""))
-    known["armed"] = armed_intervals(_arming(by_name), span)
-    return {key: value for key, value in known.items() if value}
+    texts = by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
+    about |= frame_and_board(texts, about.get("parameters", {}))
+    about["modes"] = _modes(by_name.get("MODE"), about.get("vehicle", ""))
+    about["armed"] = armed_intervals(_arming(by_name), span)
+    return {key: value for key, value in about.items() if value}
 
 
 def mode_name(vehicle: str, number: int) -> str:
@@ -93,9 +93,9 @@ def armed_intervals(
 
 def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
     """Return vehicle and firmware, from VER or else from a text message at the start."""
-    said = list(by_name["VER"].texts.get("FWS", ())) if "VER" in by_name else []
-    said += by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
-    for text in said:
+    texts = list(by_name["VER"].texts.get("FWS", ())) if "VER" in by_name else []
+    texts += by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
+    for text in texts:
         vehicle = vehicle_in(text)
         if vehicle:
             return {"vehicle": vehicle, "firmware": text}
@@ -131,11 +131,11 @@ def _parameters(parm: Messages | None) -> dict[str, Any]:
     if parm is None or "Name" not in parm.texts or "Value" not in parm.columns:
         return {}
     names = parm.texts["Name"]
-    found = {"parameters": dict(zip(names, parm.columns["Value"].tolist(), strict=True))}
+    result = {"parameters": dict(zip(names, parm.columns["Value"].tolist(), strict=True))}
     if "Default" in parm.columns:
         defaults = zip(names, parm.columns["Default"].tolist(), strict=True)
-        found["defaults"] = {name: value for name, value in defaults if not math.isnan(value)}
-    return found
+        result["defaults"] = {name: value for name, value in defaults if not math.isnan(value)}
+    return result
 
 
 def _texts(msg: Messages | None) -> tuple[tuple[float, str], ...]:

@@ -22,11 +22,11 @@ UNITS = {
 
 def without_settings(raw: bytes) -> bytes:
     """Return a table with all lines before its header as comments, so that the others keep their numbers."""
-    found = HEADER.search(raw)
-    if found is None or not found.start():
+    header = HEADER.search(raw)
+    if header is None or not header.start():
         return raw
-    before = raw[: found.start()].split(b"\n")
-    return b"\n".join(b"#" + line for line in before[:-1]) + b"\n" + raw[found.start() :]
+    settings = raw[: header.start()].split(b"\n")
+    return b"\n".join(b"#" + line for line in settings[:-1]) + b"\n" + raw[header.start() :]
 
 
 def with_units(headings: Sequence[Heading]) -> list[Heading]:

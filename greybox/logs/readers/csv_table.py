@@ -89,15 +89,15 @@ def read(
         return Recording({path.stem: record}, path.name, checksum, {}, findings)
     group, left_out = table(path.stem, columns, units)
     log = on_one_clock([group] if group else [])
-    found, problems = records(log.groups, path.name, checksum)
-    if not found:
+    by_name, dropped = records(log.groups, path.name, checksum)
+    if not by_name:
         raise ValueError(
             f"{path} has no numeric column beside the time: it needs one for each signal."
         )
 
-    findings = (*findings, *left_out, *log.findings, *problems)
-    found = {name: replace(record, findings=findings) for name, record in found.items()}
-    return Recording(found, path.name, checksum, {}, findings)
+    findings = (*findings, *left_out, *log.findings, *dropped)
+    by_name = {name: replace(record, findings=findings) for name, record in by_name.items()}
+    return Recording(by_name, path.name, checksum, {}, findings)
 
 
 def _numbered(text: DelimitedText) -> DelimitedText:
@@ -148,9 +148,9 @@ def _columns(
 
     rows = list(text.rows())
     short = [number for number, row in rows if len(row) < len(headings)]
-    whole = [(number, row) for number, row in rows if len(row) == len(headings)]
-    numbers = [number for number, _ in whole]
-    comma = has_decimal_comma(text.path, whole)
+    complete = [(number, row) for number, row in rows if len(row) == len(headings)]
+    numbers = [number for number, _ in complete]
+    comma = has_decimal_comma(text.path, complete)
 
     columns = {}
     not_numeric = []
@@ -158,7 +158,7 @@ def _columns(
     for k, (name, _) in enumerate(
         counted_off(headings, f"reading {printable(text.path.name)}", "column")
     ):
-        cells = [row[k] for _, row in whole]
+        cells = [row[k] for _, row in complete]
         values, odd = _numbers(cells, comma)
         if name and values is not None:
             columns[name] = values
@@ -229,8 +229,8 @@ def _time_first(
         return dict(columns)
     name, unit = headings[0]
     if name in columns and unit.lower() in SECONDS and np.all(np.diff(columns[name]) > 0):
-        others = {key: values for key, values in columns.items() if key not in (name, "time")}
-        return {"time": columns[name] * SECONDS[unit.lower()], **others}
+        remaining = {key: values for key, values in columns.items() if key not in (name, "time")}
+        return {"time": columns[name] * SECONDS[unit.lower()], **remaining}
     unread = next((h for h in headings if h.name.lower() in TIMES or seconds(h.name, h.unit)), None)
     if unread:
         unit = f" [{unread.unit}]" if unread.unit else ""

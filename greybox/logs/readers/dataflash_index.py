@@ -6,8 +6,8 @@ silent, and counts what it skips. The table of format letters is pymavlink's.
 """
 
 import struct
+from array import array
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,10 @@ from greybox.files.progress import reading
 from greybox.logs.readers.mapped_file import Bytes, release
 
 HEAD = b"\xa3\x95"  # before every message, then the type's number
-FMT, FMT_LENGTH = (
-    0x80,
-    89,
-)  # the message that describes the others: type, length, name, format, columns
-STRIDE = 256  # messages that are first tried at once; doubled while all are sound, so that any value serves
+FMT = 0x80  # the message that describes the others: type, length, name, format, columns
+FMT_LENGTH = 89
+STRIDE = 256  # messages that are first tried at once; it doubles while all are sound
 PIECE = 2**22  # bytes scanned for headers at once: 4 MB, against a log of gigabytes in memory
-PADDING = 4096  # bytes behind the last message that are looked at: a page of zeros or of erased flash is no damage
 FMT_BODY = struct.Struct("<BB4s16s64s")
 
 
@@ -81,34 +78,9 @@ class Index:
     first: int
     cut: str
 
-    def of(self, layout: int) -> IntArray:
-        """Numbers of the messages of one layout, in the order of the file."""
-        return np.flatnonzero(self.which == layout)
 
-
-class _Growing:
-    """An array that is appended to in place: of ten million messages, arrays to join would be in memory twice."""
-
-    def __init__(self, dtype: Any) -> None:
-        self.values = np.empty(1024, dtype)
-        self.size = 0
-
-    def append(self, more: NDArray[Any]) -> None:
-        """Append values."""
-        end = self.size + more.size
-        if end > self.values.size:
-            self.values.resize(max(end, 2 * self.values.size), refcheck=False)
-        self.values[self.size : end] = more
-        self.size = end
-
-    def trimmed(self) -> NDArray[Any]:
-        """Return the values; nothing can be appended afterwards."""
-        self.values.resize(self.size, refcheck=False)
-        return self.values
-
-
-class _Walk:
-    """State of the scan: the descriptions so far, and the messages found."""
+class _Scan:
+    """The state of a scan: the descriptions and the messages so far."""
 
     def __init__(self, data: Bytes) -> None:
         self.data = data
@@ -117,8 +89,8 @@ class _Walk:
         self.lengths = np.zeros(256, dtype=np.int64)
         self.current = np.zeros(256, dtype=np.uint16)
         self.lengths[FMT] = FMT_LENGTH
-        self.offsets = _Growing(np.uint32 if len(data) <= 0xFFFFFFFF else np.int64)
-        self.which = _Growing(np.uint16)
+        self.offsets = array("I" if len(data) <= 0xFFFFFFFF else "q")
+        self.which = array("H")
         self.skipped = self.places = 0
         self.first = -1
         self.cut = ""
@@ -126,7 +98,7 @@ class _Walk:
         self.heads = np.empty(0, dtype=np.int64)
 
     def run(self) -> Index:
-        """Go from message to message: many at once where every header is where it should be, one by one elsewhere."""
+        """Scan the file: many messages at once where every header is in place, one by one elsewhere."""
         at = 0
         last = len(self.data) - 3
         with reading(len(self.data), "finding messages") as bar:
@@ -136,33 +108,40 @@ class _Walk:
                     at = self._step(at)
                 if at - bar.n > PIECE:
                     bar.update(at - bar.n)
-        found = self.offsets.trimmed(), self.which.trimmed()
-        return Index(tuple(self.layouts), *found, self.skipped, self.places, self.first, self.cut)
+        return Index(
+            tuple(self.layouts),
+            np.asarray(self.offsets),
+            np.asarray(self.which),
+            self.skipped,
+            self.places,
+            self.first,
+            self.cut,
+        )
 
     def _stride(self, at: int) -> int:
-        """Take messages that follow each other exactly, up to the next description or piece; return where to go on."""
+        """Append messages that follow each other exactly, up to the next description or piece; return their end."""
         if at // PIECE != self.piece:
             release(self.data, self.piece * PIECE, at)
             self.piece = at // PIECE
             self.heads = _heads(self.raw, self.piece * PIECE)
         heads = self.heads
-        here = int(np.searchsorted(heads, at))
+        position = int(np.searchsorted(heads, at))
         size = STRIDE
-        while here + 1 < heads.size and heads[here] == at:
-            starts = heads[here : here + size + 1]
+        while position + 1 < heads.size and heads[position] == at:
+            starts = heads[position : position + size + 1]
             kinds = self.raw[starts[:-1] + 2]
-            good = (starts[:-1] + self.lengths[kinds] == starts[1:]) & (kinds != FMT)
-            number = good.size if good.all() else int(good.argmin())
-            self._take(starts[:number], self.current[kinds[:number]])
-            here = here + number
+            sound = (starts[:-1] + self.lengths[kinds] == starts[1:]) & (kinds != FMT)
+            number = sound.size if sound.all() else int(sound.argmin())
+            self._append(starts[:number], self.current[kinds[:number]])
+            position += number
             at = int(starts[number])
-            if number < good.size:
+            if number < sound.size:
                 break
             size *= 2
         return at
 
     def _step(self, at: int) -> int:
-        """Take the message at `at`, if it is one, and return where to continue."""
+        """Append the message at `at`, if there is one, and return where to continue."""
         head = self.data[at : at + 3]
         length = int(self.lengths[head[2]]) if head[:2] == HEAD else 0
         if not length:
@@ -172,17 +151,12 @@ class _Walk:
             return len(self.data)
         if head[2] == FMT:
             self._define(at)
-        self._take(np.array([at]), self.current[head[2] : head[2] + 1])
+        self._append(np.array([at]), self.current[head[2] : head[2] + 1])
         return at + length
 
-    def _take(self, offsets: IntArray, which: NDArray[np.uint16]) -> None:
-        self.offsets.append(offsets)
-        self.which.append(which)
-
-    def _drop_last(self) -> None:
-        """Forget the message taken last."""
-        self.offsets.size -= 1
-        self.which.size -= 1
+    def _append(self, offsets: IntArray, which: NDArray[np.uint16]) -> None:
+        self.offsets.frombytes(offsets.astype(self.offsets.typecode).tobytes())
+        self.which.frombytes(which.tobytes())
 
     def _define(self, at: int) -> None:
         layout = _layout(self.data[at + 3 : at + FMT_LENGTH])
@@ -194,19 +168,21 @@ class _Walk:
         self.current[layout.kind] = self.layouts.index(layout)
 
     def _recover(self, at: int) -> int:
-        """Return where to continue after bytes that start no known message; the message before may be truncated."""
-        start = at
-        if self.offsets.size:
-            before = int(self.offsets.values[self.offsets.size - 1])
-            inside = self._next_sound(before + 3, at)
+        """Return where to continue after bytes that start no known message; the previous one may be truncated."""
+        if self.offsets:
+            previous = self.offsets[-1]
+            inside = self._next_sound(previous + 3, at)
             if inside >= 0:
-                self._drop_last()
-                self._skip(before, inside)
+                self.offsets.pop()
+                self.which.pop()
+                self._skip(previous, inside)
                 return inside
-        found = self._next_sound(at + 1, len(self.data))
-        end = len(self.data) if found < 0 else found
-        if found >= 0 or not _is_padding(self.data[at : at + PADDING]):
-            self._skip(start, end)
+        following = self._next_sound(at + 1, len(self.data))
+        end = len(self.data) if following < 0 else following
+        # A page of zeros or of erased flash at the end is no damage.
+        rest = self.data[at : at + 4096]
+        if following >= 0 or (rest.strip(b"\0") and rest.strip(b"\xff")):
+            self._skip(at, end)
         return end
 
     def _next_sound(self, start: int, end: int) -> int:
@@ -232,10 +208,10 @@ class _Walk:
 
 def index(data: Bytes) -> Index:
     """Find every message in `data`."""
-    return _Walk(data).run()
+    return _Scan(data).run()
 
 
-def sound(
+def sound_layout(
     kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]
 ) -> Layout | None:
     """Return the layout if it is plausible: known letters, a name, as many columns, and the length that they need."""
@@ -252,8 +228,8 @@ def sound(
 
 def _layout(body: bytes) -> Layout | None:
     kind, length, name, letters, columns = FMT_BODY.unpack(body)
-    listed = tuple(column for column in text(columns).split(",") if column)
-    return sound(kind, text(name), length, text(letters), listed)
+    names = tuple(column for column in text(columns).split(",") if column)
+    return sound_layout(kind, text(name), length, text(letters), names)
 
 
 def text(raw: bytes) -> str:
@@ -270,10 +246,6 @@ def _heads(raw: NDArray[np.uint8], start: int) -> IntArray:
     piece = raw[start : min(start + PIECE, raw.size - 2) + 1]
     at = np.flatnonzero(piece[:-1] == HEAD[0])
     return at[piece[at + 1] == HEAD[1]] + start
-
-
-def _is_padding(raw: bytes) -> bool:
-    return not raw.strip(b"\0") or not raw.strip(b"\xff")
 
 
 def _numpy_type(letter: str) -> str:

@@ -4,7 +4,6 @@ import hashlib
 import math
 from array import array
 from collections.abc import Collection, Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from greybox.logs.readers.dataflash import ALWAYS, CLOCKS, TABLES, clock_column,
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
 from greybox.logs.readers.messages import Messages, bare, on_one_clock
-from greybox.logs.readers.time_stamps import increasing
 
 TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number
 
@@ -160,35 +158,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         for name, group in lines.messages.items()
         if name not in TABLES
     ]
-    groups, interpolated = _with_times([group for group in groups if len(group)])
-    findings = [*_damage(lines), *tables.findings, *interpolated]
+    groups = [group for group in groups if len(group)]
+    findings = [*_damage(lines), *tables.findings]
     return recording(on_one_clock(groups + _banner(lines)), path, checksum, messages, findings)
-
-
-def _with_times(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Give the messages of a log of before 2014 times, where only GPS has them: by the lines between its messages."""
-    timed = [group for group in groups if group.time is not None and len(group) > 1]
-    if not timed or any(group.name not in ("GPS", "GPS2") for group in timed):
-        return groups, ()
-    clock = max(timed, key=len)
-    assert clock.time is not None
-    rows = increasing(clock.time)
-    if rows.size < 2:
-        return groups, ()
-
-    order = clock.order[rows]
-    time = clock.time[rows]
-    with_times = [
-        group
-        if group.time is not None
-        else replace(group, time=np.interp(group.order, order, time, np.nan, np.nan))
-        for group in groups
-    ]
-    interval = float(np.median(np.diff(time)))
-    return with_times, (
-        f"only {clock.name} has times, every {interval:.2g} s: those of the other messages lie between by their lines, "
-        "and may be off by as much; do not identify what is faster from this log.",
-    )
 
 
 def _number(field: str) -> float:

@@ -89,14 +89,14 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
     """Give the messages of a log without unit tables the units that ArduPilot has always used, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
         return list(groups), ()
-    known = [group.name for group in groups if group.name in USUAL]
-    made = [
+    names = [group.name for group in groups if group.name in USUAL]
+    with_units = [
         replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups
     ]
-    names = ", ".join(dict.fromkeys(known))
-    return made, (
+    names = ", ".join(dict.fromkeys(names))
+    return with_units, (
         (f"the log has no table of units: ArduPilot's usual ones are assumed for {names}.",)
-        if known
+        if names
         else ()
     )
 

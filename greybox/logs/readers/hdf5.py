@@ -38,11 +38,11 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     path = Path(path)
     with open(path, "rb") as file:
         matlab = file.read(6) == b"MATLAB"
-    found = named_arrays.contents("hdf5", path)
+    contents = named_arrays.read_contents("hdf5", path)
     rows = [
-        variable._replace(values=_rows(variable.values, matlab)) for variable in found.variables
+        variable._replace(values=_rows(variable.values, matlab)) for variable in contents.variables
     ]
-    return named_arrays.recording(path, found._replace(variables=rows), messages)
+    return named_arrays.recording(path, contents._replace(variables=rows), messages)
 
 
 def _rows(values: Array, matlab: bool) -> Array:

@@ -39,9 +39,9 @@ def read(
     OSError
         If the file cannot be opened.
     """
-    found = named_arrays.contents("matlab", Path(path))
+    contents = named_arrays.read_contents("matlab", Path(path))
     return (
-        named_arrays.numbered(Path(path), found)
+        named_arrays.numbered(Path(path), contents)
         if numbered
-        else named_arrays.recording(Path(path), found, messages)
+        else named_arrays.recording(Path(path), contents, messages)
     )

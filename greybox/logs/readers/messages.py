@@ -76,13 +76,13 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
     findings = []
     for name, lots in by_name.items():
         largest = max(lots, key=len)
-        same = [lot for lot in lots if _alike(lot, largest)]
-        lost = sum(map(len, lots)) - sum(map(len, same))
+        alike = [lot for lot in lots if _alike(lot, largest)]
+        lost = sum(map(len, lots)) - sum(map(len, alike))
         if lost:
             findings.append(
                 f"{name}: {lost} messages with other fields than the rest were left out."
             )
-        joined.append(_joined(same) if len(same) > 1 else largest)
+        joined.append(_joined(alike) if len(alike) > 1 else largest)
     return joined, tuple(findings)
 
 
@@ -133,12 +133,12 @@ def on_one_clock(groups: Iterable[Messages], stamps: Array | None = None) -> Clo
             group if group.time is None else replace(group, time=shifted[group.order])
             for group in groups
         ]
-    there = np.isfinite(shifted)
+    finite = np.isfinite(shifted)
     span = (
-        float(shifted.min(where=there, initial=np.inf)),
-        float(shifted.max(where=there, initial=-np.inf)),
+        float(shifted.min(where=finite, initial=np.inf)),
+        float(shifted.max(where=finite, initial=-np.inf)),
     )
-    return Clocked(groups, findings, span if there.any() else (0.0, 0.0))
+    return Clocked(groups, findings, span if finite.any() else (0.0, 0.0))
 
 
 def stamps_of(groups: Iterable[Messages]) -> Array:
@@ -157,7 +157,7 @@ def records(
 
     A list of groups is emptied, so that no column is in memory twice.
     """
-    made: dict[str, Record] = {}
+    by_name: dict[str, Record] = {}
     findings: list[str] = []
     gapped: dict[str, time_stamps.Gaps] = {}
     for name, part in chain.from_iterable(map(_instances, _consumed(groups))):
@@ -170,13 +170,13 @@ def records(
                 f"{name}: none of its {len(part)} messages has a plausible time; it was left out."
             )
             continue
-        made[name] = record
+        by_name[name] = record
         findings += [
             text
             for text in record.findings
             if name not in gapped or text != f"{name}: {gapped[name]}"
         ]
-    return made, (*findings, *time_stamps.all_gaps(gapped))
+    return by_name, (*findings, *time_stamps.all_gaps(gapped))
 
 
 def _consumed(groups: Iterable[Messages]) -> Iterator[Messages]:
@@ -198,17 +198,17 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
     labels = group.texts.get(group.instance)
     values = np.array(labels) if labels is not None else group.columns[group.instance]
     columns = {name: column for name, column in group.columns.items() if name != group.instance}
-    rest, name = replace(group, columns={}), group.name
+    without_columns, name = replace(group, columns={}), group.name
     del group  # whose columns go one by one
     rows = {value: np.flatnonzero(values == value) for value in np.unique(values).tolist()}
     split: dict[object, dict[str, Array]] = {value: {} for value in rows}
     for column in list(columns):
-        whole = columns.pop(column)
-        for value, own in rows.items():
-            split[value][column] = whole[own]
-    for value, own in rows.items():
+        values_of_all = columns.pop(column)
+        for value, places in rows.items():
+            split[value][column] = values_of_all[places]
+    for value, places in rows.items():
         label = str(value) if labels is not None else f"{value:g}"
-        yield f"{name}[{label}]", replace(rest.rows(own), columns=split.pop(value))
+        yield f"{name}[{label}]", replace(without_columns.rows(places), columns=split.pop(value))
 
 
 def _record(

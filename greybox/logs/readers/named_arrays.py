@@ -30,7 +30,7 @@ class Contents(NamedTuple):
     about: dict[str, Any]
 
 
-def contents(kind: str, path: Path, *wanted: str) -> Contents:
+def read_contents(kind: str, path: Path, *wanted: str) -> Contents:
     """Read all numeric vectors and matrices of a file.
 
     Parameters
@@ -54,7 +54,7 @@ def contents(kind: str, path: Path, *wanted: str) -> Contents:
     return Contents(variables, head["findings"], head["about"])
 
 
-def numbered(path: Path, found: Contents) -> Recording:
+def numbered(path: Path, contents: Contents) -> Recording:
     """Make a record of rows of the one matrix of a file, with its columns by number; as `recording` without a matrix.
 
     Raises
@@ -64,11 +64,11 @@ def numbered(path: Path, found: Contents) -> Recording:
     """
     matrices = [
         variable
-        for variable in found.variables
+        for variable in contents.variables
         if variable.values.ndim == 2 and min(variable.values.shape) > 1
     ]
     if not matrices:
-        return recording(path, found, None)
+        return recording(path, contents, None)
     if len(matrices) > 1:
         names = ", ".join(variable.name for variable in matrices)
         raise ValueError(
@@ -80,12 +80,12 @@ def numbered(path: Path, found: Contents) -> Recording:
         str(k): values for k, values in enumerate(matrices[0].values.T.astype(float), start=1)
     }
     record = of_rows(path.stem, columns, {}, source=path.name, checksum=checksum)
-    return Recording({path.stem: record}, path.name, checksum, {}, tuple(found.findings))
+    return Recording({path.stem: record}, path.name, checksum, {}, tuple(contents.findings))
 
 
 def recording(
     path: Path,
-    found: Contents,
+    contents: Contents,
     messages: Collection[str] | None,
     parameters: Mapping[str, float] | None = None,
 ) -> Recording:
@@ -97,13 +97,13 @@ def recording(
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     columns: dict[str, dict[str, Array]] = {}
     units: dict[str, dict[str, str]] = {}
-    for variable in found.variables:
+    for variable in contents.variables:
         name = variable.group or path.stem
         columns.setdefault(name, {})[variable.name] = variable.values
         units.setdefault(name, {})[variable.name] = variable.unit
 
-    made = {}
-    findings = list(found.findings)
+    by_name = {}
+    findings = list(contents.findings)
     findings += [f"there is no group {name}." for name in messages or () if name not in columns]
     for name, group in columns.items():
         if messages is not None and name not in messages:
@@ -112,11 +112,11 @@ def recording(
         log = on_one_clock([part] if part else [])
         clocked = log.groups if parameters is None else with_holds(log.groups, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)
-        made.update(records_of_group)
+        by_name.update(records_of_group)
         findings += [*problems, *log.findings, *dropped]
-    if not made:
+    if not by_name:
         raise ValueError(
             f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its length; "
             f"it holds {', '.join(columns) or 'no vectors at all'}."
         )
-    return Recording(made, path.name, checksum, {}, tuple(findings))
+    return Recording(by_name, path.name, checksum, {}, tuple(findings))

@@ -85,7 +85,7 @@ def table(
         )
 
     time = columns[timer].astype(float) * (seconds(timer, units.get(timer, "")) or 1.0)
-    kept = {}
+    signals = {}
     labels = {}
     hold = {}
     wrong_length = []
@@ -94,7 +94,7 @@ def table(
             continue
         unit, seconds_held = _unit_and_hold(units.get(key, ""))
         for label, column in _split(key, values, time.size):
-            kept[label] = column
+            signals[label] = column
             labels[label] = unit
             if seconds_held is not None:
                 hold[label] = seconds_held
@@ -106,7 +106,9 @@ def table(
             f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}."
         )
     messages = (
-        Messages(name, np.arange(time.size), time, kept, {}, labels, hold=hold) if kept else None
+        Messages(name, np.arange(time.size), time, signals, {}, labels, hold=hold)
+        if signals
+        else None
     )
     return messages, tuple(findings)
 

@@ -69,8 +69,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
 
     clocks = _clocks(kinds)
     vehicle = telemetry_metadata.vehicle_sender(kinds)
-    known = clocks.get(vehicle) or next((clocks[sender] for sender in sorted(clocks)), None)
-    zero = float(known.starts[0]) if known else first_received
+    reference = clocks.get(vehicle) or next((clocks[sender] for sender in sorted(clocks)), None)
+    zero = float(reference.starts[0]) if reference else first_received
     times = {name: _times(kind, clocks, zero) for name, kind in kinds.items()}
     about = telemetry_metadata.metadata(kinds, times)
     wanted = [
@@ -80,7 +80,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     missing = [name for name in messages or () if name not in kinds]
     present = ", ".join(sorted(kinds))
     groups = (_messages(kinds.pop(name), times.pop(name)) for name in wanted)
-    found, problems = records(with_holds(groups, about.get("parameters", {})), path.name, checksum)
+    by_name, problems = records(
+        with_holds(groups, about.get("parameters", {})), path.name, checksum
+    )
     findings = (
         *_damage(packets),
         *_restarts(clocks, zero),
@@ -88,7 +90,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         *_received(untimed),
         *problems,
     )
-    return Recording(found, path.name, checksum, about, findings)
+    return Recording(by_name, path.name, checksum, about, findings)
 
 
 def _kinds(packets: Packets, messages: Collection[str] | None) -> tuple[dict[str, Kind], float]:

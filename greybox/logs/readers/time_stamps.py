@@ -35,13 +35,13 @@ def restarts(stamps: Array) -> tuple[int, ...]:
     drops = np.concatenate(
         [np.zeros(0, int), *(np.flatnonzero(np.diff(s) < -BACK) + start + 1 for start, s in pieces)]
     )
-    found: list[int] = []
+    starts: list[int] = []
     for drop in drops:
-        start = found[-1] if found else 0
-        before, after = stamps[max(start, drop - WINDOW) : drop], stamps[drop : drop + WINDOW]
-        if np.median(after) < np.median(before) - BACK and np.median(after) < before[-1] - BACK:
-            found.append(int(drop))
-    return tuple(found)
+        start = starts[-1] if starts else 0
+        earlier, later = stamps[max(start, drop - WINDOW) : drop], stamps[drop : drop + WINDOW]
+        if np.median(later) < np.median(earlier) - BACK and np.median(later) < earlier[-1] - BACK:
+            starts.append(int(drop))
+    return tuple(starts)
 
 
 def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
@@ -102,10 +102,10 @@ def _edge(stamps: Array, side: int) -> float:
 def increasing(time: Array) -> IntArray:
     """Return the rows to keep so that time strictly increases: as many as possible, none with NaN."""
     rows = np.flatnonzero(np.isfinite(time))
-    kept = time[rows]
-    if np.all(np.diff(kept) > 0):
+    finite = time[rows]
+    if np.all(np.diff(finite) > 0):
         return rows
-    return rows[_longest_increase(kept)]
+    return rows[_longest_increase(finite)]
 
 
 def _longest_increase(values: Array) -> IntArray:
@@ -163,9 +163,9 @@ def gaps(time: Array) -> Gaps | None:
 def all_gaps(found: Mapping[str, Gaps]) -> tuple[str, ...]:
     """Say which messages have gaps, in one line where they are many: then logging itself stopped."""
     if len(found) <= FEW:
-        return tuple(f"{name}: {each}" for name, each in found.items())
+        return tuple(f"{name}: {gaps}" for name, gaps in found.items())
     name, worst = max(found.items(), key=lambda item: item[1].longest)
     return (
-        f"{len(found)} messages have gaps, up to {max(each.number for each in found.values())}; the longest lasts "
+        f"{len(found)} messages have gaps, up to {max(gaps.number for gaps in found.values())}; the longest lasts "
         f"{worst.longest:.3g} s, at {worst.at:.1f} s in {name}.",
     )

@@ -68,29 +68,37 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         If the file cannot be opened.
     """
     path = Path(path)
-    asked = bare(messages)
+    topics_wanted = bare(messages)
     if find_spec("pyulog") is None:
         raise ValueError(
             f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'."
         )
-    found = named_arrays.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))
-    whole = named_arrays.recording(path, found, None, found.about["parameters"])
-    topics = {name: name.partition("[")[0] for name in whole}
-    about = {**_about(found.about), **(_states(whole[STATUS]) if STATUS in topics.values() else {})}
-    kept = {
+    contents = named_arrays.read_contents(
+        "ulog", path, *(sorted({STATUS, *topics_wanted}) if topics_wanted else ())
+    )
+    recording = named_arrays.recording(path, contents, None, contents.about["parameters"])
+    topics = {name: name.partition("[")[0] for name in recording}
+    about = {
+        **_about(contents.about),
+        **(_states(recording[STATUS]) if STATUS in topics.values() else {}),
+    }
+    by_name = {
         name: _with_angles(topics[name], record)
-        for name, record in whole.items()
-        if asked is None or topics[name] in asked
+        for name, record in recording.items()
+        if topics_wanted is None or topics[name] in topics_wanted
     }
     missing = tuple(
-        f"there is no topic {name}." for name in sorted({*(asked or ())} - {*topics.values()})
+        f"there is no topic {name}."
+        for name in sorted({*(topics_wanted or ())} - {*topics.values()})
     )
-    return Recording(kept, whole.source, whole.checksum, about, (*missing, *whole.findings))
+    return Recording(
+        by_name, recording.source, recording.checksum, about, (*missing, *recording.findings)
+    )
 
 
 def _about(said: Mapping[str, Any]) -> dict[str, Any]:
     info = said["info"]
-    known = {
+    about = {
         "vehicle": info.get("sys_name"),
         "firmware": _firmware(info),
         "board": info.get("ver_hw"),
@@ -101,7 +109,7 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
         "defaults": {name: float(value) for name, value in said["defaults"].items()},
         "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
     }
-    return {key: value for key, value in known.items() if value}
+    return {key: value for key, value in about.items() if value}
 
 
 def _firmware(info: Mapping[str, Any]) -> str | None:
@@ -141,16 +149,16 @@ def _with_angles(name: str, record: Record) -> Record:
 
 def _states(status: Record) -> dict[str, Any]:
     """Return modes and armed times from the vehicle's status."""
-    known: dict[str, Any] = {}
+    states: dict[str, Any] = {}
     time = status.time.tolist()
     if "nav_state" in status.signals:
         names = [MODES.get(int(state), f"mode {state:g}") for state in status["nav_state"]]
-        known["modes"] = tuple(_changes(zip(time, names, strict=True)))
+        states["modes"] = tuple(_changes(zip(time, names, strict=True)))
     if "arming_state" in status.signals:
         armed = (status["arming_state"] == ARMED).tolist()
         changes = list(_changes(zip(time, armed, strict=True)))
-        known["armed"] = armed_intervals(changes if armed[0] else changes[1:], (time[0], time[-1]))
-    return known
+        states["armed"] = armed_intervals(changes if armed[0] else changes[1:], (time[0], time[-1]))
+    return states
 
 
 def _changes(states: Iterable[tuple[float, Any]]) -> Iterable[tuple[float, Any]]:

@@ -1,4 +1,4 @@
-"""Text logs: of any size, of before 2014, whose messages have no times, with units that contradict themselves."""
+"""Text logs of any size, damaged ones, and unit tables."""
 
 import tracemalloc
 
@@ -36,35 +36,6 @@ def test_what_is_not_asked_for_is_not_in_memory(tmp_path):
     assert peak < path.stat().st_size  # 2.3 MB, of which half are text at a time
 
 
-def old_log():
-    """GPS at 5 Hz with the vehicle's time, attitudes at 50 Hz without one."""
-    lines = [
-        "ArduCopter V3.0.1 (5c6503e2)",
-        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
-        "FMT, 130, 45, GPS, BIHBcLLeeEefI, Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T",
-        "FMT, 138, 15, ATT, cccc, RollIn,Roll,PitchIn,Pitch",
-    ]
-    for k in range(500):
-        if k % 10 == 0:
-            lines.append(
-                f"GPS, 3, {130040903 + 20 * k}, 1769, 8, 2.35, 1.0, 2.0, 0, 0, 0, 0, 0, {20000 + 20 * k}"
-            )
-        lines.append(f"ATT, 0.0, {np.sin(0.1 * k):.2f}, 0.0, 1.0")
-    return "\n".join(lines) + "\n"
-
-
-def test_times_lie_between_those_of_gps(tmp_path):
-    (tmp_path / "old.log").write_text(old_log())
-    recording = read(tmp_path / "old.log")
-    attitude = recording["ATT"]
-    first = round((attitude.time[0] - 20) / 0.02)
-    truth = 20 + 0.02 * np.arange(first, first + len(attitude))
-    assert len(attitude) > 480
-    assert np.abs(attitude.time - truth).max() < 0.04
-    assert any("only GPS has times, every 0.2 s" in text for text in recording.findings)
-    assert recording.metadata["vehicle"] == "ArduCopter"
-
-
 @pytest.mark.parametrize("suffix", [".log", ".bin"])
 def test_a_letter_with_two_units_means_none(tmp_path, suffix):
     made = Log()
@@ -76,19 +47,6 @@ def test_a_letter_with_two_units_means_none(tmp_path, suffix):
     recording = read(path)
     assert (recording["ATT"].units["Roll"], recording["ATT"].units["Spd"]) == ("", "m/s")
     assert any("the letter 'd' for deg and for rad" in text for text in recording.findings)
-
-
-def test_a_line_has_its_share_of_the_time_between_two_of_gps(tmp_path):
-    """Eleven lines from one to the next, 0.2 s; before the first and after the last it is not known."""
-    text = old_log().splitlines()
-    head, body = text[:4], text[4:]
-    (tmp_path / "old.log").write_text("\n".join([*head, "ATT, 0.0, 9.0, 0.0, 1.0", *body]) + "\n")
-    recording = read(tmp_path / "old.log")
-    k = np.arange(490)
-    expected = 20 + 0.2 * (k // 10) + 0.2 * (k % 10 + 1) / 11
-    np.testing.assert_allclose(recording["ATT"].time, expected, atol=1e-9)
-    np.testing.assert_allclose(recording["ATT"]["Roll"], np.round(np.sin(0.1 * k), 2))
-    assert "ATT: 11 of 501 samples dropped: 11 with implausible times." in recording.findings
 
 
 def test_damaged_lines_cost_only_themselves(tmp_path):
