@@ -1,7 +1,6 @@
 """What belongs to a record, its biases and trims, is estimated from it where the model was fitted to another one."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +8,8 @@ from drag_flights import Drag, LinearDrag, fitted, flight
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.formulation.time_criteria import WIDEST_BIAS
 from greybox.simulation import own_values
 from greybox.simulation.model_at_estimate import model_at
-from greybox.simulation.windows import cut
 
 TRUTH = {"a5": 0.2, "C_x": 0.05}
 BIASES = gb.OutputError(biases=("v", "theta"))
@@ -160,10 +157,10 @@ def test_what_the_record_does_not_determine_is_said_and_kept():
     found = gb.predict(Integrated(), {"gain": 2.0}, record, own=["x_bias", "rate_bias"])
     assert found.own.keys() == {"rate_bias"}
     assert found.own["rate_bias"][0] == pytest.approx(0.1, abs=0.01)
-    assert "x_bias: not determined by ramp, the value of the fit is kept." in found.notes
+    assert "x_bias: not determined by ramp, the value of the fit is used." in found.notes
     alone = gb.predict(Integrated(), {"gain": 2.0}, record, own=["x_bias"])
     assert alone.own == {}
-    assert "x_bias: not determined by ramp, the value of the fit is kept." in alone.notes
+    assert "x_bias: not determined by ramp, the value of the fit is used." in alone.notes
     assert alone.rms("x") == pytest.approx(
         gb.predict(Integrated(), {"gain": 2.0}, record, own=()).rms("x")
     )
@@ -209,103 +206,16 @@ def test_the_error_of_a_constant_offset_is_that_of_a_mean(every):
     assert error == pytest.approx(0.1 / np.sqrt(400 / every), rel=0.12)
 
 
-def informed(matrix, squares=100.0, numbers=100, overlap=1.0):
-    matrix = np.array(matrix)
-    return own_values._Information(matrix, np.zeros(len(matrix)), squares, numbers, overlap)
-
-
-@pytest.mark.parametrize(
-    ("matrix", "limits", "lost"),
-    [
-        (np.diag([4.0, 100.0]), (10.0, 10.0), ""),
-        (np.diag([4.0, 100.0]), (0.4, 10.0), "a"),  # its error of 0.5 is more than half of ± 0.4
-        (np.diag([4.0, 100.0]), (0.6, 0.09), "b"),
-        (np.diag([4.0, 0.0]), (np.inf, np.inf), "b"),  # no sample changes with it
-        ([[1.0, 1.0 - 1e-11], [1.0 - 1e-11, 1.0]], (np.inf, np.inf), "a"),
-        ([[1.0, 1.0 - 1e-7], [1.0 - 1e-7, 1.0]], (np.inf, np.inf), ""),
-    ],
-)
-def test_a_value_is_lost_where_no_sample_shows_it_or_its_error_exceeds_half_of_its_bounds(
-    matrix, limits, lost
-):
-    of = {name: (-limit, limit) for name, limit in zip("ab", limits, strict=True)}
-    found = own_values._not_determined(informed(matrix), ("a", "b"), of)
-    assert bool(found) == bool(lost)
-    if np.isfinite(limits).all() or np.count_nonzero(matrix) < 4:
-        assert found == lost
-
-
 def test_directions_that_are_not_seen_have_no_inverse():
     random = np.random.default_rng(0)
     size = np.array([1e3, 1.0, 1e-4])
     J = random.normal(size=(6, 3)) * size
-    assert_allclose(own_values._pseudo_inverse(J.T @ J), np.linalg.inv(J.T @ J), rtol=1e-9)
+    assert_allclose(own_values.pseudo_inverse(J.T @ J), np.linalg.inv(J.T @ J), rtol=1e-9)
     J[:, 1] = 0
-    found = own_values._pseudo_inverse(J.T @ J)
+    found = own_values.pseudo_inverse(J.T @ J)
     assert np.all(found[1] == 0)
     seen = np.ix_([0, 2], [0, 2])
     assert_allclose(found[seen], np.linalg.inv((J.T @ J)[seen]), rtol=1e-9)
-
-
-def test_errors_are_larger_by_what_is_left_over_and_by_numbers_that_were_used_twice():
-    for squares, numbers, overlap, factor in (
-        (50.0, 100, 1.0, 1.0),
-        (200.0, 100, 1.0, 2.0),
-        (200.0, 100, 1.5, 3.0),
-    ):
-        assert own_values._inflation(
-            informed(np.eye(1), squares, numbers, overlap)
-        ) == pytest.approx(factor)
-        found = own_values._Found(None, None, ("a",), informed([[4.0]], squares, numbers, overlap))
-        assert found.errors() == pytest.approx([np.sqrt(factor) / 2])
-
-
-@pytest.mark.parametrize(
-    ("squares", "before", "follows"),
-    [
-        (119.0, 100.0, True),
-        (121.0, 100.0, False),
-        (119.0, 50.0, True),
-        (121.0, 50.0, False),
-        (235.0, 200.0, True),
-    ],
-)
-def test_longer_windows_count_while_their_errors_grow_by_a_tenth_at_most(squares, before, follows):
-    """A fifth in squares, over those of shorter ones or over the noise."""
-    longer, shorter = (
-        own_values._Found(None, None, ("a",), informed([[4.0]], s)) for s in (squares, before)
-    )
-    assert longer.follows_noise_as(shorter) is follows
-    nothing = own_values._Found(None, None, (), None)
-    assert longer.follows_noise_as(nothing)
-    assert not nothing.follows_noise_as(shorter)
-
-
-def test_what_determines_more_values_or_the_same_better_is_taken():
-    def found(*diagonal):
-        return own_values._Found(
-            None, None, tuple("abc"[: len(diagonal)]), informed(np.diag(diagonal))
-        )
-
-    assert found(1.0, 1.0).is_more_certain_than(found(100.0))
-    assert not found(100.0).is_more_certain_than(found(1.0, 1.0))
-    assert found(1.0, 5.0).is_more_certain_than(found(2.0, 2.0))
-    assert not found(1.0, 3.0).is_more_certain_than(found(2.0, 2.0))
-
-
-def test_a_bias_lies_within_ranges_of_its_signal_and_a_parameter_within_its_bounds():
-    signals = {"y": np.array([1.0, np.nan, 4.0]), "still": np.ones(3), "lost": np.full(3, np.nan)}
-    windows = SimpleNamespace(record=gb.Record(np.arange(3.0), signals, {"y": "m"}))
-    model = SimpleNamespace(declared={"K": gb.Parameter(1.0, bounds=(-1, 5), unit="1/s")})
-    for name, limits, unit in (
-        ("K", (-1, 5), "1/s"),
-        ("y_bias", (-3 * WIDEST_BIAS, 3 * WIDEST_BIAS), "m"),
-        ("still_bias", (-WIDEST_BIAS, WIDEST_BIAS), ""),
-        ("lost_bias", (-np.inf, np.inf), ""),
-        ("other_bias", (-np.inf, np.inf), ""),
-    ):
-        assert own_values._limits(model, windows, name) == limits
-        assert own_values._unit(model, windows, name) == unit
 
 
 def test_the_error_of_the_model_is_in_that_of_an_own_value_that_follows_it():
@@ -329,154 +239,16 @@ def test_the_error_of_the_model_is_in_that_of_an_own_value_that_follows_it():
     assert_allclose(found.error[0, :, 0], size[found.rows[:, 0]], atol=2e-3)
 
 
-def test_states_and_their_mean_are_eliminated_as_by_least_squares():
-    """Of windows with random slopes and a prior, against one matrix of all unknowns."""
-    random = np.random.default_rng(0)
-    w, t, k, n, a = 4, 5, 2, 2, 3
-    slopes, residuals = random.normal(size=(w, t, k, n + a)), random.normal(size=(w, t, k))
-    used = random.uniform(size=(w, t, k)) < 0.9
-    slopes[~used], residuals[~used] = 0.0, 0.0
-    used[3], slopes[3], residuals[3] = False, 0.0, 0.0  # a window without a measured sample
-    states, mean, precision = (
-        random.normal(size=(w, n)),
-        random.normal(size=n),
-        np.array([0.5, 2.0]),
-    )
-    noise = np.array([[0.5, 0.2], [0.2, 0.4]])
-    initial = SimpleNamespace(states=states, mean=mean, precision=precision, noise=noise)
-    made = SimpleNamespace(slopes=slopes, residuals=residuals, used=used, initial=initial)
-    simulator = SimpleNamespace(linearize_windows=lambda windows, places: made)
-    found = own_values._information(simulator, SimpleNamespace(horizon=6, lead=3), np.arange(a))
-
-    weight = np.linalg.inv(np.linalg.cholesky(noise))
-    J = np.einsum("ij,wtjv->wtiv", weight, slopes).reshape(w, t * k, n + a)
-    r = np.einsum("ij,wtj->wti", weight, residuals).reshape(w, t * k)
-    deviation = states - mean
-    deviation[3] = 0.0
-    of_values = np.concatenate([*J[:, :, n:], np.zeros((w * n, a))])
-    of_mean = np.concatenate([*J[:, :, :n], np.zeros((w * n, n))])
-    of_windows = np.zeros((w * t * k + w * n, w * n))
-    for i in range(w):
-        of_windows[i * t * k : (i + 1) * t * k, i * n : (i + 1) * n] = J[i, :, :n]
-        of_windows[w * t * k + i * n + np.arange(n), i * n + np.arange(n)] = np.sqrt(precision)
-    b = np.concatenate([r.ravel(), *(-np.sqrt(precision) * deviation)])
-    nuisances = np.hstack([of_mean, of_windows])
-    q = np.eye(len(b)) - nuisances @ np.linalg.pinv(nuisances)
-    assert_allclose(found.matrix, of_values.T @ q @ of_values, atol=1e-9)
-    assert_allclose(found.gradient, of_values.T @ q @ b, atol=1e-9)
-    assert found.squares == pytest.approx(b @ q @ b)
-    assert (found.numbers, found.overlap) == (used.sum(), 1.5)
-
-
-# --- steps to the best values, and windows that become longer
-
-
-def parabola(q):
-    """Squares (q - 3)² of four numbers; beyond 10 fewer of them are finite."""
-    numbers = 4 if q[1] < 10 else 3
-    return own_values._Information(np.eye(1), np.zeros(1), float((q[1] - 3) ** 2), numbers, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("step", "limits", "taken"),
-    [
-        (2.0, (-50, 50), 2.0),
-        (4.1, (-50, 50), 2.05),  # would end farther off than it began
-        (3.9, (-50, 50), 3.9),
-        (4.0, (-50, 50), 4.0),  # no worse
-        (36.0, (-50, 50), 2.25),
-        (9.5, (-50, 50), 2.375),  # to where fewer numbers are finite
-        (-1.0, (-50, 50), 0.0),
-        (8.0, (-50, 2.5), 1.5),
-        (500.0, (-50, 50), 3.90625),
-        (550.0, (-50, 50), 0.0),  # not within eight of them
-    ],
-)
-def test_a_step_of_the_values_is_halved_until_it_predicts_no_worse(step, limits, taken):
-    q = np.array([7.0, 1.0])
-    low, high = (np.array([limit]) for limit in limits)
-    moved, after, change = own_values._searched(
-        parabola, q, parabola(q), np.array([1]), np.array([step]), (low, high)
-    )
-    assert_allclose(change, [taken])
-    assert_allclose(moved, [7.0, 1.0 + taken])
-    assert after.squares == pytest.approx((1.0 + taken - 3) ** 2)
-
-
-def linear_windows(measured, slopes):
-    """A stand-in for windows without states, whose outputs are slopes · q[1:] of three values."""
-
-    def at(q):
-        residuals = measured - slopes @ q[1:]
-        noise = np.array([[0.25]])
-        initial = SimpleNamespace(
-            states=np.zeros((len(measured), 0)),
-            mean=np.zeros(0),
-            precision=np.zeros(0),
-            noise=noise,
-        )
-        made = SimpleNamespace(
-            slopes=slopes, residuals=residuals, used=np.isfinite(residuals), initial=initial
-        )
-        return SimpleNamespace(linearize_windows=lambda windows, places: made)
-
-    return SimpleNamespace(at=at)
-
-
-@pytest.mark.parametrize("bound", [np.inf, 1.2])
-def test_the_best_values_are_those_of_least_squares_within_their_limits(bound):
-    random = np.random.default_rng(5)
-    slopes = random.normal(size=(6, 4, 1, 2))
-    measured = slopes @ [2.0, -0.5] + 0.1 * random.normal(size=(6, 4, 1))
-    wanted = np.linalg.lstsq(slopes.reshape(-1, 2), measured.ravel(), rcond=None)[0]
-    model = replace(model_at(Gain(), {"K": 7.0}), q=np.array([7.0, 20.0, 0.0]))
-    limits = [(-bound, bound), (-10.0, 10.0)]
-    simulator, windows = linear_windows(measured, slopes), SimpleNamespace(horizon=6, lead=2)
-    solved, found = own_values._minimized(simulator, model, windows, np.array([1, 2]), limits)
-    assert found.numbers == 24
-    assert found.overlap == pytest.approx(8 / 6)
-    assert solved.q[0] == 7.0
-    if np.isinf(bound):
-        assert_allclose(solved.q[1:], wanted)
-        rest = measured.ravel() - slopes.reshape(-1, 2) @ wanted
-        assert found.squares == pytest.approx(4 * rest @ rest)
-        assert_allclose(found.matrix, 4 * slopes.reshape(-1, 2).T @ slopes.reshape(-1, 2))
-    else:
-        assert solved.q[1] == 1.2
-    unseen = linear_windows(np.full((6, 4, 1), np.nan), slopes)
-    assert own_values._minimized(unseen, model, windows, np.array([1, 2]), limits) is None
-
-
-def test_windows_become_four_times_as_long_up_to_the_longest_stretch():
-    time = 0.1 * np.arange(130)
-    time[30:] += 5
-    record = gb.Record(time, {"u": np.sin(time), "y": np.cos(time)})
-    model = model_at(Gain(), {})
-    windows = cut(record, ["u"], ["y"], lead=0.5, horizon=0.4)
-    assert (windows.lead, windows.horizon) == (5, 4)
-    found = list(own_values._longer(model, windows, ("y",)))
-    assert [(w.lead, w.horizon, len(w)) for w in found] == [(5, 16, 6), (5, 64, 1), (5, 95, 1)]
-    assert list(own_values._longer(model, found[-1], ("y",))) == []
-    rows = cut(
-        gb.Record(np.arange(4.0), {"u": np.ones(4), "y": np.ones(4)}, has_time=False),
-        ["u"],
-        ["y"],
-        lead=1,
-        horizon=1,
-    )
-    assert list(own_values._longer(model, rows, ("y",))) == []
-
-
 def test_own_values_are_told_with_errors_and_units():
     of = own_values.OwnValues
     found = of(("a", "b"), np.array([0.5, -2.0]), np.array([0.1, 0.25]), ("m", "1"), ("c", "d"), 1)
     assert found.by_name == {"a": (0.5, 0.1), "b": (-2.0, 0.25)}
     first, second = found.notes("r")
     assert first == (
-        "a = 0.50 ± 0.10 m and b = -2.00 ± 0.25 were estimated from r itself: 2 values from 1 number, in which it is "
-        "not held out."
+        "a = 0.50 ± 0.10 m and b = -2.00 ± 0.25 were estimated from r itself: 2 values from 1 number, so the record is "
+        "not held out in them."
     )
-    assert second == "c and d: not determined by r, the value of the fit is kept."
+    assert second == "c and d: not determined by r, the value of the fit is used."
     alone = of(("a",), np.array([0.5]), np.array([0.1]), ("m",), (), 40)
     (said,) = alone.notes("r")
-    assert "m was estimated from r itself: 1 value from 40 numbers, in which" in said
+    assert "m was estimated from r itself: 1 value from 40 numbers, so the record" in said
