@@ -6,6 +6,8 @@ Begin with `fit`.
 | --- | --- |
 | `fit` | from a problem to its answer: search, accuracy, warnings |
 | `result` | `Fit`, the answer as values |
+| `printed` | the answer as text, and as HTML for notebooks |
+| `at_estimate` | the model at the estimate, to be run on records |
 | `fitted_part` | the values that an answer keeps of each part of its problem |
 | `fitted_values` | how these are made from the compiled part |
 | `fitted_problem` | the problem again, from its answer |

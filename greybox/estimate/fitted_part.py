@@ -112,6 +112,12 @@ class FittedResponse(FittedPart):
     sine: Sine | None = None
     nuisances: int = 0
 
+    @property
+    def signals(self) -> dict[str, Any]:
+        """Input, output, operating point and delay: the keywords of functions that evaluate the model."""
+        pair = {"input": self.data.input, "output": self.data.output}
+        return {**pair, "at": self.at, "delay": self.delay}
+
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FittedRecord(FittedPart):

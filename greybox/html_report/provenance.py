@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.result import Fit, error_condition
+from greybox.estimate.printed import data_text, error_statement
+from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, number
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.tables import Cell, number_cell, table
@@ -18,18 +19,8 @@ _NOUNS = {FittedResponse: "point", FittedRecord: "sample", FittedSpectrum: "line
 def data_summary(fit: Fit) -> str:
     """Say in one sentence which model was fitted to which data."""
     models = ", ".join(dict.fromkeys(part.label for part in fit.parts))
-    pieces = []
-    if fit.responses:
-        points = counted(sum(len(part.data) for part in fit.responses), "point")
-        pieces.append(f"{points} in {counted(len(fit.responses), 'frequency response')}")
-    if fit.records:
-        samples = counted(sum(part.compared for part in fit.records), "sample")
-        pieces.append(f"{samples} in {counted(len(fit.records), 'record')}")
-    if fit.spectra:
-        lines = counted(sum(len(part.data) for part in fit.spectra), "line")
-        pieces.append(f"{lines} in {counted(len(fit.spectra), 'manoeuvre')}")
     free = counted(len(fit.free), "free parameter")
-    return f"{models} with {free}, fitted to {' and '.join(pieces)} by {fit.rule}."
+    return f"{models} with {free}, fitted to {data_text(fit)} by {fit.rule}."
 
 
 def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[Element]:
@@ -54,7 +45,7 @@ def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[El
         ("versions", ", ".join(f"{name} {version}" for name, version in fit.versions.items())),
     ]
     if fit.dof > 0:
-        facts.append(("standard errors", f"for {error_condition(fit)}"))
+        facts.append(("standard errors", error_statement(fit)))
     others = [
         f"{name} {number(cost)}" for name, cost in fit.costs.items() if _is_other(fit, name, cost)
     ]

@@ -240,21 +240,6 @@ def test_the_print_answers_in_order():
     assert float(words[2]) == pytest.approx(error, rel=0.05)
     assert words[3] == "s"
     assert line.endswith("time constant")
-    ordered = [
-        "made: Lag",
-        "6 of 6 converged; 6 agree on the best of 1 distinct minimum",
-        "sum of relative errors, (4.26)",
-        "30 points",
-        "parameter",
-        "bandwidth",
-        "other criteria at this estimate",
-        "CIFER",
-        "seed 0",
-    ]
-    places = [text.index(part) for part in ordered]
-    assert places == sorted(places)
-    for name, cost in LAG.costs.items():
-        assert (f"{cost:.5g}" in text) == np.isfinite(cost) or name == LAG.criterion
 
 
 def test_other_criteria_are_the_costs_of_their_own_problems():

@@ -161,7 +161,7 @@ def test_what_follows_from_the_covariance_is_as_wide():
     """Profiles and replicates, of errors that are correlated: as intervals by the standard errors, or nearly."""
     fit = fitted(0.6, gb.SquaredRelativeError(), 1, n=60)
     alone = with_independent_errors(fit)
-    assert "; correlated along frequency as far as the residuals are" in str(fit)
+    assert "; correlated along frequency like the residuals" in str(fit)
     assert "along frequency" not in str(alone).partition("warning:")[0]
     widened = np.sqrt(np.diag(fit.covariance) / np.diag(alone.covariance))
     assert np.all(widened > 1.4)

@@ -129,5 +129,5 @@ def test_what_has_no_band_says_so(moved):
     )
     with pytest.raises(ValueError, match=r"response_band"):
         response.output_band()
-    with pytest.raises(ValueError, match="is no response"):
+    with pytest.raises(ValueError, match="not a frequency response"):
         moved.response_band()

@@ -1,0 +1,151 @@
+"""The model of a fit at its estimate, with covariance and assumptions, to be run on records."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from greybox.data.record import Record, share_samples
+from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.files.arrays import Array
+from greybox.files.text_table import counted
+from greybox.formulation.input_assumptions import Inputs
+from greybox.formulation.restated_parameter import restated
+from greybox.modeling.model import Model
+from greybox.modeling.model_reference import reference
+from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.realization import dynamics
+from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
+
+
+def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None) -> ModelAtEstimate:
+    """Return a model with the values, covariance and assumptions that a `Fit` has for a part.
+
+    Raises
+    ------
+    ValueError
+        If the fit has no value for a parameter of the model.
+    """
+    record = part if isinstance(part, FittedRecord) else None
+    biases = record.biases if record else ()
+    gains = record.gains if record else ()
+    if inputs is None:
+        inputs = record.inputs if record else "record"
+
+    names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
+    outside = {name: part.rename.get(name, name) for name in names}
+    driven = record if record is not None and record.driven else None
+    estimated = [*outside.values()]
+    if driven is not None:  # gains follow from the variances of the noise
+        estimated = [part.rename.get(name, name) for name in (*model.parameters, *driven.added)]
+    for name in estimated:
+        if name not in fit.estimate:
+            raise ValueError(
+                f"the fit has no {name!r}, which {model.label} needs; it has {', '.join(fit.estimate)}: "
+                "give the model that was fitted, or the values as {name: value}."
+            )
+
+    # Standard errors treat what ended at its bound as known, and so does everything that follows
+    # from them.
+    free = {q.name: q for q in fit.quantities if q.kind == "free"}
+    is_known = np.array([name in free and free[name].at_bound for name in estimated], dtype=bool)
+    values = np.array([fit.estimate[name] for name in estimated])
+    covariance = np.where(is_known | is_known[:, None], 0.0, fit.covariance_of(estimated))
+    if driven is not None:
+        assert driven.gain is not None
+        assert driven.gain_slope is not None
+        own = len(names) - len(gains)
+        values = np.concatenate([values[:own], driven.gain])
+        slope = np.vstack([np.eye(own, len(estimated)), driven.gain_slope])
+        covariance = propagated(slope, covariance)
+    return ModelAtEstimate(
+        label=model.label,
+        system=dynamics(model, delay_order(part.delay)),
+        names=tuple(names),
+        q=values,
+        covariance=covariance,
+        criterion=criterion_of(inputs, biases, gains),
+        part=record,
+        declared={
+            name: restated(name, p, bounds=free[outside[name]].bounds)
+            if outside[name] in free
+            else p
+            for name, p in model.parameters.items()
+        },
+        own=_own_names(fit, model, record, outside) if record else (),
+    )
+
+
+def propagated(slope: Array, covariance: Array) -> Array:
+    """Return the covariance (m, m) of values with the derivatives `slope` (m, k); NaN stays NaN."""
+    unknown = np.isnan(np.diag(covariance))
+    result = slope @ np.where(unknown | unknown[:, None], 0.0, covariance) @ slope.T
+    lost = (slope[:, unknown] != 0).any(axis=1)
+    return np.where(lost | lost[:, None], np.nan, result)
+
+
+def _own_names(
+    fit: Any, model: Model, part: FittedRecord, outside: Mapping[str, str]
+) -> tuple[str, ...]:
+    """Return the names inside of the free values that belong to the record of a part alone.
+
+    These are biases, unless records share them under one name, and parameters for which other
+    records have their own.
+    """
+    free = {q.name for q in fit.quantities if q.kind == "free"}
+    others = [
+        other
+        for other in fit.records
+        if _class_name(other.model) == _class_name(part.model)
+        and not share_samples(other.data, part.data)
+    ]
+    own = []
+    for name, known_as in outside.items():
+        elsewhere = [other.rename.get(name, name) for other in others]
+        if name in model.parameters:
+            is_own = any(other != known_as for other in elsewhere)
+        else:
+            is_own = name.endswith("_bias") and known_as not in elsewhere
+        if is_own and known_as in free:
+            own.append(name)
+    return tuple(own)
+
+
+def part_index(fit: Any, model: Model | None, part: int | None, record: Record | None) -> int:
+    """Return the index of a part of a `Fit`: the given one, else that of the record, else the first record.
+
+    Parts of the given model come first.
+
+    Raises
+    ------
+    ValueError
+        If the fit does not have this part.
+    """
+    count = len(fit.parts)
+    if part is not None:
+        whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
+        if not whole or not -count <= part < count:
+            raise ValueError(
+                f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0."
+            )
+        return part % count
+
+    def rank(k: int) -> int:
+        data = fit.parts[k].data
+        if not isinstance(data, Record) or fit.parts[k].is_prior:
+            return 3 if fit.parts[k].is_prior else 2
+        return int(record is None or not share_samples(data, record))
+
+    records_first = sorted(range(count), key=rank)
+    if model is not None:
+        wanted = _class_name(reference(model))
+        for k in records_first:
+            if _class_name(fit.parts[k].model) == wanted:
+                return k
+    return records_first[0]
+
+
+def _class_name(model: Mapping[str, object]) -> str:
+    """Return a model's class without its module, which is another one where the file was run as a script."""
+    return re.sub(r"^.*:", "", str(model["class"]))

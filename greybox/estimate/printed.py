@@ -1,0 +1,309 @@
+"""The answer as a person reads it: facts, one table, warnings; as text, and as HTML for notebooks."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.response_band import t_quantile
+from greybox.files.html_text import html_list, html_table, html_text
+from greybox.files.text_table import counted, number, some, text_table, with_error
+from greybox.formulation.spectrum_criteria import EquationError
+from greybox.solve.minima import Multistart
+from greybox.statistics.metrics import rms
+
+MANY = 10  # records up to which each one has a line
+
+Table = tuple[list[str], list[list[str]], tuple[int, ...]]
+"""Header, rows, and the columns that are flush left."""
+
+
+def text(fit: Any) -> str:
+    """Return a `Fit` as text."""
+    table = ["  " + line for line in text_table(*parameter_table(fit)).splitlines()]
+    remarks = ["  " + line for line in _remarks(fit)]
+    if not fit.converged:
+        effort = ["", "  best effort, no estimate:", "", *table] if fit.best_effort else []
+        return "\n".join([title(fit), "", f"  FAILED: {fit.status}.", *remarks, *effort])
+    sections = (
+        [title(fit)],
+        [f"  {label:<10} {fact}" for label, fact in facts(fit)],
+        [*table, *(["", f"  {error_statement(fit)}"] if fit.dof > 0 else [])],
+        _profile_lines(fit),
+        [*remarks, f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
+    )
+    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def html(fit: Any) -> str:
+    """Return a `Fit` as HTML for a notebook."""
+    remarks = html_list(_remarks(fit))
+    heading = html_text(title(fit), "b")
+    if not fit.converged:
+        return heading + html_text(f"FAILED: {fit.status}.") + remarks
+    statement = html_text(error_statement(fit)) if fit.dof > 0 else ""
+    listed = html_list([f"{label} {fact}" for label, fact in facts(fit)])
+    return heading + listed + html_table(*parameter_table(fit)) + statement + remarks
+
+
+def title(fit: Any) -> str:
+    """Return the problem and its models."""
+    labels = dict.fromkeys(part.label for part in fit.parts if not part.is_prior)
+    return f"{fit.name}: {', '.join(labels)}"
+
+
+def facts(fit: Any) -> list[tuple[str, str]]:
+    """Return what was searched, found and fitted, as pairs of a label and a text."""
+    tried = Multistart(fit.runs, fit.minima, fit.seconds)
+    screened = len(fit.runs) - len(tried.brought)
+    only_screened = f" ({screened} of {len(fit.runs)} starts were screened out)" if screened else ""
+    minima = counted(len(fit.minima), "distinct minimum", "distinct minima")
+    pade = "".join(
+        f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
+        for part in fit.responses
+        if part.pade_error is not None
+    )
+    return [
+        (
+            "starts",
+            f"{tried.converged} of {len(tried.brought)} converged{only_screened}; "
+            f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}",
+        ),
+        ("cost", f"{fit.cost:.6g}  ({fit.rule})"),
+        ("data", f"{data_text(fit)}, delay {fit.delay}{pade}"),
+        *(("prior", line) for line in _prior_texts(fit)),
+        *(("inputs", line) for line in _input_texts(fit.records)),
+        *(("output", line) for line in _output_texts(fit.records)),
+        *(("response", line) for line in _response_texts(fit.responses)),
+        *(("output", line) for line in _spectrum_texts(fit.spectra)),
+    ]
+
+
+def parameter_table(fit: Any) -> Table:
+    """Return the table of all quantities; of a failed fit, of the values at which its best run ended."""
+    header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
+    if not fit.converged:
+        values = fit.best_effort or {}
+        rows = [
+            [q.name, number(values[q.name]), q.unit, *_bounds_and_note(q), q.about]
+            for q in fit.quantities
+            if q.name in values
+        ]
+        return ["parameter", "value", *header[3:]], rows, (0, 2, 4, 5)
+
+    groups: dict[Any, list[Any]] = {}
+    own = _own_of_many(fit)
+    for q in fit.quantities:
+        groups.setdefault(own.get(q.name, q.name), []).append(q)
+    rows = [_row(alike[0]) if len(alike) == 1 else _row_of_many(alike) for alike in groups.values()]
+    return header, rows, (0, 3, 5, 6)
+
+
+def data_text(fit: Any) -> str:
+    """Return the numbers of points, lines, samples and rows, and of those compared where these are fewer."""
+    texts = []
+    for parts, noun, place in (
+        (fit.responses, "point", "frequency response"),
+        (fit.spectra, "line", "manoeuvre"),
+    ):
+        if parts:
+            points = counted(sum(len(part.data) for part in parts), noun)
+            texts.append(f"{points} in {counted(len(parts), place)}")
+    for has_time, noun, remark in ((True, "sample", ""), (False, "row", " without a time")):
+        records = [part for part in fit.records if part.data.has_time == has_time]
+        if records:
+            count = sum(len(part.data) for part in records)
+            compared = sum(part.compared for part in records)
+            share = "" if compared == count else f"{compared} of "
+            size = f"{share}{counted(count, noun)}{remark}"
+            texts.append(f"{size} in {counted(len(records), 'record')}")
+    return " and ".join(texts)
+
+
+def error_statement(fit: Any) -> str:
+    """Say what ± means, and for which errors of the data."""
+    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
+    if fit.independent is not None:
+        conditions += "; correlated along frequency like the residuals"
+    interval = ""
+    if math.isfinite(fit.dof):
+        freedom = counted(round(fit.dof), "degree of", "degrees of")
+        interval = (
+            f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, {freedom} freedom)"
+        )
+    return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}."
+
+
+def _bias_text(fit: Any) -> str:
+    """Name the quantities whose intervals are corrected for a bias.
+
+    From a bias of 0.3 standard errors, an interval without the correction loses 1 % of its coverage.
+    """
+    biased = [q for q in fit.quantities if abs(q.bias) > 0.3 * q.standard_error > 0]
+    biased.sort(key=lambda q: -abs(q.bias) / q.standard_error)
+    if not biased:
+        return ""
+    names = some([f"{q.name} {-q.bias:+.2g}" for q in biased], 3)
+    return f"; intervals are corrected for the bias by the noise ({names})"
+
+
+def _remarks(fit: Any) -> list[str]:
+    return [
+        *(f"warning: {line}" for line in fit.warnings),
+        *(f"note: {line}" for line in fit.notes),
+    ]
+
+
+def _profile_lines(fit: Any) -> list[str]:
+    if fit.profiles is None:
+        return []
+    profiles = fit.profiles.profiles
+    width = max(len(profile.name) for profile in profiles)
+    return [
+        f"  {100 * fit.profiles.level:g} % intervals by profile likelihood, where the standard error misleads:",
+        *(f"    {profile.name:<{width}}  {profile}" for profile in profiles),
+    ]
+
+
+def _prior_texts(fit: Any) -> list[str]:
+    """Return the a-priori knowledge with its share in the information on each parameter."""
+    if not fit.priors:
+        return []
+    share = fit.prior_share
+    priors = [
+        f"{name} = {' ± '.join(with_error(mean, sigma))} ({number(100 * share.get(name, math.nan), 2)} %)"
+        for name, (mean, sigma) in fit.priors.items()
+    ]
+    return [
+        f"{some(priors, MANY)}; in parentheses its share in the information (maximum a posteriori)"
+    ]
+
+
+def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
+    """Say how inputs ran between their samples, one line for all that ran alike in the same records."""
+    alike: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for name in dict.fromkeys(name for part in records for name in part.between):
+        ways = dict.fromkeys(part.between[name] for part in records if name in part.between)
+        for way in ways:
+            where: tuple[str, ...] = ()
+            if len(ways) > 1:
+                where = tuple(part.name for part in records if part.between.get(name) == way)
+            alike.setdefault((way, where), []).append(name)
+    return [
+        f"{', '.join(names)} {way}{f' ({some(where)})' if any(where) else ''}"
+        for (way, where), names in alike.items()
+    ]
+
+
+def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
+    """Say how well every output of every record is reproduced; of many records the range and the worst three."""
+    if len(records) <= MANY:
+        return [_output_text(part, output) for part in records for output in part.outputs]
+    texts = []
+    for output in dict.fromkeys(output for part in records for output in part.outputs):
+        parts = [(k, part) for k, part in enumerate(records, start=1) if output in part.outputs]
+        residuals = [rms(part.residual(output)) for _, part in parts]
+        units = "/".join(dict.fromkeys(part.data.units.get(output, "") for _, part in parts))
+        percents = sorted((part.fit_percent(output), k, part.data.name) for k, part in parts)
+        worst = [
+            f"{percent:.1f} % in record {k}{f' ({name})' if name else ''}"
+            for percent, k, name in percents[:3]
+        ]
+        texts.append(
+            f"{output} in {counted(len(parts), 'record')}: residual {_range(residuals)} {units}".rstrip()
+            + f" rms, fit {percents[0][0]:.1f} to {percents[-1][0]:.1f} % (least: {', '.join(worst)})"
+        )
+    return texts
+
+
+def _output_text(part: FittedRecord, output: str) -> str:
+    where = f" ({part.name})" if part.name else ""
+    residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
+    percent = part.fit_percent(output)
+    fit_text = "" if math.isnan(percent) else f", fit {percent:.1f} %"  # NaN if it never changes
+    return f"{output}{where}: residual {residual} rms{fit_text}"
+
+
+def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
+    """Say how far the points are from the model, and which one most; of many responses the worst three."""
+    lines = []
+    for part in responses:
+        with np.errstate(divide="ignore", invalid="ignore"):  # zeros, which are left out
+            error = np.abs(part.data.response - part.response) / np.abs(part.data.response)
+        if np.all(np.isfinite(error)):
+            worst = int(np.argmax(error))
+            where = f" ({part.name})" if part.name and len(responses) > 1 else ""
+            line = (
+                f"residual {number(100 * rms(error), 2)} % rms, largest {number(100 * float(error[worst]), 2)} % at "
+                f"{part.data.omega[worst]:.4g} rad/s{where}"
+            )
+            lines.append((-rms(error), line))
+    if len(lines) > MANY:
+        lines = sorted(lines)[:3]
+    return [line for _, line in lines]
+
+
+def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
+    """Say how well every output of every manoeuvre is reproduced, and the noise of one sample."""
+    texts = []
+    for part in spectra:
+        where = f" ({part.name})" if part.name and len(spectra) > 1 else ""
+        by_equation = part.criterion == EquationError().name
+        for k, output in enumerate(part.outputs):
+            noise = number(part.noise[k, k] ** 0.5)
+            if by_equation:
+                noise = f"error of its equation {noise}"
+            else:
+                noise = f"noise of a sample {noise} {part.data.units.get(output, '')}".rstrip()
+            texts.append(f"{output}{where}: {noise}, fit {part.fit_percent(output):.1f} %")
+    return texts
+
+
+def _row(q: Any) -> list[str]:
+    return [q.name, *with_error(q.value, q.standard_error), q.unit, *_bounds_and_note(q), q.about]
+
+
+def _bounds_and_note(q: Any) -> tuple[str, str]:
+    if q.kind != "free":
+        return "", q.kind
+    return f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "AT BOUND" if q.at_bound else ""
+
+
+def _own_of_many(fit: Any) -> dict[str, tuple[str, str]]:
+    """Return name inside and kind of the parameters that more than ten records have each for itself."""
+    kinds = {q.name: q.kind for q in fit.quantities}
+    own = {
+        outside: (inside, kinds[outside])
+        for part in fit.records
+        for inside, outside in part.rename.items()
+        if outside in kinds and re.fullmatch(rf"{re.escape(inside)}_\d+", outside)
+    }
+    counts = Counter(own.values())
+    return {name: inside for name, inside in own.items() if counts[inside] > MANY}
+
+
+def _row_of_many(alike: Sequence[Any]) -> list[str]:
+    """Return one row for one parameter of many records."""
+    first = alike[0]
+    errors = [q.standard_error for q in alike if math.isfinite(q.standard_error)]
+    at_bound = sum(q.at_bound for q in alike)
+    bounds, note = _bounds_and_note(first)
+    return [
+        f"{first.name} ... {alike[-1].name}",
+        _range([q.value for q in alike]),
+        _range(errors) if errors else "-",
+        first.unit,
+        bounds if len({q.bounds for q in alike}) == 1 else "",
+        f"{at_bound} AT BOUND" if at_bound else note,
+        first.about,
+    ]
+
+
+def _range(values: Sequence[float]) -> str:
+    low = number(min(values), 3)
+    high = number(max(values), 3)
+    return low if low == high else f"{low} to {high}"
