@@ -1,12 +1,11 @@
-"""How many harmonics a fit of sine tests takes: as many as matter at its start values, then at its estimate.
+"""The number of harmonics of sine tests in a fit: as many as matter at the start values, then at the estimate.
 
-The starts are searched with few harmonics, since a search takes many evaluations. Where the
-estimate needs more, every run goes on with them from its end.
+The starts are searched with few harmonics, since a search takes many evaluations. If the estimate
+needs more, every run is continued with them from its end.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -23,105 +22,99 @@ from greybox.solve.multistart import multistart
 from greybox.solve.outcome import SCREENED, Run
 from greybox.solve.runs import Runs
 
-REFITS = 3  # with more harmonics each time: from 3 they reach 45
-
 
 def are_open(problem: AnyProblem) -> list[bool]:
-    """Tell of every part whether its sine leaves the number of harmonics open."""
+    """Return for every part whether its sine leaves the number of harmonics open."""
     return [
         part.amplitude is not None and part.amplitude.harmonics is None for part in problem.parts
     ]
 
 
 def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
-    """Return the problem with as many harmonics as matter at the start values, where that is open."""
+    """Return the problem with as many harmonics as matter at the start values, where the number is open."""
     if not any(are_open(problem)):
         return problem
-    return _with_harmonics(problem, [_enough(part) for part in problem.parts])
+    return problem.with_parts([_with_enough(part) for part in problem.parts])
 
 
-def _enough(problem: Problem) -> int | None:
-    sine = problem.amplitude
-    if sine is None:
-        return None
-    data = problem.response
-    signals: Any = {
-        "input": data.input,
-        "output": data.output,
-        "at": problem.at,
-        "pade": delay_order(problem.delay),
-    }
-    starts = {name: parameter.start for name, parameter in problem.parameters.items()}
-    local = dict(problem.local_values(starts))
-    return enough_harmonics(problem.model, data.omega, sine, local, **signals).harmonics
-
-
-def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> AnyProblem:
-    """Return the problem with these numbers of harmonics; None where there is no sine."""
-    parts = [
-        part if number is None else part.with_(amplitude=replace(part.amplitude, harmonics=number))
-        for part, number in zip(problem.parts, harmonics, strict=True)
-    ]
-    return problem.with_parts(parts)
+def _with_enough(part: Problem) -> Problem:
+    if part.amplitude is None or part.amplitude.harmonics is not None:
+        return part
+    data = part.response
+    starts = {name: parameter.start for name, parameter in part.parameters.items()}
+    sine = enough_harmonics(
+        part.model,
+        data.omega,
+        part.amplitude,
+        dict(part.local_values(starts)),
+        input=data.input,
+        output=data.output,
+        at=part.at,
+        pade=delay_order(part.delay),
+    )
+    return part.with_(amplitude=sine)
 
 
 def with_more_harmonics(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
 ) -> tuple[CompiledProblem, Multistart, LocalSolver]:
-    """Go on with more harmonics in the `open_parts` in which they do not suffice at the estimate."""
+    """Continue with more harmonics in the `open_parts` in which they are too few at the estimate."""
     if not any(open_parts) or any(part.has_states for part in nlp.parts):
         return nlp, search, solver
-    for _ in range(REFITS):
+    for _ in range(3):  # from 3 harmonics they reach 45
         if not search.minima or stop_requested():
             break
-        numbers = _numbers(nlp, search, solver, open_parts)
-        if numbers == [part.amplitude and part.amplitude.harmonics for part in nlp.problem.parts]:
+        problem = _refined(nlp, search, solver, open_parts)
+        if problem is None:
             break
-        finer = compile_problem(_with_harmonics(nlp.problem, numbers))
+        finer = compile_problem(problem)
         finer_solver = solver.refined(finer)
         ends = np.array([run.estimate if run.converged else run.start for run in search.brought])
-        followed = multistart(finer, finer_solver, ends, movable=False)
-        count = len(ends)
-        if not followed.minima or len(followed.runs) < count:
+        continued = multistart(finer, finer_solver, ends, movable=False)
+        if not continued.minima or len(continued.runs) < len(ends):
             break
-        continued = [
-            _continued(run, before)
-            for run, before in zip(followed.runs[:count], search.brought, strict=True)
-        ]
-        runs = (
-            *continued,
-            *followed.runs[count:],
-            *(run for run in search.runs if run.stage == SCREENED),
+        search = replace(
+            continued,
+            runs=_joined(search, continued, len(ends)),
+            seconds=search.seconds + continued.seconds,
         )
-        runs = Runs.of(replace(run, index=k) for k, run in enumerate(runs))
-        search = replace(followed, runs=runs, seconds=search.seconds + followed.seconds)
-        nlp, solver = finer, finer_solver
+        nlp = finer
+        solver = finer_solver
     return nlp, search, solver
 
 
-def _numbers(
+def _refined(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
-) -> list[int | None]:
-    """Return the number of harmonics that every part needs at the estimate."""
+) -> AnyProblem | None:
+    """Return the problem with the harmonics that it needs at the estimate; None if it has them."""
     best = search.minima[0].estimate
     accuracy = assess(nlp, best, solver.profile(best, search.nodes).trajectories)
-    more = {
-        id(found.problem): found.more
-        for found in too_few_harmonics(nlp, best, accuracy)
-        if found.change > 100 * ENOUGH
+    needed = {
+        id(few.problem): few.harmonics
+        for few in too_few_harmonics(nlp, best, accuracy)
+        if few.change > 100 * ENOUGH
     }
-    return [
-        more.get(id(part), part.amplitude.harmonics)
-        if is_open
-        else part.amplitude and part.amplitude.harmonics
+    parts = [
+        part.with_(amplitude=replace(part.amplitude, harmonics=needed[id(part)]))
+        if is_open and id(part) in needed
+        else part
         for part, is_open in zip(nlp.problem.parts, open_parts, strict=True)
     ]
+    is_same = all(part is old for part, old in zip(parts, nlp.problem.parts, strict=True))
+    return None if is_same else nlp.problem.with_parts(parts)
 
 
-def _continued(run: Run, before: Run) -> Run:
-    """Return a run as one from where the run before it began."""
-    spent = {
-        "iterations": before.iterations + run.iterations,
-        "seconds": before.seconds + run.seconds,
-    }
-    return replace(run, start=before.start, **spent)
+def _joined(search: Multistart, continued: Multistart, count: int) -> Runs:
+    """Return the runs of both searches as one: `count` runs were continued."""
+    pairs = zip(continued.runs[:count], search.brought, strict=True)
+    runs: list[Run] = [
+        replace(
+            run,
+            start=first.start,
+            iterations=first.iterations + run.iterations,
+            seconds=first.seconds + run.seconds,
+        )
+        for run, first in pairs
+    ]
+    runs += [*continued.runs[count:], *(run for run in search.runs if run.stage == SCREENED)]
+    return Runs.of(replace(run, index=k) for k, run in enumerate(runs))

@@ -1,16 +1,17 @@
 """The response of a nonlinear ODE to a sine of finite amplitude, by harmonic balance.
 
-Every signal is a truncated Fourier series; what the ODE leaves over, sampled along one period, must
-have no harmonics (alternating frequency-time: Cameron and Griffin 1989, Journal of Applied
-Mechanics 56). Newton's method eliminates the harmonics and the implicit function theorem
-differentiates them, so a solver sees the parameters alone. As unknowns of the solver they took it
-five times as many iterations and cost it a fifth of the starts. Terms that are linear in the
-signals are balanced exactly and never sampled: a linear model keeps its linear response.
+Begin with `harmonic_function`. Every signal is a truncated Fourier series, and the residual of the
+ODE, sampled along one period, must have no harmonics (alternating frequency-time method: Cameron
+and Griffin 1989, Journal of Applied Mechanics 56). Newton's method solves for the harmonics, and
+the implicit function theorem differentiates them, so that a solver sees the parameters alone. As
+unknowns of the solver, the harmonics took five times as many iterations and a fifth of the starts
+failed. Terms that are linear in the signals are balanced exactly and never sampled: a linear model
+keeps its linear response.
 
-Where a formula switches, the instants of the switches are unknowns of the samples too: every
-interval in which a sign, a comparison or a rounding turns is cut there (`formula_structure`). Where
-a state decides a jump, as the speed in dry friction, its harmonics fall so slowly that the response
-is extrapolated, from two numbers of harmonics, to infinitely many.
+Where a formula switches, every sampling interval in which a sign, a comparison or a rounding turns
+is cut at the switch (`formula_structure`). Where a state decides a jump, as the speed in dry
+friction, its harmonics fall so slowly that the response is extrapolated, from two numbers of
+harmonics, to infinitely many.
 """
 
 import threading
@@ -34,48 +35,15 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_of
 
-# Samples over one period, at least. Odd, so that a kink such as that of |v| v, sampled at a
-# symmetric orbit, counts as if sampled twice as often; and four a harmonic, for products of up to
-# three signals without aliasing.
-POINTS = 33
-# Of the amplitude, where Newton's method fails at once: from 1/128 of it, where a model is nearly
-# linear, doubled.
-HALVINGS = 7
-# The harmonics, per amplitude, where Newton's method begins: its first step then goes to the linear
-# response. Not zero, where a kink has no slope.
-SMALL = 1e-6
-# Tried in turn: each about doubles the last.
+# Numbers of harmonics that are tried in turn: each about doubles the previous one.
 HARMONICS = (1, 3, 7, 15, 31, MOST_HARMONICS)
-ENOUGH = (
-    3e-4  # change of the response by the next number of harmonics, relative, that does not matter
-)
-TOLERANCE = (
-    1e-8  # of the balance, relative to the size of the harmonics: Newton's last step squares it
-)
-SINGULAR = 1e-9  # singular value of the balance, rows scaled to one, that is rounding: it leaves a direction open
-DETERMINED = (
-    1e-7  # part of a condition in the open directions from which it determines one, above rounding
-)
-# Harmonics below which nothing is extrapolated.
-MOST_SMOOTH = 2
-TINY = 1e-300  # instead of a division by zero
-# Samples over one period where a formula switches, see `formula_structure`: a relay is then exact
-# to 1e-7, a saturation to 2e-5.
-SWITCHED_POINTS = 65
-# Of these samples, in intervals: where a sine or its derivative is zero, a switch then is an eighth
-# from an end of an interval at least. At an end it might count in neither of the two, or in both.
-SHIFT = 0.125
-WIDENINGS = 12  # of the width, in steps of two, from one that is most of a period
-# Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows
-# with their cube.
+# Relative change of the response by the next number of harmonics that does not matter.
+ENOUGH = 3e-4
+# Up to this number of harmonics the balance is a graph of scalars: three times as fast, but its
+# size grows with the cube of the number.
 MOST_SCALARS = 9
-# Balances that a thread keeps compiled: every fit asks for the same three or four numbers of
-# harmonics several times, for the response, its curve, and how much more of them change.
-KEPT = 16
-WIDTH = 0.05  # of a switch whose argument rests there
 
 
-@one_thread_at_a_time
 def harmonic_function(
     model: Model,
     omega: Array,
@@ -88,16 +56,17 @@ def harmonic_function(
 ) -> ca.Function:
     """Compile the response: the CasADi function from the parameter vector to real and imaginary part (n,).
 
-    Of a sine without a number of harmonics, with as many as matter at the start values.
+    A sine without a number of harmonics gets as many as matter at the start values.
     """
+    signals: dict[str, Any] = {"input": input, "output": output, "at": at, "pade": pade}
     if sine.harmonics is None:
-        sine = enough_harmonics(model, omega, sine, input=input, output=output, at=at, pade=pade)
-    balance = CompiledBalance.at(model, omega, sine, input=input, output=output, at=at, pade=pade)
-    fewer = balance.fewer
-    if fewer is None:
+        sine = enough_harmonics(model, omega, sine, **signals)
+    balance = CompiledBalance.at(model, omega, sine, **signals)
+    if balance.fewer is None:
         return balance.response(omega)
-    sine = replace(sine, harmonics=fewer)
-    coarse = CompiledBalance.at(model, omega, sine, input=input, output=output, at=at, pade=pade)
+
+    coarse_sine = replace(sine, harmonics=balance.fewer)
+    coarse = CompiledBalance.at(model, omega, coarse_sine, **signals)
     p = ca.MX.sym("p", len(model.parameters))
     pairs = zip(balance.response(omega)(p), coarse.response(omega)(p), strict=True)
     return ca.Function("response", [p], [balance.extrapolated(many, few) for many, few in pairs])
@@ -113,10 +82,10 @@ def enough_harmonics(
     """Return the sine with as many harmonics as matter at the values, by default the starts; `MOST_SCALARS` at most."""
     if sine.harmonics is not None:
         return sine
-    _, number = directly_found(
+    _, harmonics = directly_found(
         model, values, omega, sine, least=HARMONICS[1], most=MOST_SCALARS, **signals
     )
-    return replace(sine, harmonics=number)
+    return replace(sine, harmonics=harmonics)
 
 
 def directly_found(
@@ -131,29 +100,27 @@ def directly_found(
 ) -> tuple[ComplexArray, int]:
     """Return the response as a fit evaluates it, NaN where no motion is found, and the number of harmonics."""
     vector = list(model.values(values).values())
-    numbers = (
-        [n for n in HARMONICS if least <= n <= most] if sine.harmonics is None else [sine.harmonics]
-    )
-    last = None
-    before = numbers[0]
-    response = np.full(omega.size, np.nan + 0j)
+    numbers = [sine.harmonics or 0]
+    if sine.harmonics is None:
+        numbers = [number for number in HARMONICS if least <= number <= most]
+
+    responses: list[ComplexArray] = []
     for number in numbers:
         function = harmonic_function(model, omega, replace(sine, harmonics=number), **signals)
-        re, im = (np.asarray(part).ravel() for part in function(vector))
-        finite = np.isfinite(re) & np.isfinite(im)
+        real, imaginary = (np.asarray(part).ravel() for part in function(vector))
+        is_finite = np.isfinite(real) & np.isfinite(imaginary)
         response = np.full(omega.size, np.nan + 0j)
-        response[finite] = re[finite] + 1j * im[finite]
-        if last is not None and _agree(last, response).all():
-            return response, before
-        last = response
-        before = number
-    return response, numbers[-1]
+        response[is_finite] = real[is_finite] + 1j * imaginary[is_finite]
+        responses.append(response)
+        if len(responses) > 1 and agree(*responses[-2:]).all():
+            return responses[-1], numbers[len(responses) - 2]
+    return responses[-1], numbers[-1]
 
 
-def _agree(few: ComplexArray, many: ComplexArray) -> BoolArray:
-    """Tell where the response with more harmonics is the same, or missing as well."""
-    same = np.abs(many - few) <= ENOUGH * np.abs(many)
-    return same | (np.isnan(few) & np.isnan(many))
+def agree(few: ComplexArray, many: ComplexArray) -> BoolArray:
+    """Return where the response with more harmonics is the same, or missing as well."""
+    is_same = np.abs(many - few) <= ENOUGH * np.abs(many)
+    return is_same | (np.isnan(few) & np.isnan(many))
 
 
 def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
@@ -162,20 +129,20 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
         raise ValueError(
             f"{model.label} is a transfer function, whose response is the same at every amplitude: omit the amplitude."
         )
-    known = dict.fromkeys((input, *model.outputs, *model.states))
-    if sine.signal not in known:
+    names = dict.fromkeys((input, *model.outputs, *model.states))
+    if sine.signal not in names:
         raise ValueError(
-            f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of {', '.join(known)}."
+            f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of {', '.join(names)}."
         )
     sine.amplitudes(omega)
 
 
 @dataclass(frozen=True)
 class Equations:
-    """What a balance is written from, in plain values, so that equal models and sines have one balance.
+    """What a balance is written from, in plain values, so that equal models and sines share one balance.
 
     `formulas` is the serialized function (states and inputs, parameters) -> derivative, outputs;
-    `delay` the position of the parameter that delays the input.
+    `delay` is the position of the parameter that delays the input.
     """
 
     formulas: str
@@ -199,15 +166,16 @@ class Equations:
         formulas = ca.Function(
             "formulas", [z, p], [traced_derivative(model, z, p), traced_output(model, z, p)]
         )
+        delay = None
+        if input in model.delays:
+            delay = list(model.parameters).index(model.delays[input])
         return cls(
             formulas=formulas.serialize(),
             states=tuple(model.states),
             inputs=model.input_names,
             outputs=model.output_names,
             parameters=len(model.parameters),
-            delay=list(model.parameters).index(model.delays[input])
-            if input in model.delays
-            else None,
+            delay=delay,
             signal=signal,
             input=input,
             output=output,
@@ -220,11 +188,11 @@ class Balance:
     """The balance at one frequency, in unknown harmonics per amplitude.
 
     `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the
-    means of the other inputs, about the operating point, divided by the amplitude; `given` holds
-    parameters, operating point, omega, amplitude and the `WIDTH` of switches; `balance` must
-    vanish; of the conditions `means` on the means as many must vanish as the ODE leaves open;
-    `response` is real and imaginary part; `slopes` gives the derivatives of `balance` and `means` by
-    the unknown.
+    means of the other inputs, about the operating point, divided by the amplitude. `given` holds
+    parameters, operating point, omega, amplitude and the width of switches. `balance` must vanish;
+    so must as many of the conditions `means` on the means as the ODE leaves open. `response` is
+    real and imaginary part, `slopes` the function from the unknown and the given to the derivatives
+    of `balance` and `means` by the unknown.
     """
 
     harmonics: int
@@ -247,15 +215,14 @@ class Balance:
         names = (*equations.states, *equations.inputs)
         symbols = ca.SX.sym("z", len(names))
         parameters = ca.SX.sym("p", equations.parameters)
-        rates, read = ca.Function.deserialize(equations.formulas)(symbols, parameters)
-        output_names = equations.outputs
-        wanted = [
-            output_names.index(name)
+        rates, outputs = ca.Function.deserialize(equations.formulas)(symbols, parameters)
+        rows = [
+            outputs[equations.outputs.index(name)]
             for name in (equations.output, equations.signal)
-            if name in output_names
+            if name in equations.outputs
         ]
-        formulas = ca.vertcat(rates, *[read[k] for k in wanted])
-        at_point = ca.Function("read", [symbols, parameters], [read[wanted[-1]]])
+        formulas = ca.vertcat(rates, *rows)
+        at_point = ca.Function("at_point", [symbols, parameters], [rows[-1]])
 
         p = kind.sym("p", equations.parameters)
         point = kind.sym("point", len(names))
@@ -264,54 +231,52 @@ class Balance:
         width = kind.sym("width")
 
         driven = n + equations.inputs.index(equations.input)
-        held = _position(equations, read, symbols)
+        held = _position(equations, outputs, symbols)
         columns = 2 * harmonics + 1
         places, constant = _places([*range(n), driven], len(names), columns, held)
         unknown = kind.sym("harmonics", places.size2())
-        per_amplitude = ca.reshape(places @ unknown + constant, 2 * harmonics + 1, len(names)).T
-        first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
+        per_amplitude = ca.reshape(places @ unknown + constant, columns, len(names)).T
+        first_column = ca.DM(ca.Sparsity.unit(columns, 0)).T
         series = amplitude * per_amplitude + point @ first_column
-        found, switches = _harmonics(formulas, symbols, parameters, series, p, width, harmonics)
+        balanced, switches = _harmonics(formulas, symbols, parameters, series, p, width, harmonics)
 
-        derivative = _derivative(harmonics)
-        balance = [ca.vec((omega * series[:n, :] @ derivative - found[:n, :]).T)]
+        derivative = phase_derivative(harmonics)
+        balance = [ca.vec((omega * series[:n, :] @ derivative - balanced[:n, :]).T)]
         means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
         if held is None:
-            moving = found[-1, :] - (at_point(point, p) @ first_column)
+            moving = balanced[-1, :] - (at_point(point, p) @ first_column)
             balance.append(moving[1:].T - amplitude * ca.DM([1, *[0] * (2 * harmonics - 1)]))
             means.insert(0, moving[0] / amplitude)
         else:
             means.insert(0, per_amplitude[held, 0])
 
-        means = ca.vertcat(*means)
-        balance = ca.vertcat(*balance) / amplitude
+        mean_conditions = ca.vertcat(*means)
+        residual = ca.vertcat(*balance) / amplitude
         given = ca.vertcat(p, point, omega, amplitude, width)
-        blocks = [ca.jacobian(e, unknown) for e in (balance, means)]
+        slopes = [ca.jacobian(e, unknown) for e in (residual, mean_conditions)]
 
         delay = kind(0) if equations.delay is None else p[equations.delay]
-        first = _first(found[n, :]) / _first(series[driven, :])
-        first = first * exp(-Complex(kind(0), omega, equations.pade) * delay)
+        response = _first(balanced[n, :]) / _first(series[driven, :])
+        response = response * exp(-Complex(kind(0), omega, equations.pade) * delay)
+        free = ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])
         return cls(
             harmonics=harmonics,
             unknown=unknown,
             given=given,
-            balance=balance,
-            means=means,
-            response=ca.vertcat(first.re, first.im),
+            balance=residual,
+            means=mean_conditions,
+            response=ca.vertcat(response.re, response.im),
             switches=switches,
-            jumps=switches
-            and has_jumps(
-                rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])
-            ),
+            jumps=switches and has_jumps(rates, symbols, free),
             linear=not ca.depends_on(separated(formulas, symbols)[1], symbols),
-            slopes=ca.Function("slopes", [unknown, given], blocks),
+            slopes=ca.Function("slopes", [unknown, given], slopes),
         )
 
 
-def _position(equations: "Equations", read: ca.SX, z: ca.SX) -> int | None:
-    """Return where the signal of the sine stands among states and inputs; None for an output that is a formula."""
+def _position(equations: "Equations", outputs: ca.SX, z: ca.SX) -> int | None:
+    """Return the place of the sine's signal among states and inputs; None for an output that is a formula."""
     if equations.signal in equations.outputs:
-        formula = read[equations.outputs.index(equations.signal)]
+        formula = outputs[equations.outputs.index(equations.signal)]
         return next((k for k in range(z.numel()) if ca.is_equal(formula, z[k])), None)
     return (*equations.states, *equations.inputs).index(equations.signal)
 
@@ -319,29 +284,33 @@ def _position(equations: "Equations", read: ca.SX, z: ca.SX) -> int | None:
 def _places(moving: Sequence[int], rows: int, width: int, held: int | None) -> tuple[ca.DM, ca.DM]:
     """Return matrix and constant from the unknown to all coefficients, row by row.
 
-    What is `held` to a sine or does not move has a mean alone.
+    A signal that is `held` to a sine, or does not move, has only its mean as unknown.
     """
-    where = [
+    places = [
         k * width + i for k in range(rows) for i in range(width if k in moving and k != held else 1)
     ]
-    places = ca.DM.triplet(
-        where, list(range(len(where))), [1.0] * len(where), rows * width, len(where)
-    )
+    matrix = _scatter(places, rows * width)
     constant = ca.DM(rows * width, 1)
     if held is not None:
         constant[held * width + 1] = 1
-    return places, constant
+    return matrix, constant
 
 
-def _derivative(harmonics: int) -> ca.DM:
-    """Return the matrix, from the right, from the coefficients to those of the derivative by the phase."""
-    result = ca.DM(2 * harmonics + 1, 2 * harmonics + 1)
+def _scatter(rows: Sequence[int], size: int) -> ca.DM:
+    """Return the matrix that puts entries into these rows of a vector of this size."""
+    count = len(rows)
+    return ca.DM.triplet(list(rows), list(range(count)), [1.0] * count, size, count)
+
+
+def phase_derivative(harmonics: int) -> ca.DM:
+    """Return the matrix, from the right, from coefficients to those of the derivative with respect to the phase."""
+    matrix = ca.DM(2 * harmonics + 1, 2 * harmonics + 1)
     for k in range(1, harmonics + 1):
         cosine = 2 * k - 1
         sine = 2 * k
-        result[sine, cosine] = k
-        result[cosine, sine] = -k
-    return result
+        matrix[sine, cosine] = k
+        matrix[cosine, sine] = -k
+    return matrix
 
 
 def _first(row: Any) -> Complex:
@@ -352,61 +321,64 @@ def _first(row: Any) -> Complex:
 def _harmonics(
     formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int
 ) -> tuple[Any, bool]:
-    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) of signals `z` with their `series`; if they switch."""
-    linear, rest = separated(formulas, z)
-    slopes, constants = ca.Function("linear", [parameters], [linear, _free_of(rest, z)])(p)
+    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) for signals with this `series`, and if they switch."""
+    linear, nonlinear = separated(formulas, z)
+    slopes, constants = ca.Function("linear", [parameters], [linear, _constants(nonlinear, z)])(p)
     first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
-    result = slopes @ series + constants @ first_column
+    coefficients = slopes @ series + constants @ first_column
 
-    rows = [k for k in range(rest.numel()) if ca.depends_on(rest[k], z)]
+    rows = [k for k in range(nonlinear.numel()) if ca.depends_on(nonlinear[k], z)]
     if not rows:
-        return result, False
-    rest = ca.vertcat(*[rest[k] for k in rows])
-    used = [j for j in range(z.numel()) if ca.depends_on(rest, z[j])]
+        return coefficients, False
+    terms = ca.vertcat(*[nonlinear[k] for k in rows])
+    used = [j for j in range(z.numel()) if ca.depends_on(terms, z[j])]
     signals = ca.vertcat(*[z[j] for j in used])
     moving = ca.vertcat(*[series[j, :] for j in used])
-    switches = has_switches(rest, signals)
-    to_samples, to_series = _transforms(
-        harmonics, *((SWITCHED_POINTS, SHIFT) if switches else (POINTS, 0.0))
-    )
+    switches = has_switches(terms, signals)
+    to_samples, to_series = transforms(harmonics, switches=switches)
     points = to_samples.size2()
 
     if switches:
-        speeds = moving @ _derivative(harmonics)
-        sizes = ca.sqrt(ca.sum2(speeds**2) / 2 + TINY)
-        term = _mean_term(rest, signals, parameters, points).map(
-            "terms", "serial", points, [2, 3, 4], []
-        )
-        mean, moment = term(moving @ to_samples, speeds @ to_samples, sizes, width, p)
-        found = mean @ to_series + moment @ (to_series @ _derivative(harmonics).T)
+        derivative = phase_derivative(harmonics)
+        speeds = moving @ derivative
+        rms_speeds = ca.sqrt(ca.sum2(speeds**2) / 2 + 1e-300)  # no division by zero
+        mean_term = _mean_term(terms, signals, parameters, points)
+        mapped = mean_term.map("terms", "serial", points, [2, 3, 4], [])
+        mean, moment = mapped(moving @ to_samples, speeds @ to_samples, rms_speeds, width, p)
+        sampled = mean @ to_series + moment @ (to_series @ derivative.T)
     else:
-        term = ca.Function("term", [signals, parameters], [rest])
-        found = term.map("terms", "serial", points, [1], [])(moving @ to_samples, p) @ to_series
-    scatter = ca.DM.triplet(
-        rows, list(range(len(rows))), [1.0] * len(rows), formulas.numel(), len(rows)
-    )
-    return result + scatter @ found, switches
+        term = ca.Function("term", [signals, parameters], [terms])
+        sampled = term.map("terms", "serial", points, [1], [])(moving @ to_samples, p) @ to_series
+    return coefficients + _scatter(rows, formulas.numel()) @ sampled, switches
 
 
-def _free_of(rest: ca.SX, z: ca.SX) -> ca.SX:
+def _constants(formulas: ca.SX, z: ca.SX) -> ca.SX:
     """Return the rows that do not depend on z, zero in place of the others."""
-    return ca.vertcat(
-        *[ca.SX(0) if ca.depends_on(rest[k], z) else rest[k] for k in range(rest.numel())]
-    )
+    rows = (formulas[k] for k in range(formulas.numel()))
+    return ca.vertcat(*[ca.SX(0) if ca.depends_on(row, z) else row for row in rows])
 
 
-def _mean_term(rest: ca.SX, signals: ca.SX, parameters: ca.SX, points: int) -> ca.Function:
+@one_thread_at_a_time
+def _mean_term(terms: ca.SX, signals: ca.SX, parameters: ca.SX, points: int) -> ca.Function:
     """Return the function from signals, slopes by the phase, rms slopes, width and parameters to mean and moment."""
     slopes = ca.SX.sym("slopes", signals.numel())
     sizes = ca.SX.sym("sizes", signals.numel())
     width = ca.SX.sym("width")
-    mean, moment = interval_mean(rest, signals, slopes, width * sizes, 2 * np.pi / points)
+    mean, moment = interval_mean(terms, signals, slopes, width * sizes, 2 * np.pi / points)
     return ca.Function("term", [signals, slopes, sizes, width, parameters], [mean, moment])
 
 
-def _transforms(harmonics: int, least: int, shift: float) -> tuple[ca.DM, ca.DM]:
-    """Return the matrices, from the right, from coefficients to samples over one period and back."""
-    points = max(least, 4 * harmonics + 1)
+def transforms(harmonics: int, *, switches: bool) -> tuple[ca.DM, ca.DM]:
+    """Return the matrices, from the right, from coefficients to samples over one period and back.
+
+    Four samples a harmonic allow products of three signals without aliasing. At least 33, an odd
+    number, since a kink such as that of |v| v, sampled at a symmetric orbit, then counts as if
+    sampled twice as often. With 65 intervals, cut at the switches, a relay is exact to 1e-7 and a
+    saturation to 2e-5. These are shifted by an eighth: where a sine or its derivative is zero, a
+    switch lies well inside an interval; at an end it might count in neither of two, or in both.
+    """
+    points = max(65 if switches else 33, 4 * harmonics + 1)
+    shift = 0.125 if switches else 0.0
     phase = 2 * np.pi * (np.arange(points) + shift) / points
     waves = [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
     to_samples = np.array([np.ones(points), *waves])
@@ -416,26 +388,25 @@ def _transforms(harmonics: int, least: int, shift: float) -> tuple[ca.DM, ca.DM]
 
 
 def _mean_conditions(balance: Balance, given: Array) -> tuple[int, ...] | None:
-    """Choose what fixes the means: the first conditions that the balance, at some orbit, does not determine already.
+    """Return the first conditions on the means that the balance, at a random orbit, does not determine already.
 
     The mean of the sine's own signal comes first. It determines nothing where an integrator follows
-    it, as the angle follows the rate: then that of a state. None where the balance leaves more
+    it, as the angle follows the rate: then that of a state does. None where the balance leaves more
     open.
     """
     generic = np.random.default_rng(0).normal(size=balance.unknown.numel())
+    slopes = [np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, given)]
     rows, conditions = (
-        np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, given)
-    )
-    rows, conditions = (
-        e / np.maximum(np.linalg.norm(e, axis=1, keepdims=True), TINY) for e in (rows, conditions)
+        block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300) for block in slopes
     )
     _, singular, basis = np.linalg.svd(rows)
-    open_directions = basis[int(np.sum(singular > SINGULAR)) :]
-    chosen: list[int] = []
+    open_directions = basis[int(np.sum(singular > 1e-9)) :]  # below, rounding alone
     missing = balance.unknown.numel() - balance.balance.numel()
+
+    chosen: list[int] = []
     for k, row in enumerate(conditions):
         in_open = np.array([*conditions[chosen], row]) @ open_directions.T
-        if len(chosen) < missing and np.linalg.matrix_rank(in_open, DETERMINED) == len(in_open):
+        if len(chosen) < missing and np.linalg.matrix_rank(in_open, 1e-7) == len(in_open):
             chosen.append(k)
     return None if len(chosen) < missing or len(open_directions) > missing else tuple(chosen)
 
@@ -445,11 +416,10 @@ class Newton:
     """Newton's method on the balance, by functions of the harmonics and what is given, in this order.
 
     `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
-    the response and whether the harmonics are a motion. `guess` finds harmonics from what is given
+    the response and whether the harmonics are a motion; `guess` finds harmonics from what is given
     alone.
     """
 
-    balance: Balance
     newton: ca.Function
     careful: ca.Function
     finish: ca.Function
@@ -468,92 +438,99 @@ class Newton:
             "max_iter": 30,
             "show_eval_warnings": False,
         }
-        size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
-        both = [x, balance.given]
-        newton = ca.rootfinder(
-            "newton", "newton", statement, {**options, "line_search": False}
-        )  # twice as fast
+        without_line_search = {**options, "line_search": False}  # twice as fast
+        newton = ca.rootfinder("newton", "newton", statement, without_line_search)
         careful = ca.rootfinder("careful", "newton", statement, options)
-        finish = ca.Function("finish", both, [balance.response, size < TOLERANCE])
-        return cls(
-            balance=balance,
-            newton=newton,
-            careful=careful,
-            finish=finish,
-            guess=_guess(newton, careful, finish, switches=balance.switches),
-        )
+
+        # Relative to the harmonics; Newton's last step squares it.
+        size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
+        finish = ca.Function("finish", [x, balance.given], [balance.response, size < 1e-8])
+        return cls(newton, careful, finish, _guess(newton, careful, finish, balance.switches))
 
 
 def _guess(
-    newton: ca.Function, careful: ca.Function, finish: ca.Function, *, switches: bool
+    newton: ca.Function, careful: ca.Function, finish: ca.Function, switches: bool
 ) -> ca.Function:
-    """Return the function from what is given to the harmonics: at once, or else in steps, see `_in_steps`."""
+    """Return the function from what is given to the harmonics: at once, or else in steps from a simpler problem.
+
+    Where Newton's method fails, the amplitude is doubled from 1/128 of it, where a smooth model is
+    nearly linear. Where a formula switches, the width of the switches is then halved from most of a
+    period.
+    """
     given: Any = ca.MX.sym("given", newton.numel_in("p"))
     root: Any = ca.MX.sym("root", newton.numel_in("x0"))
-    small = ca.DM(np.full(root.numel(), SMALL))
-    found = newton(x0=small, p=given)["x"]
-    for k, name in enumerate(("by_doubling", "by_narrowing")[: 2 if switches else 1]):
-        otherwise = _in_steps(name, careful, finish, k, small, give_up=switches)
-        chosen = ca.if_else(finish(root, given)[1], root, otherwise(given), True)
-        choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
-        found = choose(found, given)
-    return ca.Function("guess", [given], [found])
+    # Small, so that the first step goes to the linear response; not zero, where a kink has no
+    # slope.
+    small = ca.DM(np.full(root.numel(), 1e-6))
+    amplitudes = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(7, -1, -1)]
+    widths = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(12, -1, -1)]
+
+    harmonics = newton(x0=small, p=given)["x"]
+    for name, steps in (("by_doubling", amplitudes), ("by_narrowing", widths)):
+        if name == "by_doubling" or switches:
+            otherwise = in_steps(name, careful, finish, given, steps, small, give_up=switches)
+            chosen = ca.if_else(finish(root, given)[1], root, otherwise(given), True)
+            choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
+            harmonics = choose(harmonics, given)
+    return ca.Function("guess", [given], [harmonics])
 
 
-def _in_steps(
+def in_steps(
     name: str,
     careful: ca.Function,
     finish: ca.Function,
-    from_end: int,
+    given: Any,
+    steps: Sequence[Any],
     small: ca.DM,
     *,
     give_up: bool,
 ) -> ca.Function:
-    """Return the function from what is given to the harmonics, from where the model is nearly linear.
+    """Return the function from what is given to the harmonics, which are followed through the `steps`.
 
-    That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its
-    argument. With `give_up` nothing is tried after a step that failed: of masses that mostly stick
-    it loses 4 % of the frequencies and takes a fifth of the time.
+    With `give_up` nothing is tried after a step that failed: of masses that mostly stick it loses
+    4 % of the frequencies and takes a fifth of the time.
     """
-    given: Any = ca.MX.sym("given", careful.numel_in("p"))
-    if from_end == 0:
-        steps = [
-            ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(HALVINGS, -1, -1)
-        ]
-    else:
-        steps = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(WIDENINGS, -1, -1)]
-
     root: Any = ca.MX.sym("root", small.numel())
-    before: Any = ca.MX.sym("before", given.numel())
+    previous: Any = ca.MX.sym("previous", given.numel())
     step: Any = ca.MX.sym("step", given.numel())
-    further = careful(x0=root, p=step)["x"]
-    gone_on = ca.if_else(finish(root, before)[1], further, root, True) if give_up else further
-    go_on = ca.Function("go_on", [root, before, step], [gone_on], {"never_inline": give_up})
-    found = careful(x0=small, p=steps[0])["x"]
-    for last, following in pairwise(steps):
-        found = go_on(found, last, following)
-    return ca.Function(name, [given], [found])
+    following = careful(x0=root, p=step)["x"]
+    if give_up:
+        following = ca.if_else(finish(root, previous)[1], following, root, True)
+    options = {"never_inline": give_up}
+    take_step = ca.Function("take_step", [root, previous, step], [following], options)
+
+    harmonics = careful(x0=small, p=steps[0])["x"]
+    for previous_step, next_step in pairwise(steps):
+        harmonics = take_step(harmonics, previous_step, next_step)
+    return ca.Function(name, [given], [harmonics])
 
 
-class _Kept(threading.local):
-    """What one thread has compiled: every CasADi function works in memory of its own, which threads must not share."""
+class _Compiled(threading.local):
+    """What one thread has compiled: every CasADi function works in memory of its own, which threads must not share.
+
+    Every fit asks for the same three or four numbers of harmonics several times: for the response,
+    for its curve, and for the effect of more harmonics.
+    """
 
     def __init__(self) -> None:
-        self.balance = lru_cache(maxsize=KEPT)(Balance.of)
-        self.newton = lru_cache(maxsize=KEPT)(Newton.of)
+        self.balance = lru_cache(maxsize=16)(Balance.of)
+        self.newton = lru_cache(maxsize=16)(Newton.of)
 
 
-_kept = _Kept()
+_compiled = _Compiled()
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledBalance(Newton):
-    """Newton's method on the balance of a `model` under a `sine`, from its operating point (`trim`)."""
+class CompiledBalance:
+    """The balance of a `model` under a `sine` from its operating point (`trim`), and its solver."""
 
+    balance: Balance
+    solver: Newton
     model: StateSpace
     sine: Sine
     trim: ca.Function
-    driven_directly: bool
+
+    WIDTH = 0.05  # of a switch whose argument rests there
 
     @classmethod
     def at(
@@ -567,77 +544,64 @@ class CompiledBalance(Newton):
         at: Mapping[str, float] | None = None,
         pade: int | None = None,
     ) -> "CompiledBalance":
-        """Compile for the `harmonics` of a sine, or find what is compiled already."""
+        """Compile for the number of harmonics of a sine, or return what is compiled already."""
         input, output = pick_signals(model, input, output)
         check_sine(model, sine, input, omega)
         assert isinstance(model, StateSpace)
         assert sine.harmonics is not None
         trim = trim_of(model, at or {}).closed()
-        balance = _kept.balance(
-            Equations.of(model, sine.signal, input, output, pade), sine.harmonics
-        )
+        equations = Equations.of(model, sine.signal, input, output, pade)
+        balance = _compiled.balance(equations, sine.harmonics)
 
         start = [q.start for q in model.parameters.values()]
         point = np.concatenate([np.asarray(part).ravel() for part in trim(start)])
         amplitudes = sine.amplitudes(omega)
         middle = int(np.argsort(amplitudes)[omega.size // 2])
-        given = np.concatenate([start, point, [omega[middle], amplitudes[middle], WIDTH]])
+        given = np.concatenate([start, point, [omega[middle], amplitudes[middle], cls.WIDTH]])
         conditions = _mean_conditions(balance, given)
         if conditions is None:
             raise ValueError(
                 f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its start values: name a "
                 "signal that it drives, or check `at`."
             )
-        newton = _kept.newton(balance, conditions)
-        return cls(
-            **vars(newton), model=model, sine=sine, trim=trim, driven_directly=sine.signal == input
-        )
+        return cls(balance, _compiled.newton(balance, conditions), model, sine, trim)
 
     @property
     def fewer(self) -> int | None:
-        """How many harmonics the response is extrapolated from besides these; None where that is not needed."""
-        return (
-            (self.harmonics - 1) // 2
-            if self.balance.jumps and self.harmonics > MOST_SMOOTH
-            else None
-        )
-
-    @property
-    def harmonics(self) -> int:
-        """How many are balanced."""
-        return self.balance.harmonics
+        """The smaller number of harmonics from which the response is extrapolated; None where it is not."""
+        many = self.balance.harmonics
+        return (many - 1) // 2 if self.balance.jumps and many > 2 else None
 
     def extrapolated(self, many: Any, few: Any) -> Any:
-        """Return the response as its error goes with one over the harmonics, from these and the `fewer`.
+        """Return the response with infinitely many harmonics, from these and the `fewer`.
 
         A jump that a state decides, as in friction, puts a kink into that state just where it
-        matters: its harmonics fall with the square of their number, and what is cut off with the
-        number.
+        matters: its harmonics fall with the square of their number, and the error of truncation
+        with the number.
         """
         assert self.fewer is not None
-        return many + (many - few) * (self.fewer + 1) / (self.harmonics - self.fewer)
+        return many + (many - few) * (self.fewer + 1) / (self.balance.harmonics - self.fewer)
 
     def response(self, omega: Array) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part of the response (n,)."""
         p = ca.MX.sym("p", len(self.model.parameters))
-        parts = self._responses(self.given(p, omega))
-        return ca.Function("response", [p], [parts[0, :].T, parts[1, :].T])
-
-    def given(self, p: Any, omega: Array) -> Any:
-        """Return what is given at every frequency, as columns: parameters `p`, operating point, frequency, sine."""
-        columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
-        amplitudes = ca.DM(self.sine.amplitudes(omega)).T
-        return ca.vertcat(columns, ca.DM(omega).T, amplitudes, ca.DM.ones(1, omega.size) * WIDTH)
-
-    def _responses(self, given: Any) -> Any:
-        """Return real and imaginary part of the response, (2, n), for columns of what is given at every frequency."""
+        given = self.given(p, omega)
         n = given.size2()
-        guesses = self.guess.map(n)(given)
+        guesses = self.solver.guess.map(n)(given)
+
         # Newton's method once more, from its own solution: derivatives then go through this call
         # and leave out the guess.
-        response, converged = self.finish.map(n)(
-            self.newton.map(n)(x0=guesses, p=given)["x"], given
-        )
+        harmonics = self.solver.newton.map(n)(x0=guesses, p=given)["x"]
+        response, converged = self.solver.finish.map(n)(harmonics, given)
+
         # A motion that was not found becomes infinite, so that the run that met it fails instead of
         # using it.
-        return response / ca.repmat(converged, 2, 1)
+        response = response / ca.repmat(converged, 2, 1)
+        return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
+
+    def given(self, p: Any, omega: Array) -> Any:
+        """Return columns of parameters `p`, operating point, frequency, amplitude and width of switches."""
+        columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
+        amplitudes = ca.DM(self.sine.amplitudes(omega)).T
+        widths = ca.DM.ones(1, omega.size) * self.WIDTH
+        return ca.vertcat(columns, ca.DM(omega).T, amplitudes, widths)

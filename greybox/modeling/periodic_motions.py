@@ -154,16 +154,16 @@ def _followed(balance: CompiledBalance, given: Array, shares: Array) -> complex:
         if converged:
             x, converged = _solved(balance, x, step)
         if not converged:  # past a jump
-            x, converged = _solved(balance, np.asarray(balance.guess(step)).ravel(), step)
+            x, converged = _solved(balance, np.asarray(balance.solver.guess(step)).ravel(), step)
     if not converged:
         return complex(np.nan)
-    real, imaginary = np.asarray(balance.finish(x, given)[0]).ravel()
+    real, imaginary = np.asarray(balance.solver.finish(x, given)[0]).ravel()
     return complex(real, imaginary)
 
 
 def _solved(balance: CompiledBalance, guess: Array, given: Array) -> tuple[Array, bool]:
-    x = np.asarray(balance.careful(x0=guess, p=given)["x"]).ravel()
-    return x, bool(balance.finish(x, given)[1]) and bool(np.all(np.isfinite(x)))
+    x = np.asarray(balance.solver.careful(x0=guess, p=given)["x"]).ravel()
+    return x, bool(balance.solver.finish(x, given)[1]) and bool(np.all(np.isfinite(x)))
 
 
 def _distinct(responses: list[complex]) -> list[complex]:

@@ -15,26 +15,24 @@ MOST_HARMONICS = 50
 
 @dataclass(frozen=True, eq=False)
 class Sine:
-    """A sine test of finite amplitude: one signal is its mean plus ``amplitude * cos(omega t)``, and nothing else.
+    """A sine test of finite amplitude: one signal is its mean plus ``amplitude * cos(omega t)``.
 
     Parameters
     ----------
     signal : str
-        The input of the data, where it was the sine; or a state or an output, where a loop held it
-        to a sine, as the setpoint sines (3.14) do with the angle. All other signals then have
-        harmonics.
-    amplitude : float or (n,) array, in the signal's unit
+        The input of the data, if it was the sine; or a state or an output that a loop held to a
+        sine, as the setpoint sines (3.14) do with the angle. All other signals then have harmonics.
+    amplitude : float or (n,) array, in the unit of the signal
         Half the distance from peak to peak; one for all frequencies or one for each.
     harmonics : int, optional
-        How many harmonics of the other signals are modeled. By default as many as change the
-        response by more than
-        0.03 %, at most 50; with a number of one's own, a fit warns when more would change its
+        Number of harmonics of the other signals. By default as many as change the response by more
+        than 0.03 %, at most 50. With a stated number, a fit warns if more would change its
         estimate.
 
     Raises
     ------
     ValueError
-        For an amplitude that is not finite and above 0, or no harmonics.
+        If the amplitude is not finite and above 0, or the number of harmonics is not from 1 to 50.
     """
 
     signal: str
@@ -63,15 +61,12 @@ class Sine:
             )
         amplitude.setflags(write=False)
         object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
-        if self.harmonics is None:
-            return
-        whole = isinstance(self.harmonics, (int, np.integer)) and not isinstance(
-            self.harmonics, bool
-        )
-        if not whole or not 1 <= self.harmonics <= MOST_HARMONICS:
-            raise ValueError(
-                f"harmonics {self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}."
-            )
+        if self.harmonics is not None:
+            is_whole = isinstance(self.harmonics, int | np.integer) and self.harmonics is not True
+            if not is_whole or not 1 <= self.harmonics <= MOST_HARMONICS:
+                raise ValueError(
+                    f"harmonics={self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}."
+                )
 
     def __repr__(self) -> str:
         low, high = np.min(self.amplitude), np.max(self.amplitude)
@@ -112,8 +107,10 @@ class Sine:
         if not np.ndim(self.amplitude):
             return self
         order = np.argsort(measured)
-        known = self.amplitudes(measured)[order]
-        return replace(self, amplitude=np.interp(np.log(omega), np.log(measured[order]), known))
+        amplitudes = self.amplitudes(measured)[order]
+        return replace(
+            self, amplitude=np.interp(np.log(omega), np.log(measured[order]), amplitudes)
+        )
 
 
 def as_sine(given: Any) -> Sine:

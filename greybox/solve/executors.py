@@ -1,9 +1,9 @@
 """Runs from many starts: one after the other in this process, or on the workers of an executor.
 
-What travels is the solver, pickled as compiled functions and numbers without the user's classes,
-and the starts; what comes back are outcomes. They are taken in the order of the starts, whoever
-finishes first: the answer does not depend on the executor, on the number of workers, or on their
-speed.
+Begin with `run_all`. A worker receives the solver, pickled as compiled functions and numbers without
+the user's classes, and starts; it returns outcomes. They are taken in the order of the starts,
+whichever finishes first: the answer does not depend on the executor, on the number of workers, or
+on their speed.
 
 Dask's workers have ``MALLOC_TRIM_THRESHOLD_`` in their environment, which makes every run of IPOPT
 take twice as long: memory is given back and asked for again. Start them with it and
@@ -39,27 +39,21 @@ from greybox.solve.time_limits import TimeLimits, current_limits, limited, one_r
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 R = TypeVar("R")
+Batch = list[tuple[int, Array]]
 
-# Work of one task, s: two hundred times what a distributed scheduler takes to hand out a task, and
-# little enough for progress to be seen and for Ctrl-C to be obeyed.
+# Work of one task, s: two hundred times the overhead of a distributed scheduler, and short enough
+# to show progress and to obey Ctrl-C.
 TASK_SECONDS = 0.3
-# Tasks that a search has at least, so that workers of unlike speed end at about the same time.
-FEWEST_TASKS = 16
-
 # Tasks that are handed out and not done yet, at most, and their solvers' bytes: a scheduler holds
 # all of them.
 MOST_WAITING = 128
 MOST_BYTES = 1 << 28
 
-SOLVERS_KEPT = (
-    4  # by a worker, so that it serves the members of a study in turn without building anew
-)
-GIVEN_UP = "the executor gave up its tasks: its workers or its scheduler are gone."
-LOOK = 0.1  # s, after which a search that waits for workers keeps what is done and looks whether Ctrl-C was pressed
+LOST = "the executor gave up its tasks: its workers or its scheduler are gone."
 
 
 class ExecutorLostError(RuntimeError):
-    """An executor has lost its workers, or its tasks cannot be done there."""
+    """An executor has lost its workers, or they cannot do its tasks."""
 
 
 def run_all(
@@ -70,29 +64,29 @@ def run_all(
     memory: Memory | None = None,
     begins: Mapping[int, Array] = MappingProxyType({}),
 ) -> Iterator[tuple[int, Array, Outcome]]:
-    """Give the numbers of the starts, the starts (s,) and what a run from each leaves, until a stop is requested.
+    """Yield (number, start, outcome) for every run, until a stop is requested.
 
-    They come in the order of `numbered`, of which there are `count`. As many are run at once as the
-    solver runs together; of a batch that a stop cuts short, what was finished counts. With an
-    executor the first batch is run here: it tells how long they take. Runs that are in the `memory`
-    are not made again. A run begins at its start, or where `begins` says for its number.
+    The runs come in the order of the `count` starts (s,) in `numbered`. As many are made at once as
+    the solver runs together; if a stop cuts a batch short, its finished runs count. With an
+    executor the first batch is run here to measure how long a run takes. Runs in the `memory` are
+    not made again. A run begins at its start, or where `begins` says for its number.
 
     Raises
     ------
     ExecutorLostError
-        When the executor has lost its workers.
+        If the executor has lost its workers.
     KeptRunsError
-        When the runs in the memory began elsewhere.
+        If the runs in the memory began elsewhere.
     """
     memory = memory or Memory()
     batches = _batches(numbered, solver.together)
-    made = 0
+    remaining = count
     for batch in batches:
-        if interrupt_noted() or (made and stop_requested()):
+        if interrupt_noted() or (remaining < count and stop_requested()):
             return
-        made += len(batch)
-        known = _recalled(memory, batch)
-        outcomes = known or _timed(
+        remaining -= len(batch)
+        recalled = _recalled(memory, batch)
+        outcomes = recalled or _run(
             solver, np.array([begins.get(number, start) for number, start in batch])
         )
         finished = [outcome.status not in (INTERRUPTED, SEARCH_OVER) for outcome in outcomes]
@@ -100,10 +94,10 @@ def run_all(
             memory.keep(number, start, outcome)
             if is_finished or not any(finished):
                 yield number, start, outcome
-        if known is None and executor is not None:
-            yield from _on_workers(
-                _Tasks(solver, batches, count - made, executor, memory, begins, outcomes)
-            )
+
+        if recalled is None and executor is not None:
+            tasks = _Tasks(solver, batches, remaining, executor, memory, begins, outcomes)
+            yield from _on_workers(tasks)
             return
 
 
@@ -113,81 +107,69 @@ def call_all(
     executor: Executor | None,
     counted: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> list[R]:
-    """Return what a function of a module gives for these arguments, in their order, each call a task of the executor.
+    """Return the results of a function of a module for these arguments, in order, each call a task of the executor.
 
-    `counted` gives what it is given, and may count how far this is.
+    `counted` returns the iterable that it is given, and may show the progress through it.
 
     Raises
     ------
     ExecutorLostError
-        When the executor has lost its workers.
+        If the executor has lost its workers.
     """
     if executor is None:
         return [function(*arguments) for arguments in counted(calls)]
-    # Pickled also for threads: CasADi's functions serve one at a time.
+    # Threads get copies, too: a CasADi function must not be called by two at a time.
     payloads = [pickle.dumps((function, arguments)) for arguments in calls]
-    futures = [executor.submit(_called, payload, os.getpid()) for payload in payloads]
+    futures = [executor.submit(_call, payload, os.getpid()) for payload in payloads]
     try:
-        found = [_result(future) for future in counted(futures)]
+        results = [_result(future) for future in counted(futures)]
     finally:
         for future in futures:
             future.cancel()
-    if any(one is None for one in found):
+    if any(result is None for result in results):
         raise ExecutorLostError(
             "a worker was killed as often as it was tried: its memory may not suffice."
         )
-    return [one for one in found if one is not None]
+    return [result for result in results if result is not None]
 
 
 def require_executor(executor: Any) -> None:
-    """Refuse what is no executor.
-
-    Raises
-    ------
-    TypeError
-    """
+    """Raise TypeError if this is not an executor."""
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError(
             f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2)."
         )
 
 
-Batch = list[tuple[int, Array]]
-
-
-def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:
-    """Divide what is numbered into lists of a size; the last may be shorter."""
-    rest = iter(numbered)
-    while batch := list(islice(rest, size)):
-        yield batch
-
-
-def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
-    """Return what is known of a batch, if it is known as a whole.
-
-    A part of a batch is run with all of it: the last digits of a run depend on how many are run
-    together.
-    """
-    known = [memory.recall(number, start) for number, start in batch]
-    return (
-        None if any(outcome is None for outcome in known) else [o for o in known if o is not None]
-    )
-
-
-def _timed(solver: Runner, starts: Array) -> list[Outcome]:
-    """Run a batch in the time that all of its starts have."""
-    with one_run(starts=len(starts)):
-        return solver.run_together(starts)
-
-
 def packed(solver: Runner) -> tuple[str, bytes]:
-    """Return what names a solver, the same in every process, and the solver as it travels."""
+    """Return a name of a solver, the same in every process, and the pickled solver."""
     payload = pickle.dumps(solver)
     return hashlib.sha256(payload).hexdigest(), payload
 
 
+def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:
+    iterator = iter(numbered)
+    while batch := list(islice(iterator, size)):
+        yield batch
+
+
+def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
+    """Return the stored outcomes of a batch if all of them are stored.
+
+    Otherwise the whole batch is run: the last digits of a run depend on how many are run together.
+    """
+    outcomes = [memory.recall(number, start) for number, start in batch]
+    complete = [outcome for outcome in outcomes if outcome is not None]
+    return complete if len(complete) == len(batch) else None
+
+
+def _run(solver: Runner, starts: Array) -> list[Outcome]:
+    """Run a batch within the time limit of all of its starts."""
+    with one_run(starts=len(starts)):
+        return solver.run_together(starts)
+
+
 def _on_workers(tasks: "_Tasks") -> Iterator[tuple[int, Array, Outcome]]:
-    """Give numbers, starts and outcomes in order."""
     try:
         while not stop_requested():
             tasks.hand_out()
@@ -195,7 +177,8 @@ def _on_workers(tasks: "_Tasks") -> Iterator[tuple[int, Array, Outcome]]:
                 return
             if tasks.is_next_done():
                 yield from tasks.next()
-        # Ctrl-C: what has begun is finished.
+
+        # After Ctrl-C the tasks that have begun are finished.
         tasks.cancel()
         while tasks.waiting and not tasks.waiting[0].is_cancelled:
             yield from tasks.next()
@@ -205,10 +188,9 @@ def _on_workers(tasks: "_Tasks") -> Iterator[tuple[int, Array, Outcome]]:
 
 @dataclass
 class _Task:
-    """Some starts, and where their outcomes come from: a future, or runs that were kept."""
+    """A batch of starts, and the source of their outcomes: a future, or the memory."""
 
-    numbers: list[int]
-    starts: list[Array]
+    batch: Batch
     future: Future[list[Outcome]] | None = None
     outcomes: list[Outcome] | None = None
 
@@ -218,7 +200,7 @@ class _Task:
 
 
 class _Tasks:
-    """The tasks of one search that are handed out, in the order of the starts; `first` are the runs that were made."""
+    """The tasks of one search that are handed out, in the order of the starts; `first` are the runs made here."""
 
     def __init__(
         self,
@@ -237,54 +219,49 @@ class _Tasks:
         self._executor = executor
         self._memory = memory
         self._begins = begins
-        self._ahead: Batch | None = None
+        self._next_batch: Batch | None = None
         self._most = min(max(MOST_BYTES // len(self._packed[1]), 2), MOST_WAITING)
-        self._largest = max(math.ceil(count / FEWEST_TASKS), 1)
-        self._done, self._seconds = len(first), sum(outcome.seconds for outcome in first)
+        # Sixteen tasks or more, so that workers of unlike speed end at about the same time.
+        self._largest = max(math.ceil(count / 16), 1)
+        self._runs = len(first)
+        self._seconds = sum(outcome.seconds for outcome in first)
 
     def hand_out(self) -> None:
-        """Hand out tasks until enough are waiting, or none is left."""
+        """Hand out tasks until enough are waiting, or all are handed out."""
         while len(self.waiting) < self._most and not stop_requested():
-            size = max(int(TASK_SECONDS * self._done / max(self._seconds, 1e-6)), 1)
-            if not self._take(min(size, self._largest)):
+            size = max(int(TASK_SECONDS * self._runs / max(self._seconds, 1e-6)), 1)
+            task = self._next_task(min(size, self._largest))
+            if task is None:
                 return
+            self.waiting.append(task)
 
-    def _take(self, most: int) -> bool:
-        """Make a task of the next batches, of at most so many starts, or of one that is known; False without any."""
-        some: Batch = []
-        while not some or len(some) + self._together <= most:
-            batch = self._ahead or next(self._batches, None)
-            self._ahead = None
+    def _next_task(self, most: int) -> _Task | None:
+        """Make a task of the next batches, of at most so many starts, or of one batch in the memory."""
+        starts: Batch = []
+        while not starts or len(starts) + self._together <= most:
+            batch = self._next_batch or next(self._batches, None)
+            self._next_batch = None
             if batch is None:
                 break
-            known = _recalled(self._memory, batch)
-            if known is not None:
-                if some:
-                    self._ahead = batch
-                    break
-                self.waiting.append(
-                    _Task(
-                        [number for number, _ in batch], [start for _, start in batch], None, known
-                    )
-                )
-                return True
-            some += batch
-        if some:
-            self.waiting.append(
-                self._submitted([number for number, _ in some], [start for _, start in some])
-            )
-        return bool(some)
+            recalled = _recalled(self._memory, batch)
+            if recalled is not None:
+                if not starts:
+                    return _Task(batch, outcomes=recalled)
+                self._next_batch = batch
+                break
+            starts += batch
+        return self._submitted(starts) if starts else None
 
     def is_next_done(self) -> bool:
-        """Wait for the first of the waiting tasks; False when a stop was requested before."""
+        """Wait for the first of the waiting tasks; False if a stop was requested before."""
         first = self.waiting[0]
         while not stop_requested():
             if first.outcomes is not None or first.future is None:
                 return True
             try:
-                first.future.exception(timeout=LOOK)
+                first.future.exception(timeout=0.1)
             except StillRunning:
-                self._look()
+                self._keep_finished()
                 continue
             except CancelledError:
                 pass
@@ -292,71 +269,70 @@ class _Tasks:
         return False
 
     def next(self) -> Iterator[tuple[int, Array, Outcome]]:
-        """Give what the first of the waiting tasks left; where its worker was lost, its starts are tried one by one."""
+        """Yield the runs of the first waiting task; if its worker was lost, its starts become tasks of their own."""
         task = self.waiting.popleft()
         if task.outcomes is None:
             self._finish(task)
-        if task.outcomes is None and len(task.starts) > 1:
-            each = zip(reversed(task.numbers), reversed(task.starts), strict=True)
-            self.waiting.extendleft([self._submitted([number], [start]) for number, start in each])
+        if task.outcomes is None and len(task.batch) > 1:
+            self.waiting.extendleft([self._submitted([start]) for start in reversed(task.batch)])
             return
         if task.outcomes is None:
-            task.outcomes = [
-                Outcome(task.starts[0], WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)
-            ]
-            self._keep(task, task.outcomes)
-        yield from zip(task.numbers, task.starts, task.outcomes, strict=True)
+            start = task.batch[0][1]
+            lost = Outcome(start, WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)
+            task.outcomes = [lost]
+            self._keep(task)
+        for (number, start), outcome in zip(task.batch, task.outcomes, strict=True):
+            yield number, start, outcome
 
     def cancel(self) -> None:
-        """Take back what has not begun."""
+        """Cancel the tasks that have not begun."""
         for task in self.waiting:
             if task.future is not None:
                 task.future.cancel()
 
-    def _look(self) -> None:
-        """Keep what is done, whatever is waited for."""
+    def _keep_finished(self) -> None:
+        """Keep the runs of all finished tasks, whichever task is waited for."""
         for task in self.waiting:
-            if task.outcomes is None and task.future is not None and _is_without_error(task.future):
+            if task.outcomes is None and task.future is not None and _has_result(task.future):
                 self._finish(task)
         self._memory.look()
-        if _is_cut_off(self._executor):
-            raise ExecutorLostError(GIVEN_UP)
+        if _has_lost_scheduler(self._executor):
+            raise ExecutorLostError(LOST)
 
     def _finish(self, task: _Task) -> None:
-        """Take the outcomes of a task that is done, if its worker was not lost."""
+        """Take the outcomes of a finished task, if its worker was not lost."""
         assert task.future is not None
         task.outcomes = _result(task.future)
         if task.outcomes is not None:
-            self._done += len(task.outcomes)
+            self._runs += len(task.outcomes)
             self._seconds += sum(outcome.seconds for outcome in task.outcomes)
-            self._keep(task, task.outcomes)
+            self._keep(task)
 
-    def _keep(self, task: _Task, outcomes: list[Outcome]) -> None:
-        for number, start, outcome in zip(task.numbers, task.starts, outcomes, strict=True):
+    def _keep(self, task: _Task) -> None:
+        for (number, start), outcome in zip(task.batch, task.outcomes or (), strict=True):
             self._memory.keep(number, start, outcome)
 
-    def _submitted(self, numbers: list[int], starts: list[Array]) -> _Task:
-        begins = [
-            self._begins.get(number, start) for number, start in zip(numbers, starts, strict=True)
-        ]
-        where = (np.array(begins), os.getpid(), current_limits())
-        return _Task(numbers, starts, self._executor.submit(run_starts, *self._packed, *where))
+    def _submitted(self, batch: Batch) -> _Task:
+        begins = np.array([self._begins.get(number, start) for number, start in batch])
+        future = self._executor.submit(
+            run_starts, *self._packed, begins, os.getpid(), current_limits()
+        )
+        return _Task(batch, future)
 
 
-def _is_cut_off(executor: Executor) -> bool:
-    """Tell whether Dask has lost its scheduler: it cancels the tasks of before, and those of after are never done."""
+def _has_result(future: Future[list[Outcome]]) -> bool:
+    return future.done() and not future.cancelled() and future.exception() is None
+
+
+def _has_lost_scheduler(executor: Executor) -> bool:
+    """Return whether Dask has lost its scheduler: it cancels its tasks, and new ones are never done."""
     if type(executor).__module__ != "distributed.cfexecutor":
         return False
     return getattr(executor, "_client").status != "running"  # noqa: B009  (of the class of a package that may be absent)
 
 
-def _is_without_error(future: Future[list[Outcome]]) -> bool:
-    """Tell whether a task is done and has left its outcomes."""
-    return future.done() and not future.cancelled() and future.exception() is None
-
-
 def _result(future: Future[R]) -> R | None:
-    """Return what a task has left; None when its worker was lost and can be replaced."""
+    """Return the result of a task; None if its worker was lost and has been replaced."""
     try:
         return future.result()
     except WorkerLostError:
@@ -364,11 +340,11 @@ def _result(future: Future[R]) -> R | None:
     except NoWorkerError as error:
         raise ExecutorLostError(str(error)) from error
     except CancelledError as error:
-        raise ExecutorLostError(GIVEN_UP) from error
+        raise ExecutorLostError(LOST) from error
     except Exception as error:
-        said = " ".join(str(error).split())[:300].rstrip(".") or "no reason given"
+        message = " ".join(str(error).split())[:300].rstrip(".") or "no reason given"
         raise ExecutorLostError(
-            f"a task of the executor failed, {type(error).__name__}: {said}. Start its workers again, or use "
+            f"a task of the executor failed, {type(error).__name__}: {message}. Start its workers again, or use "
             "greybox.solve.WorkerPool, which replaces those that it loses."
         ) from error
 
@@ -377,7 +353,7 @@ def _result(future: Future[R]) -> R | None:
 
 
 class _Built(threading.local):
-    """The solvers of this thread: CasADi's functions serve one at a time."""
+    """The solvers of this thread: a CasADi function must not be called by two at a time."""
 
     def __init__(self) -> None:
         self.solvers: OrderedDict[str, Runner] = OrderedDict()
@@ -389,40 +365,39 @@ _built = _Built()
 def run_starts(
     key: str, payload: bytes, starts: Array, coordinator: int, limits: TimeLimits
 ) -> list[Outcome]:
-    """Run the solver in `payload`, which `key` names, from every row of `starts` (r, p).
+    """Run the solver in `payload`, named by `key`, from every row of `starts` (r, p).
 
-    `coordinator` is the number of the process that decides about Ctrl-C, `limits` are the time
-    limits of its search.
+    `coordinator` is the process that decides about Ctrl-C, `limits` are the time limits of its
+    search. A thread keeps the last four solvers, so that it serves the members of a study in turn
+    without building them anew.
     """
     solvers = _built.solvers
-    with _deaf_to_interrupts(os.getpid() != coordinator), limited(limits):
+    with _without_interrupts(os.getpid() != coordinator), limited(limits):
         if key not in solvers:
-            while len(solvers) >= SOLVERS_KEPT:
+            while len(solvers) >= 4:
                 solvers.popitem(last=False)
             solvers[key] = one_thread_at_a_time(pickle.loads)(payload)
         solvers.move_to_end(key)
         solver = solvers[key]
-        batches = (
-            starts[at : at + solver.together] for at in range(0, len(starts), solver.together)
-        )
-        return [outcome for batch in batches for outcome in _timed(solver, batch)]
+        size = solver.together
+        batches = (starts[k : k + size] for k in range(0, len(starts), size))
+        return [outcome for batch in batches for outcome in _run(solver, batch)]
 
 
-def _called(payload: bytes, coordinator: int) -> Any:
-    """Call the function in `payload` with its arguments; see `run_starts` for `coordinator`."""
-    with _deaf_to_interrupts(os.getpid() != coordinator):
+def _call(payload: bytes, coordinator: int) -> Any:
+    with _without_interrupts(os.getpid() != coordinator):
         function, arguments = pickle.loads(payload)
         return function(*arguments)
 
 
 @contextmanager
-def _deaf_to_interrupts(applies: bool) -> Iterator[None]:
+def _without_interrupts(applies: bool) -> Iterator[None]:
     """Ignore Ctrl-C within, which a terminal sends to the workers as well."""
     if not applies or threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)

@@ -1,12 +1,12 @@
-"""What ends a search early: Ctrl-C, noted at once and obeyed where work can end in order, or the time that it may take.
+"""What ends a search early: its time limit, or Ctrl-C, which is noted at once and obeyed where work can end in order.
 
 An exception that a signal handler raises is swallowed by CasADi while IPOPT evaluates a function:
 that run counts as failed and the search goes on; in a root finder it becomes a RuntimeError.
-Solvers therefore ask `stop_requested` at every iteration, and end the run at hand.
+Solvers therefore ask `stop_requested` at every iteration, and end the current run.
 
 Only the main thread receives signals, and only Python's own handler, which raises
-KeyboardInterrupt, is replaced: a program that has another one, or none, keeps it. Elsewhere nothing
-here has an effect.
+KeyboardInterrupt, is replaced: a program with a handler of its own keeps it. In other threads
+nothing here has an effect.
 """
 
 import signal
@@ -22,15 +22,15 @@ from greybox.solve.time_limits import is_run_over, is_search_over
 
 
 class Response(Enum):
-    """What becomes of Ctrl-C."""
+    """The response to Ctrl-C."""
 
     RAISE = auto()  # KeyboardInterrupt at once
     STOP = auto()  # noted; solvers see it and end
-    FINISH = auto()  # noted; what has begun is finished
+    FINISH = auto()  # noted; the current work is finished
 
 
-# Seconds within which a second signal is the same Ctrl-C: programs such as timeout(1) hand on what
-# they receive, and the terminal sends it to all of them.
+# Seconds within which a second signal is the same Ctrl-C: the terminal sends it to all processes, and
+# programs such as timeout(1) forward it.
 ECHO = 0.5
 
 
@@ -45,17 +45,17 @@ _state = _State()
 
 
 def stop_requested() -> bool:
-    """Tell whether the search at hand shall end, since Ctrl-C was pressed or its time is up."""
+    """Return whether the search must end, because Ctrl-C was pressed or its time is up."""
     return interrupt_noted() or (_state.response is not Response.FINISH and is_search_over())
 
 
 def interrupt_noted() -> bool:
-    """Tell whether the search at hand shall end since Ctrl-C was pressed."""
+    """Return whether the search must end because Ctrl-C was pressed."""
     return _state.noted and _state.response is Response.STOP
 
 
 def reason_to_end() -> str:
-    """Return the status with which the run at hand shall end; empty where it may go on."""
+    """Return the status with which the current run must end; empty if it may continue."""
     if interrupt_noted():
         return INTERRUPTED
     if _state.response is Response.FINISH:
@@ -64,17 +64,16 @@ def reason_to_end() -> str:
 
 
 def take_interrupt() -> bool:
-    """Tell whether Ctrl-C was pressed since listening began or since the last call."""
+    """Return whether Ctrl-C was pressed since listening began or since the last call."""
     noted, _state.noted = _state.noted, False
     return noted
 
 
 @contextmanager
 def listening() -> Iterator[None]:
-    """Note Ctrl-C within; an error that comes after one was caused by it, and is a KeyboardInterrupt.
+    """Note Ctrl-C within; an error after one was caused by it, and becomes a KeyboardInterrupt.
 
-    A second Ctrl-C raises KeyboardInterrupt in any case: whoever presses again does not want to
-    wait.
+    A second Ctrl-C raises KeyboardInterrupt in any case.
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
     if (
@@ -102,11 +101,12 @@ def listening() -> Iterator[None]:
 @contextmanager
 def responding(response: Response) -> Iterator[None]:
     """Respond to Ctrl-C in this way within."""
-    before, _state.response = _state.response, response
+    previous = _state.response
+    _state.response = response
     try:
         yield
     finally:
-        _state.response = before
+        _state.response = previous
 
 
 def _note(_number: int, _frame: FrameType | None) -> None:

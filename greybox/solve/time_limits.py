@@ -1,7 +1,6 @@
-"""How long a search and each of its runs may take.
+"""Time limits of a search and of each of its runs.
 
-The clock is that of the day, not of the process: the end of a search is handed to workers
-elsewhere.
+The clock is the time of day, not that of the process: the end of a search is sent to workers.
 """
 
 import math
@@ -19,7 +18,7 @@ class TimeLimits:
     Attributes
     ----------
     start : float
-        Of the runs from one start, s.
+        Limit for the runs from one start, s.
     end : float
         Time of day at which the search ends, s since 1970.
     """
@@ -34,12 +33,12 @@ class TimeLimits:
         Raises
         ------
         ValueError
-            For what is no time.
+            If a limit is not a number above 0.
         """
         for name, value in (("seconds", seconds), ("start_seconds", start_seconds)):
             if value is not None and not (isinstance(value, int | float) and value > 0):
                 raise ValueError(
-                    f"{name} is {value!r:.40}: give a number of seconds above 0, or None for no limit."
+                    f"{name}={value!r:.40} must be a number of seconds above 0, or None for no limit."
                 )
         return cls(start_seconds or math.inf, time.time() + (seconds or math.inf))
 
@@ -53,37 +52,37 @@ _state = _State()
 
 
 def current_limits() -> TimeLimits:
-    """Return the limits of the search at hand."""
+    """Return the limits of the current search."""
     return _state.limits
 
 
 @contextmanager
 def limited(limits: TimeLimits) -> Iterator[None]:
-    """Keep these limits within, and those that hold already."""
-    before = _state.limits
-    _state.limits = TimeLimits(min(before.start, limits.start), min(before.end, limits.end))
+    """Apply these limits within, in addition to those around them."""
+    previous = _state.limits
+    _state.limits = TimeLimits(min(previous.start, limits.start), min(previous.end, limits.end))
     try:
         yield
     finally:
-        _state.limits = before
+        _state.limits = previous
 
 
 @contextmanager
 def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
-    """Keep the limit of a start within, or of several that run at once; so many seconds of it are `spent`."""
-    before = _state.run_ends
-    _state.run_ends = min(before, time.time() + starts * _state.limits.start - spent)
+    """Apply the limit of a start within, or of several that run at once; `spent` seconds of it are over."""
+    previous = _state.run_ends
+    _state.run_ends = min(previous, time.time() + starts * _state.limits.start - spent)
     try:
         yield
     finally:
-        _state.run_ends = before
+        _state.run_ends = previous
 
 
 def is_search_over() -> bool:
-    """Tell whether the time of the search is up."""
+    """Return whether the time of the search is up."""
     return time.time() >= _state.limits.end
 
 
 def is_run_over() -> bool:
-    """Tell whether the time of the run at hand is up."""
+    """Return whether the time of the current run is up."""
     return time.time() >= _state.run_ends

@@ -33,10 +33,10 @@ def test_more_harmonics_shift_the_estimate_as_least_squares_would():
     nlp = compile_problem(problem)
     assert nlp.free == ("b", "d")
     accuracy = assess(nlp, x)
-    (found,) = too_few_harmonics(nlp, x, accuracy)
+    (too_few,) = too_few_harmonics(nlp, x, accuracy)
     many = response(x, more)
-    assert (found.problem, found.more) == (nlp.parts[0].problem, more)
-    assert found.change == pytest.approx(100 * np.abs(many / few - 1).max(), rel=1e-6)
+    assert (too_few.problem, too_few.harmonics) == (nlp.parts[0].problem, more)
+    assert too_few.change == pytest.approx(100 * np.abs(many / few - 1).max(), rel=1e-6)
 
     def stacked(values):
         return np.concatenate([values.real, values.imag])
@@ -45,6 +45,6 @@ def test_more_harmonics_shift_the_estimate_as_least_squares_would():
     step = np.linalg.lstsq(slopes, stacked((many - few) / np.abs(data)), rcond=None)[0]
     shift = np.abs(step) / np.sqrt(np.diag(accuracy.covariance))
     largest = int(np.argmax(shift))
-    assert found.parameter == nlp.free[largest]
-    assert found.shift == pytest.approx(shift[largest], rel=1e-3)
-    assert found.shift > 0.1
+    assert too_few.parameter == nlp.free[largest]
+    assert too_few.shift == pytest.approx(shift[largest], rel=1e-3)
+    assert too_few.shift > 0.1

@@ -26,11 +26,8 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.solve.executors import (
-    MOST_WAITING,
     TASK_SECONDS,
     ExecutorLostError,
-    _batches,
-    _Tasks,
     call_all,
     packed,
     run_all,
@@ -40,7 +37,7 @@ from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.outcome import Outcome
 from greybox.solve.time_limits import current_limits
-from greybox.solve.worker_pool import NoWorkerError, WorkerLostError, _single_threads
+from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
@@ -223,8 +220,7 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path, lone_worker):
     assert_array_equal([outcome.estimate for outcome in found], 2 * STARTS)
 
 
-def test_a_start_that_always_ends_its_worker_is_a_run_that_failed(lone_worker, monkeypatch):
-    monkeypatch.setattr("greybox.solve.worker_pool.TRIALS", 2)
+def test_a_start_that_always_ends_its_worker_is_a_run_that_failed(lone_worker):
     found = outcomes(Fragile(20.0), lone_worker)
     assert [k for k, outcome in enumerate(found) if outcome.status == "worker lost"] == [20]
     assert not found[20].converged
@@ -326,98 +322,122 @@ def test_what_is_no_executor_is_refused():
         gb.fit(RESPONSE, 3, search="multistart", executor=pool)
 
 
-def test_workers_have_one_thread_unless_the_environment_says_more(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with _single_threads():
-        assert (os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]) == ("3", "1")
-    assert os.environ["OMP_NUM_THREADS"] == "3"
-    assert "MKL_NUM_THREADS" not in os.environ
+class Recorder(Executor):
+    """Does its tasks at once, and notes the first numbers of their starts; those with a `lost` start lose the worker."""
 
+    def __init__(self, lost=None):
+        self.handed, self.lost = [], lost
 
-def test_a_search_is_cut_into_enough_tasks_for_workers_of_unlike_speed(monkeypatch):
-    """Of 40 quick starts each task has a sixteenth, rounded up; the first is run before any is handed out."""
-    monkeypatch.setattr("greybox.solve.executors.TASK_SECONDS", 1e6)
-    executor, tasks = LastFirst(), []
-    submit = executor.submit
-    executor.submit = lambda *words, **more: tasks.append(words) or submit(*words, **more)
-    fitted(RESPONSE, executor, by_ipopt=False)
-    assert len(tasks) == 13
-
-
-def tasks_of(solver, count, *, seconds, memory=None, begins=None):
-    """The tasks of a search of which four starts were run in so many seconds each, and what was handed out."""
-    handed = []
-
-    def submit(function, key, payload, starts, *_):
-        handed.append([int(start[0]) for start in starts])
+    def submit(self, function, /, key, payload, starts, *others):
+        self.handed.append([int(start[0]) for start in starts])
         future = Future()
-        future.set_result(
-            [Outcome(2 * start, "solved", 1, seconds, converged=True) for start in starts]
-        )
+        if self.lost is not None and self.lost in starts:
+            future.set_exception(WorkerLostError("lost"))
+        else:
+            future.set_result(function(key, payload, starts, *others))
         return future
 
-    first = [Outcome(STARTS[0], "solved", 1, seconds, converged=True)] * 4
-    batches = _batches(enumerate(np.arange(1.0, count)[:, None], 1), solver.together)
-    executor = SimpleNamespace(submit=submit)
-    return _Tasks(solver, batches, count, executor, memory or Memory(), begins or {}, first), handed
+
+class Lasting(Fragile):
+    """Says that every run took so long."""
+
+    def __init__(self, seconds, together=1):
+        self.seconds, self.together = seconds, together
+
+    def __reduce__(self):
+        return Lasting, (self.seconds, self.together)
+
+    def run(self, start):
+        return Outcome(2 * start, "solved", 1, self.seconds, converged=True)
 
 
 @pytest.mark.parametrize(
     ("seconds", "count", "size"),
     [
-        (TASK_SECONDS / 5.5, 1000, 5),  # of the work of one task
-        (10 * TASK_SECONDS, 1000, 1),
-        (0.0, 1000, 63),  # a sixteenth of all, rounded up
-        (TASK_SECONDS / 40, 320, 20),
+        (TASK_SECONDS / 5.5, 1001, 5),  # of the work of one task
+        (10 * TASK_SECONDS, 101, 1),
+        (0.0, 1001, 63),  # a sixteenth of all, rounded up
+        (TASK_SECONDS / 40, 321, 20),
     ],
 )
 def test_a_task_has_so_much_work_and_no_more_than_a_sixteenth_of_all(seconds, count, size):
-    tasks, handed = tasks_of(Fragile(-1.0), count, seconds=seconds)
-    tasks.hand_out()
-    assert [len(task) for task in handed[:10]] == [size] * 10
-    assert [k for task in handed for k in task] == [*range(1, 1 + sum(map(len, handed)))]
-    assert len(tasks.waiting) == min(MOST_WAITING, len(handed))
-    if sum(map(len, handed)) < count - 1:
-        assert len(handed) == MOST_WAITING
+    executor = Recorder()
+    starts = np.arange(float(count))[:, None]
+    runs = list(run_all(Lasting(seconds), enumerate(starts), count, executor))
+    assert [number for number, _, _ in runs] == [*range(count)]
+    assert [len(task) for task in executor.handed[:5]] == [size] * 5
+    assert [k for task in executor.handed for k in task] == [*range(1, count)]
 
 
-def test_tasks_are_whole_batches_and_those_that_are_known_are_not_made_again():
-    """In threes that are run together; starts 7 to 9 are kept already."""
-    solver = Fragile(-1.0)
-    solver.together = 3
+def test_tasks_are_whole_batches_and_those_that_are_stored_are_not_made_again():
+    """In threes that are run together; runs 7 to 9 are stored, and 4 alone of its batch."""
     memory = Memory()
-    known = {
-        number: Outcome(np.array([2.0 * number]), "kept", 1, 0.1, converged=True)
-        for number in (4, 7, 8, 9)
+    stored = {
+        number: Outcome(np.array([2.0 * number]), "stored", 1, 0.1, converged=True)
+        for number in (4, 6, 7, 8)
     }
-    memory.recall = lambda number, start: known.get(number)
-    tasks, handed = tasks_of(solver, 100, seconds=TASK_SECONDS / 6.5, memory=memory)
-    tasks.hand_out()
-    assert handed[:3] == [[1, 2, 3, 4, 5, 6], [10, 11, 12, 13, 14, 15], [16, 17, 18, 19, 20, 21]]
-    first, second, *_ = [
-        [outcome.status for outcome in task.outcomes or ()] for task in tasks.waiting
-    ]
-    assert (first, second) == ([], ["kept"] * 3)
-    assert tasks.is_next_done()
-    assert [number for number, _, _ in tasks.next()] == [1, 2, 3, 4, 5, 6]
-    assert [(number, outcome.status) for number, _, outcome in tasks.next()] == [
-        (7, "kept"),
-        (8, "kept"),
-        (9, "kept"),
-    ]
+    memory.recall = lambda number, start: stored.get(number)
+    executor = Recorder()
+    solver = Lasting(TASK_SECONDS / 6.5, together=3)
+    starts = np.arange(99.0)[:, None]
+    runs = list(run_all(solver, enumerate(starts), 99, executor, memory))
+    assert executor.handed[:3] == [[3, 4, 5], [*range(9, 15)], [*range(15, 21)]]
+    assert [number for number, _, _ in runs] == [*range(99)]
+    assert [k for k, _, outcome in runs if outcome.status == "stored"] == [6, 7, 8]
 
 
-def test_tasks_that_wait_hold_little_memory(monkeypatch):
-    size = len(packed(Fragile(-1.0))[1])
-    monkeypatch.setattr("greybox.solve.executors.MOST_BYTES", 5 * size + 1)
-    tasks, handed = tasks_of(Fragile(-1.0), 1000, seconds=1.0)
-    tasks.hand_out()
-    assert len(handed) == 5
-    monkeypatch.setattr("greybox.solve.executors.MOST_BYTES", 1)
-    tasks, handed = tasks_of(Fragile(-1.0), 1000, seconds=1.0)
-    tasks.hand_out()
-    assert len(handed) == 2  # one at work, and the next one
+@pytest.mark.parametrize(("solvers", "waiting"), [(5.1, 5), (0.1, 2)])  # one at work, and the next
+def test_tasks_that_wait_hold_little_memory(monkeypatch, solvers, waiting):
+    class Silent(Executor):
+        """Has done nothing of its tasks but fails the first of them, once no more are handed out."""
+
+        def __init__(self):
+            self.futures = []
+
+        def submit(self, *_):
+            self.futures.append(Future())
+            if len(self.futures) == waiting:
+                self.futures[0].set_exception(ZeroDivisionError())
+            return self.futures[-1]
+
+    size = len(packed(Lasting(1.0))[1])
+    monkeypatch.setattr("greybox.solve.executors.MOST_BYTES", int(solvers * size))
+    executor = Silent()
+    with pytest.raises(ExecutorLostError, match="ZeroDivisionError"):
+        list(run_all(Lasting(1.0), enumerate(STARTS), len(STARTS), executor))
+    assert len(executor.futures) == waiting
+
+
+def test_runs_on_workers_are_kept_and_the_size_of_tasks_follows_their_speed():
+    """The first run took ten times the work of a task, and those of the workers a hundredth of that."""
+    kept = []
+    memory = Memory()
+    memory.keep = lambda number, start, outcome: kept.append(number)
+    executor = Recorder()
+
+    class Slow(Lasting):
+        def run(self, start):
+            seconds = self.seconds if start[0] else 200 * self.seconds
+            return Outcome(2 * start, "solved", 1, seconds, converged=True)
+
+        def __reduce__(self):
+            return Lasting, (self.seconds, self.together)
+
+    starts = np.arange(4000.0)[:, None]
+    list(run_all(Slow(TASK_SECONDS / 20), enumerate(starts), 4000, executor, memory))
+    assert kept == [*range(4000)]
+    assert len(executor.handed[0]) == 1
+    assert 5 < len(executor.handed[-2]) < 20
+
+
+def test_tasks_whose_worker_was_lost_are_tried_one_by_one_in_their_order():
+    executor = Recorder(lost=2.0)
+    runs = list(run_all(Lasting(TASK_SECONDS / 2.5), enumerate(STARTS), len(STARTS), executor))
+    assert executor.handed[0] == [1, 2]
+    assert [number for number, _, _ in runs] == [*range(50)]
+    assert [k for k, _, outcome in runs if outcome.status == "worker lost"] == [2]
+    lost = runs[2][2]
+    assert (lost.cost, lost.converged) == (np.inf, False)
 
 
 def test_a_run_begins_where_it_is_told_to():
@@ -480,50 +500,3 @@ def test_calls_come_back_in_their_order_and_what_was_lost_is_said():
     ):
         with pytest.raises(ExecutorLostError, match=words):
             call_all(divmod, [(7, 2)], lost(error))
-
-
-def test_what_a_task_left_is_kept_and_counts_for_the_size_of_the_next():
-    """Four starts took ten times the work of a task each; what workers bring takes a twentieth of one."""
-    kept = []
-    memory = Memory()
-    memory.keep = lambda number, start, outcome: kept.append(
-        (number, float(start[0]), float(outcome.estimate[0]))
-    )
-    tasks, handed = tasks_of(Fragile(-1.0), 1000, seconds=TASK_SECONDS / 20, memory=memory)
-    tasks._seconds = 4 * 10 * TASK_SECONDS
-    tasks.hand_out()
-    assert [len(task) for task in handed] == [1] * MOST_WAITING
-    for _ in range(MOST_WAITING):
-        assert tasks.is_next_done()
-        list(tasks.next())
-    assert kept == [(k, k, 2 * k) for k in range(1, MOST_WAITING + 1)]
-    tasks.hand_out()
-    # 132 starts in 40 + 6.4 times the work of a task.
-    assert len(handed[MOST_WAITING]) == int(132 / 46.4)
-
-
-def test_tasks_whose_worker_was_lost_are_tried_one_by_one_in_their_order():
-    solver = Fragile(-1.0)
-    tasks, handed = tasks_of(solver, 40, seconds=TASK_SECONDS / 2.5)
-    submit = tasks._executor.submit
-
-    def lost(function, key, payload, starts, *more):
-        future = submit(function, key, payload, starts, *more)
-        if len(starts) > 1 or starts[0] == 2.0:
-            future = Future()
-            future.set_exception(WorkerLostError("lost"))
-        return future
-
-    tasks._executor = SimpleNamespace(submit=lost)
-    tasks.hand_out()
-    assert handed[0] == [1, 2]
-    found = []
-    while len(found) < 4:
-        assert tasks.is_next_done()
-        found += list(tasks.next())
-    assert [(number, outcome.status) for number, _, outcome in found[:3]] == [
-        (1, "solved"),
-        (2, "worker lost"),
-        (3, "solved"),
-    ]
-    assert (found[1][2].cost, found[1][2].converged) == (np.inf, False)

@@ -1,11 +1,8 @@
 """Whether the harmonics of a sine test are enough for the noise, and whether the sine has one motion.
 
 Too few harmonics shift the response of a nonlinear model, and the parameters with it, without a
-trace in the residuals. The shift follows to first order from the change of the response at the
-estimate, in units of the standard errors; what is far below them does not matter.
-
-Several motions under one sine have several responses, of which a fit evaluates one. They are sought
-at the estimate, at the frequencies at which the response differs most from the linear one.
+trace in the residuals. The shift of the parameters follows to first order from the change of the
+response at the estimate; a shift far below the standard errors does not matter.
 """
 
 from collections.abc import Iterator
@@ -27,36 +24,26 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.periodic_motions import periodic_motions
 from greybox.modeling.sine import MOST_HARMONICS
 
-# Shift of a parameter, in standard errors, that does not matter: it adds 0.5 % to the root mean
-# square error.
-SMALL_SHIFT = 0.1
-ROUNDING = 1e-7  # change of the response, relative, that no measurement shows
-
-
-SEARCHED = 4  # frequencies at which other motions are sought: a search takes as long as a hundred evaluations
-
 
 @dataclass(frozen=True, eq=False)
 class TooFew:
-    """What more harmonics change: the shift of a parameter, in standard errors, and the `response` (n,), in %."""
+    """What more harmonics change: the response, at most, in %, and a parameter, in standard errors."""
 
     problem: Problem
-    more: int
+    harmonics: int
     change: float
     parameter: str
     shift: float
 
 
 def harmonic_warnings(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
-    """Say so where more harmonics would change the estimate `x` (p,) noticeably, or a sine has several motions."""
-    for found in too_few_harmonics(nlp, x, accuracy):
-        sine = found.problem.amplitude
-        assert sine.harmonics is not None
-        count = counted(sine.harmonics, "harmonic is", "harmonics are")
+    """Warn if more harmonics would change the estimate `x` (p,) noticeably, or if a sine has several motions."""
+    for few in too_few_harmonics(nlp, x, accuracy):
+        sine = few.problem.amplitude
         yield (
-            f"{count} too few for {found.problem.name!r}: with {found.more} the response changes by up to "
-            f"{found.change:.2g} % and {found.parameter} by {found.shift:.2g} standard errors; use "
-            f"Sine({sine.signal!r}, ..., harmonics={found.more})."
+            f"{counted(sine.harmonics, 'harmonic is', 'harmonics are')} too few for {few.problem.name!r}: with "
+            f"{few.harmonics} the response changes by up to {few.change:.2g} % and {few.parameter} by {few.shift:.2g} "
+            f"standard errors; use Sine({sine.signal!r}, ..., harmonics={few.harmonics})."
         )
 
     values = dict(zip(nlp.names, nlp.all_values(x).tolist(), strict=True))
@@ -66,55 +53,54 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Ite
 
 
 def too_few_harmonics(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[TooFew]:
-    """Find the parts in which more harmonics would change the estimate `x` (p,) noticeably."""
+    """Yield the parts in which more harmonics would change the estimate `x` (p,) noticeably."""
     if accuracy.white is None:
         return
-    standard_error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[: len(nlp.free)], 0.0))
-    everything = nlp.all_values(x)
-    values = dict(zip(nlp.names, everything.tolist(), strict=True))
+    variance = np.diag(accuracy.covariance)[: len(nlp.free)]
+    standard_error = np.where(variance > 0, np.sqrt(np.maximum(variance, 0.0)), np.inf)
+    all_values = nlp.all_values(x)
+    values = dict(zip(nlp.names, all_values.tolist(), strict=True))
 
     for part in nlp.parts:
-        problem = part.problem
-        sine = problem.amplitude
+        sine = part.problem.amplitude
         if sine is None or sine.harmonics is None or sine.harmonics >= MOST_HARMONICS:
             continue
-        more = min(2 * sine.harmonics + 3, MOST_HARMONICS)
-        few, many = (_response(problem, values, harmonics) for harmonics in (sine.harmonics, more))
+        harmonics = min(2 * sine.harmonics + 3, MOST_HARMONICS)
+        few = _response(part.problem, values, sine.harmonics)
+        many = _response(part.problem, values, harmonics)
         change = float(np.abs(many / few - 1).max())
-        if (
-            not np.isfinite(change) or change < ROUNDING
-        ):  # with NaN, no motion is found: nothing can be said
+        # NaN: no motion was found. A change of 1e-7 is rounding.
+        if not np.isfinite(change) or change < 1e-7:
             continue
 
-        information = part.information(nlp.names, everything, (), None, nlp.scaling.slope(x))
-        shift = np.abs(_shift(information, few, many, accuracy.white))
-        shift /= np.where(standard_error > 0, standard_error, np.inf)
+        information = part.information(nlp.names, all_values, (), None, nlp.scaling.slope(x))
+        shift = np.abs(_shift(information, few, many, accuracy.white)) / standard_error
         largest = int(np.argmax(np.nan_to_num(shift)))
-        if shift[largest] > SMALL_SHIFT:
-            yield TooFew(problem, more, 100 * change, nlp.free[largest], float(shift[largest]))
+        # A tenth of a standard error adds 0.5 % to the root mean square error.
+        if shift[largest] > 0.1:
+            parameter = nlp.free[largest]
+            yield TooFew(part.problem, harmonics, 100 * change, parameter, float(shift[largest]))
 
 
 def _several_motions(problem: Problem, values: dict[str, float]) -> Iterator[str]:
+    """Look for several motions at the four frequencies at which the response differs most from the linear one."""
     omega = problem.response.omega
     local = dict(problem.local_values(values))
-    few = _response(problem, values, problem.amplitude.harmonics)
+    options = {**_signals(problem), "delay": problem.delay}
+    nonlinear = _response(problem, values, problem.amplitude.harmonics)
     try:
-        linear = frequency_response(
-            problem.model, local, omega, **_signals(problem), delay=problem.delay
-        ).response
+        linear = frequency_response(problem.model, local, omega, **options).response
     except ValueError:
         linear = np.zeros(omega.size)
     with np.errstate(all="ignore"):
-        nonlinear = np.nan_to_num(np.abs(few - linear) / np.abs(few), nan=np.inf)
-    searched = np.sort(np.argsort(-nonlinear, kind="stable")[:SEARCHED])
-    searched = searched[nonlinear[searched] > ENOUGH]
-    if not searched.size:
-        return
-    sine = problem.amplitude.between(omega, omega[searched])
-    _, messages = periodic_motions(
-        problem.model, local, omega[searched], sine, **_signals(problem), delay=problem.delay
-    )
-    yield from messages[:1]
+        difference = np.nan_to_num(np.abs(nonlinear - linear) / np.abs(nonlinear), nan=np.inf)
+
+    # A search takes as long as a hundred evaluations.
+    places = np.sort(np.argsort(-difference, kind="stable")[:4])
+    places = places[difference[places] > ENOUGH]
+    if places.size:
+        sine = problem.amplitude.between(omega, omega[places])
+        yield from periodic_motions(problem.model, local, omega[places], sine, **options)[1][:1]
 
 
 def _signals(problem: Problem) -> dict[str, Any]:
@@ -135,12 +121,9 @@ def _response(problem: Problem, values: dict[str, float], harmonics: int | None)
 
 
 def _shift(
-    information: Information,
-    few: ComplexArray,
-    many: ComplexArray,
-    inverse: Array,
+    information: Information, few: ComplexArray, many: ComplexArray, inverse: Array
 ) -> Array:
-    """Return the Newton step (p,) of the unknowns to first order in the change of the response."""
+    """Return the Newton step (p,) of the parameters, to first order in the change of the response."""
     problem = information.part.problem
     criterion = problem.criterion
     assert isinstance(criterion, Criterion)
