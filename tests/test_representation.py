@@ -9,7 +9,6 @@ from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 
 import greybox as gb
-from greybox.regression.order_selection import OrderPath
 from greybox.solve.minima import Multistart
 from greybox.spectral.frequency_points import FiniteFrequency
 
@@ -35,7 +34,6 @@ VALUES = {
     "Minimum": FIT.minima[0],
     "Multistart": Multistart(FIT.runs, FIT.minima, 1.0),
     "NestedTest": gb.validation.nested_test(SMALL, LARGE),
-    "OrderPath": OrderPath((gb.regression.levy(RESPONSE, 2, 0),), ("made",)),
     "Prediction": gb.predict(SMALL),
     "Problem": PROBLEM,
     "Quality": gb.spectral.check(RECORD, input="theta", output="v"),

@@ -1,14 +1,20 @@
-"""Estimates by linear least squares: they need no compiled problem, and no start.
+"""Estimates by linear least squares, which need no start.
 
-Begin with `levy`, which fits the coefficients of a transfer function, (3.17); `order_selection`
-chooses its orders by `poles_and_zeros` that nearly cancel. Or begin with `equation_error`, which
-fits differential equations to smoothed derivatives: `linear_in_parameters` splits the equations
-into terms, `smoothing` filters the signals, `regressors` evaluates the terms along the record,
-`least_squares` solves for the parameters that enter linearly, and `variable_projection` searches
-the others.
+Begin with `equation_error` for records and `levy` for frequency responses.
+
+| file | contents |
+| --- | --- |
+| `levy` | rational functions from responses, and the choice of their orders as in the paper |
+| `poles_and_zeros` | the factored form, and pairs that nearly cancel |
+| `equation_error` | parameters of an ODE from measured states |
+| `linear_in_parameters` | which equations of a model become regressions |
+| `smoothing` | smoothed signals and their derivatives |
+| `regressors` | the regressions of a record |
+| `least_squares` | the solution with bounds, and its covariance |
+| `variable_projection` | the search over the unknowns that are not linear |
 """
 
 from greybox.regression.equation_error import EquationErrorEstimate as EquationErrorEstimate
 from greybox.regression.equation_error import equation_error as equation_error
 from greybox.regression.levy import levy as levy
-from greybox.regression.order_selection import order_path as order_path
+from greybox.regression.levy import order_path as order_path

@@ -1,17 +1,17 @@
 """Rational functions from a measured response by linear least squares, (3.17).
 
 Multiplying (2.13) = P by the denominator makes every frequency one complex equation that is linear
-in the unknown coefficients: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. It needs no start, and so gives
-one. It minimizes |a(jω)| times the error and not the error itself, which favors high frequencies.
+in the unknown coefficients: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. It needs no start. It minimizes
+|a(jω)| times the error and not the error itself, which favors high frequencies.
 
 Sources: Levy, Complex-curve fitting, IRE Trans. Automatic Control 4 (1959) 37-43 (who sets a0 = 1
 where (2.13) sets the highest coefficient to 1). Sanathanan and Koerner, Transfer function synthesis
-as a ratio of two complex polynomials, IEEE Trans. Automatic Control 8 (1963) 56-58. Akaike, A new
-look at the statistical model identification, IEEE Trans. Automatic Control 19 (1974) 716-723.
+as a ratio of two complex polynomials, IEEE Trans. Automatic Control 8 (1963) 56-58.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.regression.poles_and_zeros import (
+    NEAR,
     Factored,
     NearPair,
     factored,
@@ -38,15 +39,19 @@ RANK = 1e-12
 class RationalFit:
     """A rational function (2.13) fitted by `levy`.
 
-    `numerator` (m + 1,) and monic `denominator` (n + 1,) have the highest power of s first; with
-    `integrator` the last coefficient of the denominator is 0. `data` is what was fitted,
-    `iterations` the number of reweightings. `cost` is the sum of relative errors (4.26), which is
-    not what was minimized; NaN when the data hold a zero. `aic` is 2 n_ω ln(Σ|e|² / n_ω) + 2 k of
-    the relative errors e = P/P̂ - 1, for k coefficients: Akaike's -2 ln L + 2 k for circular
-    complex normal errors of one unknown relative size, without what is the same for all orders. The
-    estimate does not minimize Σ|e|², so read small differences with care, and compare on the same
-    data only. `condition` is the condition number of the equations with normalized columns, inf
-    when one unknown is superfluous.
+    Attributes
+    ----------
+    numerator, denominator : (m + 1,), (n + 1,) arrays
+        Coefficients, highest power of s first; the denominator is monic.
+    integrator : bool
+        Whether the last coefficient of the denominator is 0.
+    data : FrequencyResponse
+    iterations : int
+        Number of reweightings.
+    cost : float
+        Sum of relative errors (4.26), which was not minimized; NaN when the data hold a zero.
+    condition : float
+        Condition number of the equations with normalized columns, inf where one is superfluous.
     """
 
     numerator: Array
@@ -55,7 +60,6 @@ class RationalFit:
     data: FrequencyResponse
     iterations: int
     cost: float
-    aic: float
     condition: float
 
     @property
@@ -115,31 +119,24 @@ class RationalFit:
         return one_line(self, f"n = {self.n}, m = {self.m}", f"cost {number(self.cost)}")
 
     def __str__(self) -> str:
-        how = (
-            f"reweighted {counted(self.iterations, 'time')}"
-            if self.iterations
-            else "not reweighted"
-        )
-        roots = [("zero", z) for z in upper_half(self.zeros)] + [
-            ("pole", p) for p in upper_half(self.poles)
-        ]
-        damping = [number(-root.real / abs(root), 3) if root else "-" for _, root in roots]
-        rows = [
-            (kind, root_text(r), number(abs(r), 4), d)
-            for (kind, r), d in zip(roots, damping, strict=True)
-        ]
+        how = "not reweighted"
+        if self.iterations:
+            how = f"reweighted {counted(self.iterations, 'time')}"
+        rows = []
+        for kind, roots in (("zero", self.zeros), ("pole", self.poles)):
+            for root in upper_half(roots):
+                damping = number(-root.real / abs(root), 3) if root else "-"
+                rows.append((kind, root_text(root), number(abs(root), 4), damping))
         lines = [
             f"linear least squares (3.17), n = {self.n}, m = {self.m}"
             f"{', with integrator' if self.integrator else ''}, {len(self.data)} frequencies, {how}",
             f"P(s) = {self.factored}",
             text_table(("", "rad/s", "size", "damping"), rows),
-            f"cost (4.26) {number(self.cost)}, AIC {number(self.aic, 4)}",
+            f"cost (4.26) {number(self.cost)}",
             *(f"nearly cancel: {pair}" for pair in self.near_pairs),
         ]
         if not self.determined:
-            lines.append(
-                "the data do not determine the coefficients (rank-deficient equations): lower n and m."
-            )
+            lines.append("the data do not determine the coefficients: lower n and m.")
         return "\n".join(lines)
 
 
@@ -203,9 +200,52 @@ def levy(
         data=data,
         iterations=iterations,
         cost=evaluate(RelativeError(), model, data),
-        aic=_aic(model, data, n + m + 1 - bool(integrator)),
         condition=condition,
     )
+
+
+def order_path(
+    data: FrequencyResponse,
+    n: int,
+    m: int,
+    integrator: bool = False,
+    *,
+    tolerance: float = NEAR,
+    **options: Any,
+) -> tuple[RationalFit, ...]:
+    """Lower the orders from `n` and `m` until no stable pole and zero obviously cancel (section 3).
+
+    If a stable zero and a stable pole are closer than `tolerance`, or the equations are rank
+    deficient, both orders are lowered by one and fitted again, down to m = 0. The paper does not
+    say how close is obvious. On its tables the rule does not lead to its (4, 1): try several orders
+    to begin with, or use `gb.identification.select_orders`.
+
+    Parameters
+    ----------
+    data, n, m, integrator, **options
+        As for `levy`; the highest orders to begin with.
+    tolerance : float
+        Relative distance |zero - pole| / max(|zero|, |pole|) below which a pair cancels, in (0, 1].
+
+    Returns
+    -------
+    tuple of RationalFit
+        Every step; the last one is where the rule ends.
+
+    Raises
+    ------
+    ValueError
+        As `levy`, and for a tolerance out of range.
+    """
+    if not 0 < tolerance <= 1:
+        raise ValueError(f"tolerance is {tolerance}: give a number above 0 and at most 1.")
+    steps = [levy(data, n, m, integrator, **options)]
+    while steps[-1].m > 0:
+        pairs = near_pairs(steps[-1].zeros, steps[-1].poles, tolerance)
+        if steps[-1].determined and not any(pair.stable for pair in pairs):
+            break
+        steps.append(levy(data, steps[-1].n - 1, steps[-1].m - 1, integrator, **options))
+    return tuple(steps)
 
 
 def _solve(
@@ -228,18 +268,6 @@ def _solve(
         np.concatenate([[1.0], solution[m + 1 :], np.zeros(int(integrator))]),
         condition,
     )
-
-
-def _aic(model: ComplexArray, data: FrequencyResponse, unknowns: int) -> float:
-    """Return Akaike's criterion.
-
-    -2 ln L of circular complex normal relative errors at their most likely size is 2 n ln(mean
-    |e|²) + const.
-    """
-    if np.any(data.response == 0):
-        return math.nan
-    mean = float(np.mean(np.abs(model / data.response - 1) ** 2))
-    return 2 * len(data) * math.log(mean) + 2 * unknowns if mean > 0 else -math.inf
 
 
 def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: bool) -> None:
