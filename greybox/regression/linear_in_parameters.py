@@ -74,9 +74,6 @@ class Equations:
         (p) -> delay of every input, s. In all three `p` holds the free parameters.
     delayed : tuple of str
         Inputs that have a delay.
-    multiplied : mapping of str to tuple of str
-        The inputs that all slopes of a linear parameter depend on, so that it has no constant
-        effect while they move.
     left_out : tuple of str
         What was left out, and why.
     """
@@ -90,7 +87,6 @@ class Equations:
     simulated: ca.Function
     delay: ca.Function
     delayed: tuple[str, ...]
-    multiplied: Mapping[str, tuple[str, ...]]
     left_out: tuple[str, ...]
 
     @property
@@ -200,7 +196,6 @@ class _Analysis:
             rows=ca.Function("rows", arguments, [ca.densify(base), ca.densify(slopes)]),
             simulated=ca.Function("simulated", arguments, [ca.densify(drive), ca.densify(matrix)]),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
-            multiplied={n: self._multiplied(slopes[:, k]) for k, n in enumerate(linear)},
             delayed=tuple(
                 n for k, n in enumerate(self.model.inputs) if not self.delays[k].is_zero()
             ),
@@ -358,13 +353,6 @@ class _Analysis:
 
     def _inputs(self, row: ca.SX) -> list[str]:
         return [name for k, name in enumerate(self.model.inputs) if ca.depends_on(row, self.u[k])]
-
-    def _multiplied(self, slopes: ca.SX) -> tuple[str, ...]:
-        """Return the inputs in the slopes (k,) of a parameter; none where an equation has one without an input."""
-        inputs = [
-            self._inputs(slope) for slope in ca.vertsplit(ca.SX(slopes)) if not slope.is_zero()
-        ]
-        return tuple(dict.fromkeys(n for some in inputs for n in some)) if all(inputs) else ()
 
     def _behind(self, row: ca.SX) -> set[str]:
         """Return the states that a row needs, with those that its simulated and derived states need."""

@@ -138,27 +138,6 @@ def test_biases_are_taken_off_wherever_what_is_measured_stands(fixed):
     assert_allclose(rate.value(measured, 0.9), 0.9)
 
 
-def test_what_multiplies_a_parameter_is_told():
-    found = of(Motor(), ["u", "degrees", "current"], fixed={"T": 0.0, "L": 0.5})
-    assert found.multiplied == {"k": (), "c": (), "R": ()}
-
-    class Product(gb.StateSpace):
-        states, inputs, outputs = ("x",), ("u", "w"), ("y",)
-        a, b, c = (gb.Parameter(1.0) for _ in range(3))
-
-        def derivative(self, x, u, p):
-            return (p.a * u.u * u.w + p.b * u.w + p.c * u.u - x.x,)
-
-        def output(self, x, u, p):
-            return (x.x + p.c,)
-
-    found = of(Product(), ["u", "w", "x", "y"], fixed={})
-    assert found.multiplied == {"a": ("u", "w"), "b": ("w",), "c": ()}
-    assert found.delayed == ()
-    assert [str(state) for state in found.states] == ["x from the signal x"]
-    assert found.simulated([0.0], [1.0, 1.0], [1, 1, 1])[0].shape == (0, 1)
-
-
 @pytest.mark.parametrize(
     ("term", "is_linear"),
     [
