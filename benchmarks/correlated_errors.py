@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from greybox.compiled.record_information import colored_errors
+from greybox.compiled.colored_errors import colored_errors
 from greybox.estimate.diagnostics.records import NARROW
 from greybox.files.arrays import Array, BoolArray
 

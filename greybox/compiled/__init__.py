@@ -1,19 +1,31 @@
 """The problem as functions of the solver's variables.
 
-Begin with `compiled_problem` (what a solver is given) and `part` (what every part of it answers, be
-it a frequency response, `response_part` with `response_map` for large ones, the spectrum of a
-manoeuvre, `transient_part`, or a record, `record_part`); the first two are each a
-`part_without_nodes`. `scaling` is between parameters and the solver's variables, `limits` has the
-constraints. `explicit_program` states problems with trims that Newton's method finds.
+Begin with `compiled_problem`.
 
-A record is cut into segments (`sampled_data`), as many steps per sample as it needs (`step_size`).
-Every sample is one CasADi function (`sample_step`), which `segments` evaluates and linearizes for
-all segments at once, those of several records that share it together (`record_group`); `condensing`
-eliminates the continuity of multiple shooting: the states at the nodes, where segments begin, and
-its multipliers. `initial_states` gives the first ones, `residual_covariance` the weights,
-`kalman_gain` the gain of a predictor, `riccati` the one that follows from process noise,
-`record_information` the numbers that correlated residuals are worth. `transcription/` holds the
-methods by which the states of a record become unknowns, one method a file (multiple shooting is the
-above), and `strategies` all settings. `vectorized` evaluates CasADi functions in numpy over many
-columns, `alike_terms` the derivatives of a cost whose terms differ in their constants alone.
+| file | contents |
+| --- | --- |
+| `compiled_problem` | what a solver is given: parts, limits, scaling |
+| `part`, `part_without_nodes` | the interface of every part of a problem, and what parts without states at nodes share |
+| `response_part`, `response_map` | a frequency response; many points as one mapped function |
+| `transient_part` | the spectrum of a manoeuvre |
+| `record_model` | a record with its model, whatever the cut into segments |
+| `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |
+| `record_part`, `record_group` | one record; several that are evaluated together |
+| `sampled_data` | a record as gapless stretches of samples, cut into segments |
+| `sample_step` | one sample as a CasADi function |
+| `segments` | all segments simulated and linearized at once |
+| `step_size` | substeps of a sample and samples of a segment |
+| `initial_states` | states to begin with |
+| `record_linearization` | estimated noise covariance and known initial states in the linearization |
+| `condensing` | elimination of nodes and multipliers of continuity |
+| `residual_covariance` | the weights of the residuals |
+| `kalman_gain`, `riccati` | the gain of a predictor; the one that follows from process noise |
+| `record_sensitivity`, `record_information` | derivatives of the residuals; the information for the covariance |
+| `colored_errors` | residuals that are correlated in time |
+| `record_program` | a record as expressions for IPOPT |
+| `transcription` | the methods by which the states of a record become unknowns |
+| `strategies` | the settings of the record solver |
+| `scaling`, `limits` | between parameters and the solver's variables; the constraints |
+| `explicit_program` | problems with trims that Newton's method finds |
+| `vectorized`, `alike_terms` | CasADi functions over many columns; costs of terms that differ in constants |
 """

@@ -1,4 +1,4 @@
-"""Condensing: nodes and multipliers of continuity are eliminated from the Gauss-Newton system of a record.
+"""Condensing: nodes and multipliers of continuity are eliminated from the Gauss-Newton system of records.
 
 The Karush-Kuhn-Tucker system of a chain of segments is banded: each segment is coupled to the next
 by its end state alone. Solved for several right-hand sides at once (the residuals, and one for each
@@ -11,17 +11,175 @@ Estimation, 2nd ed., chapter 4.
 """
 
 import threading
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.part import Condensed, Trajectory
+from greybox.compiled.residual_covariance import followed_by_covariance, reduced_hessian
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Segments from which a chain is long: of fewer, a solver takes less than 50 MB.
 LONG_CHAIN = 10_000
+
+# Share of the Hessian of a known covariance that an estimated one leaves, at least.
+LEAST_CURVATURE = 0.05
+
+
+def condense(
+    b: Linearization,
+    trajectory: Trajectory,
+    variance: Array,
+    damping: float,
+    data: SampledData,
+    segments: Segments,
+) -> Condensed:
+    """Return the quadratic model in the solver's variables, with the nodes of all records eliminated.
+
+    Continuity is exact where its `variance` (n,) is zero. `damping` holds the free nodes, relative to
+    their curvature (Levenberg-Marquardt).
+    """
+    node_damping = np.zeros_like(trajectory.gaps)
+    damped = b
+    if damping:
+        node_damping = damping * _node_curvature(b, variance, data)
+        added = node_damping[:, :, None] * np.eye(segments.n)
+        damped = replace(b, node_hessian=b.node_hessian + added)
+
+    # The right-hand sides: what the residuals ask for, and how that follows the parameters.
+    stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
+    continuity = -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2)
+    x, multiplier = solve_in_outputs(damped, data.coupled, stationarity, continuity, variance)
+
+    linked = np.where(data.coupled[:, None, None], b.parameter_sensitivity, 0.0)
+    hessian, gradient = b.parameter_hessian.copy(), b.parameter_gradient.copy()
+    for record, rows in enumerate(segments.record_rows):
+        change = np.tensordot(b.cross_hessian[rows], x[rows], ((0, 1), (0, 1)))
+        change += np.tensordot(linked[rows], multiplier[rows], ((0, 1), (0, 1)))
+        hessian[record] += change[:, 1:]
+        gradient[record] += change[:, 0]
+
+    slope = trajectory.detail.placed.slope
+    q = slope.shape[-2]
+    decrease = _predicted_decrease(
+        b, x[:, :, 0], multiplier[:, :, 0], trajectory, variance, q, segments
+    )
+    if gradient.shape[1] > q:
+        reduced = _without_covariance(hessian, gradient, x, multiplier, q, segments)
+        hessian, gradient, x, multiplier = reduced
+    hessian = (hessian + hessian.transpose(0, 2, 1)) / 2
+    slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
+    by_z = slopes.reshape(-1, slope.shape[-1])
+    return Condensed(
+        hessian=by_z.T @ (hessian @ slopes).reshape(by_z.shape),
+        gradient=by_z.T @ gradient.ravel(),
+        node_step=x[:, :, 0],
+        node_sensitivity=_by_variables(x[:, :, 1:], slopes, segments),
+        multiplier=multiplier[:, :, 0],
+        multiplier_sensitivity=_by_variables(multiplier[:, :, 1:], slopes, segments),
+        damping=node_damping,
+        decrease=decrease,
+    )
+
+
+def close_gaps(b: Linearization, trajectory: Trajectory, coupled: BoolArray) -> Array:
+    """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
+    columns = 1 + b.cross_hessian.shape[2]  # as in `condense`, whose solver is then used again
+    stationarity = np.zeros((*trajectory.gaps.shape, columns))
+    continuity = np.zeros_like(stationarity)
+    continuity[:, :, 0] = -trajectory.gaps
+    exact = np.zeros(trajectory.gaps.shape[1])
+    x, _ = solve_in_outputs(b, coupled, stationarity, continuity, exact)
+    return trajectory.nodes + x[:, :, 0]
+
+
+def solve_in_outputs(
+    b: Linearization,
+    coupled: BoolArray,
+    stationarity: Array,
+    continuity: Array,
+    variance: Array,
+) -> tuple[Array, Array]:
+    """Solve for nodes and multipliers in units in which the curvature is one, so that both are of one size."""
+    curvature = np.mean(b.node_hessian.diagonal(axis1=1, axis2=2), axis=0)
+    # Smaller curvatures are what rounding makes of zero.
+    visible = curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300
+    unit = 1 / np.sqrt(np.where(visible, curvature, 1.0))
+    column = unit[:, None]
+    x, multiplier = solve_continuity(
+        # The ridge holds states that no output shows.
+        b.node_hessian * unit * column + 1e-10 * np.eye(len(unit)),
+        b.transition * unit / column,
+        coupled,
+        stationarity * column,
+        continuity / column,
+        variance / unit**2,
+    )
+    return x * column, multiplier / column
+
+
+def _by_variables(by_active: Array, slopes: Array, segments: Segments) -> Array:
+    """Return derivatives by z, for those by the active parameters of every record."""
+    pairs = zip(segments.record_rows, slopes, strict=True)
+    return np.concatenate([by_active[rows] @ slope for rows, slope in pairs])
+
+
+def _without_covariance(
+    hessian: Array, gradient: Array, x: Array, multiplier: Array, q: int, segments: Segments
+) -> tuple[Array, Array, Array, Array]:
+    """Eliminate the variables of the estimated covariance of every record, those after the first q."""
+    hessians, gradients = np.empty((len(hessian), q, q)), np.empty((len(gradient), q))
+    nodes, multipliers = x[:, :, : 1 + q].copy(), multiplier[:, :, : 1 + q].copy()
+    for record, rows in enumerate(segments.record_rows):
+        H, g = hessian[record], gradient[record]
+        right = np.concatenate([g[q:, None], H[q:, :q]], axis=1)
+        follows = followed_by_covariance(H[q:, q:], right, LEAST_CURVATURE)
+        gradients[record] = g[:q] + H[:q, q:] @ follows[:, 0]
+        taken = -H[:q, q:] @ follows[:, 1:]
+        hessians[record] = reduced_hessian(H[:q, :q], taken, LEAST_CURVATURE)
+        nodes[rows] += x[rows, :, 1 + q :] @ follows
+        multipliers[rows] += multiplier[rows, :, 1 + q :] @ follows
+    return hessians, gradients, nodes, multipliers
+
+
+def _predicted_decrease(
+    b: Linearization,
+    step: Array,
+    multiplier: Array,
+    trajectory: Trajectory,
+    variance: Array,
+    q: int,
+    segments: Segments,
+) -> float:
+    """Return the decrease of the merit that the quadratic model predicts for the step of the nodes alone."""
+    curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
+    by_covariance = segments.by_record((b.cross_hessian[:, :, q:] * step[:, :, None]).sum(axis=1))
+    curved -= float((by_covariance**2).sum())
+    change = float((b.node_gradient * step).sum()) + 0.5 * curved
+    if np.all(variance > 0):
+        gaps_after = variance * multiplier
+        change += 0.5 * float(((gaps_after**2 - trajectory.gaps**2) / variance).sum())
+    return max(-change, 0.0)
+
+
+def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Array:
+    """Return the second derivatives of outputs and continuity penalty by every free node state, (s, n).
+
+    Where continuity is exact the first nodes of every stretch are free.
+    """
+    curvature = b.node_hessian.diagonal(axis1=1, axis2=2)
+    if not np.all(variance > 0):
+        return np.where(data.begins_stretch[:, None], curvature, 0.0)
+    coupled = data.coupled[:, None]
+    penalty = np.where(coupled, (b.transition**2 / variance[:, None]).sum(axis=1), 0.0)
+    penalty[1:] += np.where(coupled[:-1], 1 / variance, 0.0)
+    return curvature + penalty
 
 
 def solve_continuity(
@@ -65,8 +223,8 @@ def solve_continuity(
     hessian = hessian * size * size[:, None]
 
     link = np.where(coupled, -1.0, 0.0)
-    # Column by column: of x_k the row of λ before, H and A; of λ_k the rows of A, itself, and x
-    # after.
+    # Column by column: of x_k the row of the previous λ, H and A; of λ_k the rows of A, itself, and
+    # the next x.
     states = np.zeros((s, n, 2 * n + 1))
     states[1:, :, 0] = link[:-1, None]
     states[:, :, 1 : n + 1] = hessian.transpose(0, 2, 1)
@@ -95,14 +253,13 @@ def _state_sizes(hessian: Array, transition: Array) -> Array:
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
         curvature = np.where(curvature > 0, curvature, passed_on @ curvature)
-    usable = (curvature > 1e-200) & (
-        curvature < 1e200
-    )  # their square roots and products stay within double range
+    # Square roots and products of these stay within double range.
+    usable = (curvature > 1e-200) & (curvature < 1e200)
     return 1 / np.sqrt(np.where(usable, curvature, 1.0))
 
 
 class _Solver:
-    """Sparse QR for one pattern. `inside` tells which entries of the uniform blocks lie in the matrix."""
+    """Sparse QR for one pattern; `inside` are the entries of the uniform blocks that lie in the matrix."""
 
     @one_thread_at_a_time
     def __init__(self, s: int, n: int, r: int) -> None:
@@ -140,7 +297,7 @@ class _Solver:
 
 
 class _Solvers(threading.local):
-    """The solvers of one thread: what one works in, two threads must not share."""
+    """The solvers of one thread: two threads must not share a solver's memory."""
 
     def __init__(self) -> None:
         self.of = lru_cache(maxsize=8)(_Solver)
@@ -150,6 +307,6 @@ _solvers = _Solvers()
 
 
 def forget_long_chain(segments: int) -> None:
-    """Free what solving a long chain needs: of 60 000 segments 0.3 GB, more than all else that is known of a record."""
+    """Free the memory of the solver of a long chain: 0.3 GB for 60 000 segments, the most of a record."""
     if segments > LONG_CHAIN:
         _solvers.of.cache_clear()

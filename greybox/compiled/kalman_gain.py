@@ -14,8 +14,9 @@ from typing import cast
 import numpy as np
 
 from greybox.compiled.part import Part, Trajectory
-from greybox.compiled.record_part import Placed, RecordPart
+from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
+from greybox.compiled.segmented_part import Placed
 from greybox.files.arrays import Array, IntArray
 
 # Excerpts, evenly over a record, on which candidates of a gain are compared, and their samples.

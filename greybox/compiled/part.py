@@ -212,8 +212,8 @@ class Information:
         Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
-    told : function of directions (p, q)
-        What each point of the data tells of these directions of the free parameters, for
+    by_point : function of directions (p, q)
+        The information of each point of the data on these directions of the free parameters, for
         independent errors: its share (q, m) of their squared lengths by the bread. The m points are
         frequencies, of a manoeuvre those of one output after the other, or outputs one after the
         other, each over `TIME_BINS` equal parts of the record.
@@ -232,7 +232,7 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
-    told: Callable[[Array], Array] | None = None
+    by_point: Callable[[Array], Array] | None = None
     output_errors: Callable[[Array, ColoredErrors | None], Array] | None = None
 
 
@@ -291,18 +291,19 @@ class Part(ABC):
         True when the cost has kinks, which a solver rounds off while it is at work.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        """Keep the problem, and the facts that outlive it."""
-        self.problem = problem
-        self.name = problem.name
-        self.weight = float(problem.weight)
-        self.is_likelihood = problem.criterion.is_likelihood
-        self.is_smoothed = problem.criterion.smoothed
-
-    def take_after(self, other: "Part") -> None:
-        """Take the problem of another part and the facts, which it alone has where the problem was left behind."""
-        facts = ("problem", "name", "weight", "is_likelihood", "is_smoothed")
-        vars(self).update({name: value for name, value in vars(other).items() if name in facts})
+    def __init__(self, source: "Problem | Part") -> None:
+        """Keep the problem and the facts that outlive it, or those of another part."""
+        if isinstance(source, Part):
+            facts = ("problem", "name", "weight", "is_likelihood", "is_smoothed")
+            vars(self).update(
+                (name, value) for name, value in vars(source).items() if name in facts
+            )
+            return
+        self.problem = source
+        self.name = source.name
+        self.weight = float(source.weight)
+        self.is_likelihood = source.criterion.is_likelihood
+        self.is_smoothed = source.criterion.smoothed
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the problem behind."""

@@ -8,25 +8,24 @@ of greybox sees parts, one for every problem; `Groups` is between the two.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import Part, Trajectory
-from greybox.compiled.record_part import Along, Placed, RecordPart
+from greybox.compiled.part import Information, Part, Program, Trajectory
+from greybox.compiled.record_part import RecordPart
 from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.sampled_data import joined
+from greybox.compiled.segmented_part import Along, Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import one_thread_at_a_time
 
-# Simulated samples of every output by which runs are told apart, over all records.
-SIGNATURE = 500
 
-
-class RecordGroup(RecordPart):
+class RecordGroup(SegmentedPart):
     """Several records with one compiled sample, segments of one length and one weight, as one part.
 
     Its trajectories have the nodes of all records, one after the other, and the products of the
@@ -34,13 +33,11 @@ class RecordGroup(RecordPart):
     """
 
     def __init__(self, parts: Sequence[RecordPart]) -> None:
-        """Join the data; parameters whose expressions differ between the records are their own."""
+        """Join the data; records have parameters of their own where their expressions differ."""
         self.parts = tuple(parts)
         first = self.parts[0]
-        expressions = [part.model.expressions for part in self.parts]
-        own = tuple(
-            k for k, each in enumerate(zip(*expressions, strict=True)) if len(set(each)) > 1
-        )
+        expressions = zip(*(part.model.expressions for part in self.parts), strict=True)
+        own = tuple(k for k, of_records in enumerate(expressions) if len(set(of_records)) > 1)
         counts = [part.data.segments for part in self.parts]
         data = joined([part.data for part in self.parts])
         segments = Segments(
@@ -51,15 +48,16 @@ class RecordGroup(RecordPart):
             records=np.repeat(np.arange(len(counts)), counts),
             own=own,
         )
-        each = [part.covariance for part in self.parts]
+        covariances = [part.covariance for part in self.parts]
+        has_known = covariances[0].known is not None
         covariance = ResidualCovariance(
-            np.array([one.counts for one in each]),
-            np.array([one.spread for one in each]),
-            None if each[0].known is None else np.array([one.known for one in each]),
-            each[0].full,
+            np.array([c.counts for c in covariances]),
+            np.array([c.spread for c in covariances]),
+            np.array([c.known for c in covariances]) if has_known else None,
+            covariances[0].full,
         )
-        given: dict[str, Any] = {"step": first.step, "segments": segments, "covariance": covariance}
-        super().__init__(first.model, data, first.substeps, **given, like=first)
+        model, substeps = first.model, first.substeps
+        super().__init__(first, model, data, substeps, first.step, segments, covariance)
 
     def excerpt(self, samples: int) -> "RecordGroup":
         """Return the group on excerpts of about so many samples in all."""
@@ -69,14 +67,16 @@ class RecordGroup(RecordPart):
         """Return the group with `factor` times the steps per sample."""
         return RecordGroup([part.refined(factor) for part in self.parts])
 
+    # --- between the group and its records
+
     def split(self, trajectory: Trajectory) -> list[Trajectory]:
         """Return the trajectories of the records."""
         along: Along = trajectory.detail
         placed = along.placed
         has_own = placed.slope.ndim == 3
         result = []
-        for k, rows in enumerate(self._rows_of_records):
-            own = Placed(
+        for k, rows in enumerate(self.segments.record_rows):
+            of_record = Placed(
                 q=placed.q[:, rows.start] if has_own else placed.q,
                 slope=placed.slope[k] if has_own else placed.slope,
                 data=self._columns_of(placed.data, rows),
@@ -84,50 +84,45 @@ class RecordGroup(RecordPart):
                 initial_slope=placed.initial_slope[k] if has_own else placed.initial_slope,
             )
             result.append(
-                Trajectory(
-                    trajectory.z,
-                    trajectory.nodes[rows],
-                    trajectory.ends[rows],
-                    trajectory.gaps[rows],
-                    trajectory.products[k],
-                    simulated=trajectory.simulated,
-                    detail=Along(own, self._columns_of(along.states, rows)),
+                replace(
+                    trajectory,
+                    nodes=trajectory.nodes[rows],
+                    ends=trajectory.ends[rows],
+                    gaps=trajectory.gaps[rows],
+                    products=trajectory.products[k],
+                    detail=Along(of_record, self._columns_of(along.states, rows)),
                 )
             )
         return result
 
     def _columns_of(self, values: Array, segments: slice) -> Array:
         """Return the columns (r, c) of some segments."""
-        of_all = values.reshape(len(values), self.data.segment_length, self.data.segments)
-        chosen = of_all[:, :, segments]
-        return chosen.reshape(
-            len(values), math.prod(chosen.shape[1:])
-        )  # a static model has no rows
+        by_segment = values.reshape(len(values), self.data.segment_length, self.data.segments)
+        chosen = by_segment[:, :, segments]
+        # A static model has no rows, from which reshape could not infer the columns.
+        return chosen.reshape(len(values), math.prod(chosen.shape[1:]))
 
     def by_part(self, nodes: Array) -> list[Array]:
         """Return the nodes of the records."""
-        return [nodes[rows] for rows in self._rows_of_records]
+        return [nodes[rows] for rows in self.segments.record_rows]
 
-    # --- what differs between the records
+    # --- placement
 
     @cached_property
     @one_thread_at_a_time
     def _located(self) -> tuple[ca.Function, IntArray]:
-        """What `RecordPart.place` asks for of every distinct record, as one function of z; and of each its place."""
+        """The placement of all distinct records as one function of z, and which of them each record is."""
         distinct = {id(part.model.locate): part.model for part in self.parts}
-        places = {key: k for k, key in enumerate(distinct)}
+        numbers = {key: k for k, key in enumerate(distinct)}
         z = ca.SX.sym("z", self.model.locate.numel_in(0))
         results: list[list[Any]] = []
         for model in distinct.values():
             q, slope, delay = model.locate(z)
-            initial, initial_slope = model.initial(q)
-            results.append([q, slope, delay, initial, initial_slope])
+            results.append([q, slope, delay, *model.initial(q)])
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
-        stacked = [
-            ca.densify(side(*each))
-            for side, each in zip(sides, zip(*results, strict=True), strict=True)
-        ]
-        which = np.array([places[id(part.model.locate)] for part in self.parts])
+        pairs = zip(sides, zip(*results, strict=True), strict=True)
+        stacked = [ca.densify(side(*values)) for side, values in pairs]
+        which = np.array([numbers[id(part.model.locate)] for part in self.parts])
         return ca.Function("located", [z], stacked), which
 
     def place(self, z: Array) -> Placed:
@@ -136,48 +131,52 @@ class RecordGroup(RecordPart):
         q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
         n, active = self.states, len(self.model.active)
         if not which.any():
-            return Placed(
-                q.ravel(), slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope
-            )
+            data = self.data_at(delay.ravel())
+            return Placed(q.ravel(), slope, data, initial.ravel(), initial_slope)
         count = int(which.max()) + 1
         stretches = np.repeat(which, [len(part.data.stretches) for part in self.parts])
         return Placed(
             q=q[:, which[self.segments.records]],
             slope=slope.reshape(count, active, len(z))[which],
-            data=self._data_at(delay[:, stretches]),
+            data=self.data_at(delay[:, stretches]),
             initial=initial.T.reshape(count, n)[which],
             initial_slope=initial_slope.reshape(count, n, active)[which],
         )
 
-    def initial_trajectory(self, z: Array) -> Trajectory:
-        """Return the trajectory at z (p,) with nodes from the data of each record."""
-        placed = self.place(z)
-        firsts = [rows.start for rows in self._rows_of_records]
+    def initial_nodes(self, placed: Placed) -> Array:
+        """Return nodes (s, n) from the data of each record."""
         nodes = []
-        for k, (part, first) in enumerate(zip(self.parts, firsts, strict=True)):
-            q = placed.q if placed.q.ndim == 1 else placed.q[:, first]
+        for k, (part, rows) in enumerate(zip(self.parts, self.segments.record_rows, strict=True)):
+            q = placed.q if placed.q.ndim == 1 else placed.q[:, rows.start]
             known = placed.initial if placed.initial.ndim == 1 else placed.initial[k]
             nodes.append(part.nodes_from_data(q, known))
-        return self._trajectory(z, np.concatenate(nodes), placed)
+        return np.concatenate(nodes)
 
-    def _products(self, of_records: Array) -> Array:
-        return of_records
+    # --- judging a trajectory
 
     def explains_data(self, trajectory: Trajectory) -> bool:
         """Tell whether the residuals of every record are white."""
-        each = zip(self.parts, self.split(trajectory), strict=True)
-        return all(part.explains_data(own) for part, own in each)
+        pairs = zip(self.parts, self.split(trajectory), strict=True)
+        return all(part.explains_data(of_record) for part, of_record in pairs)
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return up to some 500 simulated samples of every output, in units of the spread in their records."""
-        outputs = self.segments.by_segment(self._outputs(trajectory))
+        along: Along = trajectory.detail
+        outputs = self.segments.outputs(along.states, along.placed.q, along.placed.data)
+        outputs = self.segments.by_segment(outputs)
         scaled = outputs / self.covariance.spread[self.segments.records, None]
         samples = scaled.reshape(-1, len(self.outputs))
-        return samples[:: max(len(samples) // SIGNATURE, 1)].T.ravel()
+        return samples[:: max(len(samples) // 500, 1)].T.ravel()
 
-    def _outputs(self, trajectory: Trajectory) -> Array:
-        along: Along = trajectory.detail
-        return self.segments.outputs(along.states, along.placed.q, along.placed.data)
+    # --- asked of the records one by one
+
+    def program(self, z: ca.MX) -> Program:
+        """Refuse: every record is transcribed by itself."""
+        raise NotImplementedError
+
+    def information(self, *args: Any) -> Information:
+        """Refuse: every record has information of its own."""
+        raise NotImplementedError
 
 
 class Groups:

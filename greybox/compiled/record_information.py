@@ -1,107 +1,164 @@
-"""What a record says of the parameters where its residuals are correlated in time.
-
-J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states
-fitted along; e are the residuals. For errors with the spectrum of the residuals, Jᵀe has the
-covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals count as fewer independent
-numbers: as many as make the parameters take from white ones what they take from these.
-"""
+"""The information of a record on all values of a problem, for the covariance of the estimate."""
 
 import math
-from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.compiled.part import ColoredErrors
+from greybox.compiled.colored_errors import colored_errors, independent_numbers
+from greybox.compiled.part import TIME_BINS, ColoredErrors, Information, Trajectory
+from greybox.compiled.record_sensitivity import Sensitivity, sensitivity
+from greybox.compiled.segmented_part import SegmentedPart
 from greybox.files.arrays import Array
-from greybox.statistics.residual_spectrum import colored_information, product_over_time
-
-# Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
-# finite variance.
-FEWEST = 4
-
-# Correlation times in the longest stretch below which no spectrum is known well enough where it
-# matters. About ten are needed; the correlation time found in so short a record is too short by a
-# fifth in the mean.
-FEWEST_TIMES = 12.0
-
-# Correlation times per degree of freedom of an exponential correlation's spectrum at zero
-# frequency: the coefficient φ of n samples has the variance (1 - φ²)/n, so that the relative
-# variance of 1/(1 - φ)² is 8 times per n.
-TIMES_PER_DOF = 4.0
+from greybox.statistics.residual_spectrum import score_covariance
 
 
-def colored_errors(
-    weighted: Sequence[Array],
-    residuals: Sequence[Array],
-    inverse: Array,
-    weight: Array,
-    initial_states: int,
-    step: float,
-    *,
-    initial: Sequence[Array] | None = None,
-    shocks: Callable[[], Array] | None = None,
-) -> ColoredErrors:
-    """Return what the correlation of the residuals makes of an estimate.
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Which of all values (k,) are the columns of a Jacobian, and the scale of each.
 
-    Parameters
+    Attributes
     ----------
-    weighted : sequence of (k, p, n) arrays
-        WᵀW dy/dθ, one for every stretch, initial states fitted along.
-    residuals : sequence of (k, n) arrays
-    inverse : (p, p) array
-        The covariance of the estimate for white errors of covariance (WᵀW)⁻¹, other data included.
-    weight : (k, k) array
-        W.
-    initial_states : int
-        Fitted along.
-    step : float
-        From sample to sample, s.
-    initial : sequence of (k, m, n) arrays, optional
-        WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
-    shocks : function, optional
-        Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
+    places : tuple of int
+    scale : (columns,) array
+        Derivatives of the solver's variables by the values.
+    size : int
+        Number of all values.
     """
+
+    places: tuple[int, ...]
+    scale: Array
+    size: int
+
+    def derivatives(self, by_columns: Array) -> Array:
+        """Return derivatives (..., k) by all values, for those (..., columns) by the columns."""
+        result = np.zeros((*by_columns.shape[:-1], self.size))
+        result[..., self.places] = by_columns * self.scale
+        return result
+
+    def directions(self, free: Array) -> Array:
+        """Return directions (columns, r) for those (p, r) of the free values, the first ones."""
+        padding = len(self.places) - len(free)
+        return np.pad(free, ((0, padding), (0, 0))) * self.scale[:, None]
+
+    def covariance(self, of_values: Array) -> Array:
+        """Return the covariance of the columns for that of all values (k, k)."""
+        places = np.ix_(self.places, self.places)
+        return of_values[places] * self.scale * self.scale[:, None]
+
+
+def record_information(
+    part: SegmentedPart, trajectory: Trajectory, columns: Columns
+) -> Information:
+    """Return the information of a record on all values, the initial states fitted along.
+
+    For errors with the autocorrelation of the residuals, or white ones where the criterion takes
+    them so.
+    """
+    model, data = part.model, part.data
+    weight = part.residual_weight(trajectory)
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
-    found = colored_information(weighted, residuals, inverse, noise, initial, shocks)
-    numbers = sum(int(np.count_nonzero(e)) for e in residuals)
+    slopes = sensitivity(part, trajectory, weight)
+    weighted, score = slopes.weighted, slopes.white
+    if part.covariance.known is not None and not model.is_prior:
+        # The residuals show whether the given noise is right.
+        variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
+        pairs = zip(variance, weighted, strict=True)
+        score = sum((v * J @ J.T for v, J in pairs), np.zeros_like(score))
+    initial = part.unknown_initial_states
+    independent = independent_numbers(part.numbers, initial, len(score), 1.0)
+    meat = score * independent / (independent - initial)
+    meat = columns.derivatives(columns.derivatives(meat).T)
 
-    # What the parameters take from these residuals and would take from white ones of the same
-    # variance.
-    bread = sum(product_over_time(J, noise) for J in weighted)
-    paid = float(np.sum(inverse * bread))
-    squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
-    factor = max(found.taken / max(paid * squares, 1e-300), 1.0)
+    def spread(correction: float) -> tuple[float, Array]:
+        return 1.0, meat * (1.0 if model.is_prior else correction**2)
 
-    independent = independent_numbers(numbers, initial_states, paid, factor)
-    larger = independent / (independent - initial_states)
-    left = max(independent - initial_states - paid, 0.5)
-    if not found.corrected:
-        larger *= (left + paid) / left
-    dof = 1 / (1 / left + found.uncertainty / 2)
-    longest = max(e.shape[1] for e in residuals)
-    slowest = float(found.correlation_times.max())
-    times = longest / slowest if slowest > 0 else math.inf
-    if times < FEWEST_TIMES:
-        dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
-    return ColoredErrors(
-        meat=larger * found.meat,
-        dof=dof,
-        correlation_times=found.correlation_times * step,
-        duration=longest * step,
-        is_long_enough=times >= FEWEST_TIMES,
-        hidden=found.hidden,
-        spectrum=None if found.spectrum is None else found.spectrum.enlarged(larger),
+    def colored(root: Array) -> ColoredErrors:
+        directions = columns.directions(root)
+        return colored_errors(
+            [directions.T @ J for J in data.unpadded(weighted)],
+            data.unpadded(part.residuals(trajectory)),
+            np.eye(root.shape[1]),
+            weight,
+            initial,
+            max(data.stretches, key=len).step,
+            initial=data.unpadded(slopes.by_initial),
+            shocks=slopes.shocks,
+        )
+
+    def by_point(directions: Array) -> Array:
+        return _information_by_time(part, weighted, noise, columns.directions(directions))
+
+    def output_errors(covariance: Array, errors: ColoredErrors | None) -> Array:
+        return _output_errors(part, slopes, noise, columns.covariance(covariance), errors)
+
+    in_order = model.has_time and not model.errors_are_white
+    return Information(
+        part,
+        columns.derivatives(slopes.triangle),
+        part.numbers - initial,
+        spread,
+        relative_noise=math.nan,
+        reach=np.abs(columns.derivatives(slopes.reach)),
+        initial={name: columns.derivatives(rows) for name, rows in slopes.initial.items()},
+        colored=colored if in_order else None,
+        by_point=by_point,
+        output_errors=output_errors,
     )
 
 
-def independent_numbers(
-    measured: int, initial_states: int, parameters: float, factor: float
-) -> float:
-    """Return as how many independent numbers the measured ones count.
+def _information_by_time(
+    part: SegmentedPart, weighted: Array, noise: Array, directions: Array
+) -> Array:
+    """Return the information of every output in every part of the record on directions (columns, q)."""
+    information = np.zeros((directions.shape[1], len(part.outputs), TIME_BINS))
+    rows = len(part.model.record)
+    for stretch, J in zip(part.data.stretches, part.data.unpadded(weighted), strict=True):
+        place = np.arange(rows)[stretch.rows] * TIME_BINS // rows
+        begins = np.flatnonzero(np.diff(place, prepend=-1))
+        # One by one: all directions at once would fill the memory.
+        for total, direction in zip(information, directions.T, strict=True):
+            along = np.tensordot(J, direction, (1, 0))
+            total[:, place[begins]] += np.add.reduceat(along * (noise @ along), begins, axis=-1)
+    return information.reshape(len(information), -1)
 
-    `parameters` is not rounded to a whole number: rounding errors would then decide which one.
-    `factor` is how many times more of the residuals the parameters take than they would of white
-    ones.
+
+def _output_errors(
+    part: SegmentedPart,
+    slopes: Sensitivity,
+    noise: Array,
+    covariance: Array,
+    errors: ColoredErrors | None,
+) -> Array:
+    """Return the standard errors (k, rows) of the outputs at this covariance of the columns.
+
+    `errors` are those of the record where their correlation in time counts.
     """
-    most = measured / (initial_states + parameters + FEWEST)
-    return max(measured / min(factor, max(most, 1.0)), initial_states + 0.5)
+    data = part.data
+    variance = _variances(slopes.weighted, noise, covariance)
+    m = slopes.by_initial.shape[1]
+    if m:
+        meat = np.eye(m)
+        if errors is not None:
+            # Of directions of unit variance, the mean over the stretches that have them: known
+            # states have none.
+            pieces = data.unpadded(slopes.by_initial)
+            count = sum(piece.any(axis=(0, 2)).astype(int) for piece in pieces)
+            scale = 1 / np.sqrt(np.maximum(count, 1))
+            meat = score_covariance(pieces, errors.spectrum) * scale * scale[:, None]
+        variance += _variances(slopes.by_initial, noise, meat)
+
+    result = np.full((len(part.outputs), len(part.model.record)), np.nan)
+    values = data.unpadded(np.sqrt(np.maximum(variance, 0)))
+    for stretch, error in zip(data.stretches, values, strict=True):
+        result[:, stretch.rows] = np.where(np.isfinite(stretch.outputs), error, np.nan)
+    return result
+
+
+def _variances(weighted: Array, noise: Array, covariance: Array) -> Array:
+    """Return the variances (k, samples) of the outputs by a covariance (p, p), for WᵀJ (k, p, samples)."""
+    variances = np.empty((len(noise), weighted.shape[2]))
+    for variance, row in zip(variances, noise, strict=True):
+        J = np.tensordot(row, weighted, 1)
+        variance[:] = np.einsum("pt,pt->t", covariance @ J, J)
+    return variances

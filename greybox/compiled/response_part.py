@@ -203,7 +203,7 @@ class ResponsePart(PartWithoutNodes):
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
 
-        def told(directions: Array) -> Array:
+        def by_point(directions: Array) -> Array:
             along = jacobian[:, : len(directions)] @ directions
             return bread * (along**2).reshape(2, -1, directions.shape[1]).sum(axis=0).T
 
@@ -217,7 +217,7 @@ class ResponsePart(PartWithoutNodes):
             reach,
             correlated=correlated,
             offset=offset,
-            told=told,
+            by_point=by_point,
         )
 
     def neighbors(

@@ -162,6 +162,12 @@ class SampledData:
             [s.step for s in self.stretches], [c * self.segment_length for c in self.segment_counts]
         )[None]
 
+    @property
+    def measured_rows(self) -> Array:
+        """Measured outputs, zero where missing; one where they are present; and the step of every sample."""
+        measured = self.measured
+        return np.vstack([np.nan_to_num(measured), np.isfinite(measured), self.steps])
+
     def by_stretch(self, delays: Array) -> Array:
         """Return the delays (stretches, m) of every stretch, where (m,) are those of all."""
         return np.broadcast_to(delays.T, (len(self.stretches), len(delays)))

@@ -8,6 +8,7 @@ sample by sample.
 Columns run over segments, sample by sample: column i · s + j is sample i of segment j.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -191,6 +192,12 @@ class Segments:
             return columns(states, q, data)
         own = np.tile(q[list(self._own)], data.shape[1] // q.shape[1])
         return columns(states, q[self._common, 0], own, data)
+
+    @cached_property
+    def record_rows(self) -> list[slice]:
+        """The segments of every record."""
+        ends = np.cumsum(np.bincount(self.records, minlength=self.number)).tolist()
+        return [slice(first, end) for first, end in itertools.pairwise([0, *ends])]
 
     # --- the order of samples
 

@@ -240,11 +240,11 @@ def assess(
     )
 
 
-def told_by(nlp: CompiledProblem, accuracy: Accuracy) -> list[tuple[Array, Array]]:
+def information_by_point(nlp: CompiledProblem, accuracy: Accuracy) -> list[tuple[Array, Array]]:
     """Return for every part which share (p, m) each point of its data has in what all data tell of each parameter.
 
     Of each free parameter with the others estimated along, and with the others known; see
-    `Information.told` for the points. For independent errors. NaN for what has no standard error,
+    `Information.by_point` for the points. For independent errors. NaN for what has no standard error,
     or ended at a bound.
     """
     p = len(nlp.free)
@@ -257,9 +257,9 @@ def told_by(nlp: CompiledProblem, accuracy: Accuracy) -> list[tuple[Array, Array
     size = np.sqrt(np.maximum(np.diag(accuracy.white), 1e-300))
     found = []
     for part in accuracy.informations:
-        assert part.told is not None
+        assert part.by_point is not None
         found.append(
-            [part.part.weight * part.told(each) for each in (accuracy.white / size, np.eye(p))]
+            [part.part.weight * part.by_point(each) for each in (accuracy.white / size, np.eye(p))]
         )
     totals = [np.maximum(sum(each[k].sum(axis=1) for each in found), 1e-300) for k in (0, 1)]
     along, alone = (

@@ -18,7 +18,13 @@ from tqdm import tqdm
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of, told_by
+from greybox.estimate.covariance import (
+    Accuracy,
+    assess,
+    information_by_point,
+    known_directions,
+    known_of,
+)
 from greybox.estimate.diagnostics.general import notes, warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
 from greybox.estimate.diagnostics.not_finite import explained
@@ -458,7 +464,7 @@ def _with_errors(
     if accuracy.white is None:
         yield from parts
         return
-    shares = told_by(nlp, accuracy)
+    shares = information_by_point(nlp, accuracy)
     for part, (along, alone), information, colored in zip(
         parts, shares, accuracy.informations, accuracy.correlation, strict=True
     ):

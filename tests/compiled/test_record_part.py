@@ -13,6 +13,7 @@ from spring_lag_tilt import HELD, SPRING, Spring, spring
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.record_sensitivity import sensitivity
 from greybox.statistics.error_spectrum import ErrorSpectrum
 
 
@@ -338,7 +339,7 @@ def test_process_noise_reaches_the_outputs_as_jumps_of_the_states_do():
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
     part, z = part_of(record)
     trajectory = part.trajectory(z, part.initial_trajectory(z).nodes)
-    shocks = part._jacobian(trajectory, part.initial_weight(0.1)).shocks()
+    shocks = sensitivity(part, trajectory, part.initial_weight(0.1)).shocks()
     A = np.array([[0.0, 1.0], [-SPRING["k"], -SPRING["c"]]])
     wanted = np.stack([expm(A * t) for t in record.time - record.time[0]], axis=2)
     assert_allclose(-shocks, wanted, atol=0.02)  # residuals are measured less modeled outputs
@@ -349,7 +350,7 @@ def test_process_noise_of_an_unstable_model_has_no_spectrum():
     unstable = z.copy()
     unstable[list(SPRING).index("c")] *= -3
     trajectory = part.trajectory(unstable, part.initial_trajectory(unstable).nodes)
-    assert part._jacobian(trajectory, part.initial_weight(0.1)).shocks().shape[1] == 0
+    assert sensitivity(part, trajectory, part.initial_weight(0.1)).shocks().shape[1] == 0
 
 
 STATED = {"x": 0.05, "v": 0.11}
@@ -467,7 +468,7 @@ def test_what_is_told_stands_in_its_part_of_the_record(informed):
     """In bins of equal length, for each output; of a full covariance for all of them together."""
     part, J = informed.part, informed.J
     directions = np.random.default_rng(3).normal(size=(J.shape[1], 2))
-    told = informed.found.told(directions).reshape(2, 2, -1)
+    told = informed.found.by_point(directions).reshape(2, 2, -1)
     along = np.stack([np.hstack(part.data.unpadded(v.reshape(2, -1))) for v in (J @ directions).T])
     bins = np.zeros_like(told)
     for sample, row in enumerate(np.concatenate([stretch.rows for stretch in part.data.stretches])):

@@ -148,7 +148,7 @@ def test_what_a_likelihood_says_contains_the_errors_that_points_have_in_common()
     assert found.relative_noise == pytest.approx(off.mean() * np.sqrt(2 / np.pi))
     directions = np.array([[1.0, 0.5], [-0.3, 2.0]])
     along = (J @ directions) ** 2
-    assert_allclose(found.told(directions), 2 * (along[:4] + along[4:]).T)
+    assert_allclose(found.by_point(directions), 2 * (along[:4] + along[4:]).T)
     assert not found.offset(1.0).any()
 
 

@@ -24,11 +24,11 @@ from greybox.estimate.covariance import (
     _undetermined,
     assess,
     degrees,
+    information_by_point,
     known_directions,
     known_of,
     propagate,
     steepness,
-    told_by,
 )
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
@@ -880,7 +880,7 @@ def test_what_each_row_tells_is_its_share_of_the_information():
     accuracy = assess(
         nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
     )
-    ((along, alone),) = told_by(nlp, accuracy)
+    ((along, alone),) = information_by_point(nlp, accuracy)
     columns = regressors @ np.linalg.inv(regressors.T @ regressors)
     count = along.shape[1]
     for found, squares in ((along, columns**2), (alone, regressors**2)):
@@ -888,10 +888,10 @@ def test_what_each_row_tells_is_its_share_of_the_information():
             squares / squares.sum(axis=0), np.linspace(0, 400, count + 1)[:-1].astype(int), axis=0
         )
         assert_allclose(found, wanted.T)
-    held = told_by(nlp, replace(accuracy, at_bound=("a",)))[0]
+    held = information_by_point(nlp, replace(accuracy, at_bound=("a",)))[0]
     assert np.isnan(held[0][0]).all()
     assert_allclose(held[0][1], along[1])
-    assert [each.shape for each in told_by(nlp, replace(accuracy, white=None))[0]] == [
+    assert [each.shape for each in information_by_point(nlp, replace(accuracy, white=None))[0]] == [
         (2, 0),
         (2, 0),
     ]

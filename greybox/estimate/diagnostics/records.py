@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.colored_errors import FEWEST_TIMES
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Trajectory
-from greybox.compiled.record_information import FEWEST_TIMES
 from greybox.compiled.record_part import RecordPart
 from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
-from greybox.compiled.record_information import colored_errors, independent_numbers
+from greybox.compiled.colored_errors import colored_errors, independent_numbers
 from greybox.statistics.residual_spectrum import colored_information
 
 

@@ -1,0 +1,107 @@
+"""Residuals that are correlated in time: how much less they say of the parameters than white ones.
+
+J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states
+fitted along; e are the residuals. For errors with the spectrum of the residuals, Jᵀe has the
+covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals count as fewer independent
+numbers: as many as make the parameters take from white ones what they take from these.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from greybox.compiled.part import ColoredErrors
+from greybox.files.arrays import Array
+from greybox.statistics.residual_spectrum import colored_information, product_over_time
+
+# Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
+# finite variance.
+FEWEST = 4
+
+# Correlation times in the longest stretch below which no spectrum is known well enough where it
+# matters. About ten are needed; the correlation time found in so short a record is too short by a
+# fifth in the mean.
+FEWEST_TIMES = 12.0
+
+# Correlation times per degree of freedom of an exponential correlation's spectrum at zero
+# frequency: the coefficient φ of n samples has the variance (1 - φ²)/n, so that the relative
+# variance of 1/(1 - φ)² is 8 times per n.
+TIMES_PER_DOF = 4.0
+
+
+def colored_errors(
+    weighted: Sequence[Array],
+    residuals: Sequence[Array],
+    inverse: Array,
+    weight: Array,
+    initial_states: int,
+    step: float,
+    *,
+    initial: Sequence[Array] | None = None,
+    shocks: Callable[[], Array] | None = None,
+) -> ColoredErrors:
+    """Return what the correlation of the residuals makes of an estimate.
+
+    Parameters
+    ----------
+    weighted : sequence of (k, p, n) arrays
+        WᵀW dy/dθ, one for every stretch, initial states fitted along.
+    residuals : sequence of (k, n) arrays
+    inverse : (p, p) array
+        The covariance of the estimate for white errors of covariance (WᵀW)⁻¹, other data included.
+    weight : (k, k) array
+        W.
+    initial_states : int
+        Fitted along.
+    step : float
+        From sample to sample, s.
+    initial : sequence of (k, m, n) arrays, optional
+        WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
+    shocks : function, optional
+        Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
+    """
+    noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
+    found = colored_information(weighted, residuals, inverse, noise, initial, shocks)
+    numbers = sum(int(np.count_nonzero(e)) for e in residuals)
+
+    # What the parameters take from these residuals and would take from white ones of the same
+    # variance.
+    bread = sum(product_over_time(J, noise) for J in weighted)
+    paid = float(np.sum(inverse * bread))
+    squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
+    factor = max(found.taken / max(paid * squares, 1e-300), 1.0)
+
+    independent = independent_numbers(numbers, initial_states, paid, factor)
+    larger = independent / (independent - initial_states)
+    left = max(independent - initial_states - paid, 0.5)
+    if not found.corrected:
+        larger *= (left + paid) / left
+    dof = 1 / (1 / left + found.uncertainty / 2)
+    longest = max(e.shape[1] for e in residuals)
+    slowest = float(found.correlation_times.max())
+    times = longest / slowest if slowest > 0 else math.inf
+    if times < FEWEST_TIMES:
+        dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
+    return ColoredErrors(
+        meat=larger * found.meat,
+        dof=dof,
+        correlation_times=found.correlation_times * step,
+        duration=longest * step,
+        is_long_enough=times >= FEWEST_TIMES,
+        hidden=found.hidden,
+        spectrum=None if found.spectrum is None else found.spectrum.enlarged(larger),
+    )
+
+
+def independent_numbers(
+    measured: int, initial_states: int, parameters: float, factor: float
+) -> float:
+    """Return as how many independent numbers the measured ones count.
+
+    `parameters` is not rounded to a whole number: rounding errors would then decide which one.
+    `factor` is how many times more of the residuals the parameters take than they would of white
+    ones.
+    """
+    most = measured / (initial_states + parameters + FEWEST)
+    return max(measured / min(factor, max(most, 1.0)), initial_states + 0.5)

@@ -1,0 +1,102 @@
+"""The linearization of records beyond that of their segments: an estimated noise covariance, known initial states."""
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+
+from greybox.compiled.residual_covariance import ResidualCovariance
+from greybox.compiled.riccati import SteadyFilter
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.segments import Linearization
+from greybox.files.arrays import Array, BoolArray, IntArray
+
+
+def with_estimated_covariance(
+    b: Linearization, covariance: ResidualCovariance, records: IntArray
+) -> Linearization:
+    """Return the linearization with the residual covariance following the parameters.
+
+    Variables t join the parameters, of cost t²/2 - t · uᵀx, which is -(uᵀx)²/2 at the best t: an
+    estimated covariance takes the squares of the vectors u from the Hessian. `records` (s,) are the
+    records of the segments.
+    """
+    assert b.moments is not None
+    by_nodes = covariance.of(records).curvature_of_covariance(b.moments[0])
+    by_parameters = covariance.curvature_of_covariance(b.moments[1])
+    r = by_parameters.shape[2]
+    identity = np.broadcast_to(np.eye(r), (len(by_parameters), r, r))
+    hessian = np.block(
+        [[b.parameter_hessian, -by_parameters], [-by_parameters.transpose(0, 2, 1), identity]]
+    )
+    return replace(
+        b,
+        parameter_sensitivity=np.pad(b.parameter_sensitivity, ((0, 0), (0, 0), (0, r))),
+        cross_hessian=np.concatenate([b.cross_hessian, -by_nodes], axis=2),
+        parameter_hessian=hessian,
+        parameter_gradient=np.pad(b.parameter_gradient, ((0, 0), (0, r))),
+    )
+
+
+def with_filter_covariance(
+    b: Linearization, steady: SteadyFilter, weight: Array, products: Array, count: int
+) -> Linearization:
+    """Return the linearization with what the covariance of a steady filter adds, over `count` samples."""
+    rows = filter_information(steady, weight, count, b.parameter_hessian.shape[1])
+    excess = (np.eye(len(weight)) - weight @ products @ weight.T / count).ravel()
+    return replace(
+        b,
+        parameter_hessian=b.parameter_hessian + rows.T @ rows,
+        parameter_gradient=b.parameter_gradient + math.sqrt(count / 2) * rows.T @ excess,
+    )
+
+
+def filter_information(steady: SteadyFilter, weight: Array, count: int, active: int) -> Array:
+    """Return J (k², active), where JᵀJ is the information of the prediction errors' covariance S.
+
+    The Fisher information on the parameters is n/2 tr(S⁻¹ dS S⁻¹ dS), beside that of the mean.
+    """
+    change = weight @ np.moveaxis(steady.covariance_slope, -1, 0) @ weight.T
+    rows = math.sqrt(count / 2) * change.reshape(len(change), -1).T
+    return np.pad(rows, ((0, 0), (0, active - len(change))))
+
+
+def without_known_states(
+    b: Linearization, known: BoolArray, initial_slope: Array, data: SampledData, records: IntArray
+) -> Linearization:
+    """Return the linearization with known initial states following the parameters.
+
+    x = x' + (dx/dq) dq, where x' does not move. `initial_slope` is dx/dq, (n, q) or one for every
+    record.
+    """
+    slopes = np.where(known[:, None], initial_slope, 0.0)
+    slopes = slopes.reshape(-1, *slopes.shape[-2:])
+    slopes = np.pad(slopes, ((0, 0), (0, 0), (0, b.cross_hessian.shape[2] - slopes.shape[2])))
+    arrays = {f.name: getattr(b, f.name).copy() for f in fields(b) if f.name != "moments"}
+    b = Linearization(**arrays)
+    for k in np.flatnonzero(data.begins_record):
+        record = records[k]
+        follow = slopes[record if len(slopes) > 1 else 0]
+        mixed = follow.T @ b.cross_hessian[k]
+        b.parameter_hessian[record] += mixed + mixed.T + follow.T @ b.node_hessian[k] @ follow
+        b.parameter_gradient[record] += follow.T @ b.node_gradient[k]
+        b.cross_hessian[k] += b.node_hessian[k] @ follow
+        b.parameter_sensitivity[k] += b.transition[k] @ follow
+
+        b.node_hessian[k, known, :] = 0
+        b.node_hessian[k, :, known] = 0
+        b.node_hessian[k, known, known] = 1
+        b.cross_hessian[k, known] = 0
+        b.node_gradient[k, known] = 0
+        b.transition[k, :, known] = 0
+    return b
+
+
+def continuity_variance(b: Linearization, spread: float, samples: int) -> Array:
+    """Return variances (n,) of the jumps of each state that change the outputs of a segment by `spread`.
+
+    `spread` is in units of the weighted residuals, `samples` the number of outputs of a segment.
+    """
+    curvature = np.nan_to_num(np.mean(b.node_hessian.diagonal(axis1=1, axis2=2), axis=0))
+    # A state that no output shows has no such scale: any will do.
+    return np.where(curvature > 1e-200, spread**2 * samples / np.maximum(curvature, 1e-200), 1.0)

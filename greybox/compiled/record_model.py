@@ -1,0 +1,306 @@
+"""A record with its model, compiled: all that depends neither on the cut into segments nor on the substeps."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.compiled.initial_states import InitialStates
+from greybox.compiled.sample_step import SampleStep, sample_step
+from greybox.compiled.strategies import Strategies
+from greybox.compiled.transcription.method import Transcription
+from greybox.data.intersample import Intersample
+from greybox.data.record import Record
+from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.formulation.input_assumptions import between_samples
+from greybox.formulation.problem import Problem
+from greybox.formulation.time_criteria import TimeCriterion
+from greybox.modeling.integrators import Integrator
+from greybox.modeling.model import Model, Names
+from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.realization import Dynamics, dynamics
+from greybox.modeling.symbolic_reading import traced
+
+
+@dataclass(frozen=True, eq=False)
+class RecordModel:
+    """A record and its model, whatever the cut into segments and the substeps.
+
+    Problem, record and criterion stay where they were compiled when this is pickled: solvers need
+    only the rest.
+
+    Attributes
+    ----------
+    system : Dynamics
+        Its delays include those of interpolated inputs.
+    between : tuple of Intersample
+        How each input runs between its samples.
+    parameters, outside_names : tuple of str
+        The declared parameters, by the model's names and the problem's; then the gains that follow
+        from process noise.
+    gains : tuple of (str, str)
+        State and output of every entry of the Kalman gain that is estimated, or follows from
+        process noise.
+    driven : tuple of str
+        States whose process noise is estimated.
+    begin : (m,) array
+        The start values of the model's parameters.
+    active : (q,) array
+        Places of the estimated parameters among the declared ones.
+    has_time : bool
+        Whether the record's samples follow one another in time.
+    errors_are_white : bool
+        Whether the criterion takes the errors for white, so that no correlation is looked for.
+    is_prior : bool
+        Whether the record stands for a-priori knowledge, and not for data.
+    locate : casadi.Function
+        (z) -> values of the declared parameters, derivatives of the active ones by z, delays.
+    initial : casadi.Function
+        (declared parameters) -> known initial states, and their derivatives by the active
+        parameters.
+    known_states : (n,) bool array
+    steps : dict
+        The samples compiled so far, by integrator and substeps; models that differ only in their
+        data share it.
+    expressions : tuple of int
+        A number for the expression of z of every declared parameter: equal for equal expressions.
+    """
+
+    problem: Problem
+    record: Record
+    criterion: TimeCriterion
+    has_time: bool
+    errors_are_white: bool
+    is_prior: bool
+    method: Transcription
+    system: Dynamics
+    between: tuple[Intersample, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outside_names: tuple[str, ...]
+    gains: tuple[tuple[str, str], ...]
+    driven: tuple[str, ...]
+    begin: Array
+    active: IntArray
+    locate: ca.Function
+    initial: ca.Function
+    known_states: BoolArray
+    initial_states: InitialStates
+    steps: dict[tuple[Integrator, int], SampleStep]
+    expressions: tuple[int, ...]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind values that may be of the user's classes."""
+        local = ("problem", "record", "criterion")
+        return {name: value for name, value in vars(self).items() if name not in local}
+
+    @property
+    def strategies(self) -> Strategies:
+        """The settings of the solver."""
+        return self.method.strategies
+
+    @one_thread_at_a_time
+    def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordModel":
+        """Return the model with other inputs between their samples."""
+        later = [new.late - now.late for new, now in zip(between, self.between, strict=True)]
+        z = ca.SX.sym("z", self.locate.numel_in(0))
+        q, slope, delay = self.locate(z)
+        return replace(
+            self,
+            between=between,
+            system=self.system.later(later),
+            locate=ca.Function("locate", [z], [q, slope, delay + ca.DM(later)]),
+            steps={},
+        )
+
+    def step(self, integrator: Integrator, substeps: int) -> SampleStep:
+        """Compile one sample, or return it where that was done before."""
+        key = (integrator, substeps)
+        if key not in self.steps:
+            held = tuple(between.held for between in self.between)
+            self.steps[key] = sample_step(
+                self.system,
+                held,
+                self.criterion,
+                self.outputs,
+                self.parameters,
+                integrator,
+                substeps,
+            )
+        return self.steps[key]
+
+
+def record_model(
+    problem: Problem, q: ca.SX, z: ca.SX, method: Transcription, others: Sequence[RecordModel] = ()
+) -> RecordModel:
+    """Compile a record's model; `q` are the declared parameters at z.
+
+    Functions that equal those of one of the `others`, of the same z, are shared with it.
+    """
+    assert isinstance(problem.data, Record)
+    q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
+    expressions = tuple(q[i].element_hash() for i in range(q.numel()))
+    kin = next((other for other in others if _is_of_one_kind(problem, other)), None)
+    twins = (
+        other
+        for other in others
+        if kin and other.steps is kin.steps and other.expressions == expressions
+    )
+    twin = next(twins, None)
+    if twin is not None:
+        return replace(
+            twin,
+            problem=problem,
+            record=problem.data,
+            has_time=problem.data.has_time,
+            outside_names=_outside_names(problem),
+        )
+    if kin is None:
+        kin = _first_of_its_kind(problem, method)
+
+    slope = ca.jacobian(q, z)
+    following = range(len(problem.declared), q.numel())
+    active = [i for i in range(q.numel()) if slope[i, :].nnz() or i in following]
+    delay = kin.system.delay(q[: len(kin.system.parameters)])
+    symbol = ca.SX.sym("q", q.numel())
+    initial = kin.initial.call([symbol])[0]
+    by_active = ca.densify(ca.jacobian(initial, symbol[active]))
+    begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
+    return replace(
+        kin,
+        problem=problem,
+        begin=np.array([*begin.values()], dtype=float)[: len(kin.system.parameters)],
+        record=problem.data,
+        has_time=problem.data.has_time,
+        outside_names=_outside_names(problem),
+        active=np.array(active, dtype=int),
+        locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
+        initial=ca.Function("initial", [symbol], [initial, by_active]),
+        expressions=expressions,
+    )
+
+
+def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
+    """Compile what records of one kind share; what depends on z is left empty."""
+    assert isinstance(problem.data, Record)
+    assert isinstance(problem.criterion, TimeCriterion)
+    criterion, known = problem.criterion, problem.criterion.initial
+    system = dynamics(problem.model, delay_order(problem.delay))
+    between = between_samples(criterion.inputs, system.inputs, problem.data)
+    system = system.later([one.late for one in between])
+    outputs = criterion.compared(problem.model, problem.data)
+    parameters = _parameters(problem)
+    symbol = ca.SX.sym("q", len(parameters))
+    local = Names(
+        dict(zip(problem.declared, ca.vertsplit(symbol), strict=False)), problem.model.label
+    )
+    states = [
+        _called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in system.states
+    ]
+    return RecordModel(
+        problem=problem,
+        record=problem.data,
+        criterion=criterion,
+        has_time=problem.data.has_time,
+        errors_are_white=criterion.errors_are_white,
+        is_prior=criterion.is_prior,
+        method=method,
+        system=system,
+        between=between,
+        outputs=outputs,
+        parameters=parameters,
+        outside_names=(),
+        gains=criterion.gains(problem.model, outputs),
+        driven=criterion.driven(),
+        begin=np.zeros(0),
+        active=np.zeros(0, dtype=int),
+        locate=ca.Function(),
+        initial=ca.Function("initial", [symbol], [ca.vertcat(ca.SX(0, 1), *states)]),
+        known_states=np.array([name in known for name in system.states], dtype=bool),
+        initial_states=InitialStates(
+            system, outputs, scanned=method.strategies.scanned_initial_states
+        ),
+        steps={},
+        expressions=(),
+    )
+
+
+def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
+    """Tell whether a record has the equations, the criterion, the outputs and the kind of inputs of another."""
+    if problem.delay != other.problem.delay or not _is_same_model(
+        problem.model, other.problem.model
+    ):
+        return False
+    if not (problem.criterion is other.criterion or problem.criterion == other.criterion):
+        return False
+    assert isinstance(problem.data, Record)
+    assert isinstance(problem.criterion, TimeCriterion)
+    between = between_samples(problem.criterion.inputs, other.system.inputs, problem.data)
+    compared = problem.criterion.compared(problem.model, problem.data)
+    return (
+        _parameters(problem) == other.parameters
+        and compared == other.outputs
+        and between == other.between
+    )
+
+
+def _is_same_model(a: Model, b: Model) -> bool:
+    """Tell whether two models have one class and, where their arguments may differ, the same equations."""
+    if a is b or type(a) is not type(b):
+        return a is b
+    plain = {"arguments": ((), {})}
+    if vars(a) == plain == vars(b):
+        return True
+    first, second = (dynamics(model) for model in (a, b))
+    same = (first.states, first.inputs, first.outputs) == (
+        second.states,
+        second.inputs,
+        second.outputs,
+    )
+    functions = ("derivative", "output", "delay")
+    return same and all(
+        getattr(first, f).serialize() == getattr(second, f).serialize() for f in functions
+    )
+
+
+def _parameters(problem: Problem) -> tuple[str, ...]:
+    """Return the names of the parameters of a sample: those declared, and gains that follow from process noise."""
+    assert isinstance(problem.data, Record)
+    assert isinstance(problem.criterion, TimeCriterion)
+    if not problem.criterion.driven():
+        return tuple(problem.declared)
+    outputs = problem.criterion.compared(problem.model, problem.data)
+    gains = problem.criterion.gains(problem.model, outputs)
+    return (*problem.declared, *(f"K_{state}_{output}" for state, output in gains))
+
+
+def _outside_names(problem: Problem) -> tuple[str, ...]:
+    return tuple(
+        problem.outside(name) if name in problem.declared else name for name in _parameters(problem)
+    )
+
+
+def _called(what: str, value: Any, local: Names) -> Any:
+    """Evaluate an initial state that may be a function of the parameters, naming it where it fails."""
+    if not callable(value):
+        return value
+    try:
+        return ca.SX(traced(what, value, local))
+    except (AttributeError, KeyError, ArithmeticError) as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
+def longest_delay(problem: Problem, system: Dynamics) -> Array:
+    """Return the longest delay of every input within the bounds (m,), s; what is unbounded counts with its start."""
+    if not system.delayed:
+        return np.zeros(len(system.inputs))
+    values: dict[str, float] = {}
+    for name, p in problem.parameters.items():
+        high = p.bounds[1] if math.isfinite(p.bounds[1]) else max(p.box[1], p.start)
+        values[name] = p.start if p.fixed or not math.isfinite(high) else high
+    q = list(problem.local_values(values).values())[: len(system.parameters)]
+    return np.maximum(system.delay(q).full().ravel(), 0.0)

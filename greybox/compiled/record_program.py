@@ -1,0 +1,69 @@
+"""A record transcribed for IPOPT: states as unknowns, weighted residuals, continuity as equations."""
+
+import casadi as ca
+import numpy as np
+
+from greybox.compiled.part import Program, Trajectory
+from greybox.compiled.segmented_part import SegmentedPart
+from greybox.files.arrays import Array
+
+
+class RecordProgram(Program):
+    """A record transcribed: states as unknowns, weighted residuals, continuity and known initial states as equations.
+
+    Its parameters are the square root of the inverse residual covariance (k, k), then the data
+    (width, samples), both column by column.
+    """
+
+    def __init__(self, part: SegmentedPart, z: ca.MX) -> None:
+        """Transcribe the record."""
+        self._part = part
+        if part.model.driven:
+            raise ValueError(
+                f"{part.problem.name!r} has process_noise, whose gains {part.model.method.label} does not follow: "
+                "use MultipleShooting()."
+            )
+        q = part.model.locate(z)[0]
+        weight = ca.MX.sym("W", len(part.outputs), len(part.outputs))
+        data = ca.MX.sym("data", part.step.width, part.data.samples)
+        self._transcribed = part.model.method.transcribe(part.step, part.data, q, data)
+        residuals = self._transcribed.residuals
+        self.unknowns = self._transcribed.unknowns
+        self.parameters = ca.vertcat(ca.vec(weight), ca.vec(data))
+        self.error = ca.vec(weight @ residuals)
+        self.cost = ca.MX(0.0)
+        self.equations = ca.vertcat(self._transcribed.equations, self._known_states(q))
+        self._products = ca.Function(
+            "products", [z, self.unknowns, self.parameters], [residuals @ residuals.T]
+        )
+
+    def _known_states(self, q: ca.MX) -> ca.MX:
+        """Return known states at the first sample of the record less what they must be."""
+        part = self._part
+        count = int(part.data.begins_record.sum())
+        rows = np.flatnonzero(part.model.known_states).tolist()
+        if not rows:
+            return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
+        wanted, _ = part.model.initial(q)
+        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
+
+    def initial_unknowns(self, trajectory: Trajectory) -> Array:
+        """Return the unknowns for the states along a trajectory."""
+        return self._transcribed.start(self._part.segments.in_order(trajectory.detail.states))
+
+    def initial_parameters(self, z: Array, share: float) -> Array:
+        """Return weights for residuals of a `share` of each signal's spread, and the data at z (p,)."""
+        return self._joined(self._part.initial_weight(share), self._part.place(z).data)
+
+    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+        """Return the cost of the residuals, the weights and data that follow, and whether the data stayed."""
+        covariance = self._part.covariance
+        products = self._products(z, unknowns, w).full()
+        following = self._joined(covariance.weight(products), self._part.place(z).data)
+        size = len(self._part.outputs) ** 2
+        return covariance.cost(products), following, np.array_equal(following[size:], w[size:])
+
+    def _joined(self, weight: Array, data: Array) -> Array:
+        return np.concatenate(
+            [weight.ravel(order="F"), self._part.segments.in_order(data).ravel(order="F")]
+        )

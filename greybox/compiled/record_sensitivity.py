@@ -1,0 +1,163 @@
+"""How the weighted residuals of a record follow the parameters, with the initial states fitted along."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from greybox.compiled.condensing import forget_long_chain, solve_in_outputs
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_linearization import filter_information
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.segmented_part import Placed, SegmentedPart
+from greybox.compiled.segments import Linearization
+from greybox.files.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of the weighted residuals of a record by p parameters.
+
+    Attributes
+    ----------
+    triangle, white : (p, p) arrays
+        A triangular factor of the Jacobian J, and JᵀJ.
+    weighted : (k, p, samples) array
+        WᵀJ.
+    by_initial : (k, m, samples) array
+        The same by m directions of unit variance of the initial states of every stretch, at known
+        parameters.
+    shocks : function
+        Returns (k, s, samples), the residuals of the longest stretch after unit jumps of s states.
+    reach : (p,) array
+        Lengths of the columns of J if contributions of states and parameters could not cancel.
+    initial : mapping of state to (stretches, p) array
+        Derivatives of the unknown initial states, in changes that the data notice.
+    """
+
+    triangle: Array
+    white: Array
+    weighted: Array
+    by_initial: Array
+    shocks: Callable[[], Array]
+    reach: Array
+    initial: Mapping[str, Array]
+
+
+def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> Sensitivity:
+    """Return how the residuals times `weight` follow the parameters along a trajectory."""
+    data, segments, n = part.data, part.segments, part.states
+    placed: Placed = trajectory.detail.placed
+    linearization = part.linearize(trajectory, weight)
+    by_nodes = part.condense(linearization, trajectory, np.zeros(n)).node_sensitivity.copy()
+    initial_directions = _initial_directions(part, linearization)
+    curvature = linearization.node_hessian.diagonal(axis1=1, axis2=2)
+    noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
+    del linearization, curvature  # of a long record, a tenth of what fits into memory
+    forget_long_chain(data.segments)
+    known = part.model.known_states
+    if known.any():
+        by_nodes[np.ix_(data.begins_record, known)] = placed.initial_slope[known] @ placed.slope
+
+    s, length, k = data.segments, data.segment_length, len(part.outputs)
+    m, p = initial_directions.shape[2], trajectory.z.size
+    by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
+    triangle, white, squares = np.zeros((0, p)), np.zeros((p, p)), np.zeros(p)
+    for batch in segments.batches(s):
+        _, J, _ = segments.sensitivities(trajectory.detail.states, placed.q, placed.data, batch)
+        J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
+        by_states = np.einsum("lknc,cnp->lkpc", J[:, :, :n], by_nodes[batch])
+        by_parameters = placed.slope.T @ J[:, :, n:]
+        squares += np.einsum("lkpc,lkpc->p", by_states, by_states)
+        squares += np.einsum("lkpc,lkpc->p", by_parameters, by_parameters)
+        root = by_states + by_parameters
+        rows = np.moveaxis(root, 2, 0).reshape(p, -1)
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows.T]), mode="r"))
+        white += rows @ rows.T
+        weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
+        directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
+        by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)
+    if placed.filter is not None:
+        active = len(part.model.active)
+        rows = filter_information(placed.filter, weight, part.compared_samples, active)
+        rows = rows @ placed.slope
+        squares += (rows**2).sum(axis=0)
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+        white += rows.T @ rows
+
+    first = by_nodes[data.begins_stretch] * noticed[:, None]
+    by_initial = by_initial.reshape(k, m, s * length)
+    return Sensitivity(
+        triangle=triangle,
+        white=white,
+        weighted=weighted.reshape(k, p, s * length),
+        by_initial=by_initial,
+        shocks=partial(_shocks, data, initial_directions, by_initial, weight),
+        reach=np.sqrt(squares),
+        initial={name: first[:, i] for i, name in enumerate(part.system.states) if not known[i]},
+    )
+
+
+def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
+    """Return how the nodes (s, n, m) move in the m directions of the initial states of every stretch.
+
+    The directions are those of unit variance, for white errors and known parameters. The covariance
+    K⁻¹ of the nodes of a stretch has the rank of its initial states, so that a few columns X = K⁻¹ R
+    determine it: it is X (Rᵀ X)⁻¹ Xᵀ. That holds for unstable models too, whose nodes do not follow
+    from the first one.
+    """
+    data, s, n = part.data, part.data.segments, part.states
+    if not n:
+        return np.zeros((s, 0, 0))
+    given = np.ix_(data.begins_record, part.model.known_states)
+    R = np.random.default_rng(0).normal(size=(s, n, n))
+    R[given] = 0
+    columns = 1 + b.cross_hessian.shape[2]  # as in `condense`, whose solver is then used again
+    padded = np.pad(R, ((0, 0), (0, 0), (0, -n % columns)))
+    X = np.concatenate(
+        [
+            solve_in_outputs(b, data.coupled, block, np.zeros_like(block), np.zeros(n))[0]
+            for block in np.split(padded, -(-n // columns), axis=2)
+        ],
+        axis=2,
+    )[:, :, :n]
+    X[given] = 0
+
+    directions = np.zeros_like(X)
+    starts = np.flatnonzero(data.begins_stretch)
+    for rows in np.split(np.arange(s), starts[1:]):
+        values, vectors = np.linalg.eigh(np.einsum("snm,snl->ml", R[rows], X[rows]))
+        unknown = values > 1e-12 * values[-1]  # directions of less variance count as known
+        axes = vectors[:, unknown] / np.sqrt(values[unknown])
+        directions[rows, :, : unknown.sum()] = X[rows] @ axes
+    return directions
+
+
+def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Array) -> Array:
+    """Return how the residuals of the longest stretch follow (k, n, samples) after unit jumps of the states.
+
+    From the `directions` (s, n, m) of the initial states and what follows from these, WᵀW dy (k, m,
+    samples). States whose jumps no output shows are left out, and those after which the outputs
+    grow without end: then process noise has no spectrum.
+    """
+    longest = int(np.argmax([len(stretch) for stretch in data.stretches]))
+    begins = directions[np.flatnonzero(data.begins_stretch)[longest]]
+    scale = np.abs(begins).max(axis=1, initial=0.0)
+    begins, scale = begins[scale > 0], scale[scale > 0, None]
+    moved = np.linalg.pinv(begins / scale) / scale.T
+    noise = np.linalg.inv(weight.T @ weight)
+    shocks = np.tensordot(noise, data.unpadded(by_initial)[longest], 1)
+    shocks = np.einsum("kmt,mn->knt", shocks, moved)
+
+    samples = np.arange(shocks.shape[2])
+    for response, measured in zip(shocks, data.stretches[longest].outputs, strict=True):
+        present = np.isfinite(measured)
+        if present.any() and not present.all():  # missing samples have no sensitivity
+            for row in response:
+                row[:] = np.interp(samples, samples[present], row[present])
+    power = (shocks**2).sum(axis=0)
+    # The power of the last quarter over that of the whole is 2.3 for two integrators, and 3.8 for an
+    # unstable mode over three time constants.
+    last = power[:, 3 * len(samples) // 4 :].mean(axis=1)
+    return shocks[:, last < 2.5 * power.mean(axis=1)]

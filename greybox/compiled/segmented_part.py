@@ -1,0 +1,289 @@
+"""Records cut into segments: what one record and several that are evaluated together have in common."""
+
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greybox.compiled.condensing import close_gaps, condense
+from greybox.compiled.part import Condensed, Part, Trajectory
+from greybox.compiled.record_linearization import (
+    continuity_variance,
+    with_estimated_covariance,
+    with_filter_covariance,
+    without_known_states,
+)
+from greybox.compiled.record_model import RecordModel
+from greybox.compiled.residual_covariance import ResidualCovariance, diagonal, of_diagonal
+from greybox.compiled.riccati import SteadyFilter
+from greybox.compiled.sample_step import SampleStep
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.segments import Linearization, Segments
+from greybox.files.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """The parameters and data of records at one point z of the solver.
+
+    Attributes
+    ----------
+    q : (declared,) array
+        Values of all declared parameters; (declared, s), for every segment, where the records have
+        parameters of their own.
+    slope : (active, p) or (records, active, p) array
+        Derivatives of the estimated ones by z.
+    data : (width, columns) array
+        The data, with the inputs placed for these delays.
+    initial, initial_slope : (n,) and (n, active) arrays, or with `records` before
+        Known initial states and their derivatives by the active parameters; NaN where a state is
+        unknown.
+    filter : SteadyFilter or None
+        The filter of estimated process noise; its gain is in `q` and `slope`.
+    """
+
+    q: Array
+    slope: Array
+    data: Array
+    initial: Array
+    initial_slope: Array
+    filter: SteadyFilter | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """Details of a trajectory of records: where it is placed, and its states (n, columns)."""
+
+    placed: Placed
+    states: Array
+
+
+class SegmentedPart(Part):
+    """Records of one model, cut into segments, and the step from sample to sample.
+
+    Attributes
+    ----------
+    model : RecordModel
+        Of several records that of the first one.
+    data : SampledData
+    step : SampleStep
+    segments : Segments
+    covariance : ResidualCovariance
+    """
+
+    def __init__(
+        self,
+        source: Part | RecordModel,
+        model: RecordModel,
+        data: SampledData,
+        substeps: int,
+        step: SampleStep,
+        segments: Segments,
+        covariance: ResidualCovariance,
+    ) -> None:
+        """Keep what is given; name and weight are those of the `source`."""
+        super().__init__(source if isinstance(source, Part) else source.problem)
+        self.model = model
+        self.data = data
+        self.step = step
+        self.segments = segments
+        self.covariance = covariance
+        self.system = model.system
+        self.outputs = model.outputs
+        self.states = len(model.system.states)
+        self._substeps = substeps
+        self._placed_data: tuple[Array, Array] | None = None
+
+    # --- facts
+
+    @property
+    def has_nodes(self) -> bool:
+        """Segments begin at nodes."""
+        return True
+
+    @property
+    def has_states(self) -> bool:
+        """The states at the nodes are unknown."""
+        return True
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, padding of segments included."""
+        return self.data.samples
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the integrator in a sample."""
+        return self._substeps
+
+    @property
+    def numbers(self) -> int:
+        """Measured values that are compared."""
+        return int(self.covariance.counts.sum())
+
+    # --- placement
+
+    @abstractmethod
+    def place(self, z: Array) -> Placed:
+        """Return the parameters and the data at z (p,)."""
+
+    @abstractmethod
+    def initial_nodes(self, placed: Placed) -> Array:
+        """Return nodes (s, n) from the data."""
+
+    def data_at(self, delays: Array) -> Array:
+        """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
+
+        The same array as the last time, as long as no delay has passed a whole sample: simulation
+        and linearization recognize it.
+        """
+        steps = np.array([stretch.step for stretch in self.data.stretches])
+        whole = np.floor(self.data.by_stretch(delays) / steps[:, None] + 1e-9)
+        if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):
+            inputs = self.segments.columns(np.vstack(self.data.delayed_inputs(delays)))
+            self._placed_data = (whole, np.vstack([inputs, self._measured]))
+        return self._placed_data[1]
+
+    @cached_property
+    def _measured(self) -> Array:
+        return self.segments.columns(self.data.measured_rows)
+
+    def _with_known_states(self, nodes: Array, placed: Placed) -> Array:
+        """Return the nodes with the known initial states in them."""
+        known = self.model.known_states
+        if not known.any():
+            return nodes
+        begin = self.data.begins_record
+        initial = placed.initial
+        if initial.ndim == 2:
+            initial = initial[self.segments.records[begin]]
+        nodes = nodes.copy()
+        nodes[np.ix_(begin, known)] = initial[..., known]
+        return nodes
+
+    # --- trajectories
+
+    def initial_trajectory(self, z: Array) -> Trajectory:
+        """Return the trajectory at z (p,) with nodes from the data, see `greybox.compiled.initial_states`."""
+        placed = self.place(z)
+        return self._segmented(z, self.initial_nodes(placed), placed)
+
+    def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
+        """Return the trajectory at z (p,) from nodes (s, n); `simulated` only from the first of every stretch."""
+        placed = self.place(z)
+        make = self._simulated if simulated else self._segmented
+        return make(z, nodes, placed)
+
+    def _segmented(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
+        nodes = self._with_known_states(nodes, placed)
+        states, ends = self.segments.simulate(nodes, placed.q, placed.data)
+        gaps = np.zeros_like(ends)
+        gaps[:-1] = ends[:-1] - nodes[1:]
+        gaps[~self.data.coupled] = 0
+        residuals = self.segments.residuals(states, placed.q, placed.data)
+        products = self._products(self.segments.products(residuals))
+        along = Along(placed, states)
+        return Trajectory(z, nodes, ends, gaps, products, simulated=False, detail=along)
+
+    def _simulated(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
+        nodes = self._with_known_states(nodes, placed)
+        nodes, states, ends, products = self.segments.simulate_stretches(
+            self.data.segment_counts, nodes, placed.q, placed.data
+        )
+        products, along = self._products(products), Along(placed, states)
+        gaps = np.zeros_like(ends)
+        return Trajectory(z, nodes, ends, gaps, products, simulated=True, detail=along)
+
+    def _products(self, by_record: Array) -> Array:
+        """Return the products of residuals (r, k, k) of all records, or (k, k) of a single one."""
+        return by_record[0] if self.segments.number == 1 else by_record
+
+    def residuals(self, trajectory: Trajectory) -> Array:
+        """Return measured less simulated outputs (k, samples) in the order of the samples, zero where missing."""
+        along: Along = trajectory.detail
+        residuals = self.segments.residuals(along.states, along.placed.q, along.placed.data)
+        return self.segments.in_order(residuals)
+
+    def simulated_outputs(self, trajectory: Trajectory) -> Array:
+        """Return the outputs (k, samples) along a trajectory, in the order of the samples."""
+        along: Along = trajectory.detail
+        outputs = self.segments.outputs(along.states, along.placed.q, along.placed.data)
+        return self.segments.in_order(outputs)
+
+    def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
+        """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
+        limit = self.covariance.counts * (factor * self.covariance.spread) ** 2
+        return bool(np.all(of_diagonal(trajectory.products) <= limit))
+
+    # --- cost
+
+    def cost(self, trajectory: Trajectory, smoothing: float = 0.0) -> float:
+        """Return the negative log-likelihood of the residuals along a trajectory."""
+        return self.covariance_along(trajectory).cost(trajectory.products)
+
+    def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
+        """Return half the sum of squares of the residuals times `weight`."""
+        return float(np.sum((weight @ trajectory.products) * weight)) / 2
+
+    def covariance_along(self, trajectory: Trajectory) -> ResidualCovariance:
+        """Return the residual covariance, that of the steady filter along the trajectory, if any."""
+        steady = trajectory.detail.placed.filter
+        if steady is None:
+            return self.covariance
+        return replace(self.covariance, predicted=steady.covariance)
+
+    def residual_weight(self, trajectory: Trajectory) -> Array:
+        """Return W (k, k), where WᵀW is the inverse of the residual covariance along a trajectory."""
+        return self.covariance_along(trajectory).weight(trajectory.products)
+
+    def initial_weight(self, share: float) -> Array:
+        """Return W (k, k) for residuals of a `share` of each signal's spread."""
+        return diagonal(1 / (share * self.covariance.spread))
+
+    # --- linearization
+
+    def linearize(
+        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
+    ) -> Linearization:
+        """Linearize along a trajectory, known initial states eliminated."""
+        placed: Placed = trajectory.detail.placed
+        estimated = self.covariance.known is None and len(self.outputs) > 1
+        moments = covariance_curvature and estimated and placed.filter is None
+        states = trajectory.detail.states
+        b = self.segments.linearize(states, placed.q, weight, placed.data, moments=moments)
+        if moments:
+            b = with_estimated_covariance(b, self.covariance, self.segments.records)
+        if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
+            count = self.compared_samples
+            b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
+        known = self.model.known_states
+        if not known.any():
+            return b
+        records = self.segments.records
+        return without_known_states(b, known, placed.initial_slope, self.data, records)
+
+    @property
+    def compared_samples(self) -> int:
+        """Samples at which an output is compared."""
+        return int(self.covariance.counts.max())
+
+    def continuity_variance(self, linearization: Linearization, spread: float) -> Array:
+        """Return variances (n,) of the jumps of states that change the outputs of a segment by `spread`."""
+        samples = self.data.segment_length * len(self.outputs)
+        return continuity_variance(linearization, spread, samples)
+
+    def condense(
+        self,
+        linearization: Linearization,
+        trajectory: Trajectory,
+        continuity_variance: Array,
+        damping: float = 0.0,
+    ) -> Condensed:
+        """Eliminate the nodes, see `greybox.compiled.condensing`."""
+        variance = continuity_variance
+        return condense(linearization, trajectory, variance, damping, self.data, self.segments)
+
+    def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:
+        """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
+        return close_gaps(linearization, trajectory, self.data.coupled)
