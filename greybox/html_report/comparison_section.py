@@ -9,10 +9,12 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import with_error
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
-from greybox.html_report.figure import Figure, figure_grid
-from greybox.html_report.history_figures import history_figure
-from greybox.html_report.response_figures import response_figures
+from greybox.html_report.figure import figure_grid
 from greybox.html_report.tables import Cell, number_cell, table
+from greybox.plotting.bode import bode_figure
+from greybox.plotting.figure import Figure
+from greybox.plotting.nyquist import nyquist_figures
+from greybox.plotting.time_history import history_figure
 from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
@@ -143,7 +145,8 @@ def _figures(
 ) -> Iterator[Figure]:
     """Yield responses and histories of all, and predictions of what none has seen."""
     if all(fit.responses for fit in fits):
-        yield from response_figures(fits, labels)
+        yield bode_figure(fits, labels)
+        yield from nyquist_figures(fits, labels)
     for k in range(min(len(fit.records) for fit in fits)):
         try:
             yield history_figure(fits, k, labels, columns)

@@ -11,18 +11,20 @@ from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.equation import equations
 from greybox.html_report.figure import figure_grid
-from greybox.html_report.history_figures import history_figure
 from greybox.html_report.interval_section import interval_section
 from greybox.html_report.provenance import data_summary, provenance
-from greybox.html_report.residual_figures import residual_figures
-from greybox.html_report.response_figures import response_figures
-from greybox.html_report.sensitivity_figure import information_figure, sensitivity_figure
-from greybox.html_report.spectrum_figures import spectrum_figure
-from greybox.html_report.starts_figure import starts_figure
 from greybox.html_report.tables import parameter_table
 from greybox.modeling.model import Model
+from greybox.plotting.bode import bode_figure
+from greybox.plotting.figure import Figure
+from greybox.plotting.nyquist import nyquist_figures
+from greybox.plotting.residuals import residual_figures
+from greybox.plotting.sensitivity import information_figure, response_sensitivity_figure
+from greybox.plotting.spectrum import spectrum_figure
+from greybox.plotting.starts import starts_figure
+from greybox.plotting.time_history import history_figure
 
-HISTORIES = 6  # records of a fit that are drawn: the worst fitted ones
+MOST = 6  # parts of a fit that are drawn; of records those with the worst fit
 
 
 def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]]]:
@@ -35,21 +37,17 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
     if intervals:
         yield "Intervals", intervals
     yield "Equation", list(_equations(fit))
-    drawn = response_figures([fit])
-    if drawn:
+    if fit.responses:
+        drawn = [bode_figure([fit]), *nyquist_figures([fit])]
         yield "Frequency response", [figure_grid(drawn), *_sensitivities(fit)]
     if fit.records:
         yield "Time history", list(_histories(fit, columns))
     if fit.spectra:
-        yield (
-            "Manoeuvres",
-            [figure_grid([spectrum_figure(part) for part in fit.spectra[:HISTORIES]])],
-        )
-    drawn = [
-        figure for k in range(len(fit.parts)) if (figure := information_figure(fit, k)) is not None
-    ]
+        count = min(len(fit.spectra), MOST)
+        yield "Manoeuvres", [figure_grid([spectrum_figure(fit, k) for k in range(count)])]
+    drawn = _information(fit)
     if drawn:
-        yield "What the data tell", [figure_grid(drawn[:HISTORIES])]
+        yield "Information in the data", [figure_grid(drawn)]
     yield "Starts", [figure_grid([starts_figure(fit)])]
     yield "Data and provenance", provenance(fit, entry.file, entry.command)
 
@@ -128,6 +126,13 @@ def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
     return {name: float(f"{value:.4g}") for name, value in values.items() if value is not None}
 
 
+def _information(fit: Fit) -> list[Figure]:
+    try:
+        return [information_figure(fit, k) for k in range(min(len(fit.parts), MOST))]
+    except ValueError:  # no estimate, or no standard errors
+        return []
+
+
 def _sensitivities(fit: Fit) -> Iterator[Element]:
     """Yield the sensitivity of every model's response, or why it cannot be drawn."""
     told: set[str] = set()
@@ -136,7 +141,7 @@ def _sensitivities(fit: Fit) -> Iterator[Element]:
             continue
         told.add(part.label)
         try:
-            figure = sensitivity_figure(fit, part, fit.model_of(k))
+            figure = response_sensitivity_figure(fit, part, fit.model_of(k))
         except (LookupError, ValueError, TypeError, ArithmeticError) as error:
             yield tag("p", f"Confidence band and sensitivity cannot be drawn: {_sentence(error)}")
             continue
@@ -152,11 +157,11 @@ def _histories(fit: Fit, columns: int) -> Iterator[Element]:
         return min(part.fit_percent(name) for name in part.outputs)
 
     chosen: Sequence[int] = range(len(fit.records))
-    if len(chosen) > HISTORIES:
-        chosen = sorted(sorted(chosen, key=worst)[:HISTORIES])
+    if len(chosen) > MOST:
+        chosen = sorted(sorted(chosen, key=worst)[:MOST])
         yield tag(
             "p",
-            f"Of {counted(len(fit.records), 'record')} the {HISTORIES} that are fitted worst are drawn.",
+            f"Of {counted(len(fit.records), 'record')} the {MOST} that are fitted worst are drawn.",
         )
     labels = [f"fit of {part.label}" for part in fit.records]
     yield figure_grid([history_figure([fit], k, labels[k : k + 1], columns) for k in chosen])

@@ -4,17 +4,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted
 from greybox.html_report.elements import tag
-from greybox.html_report.figure import Figure, Panel, Series, figure_grid
+from greybox.html_report.figure import figure_grid
 from greybox.html_report.tables import Cell, number_cell, table
+from greybox.plotting.profile import profile_figures
 from greybox.study.bootstrap import interval_text
-
-GRAY = -1
 
 
 def interval_section(fit: Fit, bootstrap: Mapping[str, Any]) -> Iterator[Element]:
@@ -25,40 +22,13 @@ def interval_section(fit: Fit, bootstrap: Mapping[str, Any]) -> Iterator[Element
         yield from bootstrap_table(bootstrap)
 
 
-def profile_figures(found: Profiles) -> Iterator[Figure]:
-    """Yield the root of the likelihood ratio over every profiled quantity, beside the one of the standard error."""
-    for profile in found.profiles:
-        name, limit = profile.name, found.limit[profile.name]
-        ends = profile.values[[0, -1]]
-        sides = np.array([ends[0], profile.estimate, profile.estimate, ends[1]])
-        inside = np.where(np.isfinite(profile.interval), profile.interval, ends)
-        series = [
-            Series(
-                "interval", "band", inside, np.zeros(2), 0, low=np.zeros(2), high=np.full(2, limit)
-            ),
-            Series("limit", "line", sides, limit + profile.bias * np.array([1, 1, -1, -1]), GRAY),
-        ]
-        if profile.standard_error > 0:
-            reached = np.array([-1, 0, 1]) * 1.6 * limit
-            cone = profile.estimate + profile.standard_error * reached
-            series.append(Series("by the standard error", "line", cone, np.abs(reached), GRAY, 1))
-        size = np.abs(profile.roots)
-        series += [
-            Series("profile", "line", profile.values, size),
-            Series("", "points", profile.values, size),
-        ]
-        label = f"{name}, {profile.unit}" if profile.unit else name
-        panel = Panel("|r|", series, limits=(0.0, 1.6 * limit))
-        yield Figure(f"Profile of {name}", label, [panel], limits=(float(ends[0]), float(ends[1])))
-
-
 def _profiles(found: Profiles) -> Iterator[Element]:
     percent = f"{100 * found.level:g} %"
     rows = [[Cell(p.name), number_cell(p.estimate), Cell(str(p))] for p in found.profiles]
     yield table(["quantity", "estimate", f"{percent} interval by profile likelihood"], rows)
     for warning in found.warnings:
         yield tag("p", warning)
-    yield figure_grid(list(profile_figures(found)))
+    yield figure_grid(profile_figures(found))
     yield tag(
         "p",
         "r is the signed root of the likelihood ratio, all other parameters fitted again at every point; the interval "

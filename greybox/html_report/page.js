@@ -147,7 +147,10 @@
       const { title } = this.figure;
       this.legend = html("div", { class: "legend" });
       const names = new Map();
-      for (const series of this.series) if (series.name && !names.has(series.name)) names.set(series.name, series);
+      for (const series of this.series) { // a band has the name of its curve
+        const known = names.get(series.name);
+        if (series.name && (!known || known.kind === "band")) names.set(series.name, series);
+      }
       const kinds = ["line", "points", "band", "rule"];
       const sorted = [...names].sort(([, a], [, b]) => kinds.indexOf(a.kind) - kinds.indexOf(b.kind));
       for (const [name, series] of sorted) this.legend.append(this.key(name, series));

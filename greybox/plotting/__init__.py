@@ -1,21 +1,28 @@
-"""Figures: frequency responses, time histories, starts, flight logs. Begin with `overview`, which draws a whole fit.
+"""Every figure as a value, and its drawing by matplotlib. Begin with `overview`, which draws a whole fit.
 
 A function that draws one panel takes ``ax=None`` and returns the matplotlib Axes. One that draws
 several takes ``axes=None``, an array-like of as many Axes as it has panels, and returns them as a
-numpy array (n,) of Axes. Without axes it makes a figure of its own, which is ``ax.figure``; pyplot
-does not know it: show it as the last line of a notebook cell (``gb.plotting.bode(fit)[0].figure``),
-or save it with ``savefig``. With axes it draws into these alone and leaves the rest of their figure
-as it is: the legend stands inside, and ``legend=False`` leaves it out. `plot` composes several
-diagrams and returns the Figure.
+numpy array (n,) of Axes. Without axes it makes a figure of its own, which is ``ax.figure``. pyplot
+does not know that figure: show it as the last line of a notebook cell
+(``gb.plotting.bode(fit)[0].figure``), or save it with ``savefig``. With axes it draws into these
+alone: the legend is inside, and ``legend=False`` leaves it out. `plot` composes several diagrams
+and returns the Figure.
 
-`nyquist`, `bode` and `starts` are one diagram each, `profile` draws a panel for each profiled
-quantity, `sensitivity` one for each parameter with what tells of it, `orders` the structures of an
-order selection; `response_series` collects the points and curves of the first two,
-`response_matrix` draws those of several inputs and outputs. `time_history` draws fitted and
-predicted records, `residuals` what is left of fitted ones, `spectrum` the transforms of manoeuvres,
-`flight_log` logs and their tests, `measured_test` what was measured from a log, `vibration` spectra
-of its IMU; `long_lines` draws no more points than can be seen. `overview` composes them into one
-figure, `style` holds colors, legends and the frame of a diagram.
+| file | contents |
+| --- | --- |
+| `figure` | a figure as a value: panels with series; every diagram below returns one |
+| `matplotlib_figure` | draws such a value; the page of a report draws the same values |
+| `bode`, `nyquist`, `response_matrix` | diagrams of frequency responses |
+| `responses` | the curves and points in them: names, colors, bands |
+| `point_numbers` | frequencies beside points, where there is room |
+| `starts` | the cost that each start reached |
+| `time_history`, `residuals` | fitted and predicted records |
+| `spectrum` | transforms of manoeuvres |
+| `profile`, `sensitivity`, `orders` | profiles of the likelihood, information on parameters, order selection |
+| `flight_log`, `measured_test`, `vibration` | logs, what was measured from them, spectra of the IMU |
+| `signals` | units, symbols and shaded tests |
+| `long_lines` | draws no more points than can be seen |
+| `overview` | one figure of a whole fit |
 """
 
 from greybox.plotting.bode import bode as bode

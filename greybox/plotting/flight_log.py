@@ -1,31 +1,21 @@
-"""Signals of a flight log over time: the whole log with its tests marked, and one sine test as the paper's Fig. 3.2."""
+"""Signals of a flight log over time: a whole log with its tests, and the traces of one test."""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
+from greybox.files.arrays import Array
+from greybox.plotting.figure import Figure, Panel, Series
 from greybox.plotting.long_lines import drawn_line, pieces
-from greybox.plotting.style import (
-    TITLE_SIZE,
-    AxesArray,
-    GivenAxes,
-    color_of,
-    finish,
-    label_horizontal,
-    plain,
-    shade_tests,
-    shown_unit,
-    stacked_axes,
-)
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
+from greybox.plotting.signals import shown_unit, spans_of
 
 # Setpoint and angle of each axis, as ArduPilot logs them.
 ATTITUDE = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.DesYaw", "ATT.Yaw"))
-PANELS = 6  # signals of a log without attitudes that are drawn; more would not fit a page
-GAP = 10.0  # median steps: raw logs drop single messages, which would leave dots instead of lines
+PANELS = 6  # signals of a log without attitudes: more would not fit a page
 
 
 def traces(
@@ -48,16 +38,16 @@ def traces(
     segment : Segment, optional
         The part to draw.
     periods : float
-        How many periods of the lowest frequency of `segment`.
+        Number of periods of the lowest frequency of `segment`.
     axes : array-like of Axes, optional
-        One for each unit, in the order of the signals. Without it a new figure is made.
+        One for each unit, in the order of the signals. By default a new figure is made.
     legend : bool
-        False leaves the legends inside the panels out.
+        Draw a legend.
 
     Returns
     -------
     numpy.ndarray of Axes, shape (n,)
-        The last line of a notebook cell is ``gb.plotting.traces(record)[0].figure``.
+        In a notebook, ``gb.plotting.traces(record)[0].figure`` shows the figure.
 
     Raises
     ------
@@ -67,24 +57,21 @@ def traces(
     if segment is not None:
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
         record = record.between(segment.end - span, segment.end)
-    units = list(dict.fromkeys(record.units.get(name, "") for name in record.signals))
-    drawn = stacked_axes(
-        axes, [unit or "no unit" for unit in units], "this record", 9.0, 1.2 + 2.0 * len(units)
-    )
-
-    for ax, unit in zip(drawn, units, strict=True):
+    colors = {name: k for k, name in enumerate(record.signals)}
+    panels = []
+    for unit in dict.fromkeys(record.units.get(name, "") for name in record.signals):
         names = [name for name in record.signals if record.units.get(name, "") == unit]
-        scale, shown = shown_unit(unit)
-        for k, name in enumerate(names):
-            _line(ax, record.time, scale * record[name], plain(name), k)
-        finish(ax, plain(f"{', '.join(names)}, {shown or '-'}"), legend)
+        factor, shown = shown_unit(unit)
+        series = [
+            signal_line(name, record.time, factor * record[name], colors[name]) for name in names
+        ]
+        panels.append(Panel(f"{', '.join(names)}, {shown or '-'}", series))
 
-    text = record.name or "record"
+    subject = record.name or "record"
     if segment is not None and segment.kind == "sine":
-        text += f", {segment.omega:.4g} rad/s"
-    drawn[0].set_title(plain(text), fontsize=TITLE_SIZE)
-    label_horizontal(drawn, "Time, s")
-    return drawn
+        subject += f", {segment.omega:.4g} rad/s"
+    figure = Figure("Traces", "Time, s", panels, subject=subject)
+    return draw(figure, axes, legend=legend, width=9.0, inches=2.0)
 
 
 def recording(
@@ -94,7 +81,7 @@ def recording(
     axes: GivenAxes | None = None,
     legend: bool = True,
 ) -> AxesArray:
-    """Draw setpoints and angles of a log, or what signals it has, with its test segments shaded.
+    """Draw setpoints and angles of a log, or its first signals, with its test segments shaded.
 
     Parameters
     ----------
@@ -103,63 +90,66 @@ def recording(
     segments : sequence of Segment, optional
         Its tests, as `find_segments` returns them.
     axes : array-like of Axes, optional
-        One for each angle of the log, or for each of its first six signals. Without it a new figure
-        is made.
+        One for each angle of the log, or for each of its first six signals. By default a new
+        figure is made.
     legend : bool
-        False leaves the legends inside the panels out.
+        Draw a legend.
 
     Returns
     -------
     numpy.ndarray of Axes, shape (n,)
-        The last line of a notebook cell is ``gb.plotting.recording(log, tests)[0].figure``.
+        In a notebook, ``gb.plotting.recording(log, tests)[0].figure`` shows the figure.
 
     Raises
     ------
     TypeError, ValueError
         If there is no signal, or for a wrong number of axes.
     """
-    panels = [
-        [n for n in pair if _holds(recording, n)] for pair in ATTITUDE if _holds(recording, pair[1])
+    names = [
+        [name for name in pair if _has(recording, name)]
+        for pair in ATTITUDE
+        if _has(recording, pair[1])
     ]
-    if not panels:
-        everything = [
-            f"{key}.{name}" for key, record in recording.items() for name in record.signals
-        ]
-        panels = [[name] for name in everything[:PANELS]]
-    if not panels:
-        raise ValueError(f"{recording.source or 'the recording'} holds no signal to draw.")
-    drawn = stacked_axes(
-        axes, [names[-1] for names in panels], "this log", 10.0, 1.2 + 1.8 * len(panels)
+    if not names:
+        signals = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
+        names = [[name] for name in signals[:PANELS]]
+    if not names:
+        raise ValueError(f"{recording.source or 'the recording'} has no signal to draw.")
+
+    figure = Figure(
+        "Log",
+        "Time, s (gray: tests; orange: not usable)" if segments else "Time, s",
+        [_panel(recording, signals, 2 * k) for k, signals in enumerate(names)],
+        subject=recording.source or "recording",
+        spans=spans_of(segments),
     )
-
-    for ax, names in zip(drawn, panels, strict=True):
-        for k, signal in enumerate(names):
-            record, name = recording.locate(signal)
-            values = (
-                np.unwrap(record[name], period=360)
-                if record.units.get(name) == "deg"
-                else record[name]
-            )
-            _line(ax, record.time, values, plain(signal), k)
-        shade_tests(ax, segments)
-        record, name = recording.locate(names[0])
-        finish(ax, plain(record.units.get(name, "") or "-"), legend)
-
-    drawn[0].set_title(plain(recording.source or "recording"), fontsize=TITLE_SIZE)
-    label_horizontal(drawn, "Time, s (shaded: tests; red: not usable)" if segments else "Time, s")
-    return drawn
+    return draw(figure, axes, legend=legend, width=10.0, inches=1.8)
 
 
-def _holds(recording: Recording, signal: str) -> bool:
+def signal_line(name: str, time: Array, values: Array, color: int, width: float = 1.0) -> Series:
+    """Return a signal over time; gaps of more than ten median steps interrupt the line.
+
+    Raw logs drop single messages: a shorter gap would leave dots instead of lines.
+    """
+    gap = 10.0 * float(np.median(np.diff(time))) if time.size > 2 else math.inf
+    x, y = drawn_line(time, values, pieces(time, gap))
+    return Series(name, "line", x, y, color, width=width)
+
+
+def _panel(recording: Recording, signals: Sequence[str], color: int) -> Panel:
+    series = []
+    unit = ""
+    for k, signal in enumerate(signals, color):
+        record, name = recording.locate(signal)
+        unit = record.units.get(name, "")
+        values = np.unwrap(record[name], period=360) if unit == "deg" else record[name]
+        series.append(signal_line(signal, record.time, values, k))
+    return Panel(f"{signals[-1]}, {unit or '-'}", series)
+
+
+def _has(recording: Recording, signal: str) -> bool:
     try:
         recording.locate(signal)
     except KeyError:
         return False
     return True
-
-
-def _line(ax: Axes, time: np.ndarray, values: np.ndarray, label: str, k: int) -> None:
-    gap = GAP * float(np.median(np.diff(time))) if time.size > 2 else math.inf
-    ax.plot(
-        *drawn_line(time, values, pieces(time, gap)), color=color_of(k), linewidth=1.0, label=label
-    )

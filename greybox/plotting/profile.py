@@ -1,110 +1,103 @@
-"""Profiles of the likelihood: how much worse the fit becomes as one quantity moves away from its estimate."""
-
-import math
-from typing import Any
+"""Profiles of the likelihood: the mismatch as one quantity moves away from its estimate."""
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from greybox.estimate.profiles import Contour, ProfileOf, Profiles
-from greybox.plotting.style import COLORS, DARK, GRAYS, new_figure
+from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, draw_grid
 
-COLUMNS = 3
 
+def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
+    """Draw |r|, the root of the likelihood ratio, over every profiled quantity.
 
-def profiles(found: Profiles, axes: Any = None) -> NDArray[Any]:
-    """Draw |r|, the root of the likelihood ratio, over every profiled quantity, with the interval and Wald's cone.
-
-    The limit of |r| has a step at the estimate where a relative criterion biases it.
+    The interval is shaded. The dashed cone is what the standard error predicts. The limit of |r|
+    has a step at the estimate where a relative criterion biases it.
 
     Parameters
     ----------
-    found : Profiles
+    profiles : Profiles
     axes : array-like of Axes, optional
-        As many as there are profiles. Without them a new figure is made.
+        One for each profile. By default a new figure is made.
 
     Returns
     -------
-    (n,) array of Axes
+    numpy.ndarray of Axes, shape (n,)
     """
-    many = len(found.profiles)
-    if axes is None:
-        columns = min(many, COLUMNS)
-        rows = math.ceil(many / columns)
-        made = new_figure(3.0 * columns, 2.5 * rows).subplots(rows, columns, squeeze=False).ravel()
-        for ax in made[many:]:
-            ax.remove()
-        axes = made[:many]
-    drawn = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
-    if len(drawn) != many:
-        raise ValueError(f"axes has {len(drawn)} Axes and there are {many} profiles: give as many.")
-    for ax, profile in zip(drawn, found.profiles, strict=True):
-        _draw(ax, profile, found.limit[profile.name])
-    return drawn
+    figures = profile_figures(profiles)
+    return draw_grid(figures, axes, columns=min(len(figures), 3), size=(3.0, 2.5))
 
 
-def contour(found: Contour, axes: Any = None) -> Axes:
-    """Draw the region of two parameters, and the ellipse of the standard errors; open ends are hollow.
+def profile_figures(profiles: Profiles) -> list[Figure]:
+    """Return one figure for every profiled quantity."""
+    return [_figure(profile, profiles.limit[profile.name]) for profile in profiles.profiles]
+
+
+def contour(contour: Contour, axes: Axes | None = None) -> Axes:
+    """Draw the confidence region of two parameters, and the ellipse of the standard errors.
+
+    Open ends are hollow.
 
     Parameters
     ----------
-    found : Contour
+    contour : Contour
     axes : Axes, optional
-        Without them a new figure is made.
+        By default a new figure is made.
     """
-    ax = new_figure(4.0, 3.4).subplots() if axes is None else axes
-    points = np.vstack([found.points, found.points[:1]])
-    ax.fill(*points.T, color=COLORS[0], alpha=0.12, linewidth=0)
-    ax.plot(*points.T, color=COLORS[0], linewidth=1.4)
-    closed = np.array([end == "crossed" for end in found.ends])
-    ax.plot(*found.points[closed].T, color=COLORS[0], marker="o", markersize=3, linestyle="")
-    ax.plot(
-        *found.points[~closed].T,
-        color=COLORS[0],
-        marker="o",
-        markersize=4,
-        linestyle="",
-        markerfacecolor="white",
-    )
-    if np.all(np.isfinite(found.covariance)):
-        ax.set(
-            xlim=ax.get_xlim(), ylim=ax.get_ylim()
-        )  # of the region: the ellipse may be many times as long
-        ax.plot(*found.ellipse().T, color=GRAYS[0], linestyle="--", linewidth=0.9)
-    ax.plot(*found.estimate, color=DARK, marker="+", markersize=7)
-    for axis, name, unit in zip((ax.xaxis, ax.yaxis), found.names, found.units, strict=True):
-        axis.set_major_locator(MaxNLocator(5))
-        axis.set_label_text(f"{name} [{unit}]" if unit else name)
-    return ax
+    x, y = np.vstack([contour.points, contour.points[:1]]).T
+    is_closed = np.array([end == "crossed" for end in contour.ends])
+    closed = contour.points[is_closed].T
+    hollow = contour.points[~is_closed].T
+    series = [
+        Series("", "regions", x, y),
+        Series("region", "line", x, y),
+        Series("", "points", *closed),
+    ]
+    if hollow.size:
+        series.append(Series("open end", "points", *hollow, is_hollow=True))
+    limits = [_around(values) for values in (x, y)]
+    if np.all(np.isfinite(contour.covariance)):
+        # The limits are those of the region: the ellipse may be many times as long.
+        series.append(Series("standard errors", "line", *contour.ellipse().T, color=GRAY, style=1))
+    estimate = contour.estimate[:, None]
+    series.append(Series("estimate", "points", *estimate, color=INK))
+    across, upward = map(_label, contour.names, contour.units)
+    figure = Figure("Region", across, [Panel(upward, series, limits=limits[1])], limits=limits[0])
+    return draw(figure, axes, width=5.0, inches=2.9)[0]
 
 
-def _draw(ax: Axes, profile: ProfileOf, limit: float) -> None:
-    size = np.abs(profile.roots)
-    low, high = (
-        end if math.isfinite(end) else value
-        for end, value in zip(
-            profile.interval, (profile.values[0], profile.values[-1]), strict=True
-        )
+def _around(values: np.ndarray) -> tuple[float, float]:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name}, {unit}" if unit else name
+
+
+def _figure(profile: ProfileOf, limit: float) -> Figure:
+    ends = profile.values[[0, -1]]
+    interval = np.where(np.isfinite(profile.interval), profile.interval, ends)
+    sides = np.array([ends[0], profile.estimate, profile.estimate, ends[1]])
+    limits = limit + profile.bias * np.array([1, 1, -1, -1])
+    top = 1.6 * limit
+    series = [
+        band("interval", interval, np.zeros(2), np.full(2, limit)),
+        Series("limit", "line", sides, limits, GRAY, width=0.8),
+    ]
+    if 0 < profile.standard_error < np.inf:
+        reach = np.array([-top, 0, top])
+        cone = profile.estimate + profile.standard_error * reach
+        series.append(Series("standard error", "line", cone, np.abs(reach), GRAY, 1, width=0.9))
+    roots = np.abs(profile.roots)
+    series += [
+        Series("profile", "line", profile.values, roots, width=1.4),
+        Series("", "points", profile.values, roots),
+    ]
+    panel = Panel("|r|", series, limits=(0.0, top))
+    return Figure(
+        f"Profile of {profile.name}",
+        _label(profile.name, profile.unit),
+        [panel],
+        limits=(float(ends[0]), float(ends[1])),
     )
-    sides = [profile.values[0], profile.estimate, profile.values[-1]]
-    ax.stairs(
-        [limit + profile.bias, limit - profile.bias],
-        sides,
-        baseline=None,
-        color=GRAYS[0],
-        linewidth=0.8,
-    )
-    ax.axvspan(low, high, color=COLORS[0], alpha=0.12, linewidth=0)
-    if math.isfinite(profile.standard_error) and profile.standard_error > 0:
-        grid = np.array([profile.values[0], profile.estimate, profile.values[-1]])
-        wald = np.abs(grid - profile.estimate) / profile.standard_error
-        ax.plot(grid, wald, color=GRAYS[0], linestyle="--", linewidth=0.9)
-    ax.plot(profile.values, size, color=COLORS[0], marker="o", markersize=3, linewidth=1.4)
-    ax.axvline(profile.estimate, color=DARK, linewidth=0.8)
-    ax.xaxis.set_major_locator(MaxNLocator(4))
-    ax.set_ylim(0, 1.6 * limit)
-    ax.set_xlim(profile.values[0], profile.values[-1])
-    ax.set_xlabel(f"{profile.name} [{profile.unit}]" if profile.unit else profile.name)
-    ax.set_ylabel("|r|")

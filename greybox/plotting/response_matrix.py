@@ -5,8 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.text_table import in_greek
 from greybox.plotting.bode import bode
-from greybox.plotting.style import TITLE_SIZE, AxesArray, label_horizontal, new_figure, symbol
+from greybox.plotting.matplotlib_figure import (
+    TITLE_SIZE,
+    AxesArray,
+    label_horizontal,
+    new_figure,
+    plain,
+)
 
 
 def response_matrix(responses: Sequence[FrequencyResponse]) -> AxesArray:
@@ -48,7 +55,7 @@ def response_matrix(responses: Sequence[FrequencyResponse]) -> AxesArray:
                 continue
             bode(*found, axes=pair, legend=False)
             ranges.append(pair[0].get_xlim())
-            pair[0].set_title(f"{symbol(name)} to {symbol(output)}", fontsize=TITLE_SIZE)
+            pair[0].set_title(plain(f"{in_greek(name)} to {in_greek(output)}"), fontsize=TITLE_SIZE)
             for ax, label in zip(pair, ("|.|, dB", "∠, °"), strict=True):
                 ax.set_ylabel(label if j == 0 else "")
                 ax.set_xlabel("")

@@ -1,111 +1,122 @@
-"""Which frequencies, or which times of a flight, tell of each parameter."""
+"""The data that inform on each parameter, and the response that each parameter changes."""
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.response_band import response_and_slope
 from greybox.estimate.result import Fit
-from greybox.estimate.sensitivity import Sensitivity
-from greybox.plotting.style import (
-    GRAYS,
-    TITLE_SIZE,
-    AxesArray,
-    Entries,
-    GivenAxes,
-    align_and_explain,
-    color_of,
-    finish,
-    label_horizontal,
-    plain,
-    stacked_axes,
-    symbol,
-)
-
-LOG_RANGE = 5.0  # ratio of the highest to the lowest frequency from which the axis is logarithmic
+from greybox.files.text_table import in_greek
+from greybox.modeling.model import Model
+from greybox.plotting.figure import COLORS, GRAY, Figure, Panel, Series
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 
 def sensitivity(
     fit: Fit, part: int = 0, *, axes: GivenAxes | None = None, legend: bool = True
 ) -> AxesArray:
-    """Draw what each frequency, or each time of a record, tells of each free parameter.
+    """Draw the information of each frequency, or each time of a record, on each free parameter.
 
-    In percent of what all data of the fit tell of it: in color with the other parameters estimated
-    along, an output a color, in gray with the others known, all outputs together. Where gray is
-    high and color is low, another parameter has the same effect. `Fit.sensitivity` has the numbers.
+    In percent of the information in all data of the fit: in color with the other parameters
+    estimated too, one color for each output; in gray with the others known, all outputs together.
+    Where gray is high and color is low, another parameter has the same effect. `Fit.sensitivity`
+    has the numbers.
 
     Parameters
     ----------
     fit : Fit
     part : int
-        Which part of the fit.
+        Number of the part of the fit.
     axes : array-like of Axes, optional
-        One for each free parameter. Without it a new figure is made.
+        One for each free parameter. By default a new figure is made.
     legend : bool
-        False leaves the legend out. It stands below a new figure, and in the first panel of given
-        axes.
+        Draw a legend, below a new figure or in the first of the given axes.
 
     Returns
     -------
     numpy.ndarray of Axes, shape (p,)
-        The last line of a notebook cell is ``gb.plotting.sensitivity(fit)[0].figure``.
+        In a notebook, ``gb.plotting.sensitivity(fit)[0].figure`` shows the figure.
 
     Raises
     ------
     TypeError, ValueError
-        For a fit without an estimate or standard errors, or for a wrong number of axes.
+        For a fit without an estimate or standard errors, or a wrong number of axes.
     """
     if not isinstance(fit, Fit):
         raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
-    found = fit.sensitivity(part)
-    drawn = stacked_axes(
-        axes, found.names, "this figure of sensitivities", 7.0, 1.0 + 1.15 * len(found.names)
+    return draw(information_figure(fit, part), axes, legend=legend, width=7.0)
+
+
+def information_figure(fit: Fit, part: int) -> Figure:
+    """Return the information of each point of one part on every free parameter.
+
+    Raises
+    ------
+    ValueError
+        If the fit has no estimate or no standard errors.
+    """
+    information = fit.sensitivity(part)
+    at = information.at
+    panels = []
+    for k, name in enumerate(information.names):
+        alone = 100 * information.alone[k].sum(axis=0)
+        series = [Series("others known", "line", at, alone, GRAY, width=1.2)]
+        for color, output in enumerate(information.outputs):
+            shares = 100 * information.shares[k, color]
+            label = f"{in_greek(output)}, others estimated"
+            series.append(Series(label, "line", at, shares, color, width=1.4))
+        most = max(float(np.nanmax(line.y, initial=0.0)) for line in series)
+        is_unknown = np.isnan(information.shares[k]).all()
+        title = "not determined" if is_unknown else ""
+        limits = (0.0, 1.1 * most or 1.0)
+        panels.append(Panel(f"{in_greek(name)}, %", series, 0.46, limits=limits, title=title))
+
+    is_frequency = information.unit == "rad/s"
+    name = fit.parts[part].data.name or fit.parts[part].name
+    return Figure(
+        f"Information on each parameter{f', {name}' if name else ''}",
+        {"rad/s": "ω, rad/s", "s": "Time, s", "row": "Row"}[information.unit],
+        panels,
+        subject=fit.parts[part].name,
+        caption="Share of the information in all data of the fit, by point or by part of the record.",
+        is_logarithmic=is_frequency and bool(at[-1] > 5 * at[0]),
+        is_wide=not is_frequency,
     )
-    for k, ax in enumerate(drawn):
-        _draw(ax, found, k)
-    drawn[0].set_title(plain(fit.parts[part].name), fontsize=TITLE_SIZE)
-    label_horizontal(drawn, {"rad/s": "ω, rad/s", "s": "Time, s", "row": "Row"}[found.unit])
-    align_and_explain(drawn, _legend(found), given=axes is not None, legend=legend)
-    return drawn
 
 
-def _draw(ax: Axes, found: Sensitivity, k: int) -> None:
-    marker = "o" if found.unit == "rad/s" else ""
-    ax.plot(
-        found.at,
-        100 * found.alone[k].sum(axis=0),
-        color=GRAYS[2],
-        linewidth=1.2,
-        marker=marker,
-        markersize=3,
+def response_sensitivity_figure(fit: Fit, part: FittedResponse, model: Model) -> Figure | None:
+    """Return the change of magnitude and phase where a free parameter grows by 1 %, to first order.
+
+    None if no free parameter has a value other than zero.
+    """
+    curve = part.data if part.sine is not None or part.curve is None else part.curve
+    omega = np.unique(curve.omega)
+    # These curves are smooth, and every point costs an evaluation.
+    rows = np.linspace(0, omega.size - 1, min(omega.size, 120)).round().astype(int)
+    omega = omega[np.unique(rows)]
+    names = {name: part.rename.get(name, name) for name in model.parameters}
+    values = {name: fit.estimate[renamed] for name, renamed in names.items()}
+    signals = {"input": curve.input, "output": curve.output, "at": part.at, "delay": part.delay}
+    response, slope = response_and_slope(
+        model, values, omega, part.sine, part.data.omega, **signals
     )
-    for j, shares in enumerate(100 * found.shares[k]):
-        ax.plot(found.at, shares, color=color_of(j), linewidth=1.4, marker=marker, markersize=4)
-    if np.isnan(found.shares[k]).all():
-        ax.text(
-            0.5,
-            0.5,
-            "not determined",
-            transform=ax.transAxes,
-            ha="center",
-            va="center",
-            color="0.4",
-        )
-    ax.set_ylim(bottom=0)
-    ax.yaxis.set_major_locator(MaxNLocator(3))
-    finish(ax, f"{symbol(found.names[k])}, %")
-    if found.unit == "rad/s" and found.at[-1] > LOG_RANGE * found.at[0]:
-        ax.set_xscale("log")
-        ax.xaxis.set_major_locator(
-            LogLocator(subs=(1, 2, 5) if found.at[-1] < 1e3 * found.at[0] else (1,))
-        )
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
-        ax.xaxis.set_minor_formatter(NullFormatter())
 
-
-def _legend(found: Sensitivity) -> Entries:
-    entries = {
-        f"{symbol(output)}, others estimated": (Line2D([], [], color=color_of(j)),)
-        for j, output in enumerate(found.outputs)
-    }
-    return {**entries, "others known": (Line2D([], [], color=GRAYS[2]),)}
+    magnitude: list[Series] = []
+    phase: list[Series] = []
+    for k, (name, renamed) in enumerate(names.items()):
+        if renamed not in fit.free or values[name] == 0:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = 0.01 * values[name] * slope[:, k] / response.response
+        style, color = divmod(len(magnitude), COLORS)
+        decibel = 20 / np.log(10) * np.real(change)
+        magnitude.append(Series(renamed, "line", omega, decibel, color, style))
+        phase.append(Series(renamed, "line", omega, np.degrees(np.imag(change)), color, style))
+    if not magnitude:
+        return None
+    return Figure(
+        "Sensitivity",
+        "ω, rad/s",
+        [Panel("Change of magnitude, dB", magnitude), Panel("Change of phase, °", phase)],
+        caption="Change of the fitted response if one parameter grows by 1 % and the others stay.",
+        is_logarithmic=True,
+    )

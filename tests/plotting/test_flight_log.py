@@ -51,5 +51,5 @@ def test_a_recording_is_drawn_with_its_tests_shaded():
 
 def test_any_signals_will_do_and_none_is_said():
     assert len(gb.plotting.recording(Recording({"table": RECORD}, "made.csv"))) == 3
-    with pytest.raises(ValueError, match=r"made\.csv holds no signal"):
+    with pytest.raises(ValueError, match=r"made\.csv has no signal"):
         gb.plotting.recording(Recording({}, "made.csv"))

@@ -51,7 +51,7 @@ def test_signals_have_axes_of_their_own_and_limits_are_marked(measured):
         line.get_xdata()
         for ax in (figure.axes[0], figure.axes[2])
         for line in ax.lines
-        if line.get_marker() == "|"
+        if line.get_label() == "at a limit"
     ]
     assert marked[1].max() < 4 < marked[1].size
     assert "without the 20 Hz low-pass filter" in {
@@ -98,5 +98,5 @@ def test_sines_are_drawn_with_the_one_of_the_largest_error():
     found = measure(log, Settings("u=RATE.POut", "theta=ATT.Pitch", announced="SINE"))
     figure = gb.plotting.measurement(found, log)
     titles = [ax.get_title() for ax in figure.axes]
-    assert any(title.startswith("the sine with the largest error") for title in titles)
+    assert any(title.startswith("Sine with the largest error") for title in titles)
     assert len(figure.axes[0].patches) == 10

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_lines import TRUTH, curves, numbers, points
+from drawn_lines import TRUTH, curves, named, numbers, points
+from page_results import lag
 from scipy import stats
 
 import greybox as gb
 from greybox.models.tilt import Tilt
+from greybox.plotting.nyquist import nyquist_figures
 
 
 def test_nyquist_draws_the_curve_and_every_point(pitch):
@@ -18,8 +20,9 @@ def test_nyquist_draws_the_curve_and_every_point(pitch):
     np.testing.assert_array_equal(
         line.get_xydata(), np.column_stack([part.curve.alpha, part.curve.beta])
     )
+    order = np.argsort(part.data.omega)
     np.testing.assert_array_equal(
-        data.get_xydata(), np.column_stack([part.data.alpha, part.data.beta])
+        data.get_xydata(), np.column_stack([part.data.alpha, part.data.beta])[order]
     )
     assert axes.get_aspect() == 1
     assert axes.get_xlabel() == "Real part of θ/u"
@@ -90,3 +93,24 @@ def test_points_of_known_variance_have_their_region_and_curves_their_band(pitch)
         band.get_paths()[7].vertices[:-1], np.column_stack([ellipses[7].real, ellipses[7].imag])
     )
     assert not gb.plotting.nyquist(pitch, data, level=None)[0].collections
+
+
+def test_the_values_tell_each_point_and_far_curves_leave_the_data_readable():
+    fit = lag()
+    (figure,) = nyquist_figures([fit])
+    data = fit.responses[0].data
+    points = named(figure.panels[0], "lag", "points")
+    assert points.x + 1j * points.y == pytest.approx(data.response)
+    assert points.notes[0].endswith("at 1 rad/s")
+    real, sign, imaginary = points.notes[3].split()[:3]
+    assert sign == "−"
+    assert float(real) - 1j * float(imaginary) == pytest.approx(data.response[3], rel=1e-3)
+    assert (figure.limits, figure.is_plane) == (None, True)
+
+    part = fit.responses[0]
+    far = replace(part, curve=replace(part.curve, response=1e3 * part.curve.response))
+    (figure,) = nyquist_figures([replace(fit, parts=(far, fit.parts[1]), models=None)])
+    half = np.abs(data.response).max() / 2
+    assert figure.limits == pytest.approx((-half, data.response.real.max() + half))
+    assert figure.panels[0].limits == pytest.approx((data.response.imag.min() - half, half))
+    assert figure.caption.startswith("Curves reach a magnitude of ")

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, measured
+from drawn_lines import named
 from hardening_spring import Spring, driven
 
 import greybox as gb
+from greybox.plotting.residuals import residual_figures
 from greybox.statistics.metrics import input_correlation, whiteness
 
 
@@ -22,32 +24,33 @@ def spring(record):
 
 
 def test_residuals_have_a_histogram_and_their_correlations(spring, record):
-    histogram, autocorrelation, force = gb.plotting.residuals(spring)
+    distribution, correlations = residual_figures(spring.records[0])
     (e,) = spring.residuals[0]
-    (curve,) = histogram.get_lines()
-    at = curve.get_xdata()[100]
-    density = np.exp(-0.5 * ((at - e.mean()) / e.std()) ** 2) / (e.std() * np.sqrt(2 * np.pi))
-    np.testing.assert_allclose(curve.get_ydata()[100], density)
-    area = sum(patch.get_width() * patch.get_height() for patch in histogram.patches)
-    assert area == pytest.approx(1)
-    for ax, test in (
-        (autocorrelation, whiteness([e])),
+    histogram, normal = distribution.panels[0].series
+    x = normal.x[100]
+    density = np.exp(-0.5 * ((x - e.mean()) / e.std()) ** 2) / (e.std() * np.sqrt(2 * np.pi))
+    assert normal.y[100] == pytest.approx(density)
+    assert np.trapezoid(histogram.high, histogram.x) == pytest.approx(1)
+    assert distribution.label == "Residual of position, m"
+
+    itself, force = correlations.panels
+    assert (itself.label, force.label) == ("Autocorrelation", "Correlation with force")
+    for panel, test in (
+        (itself, whiteness([e])),
         (force, input_correlation([e], [record["force"]])),
     ):
-        np.testing.assert_allclose(ax.get_lines()[-1].get_ydata(), test.correlations)
-        assert ax.get_title().endswith(f", p = {test.p_value:.2g}")
-        np.testing.assert_array_equal(
-            ax.get_lines()[-1].get_xdata(), np.arange(1, len(test.correlations) + 1)
-        )
-        (shade,) = ax.patches
-        box = shade.get_extents().transformed(ax.transData.inverted())
-        assert (box.y0, box.y1) == (pytest.approx(-test.bound), pytest.approx(test.bound))
+        points = named(panel, "", "points")
+        assert points.y == pytest.approx(test.correlations)
+        assert points.x.tolist() == [*range(1, points.y.size + 1)]
+        np.testing.assert_array_equal(points.low, np.minimum(points.y, 0))
+        assert panel.title.endswith(f", p = {test.p_value:.2g}")
+        shade = named(panel, "99 %", "band")
+        assert (set(shade.high), set(shade.low)) == ({test.bound}, {-test.bound})
         most = max(np.abs(test.correlations).max(), test.bound)
-        assert most < ax.get_ylim()[1] == -ax.get_ylim()[0] < 1.5 * most
-        assert ax.get_xlim() == (0, len(test.correlations) + 1)
-    assert autocorrelation.get_ylabel() == "Autocorrelation"
-    assert force.get_ylabel().startswith("Correlation with")
-    assert histogram.get_xlabel() == "Residual of position, m"
+        assert most < panel.limits[1] == -panel.limits[0] < 1.5 * most
+    assert (correlations.label, correlations.is_whole) == ("Lag, samples", True)
+    assert "with themselves p" in correlations.caption
+    assert len(gb.plotting.residuals(spring)) == 3
 
 
 def test_what_the_model_lacks_shows(record):
@@ -81,5 +84,5 @@ def test_constant_inputs_and_rows_without_a_time_have_no_correlations(spring, re
         gb.plotting.residuals(response)
     with pytest.raises(TypeError, match="cannot draw 3: give a Fit"):
         gb.plotting.residuals(3)
-    with pytest.raises(ValueError, match="draws 3 panels"):
+    with pytest.raises(ValueError, match="has 3 panels"):
         gb.plotting.residuals(spring, axes=gb.plotting.residuals(spring)[:2])

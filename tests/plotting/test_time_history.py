@@ -1,16 +1,14 @@
 """Figures of fitted and predicted records show what they hold: lines, gaps, bands, windows."""
 
-from types import SimpleNamespace
-
 import matplotlib as mpl
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, measured
-from drawn_lines import legend
+from drawn_lines import legend, named
 from hardening_spring import Spring, driven
 
 import greybox as gb
-from greybox.plotting.time_history import _half_width
+from greybox.plotting.time_history import history_figure
 
 mpl.use("Agg")
 WHOLE = driven(20.0, noise=0.05, seed=2)
@@ -36,53 +34,69 @@ def line(axis, color):
     return found.get_data()
 
 
-def test_a_fit_is_drawn_over_what_was_measured_with_what_is_left_and_the_input(fit):
+def test_a_fit_is_drawn_over_what_was_measured_with_residuals_and_input(fit):
     axes = gb.plotting.time_history(fit)
     output, below, force = axes
-    assert [axis.get_ylabel() for axis in axes] == ["position, m", "residual", "force"]
+    assert [ax.get_ylabel() for ax in axes] == ["position, m", "Residual, m", "force"]
     assert output.get_title() == "spring"
     time, drawn = line(output, "#0072B2")
     there = np.isfinite(drawn)
-    assert np.allclose(
-        np.interp(time[there], GAPPED.time, fit.parts[0].simulated["position"]), drawn[there]
-    )
-    time, left = line(below, "#0072B2")
-    assert np.sqrt(np.nanmean(left**2)) == pytest.approx(0.05, rel=0.1)
-    time, drawn = line(force, "#222222")
+    simulated = fit.parts[0].simulated["position"]
+    assert np.allclose(np.interp(time[there], GAPPED.time, simulated), drawn[there])
+    _, residual = line(below, "#0072B2")
+    assert np.sqrt(np.nanmean(residual**2)) == pytest.approx(0.05, rel=0.1)
+    _, drawn = line(force, "#222222")
     assert np.isclose(np.nanmax(drawn), GAPPED["force"].max())
 
 
-def test_of_a_short_record_every_sample_is_a_dot():
+def test_of_a_short_record_every_sample_is_a_dot_and_angles_are_in_degrees():
     time = 0.1 * np.arange(40)
-    record = gb.Record(
-        time,
-        {"force": np.sin(time), "position": np.where(time == 1.0, np.nan, 2 + np.cos(time))},
-        {"position": "rad"},
-    )
+    position = np.where(time == 1.0, np.nan, 2 + np.cos(time))
+    signals = {"force": np.sin(time), "position": position}
+    record = gb.Record(time, signals, {"position": "rad"})
     short = gb.predict(Spring(), {}, record, horizon=1.0)
-    output, below, force = gb.plotting.time_history(short)
-    (dots,) = [k for k in output.lines if k.get_marker() == "." and k.get_color() == "#AAAAAA"]
-    there = np.isfinite(record["position"])
-    np.testing.assert_allclose(
-        dots.get_xydata(), np.column_stack([time, np.degrees(record["position"])])[there]
-    )
-    at, left = line(below, "#0072B2")
-    known = np.isfinite(left)
-    expected = np.degrees(record["position"] - short.record["position"])
-    np.testing.assert_allclose(
-        left[known],
-        np.interp(at[known], time[np.isfinite(expected)], expected[np.isfinite(expected)]),
-    )
-    output_band, left_band = output.collections[0], below.collections[0]
-    half = np.nanmax(np.degrees(1.959964 * short.record["position_error"]))
-    assert max(path.get_extents().y1 for path in left_band.get_paths()) == pytest.approx(
-        half, rel=1e-3
-    )
-    assert min(path.get_extents().y0 for path in left_band.get_paths()) == pytest.approx(
-        -half, rel=1e-3
-    )
-    assert output_band.get_paths()
-    assert force.get_xlabel() == "Time, s"
+    output, below, force = history_figure([short]).panels
+    assert (output.label, below.label) == ("position, °", "Residual, °")
+    dots = named(output, "measured", "points")
+    is_finite = np.isfinite(position)
+    assert dots.x.tolist() == time[is_finite].tolist()
+    assert dots.y == pytest.approx(np.degrees(position[is_finite]))
+    residual = named(below, "Spring", "line")
+    drawn = np.isfinite(residual.y)
+    expected = np.degrees(position - short.record["position"])
+    at = np.isfinite(expected)
+    assert residual.y[drawn] == pytest.approx(np.interp(residual.x[drawn], time[at], expected[at]))
+    half = np.degrees(1.959964 * short.record["position_error"])
+    shade = named(below, "Spring", "band")
+    assert np.nanmax(shade.high) == -np.nanmin(shade.low) == pytest.approx(np.nanmax(half))
+    assert force.series[0].y == pytest.approx(record["force"])
+
+
+def test_long_lines_keep_their_extremes(fit):
+    figure = history_figure([fit], columns=20)
+    drawn = named(figure.panels[0], "fit", "line")
+    assert len(drawn.x) < 100
+    assert np.nanmax(drawn.y) == pytest.approx(fit.parts[0].simulated["position"].max())
+    assert "smallest and largest of each 47" in figure.caption
+    assert "smallest" not in history_figure([fit]).caption
+
+
+def test_rows_without_a_time_are_dots_with_bars():
+    class Line(gb.StateSpace):
+        inputs, outputs = ("x",), ("y",)
+        a = gb.Parameter(1.0)
+
+        def output(self, x, u, p):
+            return (p.a * u.x,)
+
+    x = np.arange(30.0)
+    rows = gb.Record(x, {"x": x, "y": x + 0.1 * np.sin(x**2)}, has_time=False)
+    fit = gb.fit(gb.Problem(Line(), rows), starts=[{}], progress=False)
+    figure = history_figure([fit])
+    output, below, _ = figure.panels
+    assert figure.label == "Row"
+    assert named(output, "fit", "points").x.tolist() == [*range(1, 31)]
+    assert len(named(below, "", "line").x) == 3 * 30
 
 
 def test_a_gap_is_left_open(fit):
@@ -109,23 +123,14 @@ def test_several_fits_are_laid_over_one_another(fit, stiff):
 
 def test_predictions_begin_anew_in_every_window_and_have_a_band(fit):
     prediction = gb.predict(fit, record=WHOLE, horizon=2.0)
-    output = gb.plotting.time_history(prediction)[0]
-    _, drawn = line(output, "#0072B2")
+    output = history_figure([prediction]).panels[0]
+    drawn = named(output, "Spring", "line").y
     assert np.isnan(drawn).sum() == len(prediction) - 1 == 8
-    (band,) = output.collections
-    assert len(band.get_paths()) == 9
-    assert max(path.get_extents().y1 for path in band.get_paths()) > np.nanmax(drawn)
-    begins = [k for k in output.lines if k.get_marker() == "." and k.get_color() == "#0072B2"]
-    assert begins[0].get_xdata().tolist() == WHOLE.time[prediction.rows[:, 0]].tolist()
-    assert "95 % band without noise" in legend(output)
-
-
-def test_angles_are_drawn_in_degrees():
-    record = gb.Record(WHOLE.time, dict(WHOLE.signals), {"position": "rad"})
-    output = gb.plotting.time_history(gb.predict(Spring(), {}, record, horizon=1.0))[0]
-    assert output.get_ylabel() == "position, °"
-    shown = np.nanmax(line(output, "#0072B2")[1])
-    assert shown == pytest.approx(np.degrees(np.nanmax(WHOLE["position"])), rel=0.2)
+    shade = named(output, "Spring", "band")
+    assert np.isnan(shade.high).sum() == 8
+    assert np.nanmax(shade.high) > np.nanmax(drawn)
+    assert named(output, "", "points").x.tolist() == WHOLE.time[prediction.rows[:, 0]].tolist()
+    assert "95 % band without noise" in legend(gb.plotting.time_history(prediction)[0])
 
 
 def test_long_records_are_thinned_to_their_extremes():
@@ -143,7 +148,7 @@ def test_plot_shows_the_records_of_a_fit_and_its_responses(fit, tmp_path):
     figure = gb.plot(fit)
     assert [axis.get_ylabel() for axis in figure.axes] == [
         "position, m",
-        "residual",
+        "Residual, m",
         "force",
         "Cost",
     ]
@@ -151,7 +156,7 @@ def test_plot_shows_the_records_of_a_fit_and_its_responses(fit, tmp_path):
     response = gb.Problem(Spring(), measured(Spring(), np.geomspace(0.5, 8, 12), noise=0.02))
     both = gb.plot(gb.fit(gb.Problem(Spring(), GAPPED) + response, starts=2, progress=False))
     labels = [axis.get_ylabel() for axis in both.axes]
-    assert labels[:4] == ["position, m", "residual", "force", "Cost"]
+    assert labels[:4] == ["position, m", "Residual, m", "force", "Cost"]
     assert labels[4].startswith("Magnitude")
     both.savefig(tmp_path / "b.png")
 
@@ -174,16 +179,3 @@ def test_wrong_use_is_said_in_a_sentence(fit):
         gb.plotting.time_history(fit, gb.predict(fit, record=WHOLE))
     with pytest.raises(ValueError, match="there are 2 labels for 1 items"):
         gb.plotting.time_history(fit, labels=("a", "b"))
-
-
-def test_bands_are_half_as_wide_on_either_side_and_straight_between_samples():
-    part = SimpleNamespace(error=1, data=range(5))
-    band = np.array([[1.0, np.nan, 3.0, 2.0, np.nan], [2.0, np.nan, 7.0, 2.5, np.nan]])
-    unknown = np.full((2, 5), np.nan)
-    fit = SimpleNamespace(
-        known=1, parts=(part,), output_band=lambda part: {"y": band, "z": unknown}
-    )
-    (found,) = _half_width(fit, part).items()
-    assert found[0] == "y"
-    np.testing.assert_allclose(found[1], [0.5, 1.25, 2.0, 0.25, np.nan])
-    assert _half_width(fit, SimpleNamespace(error=None)) == {}

@@ -7,9 +7,7 @@ import pytest
 from drawn_lines import QUICK, TRUTH, curves, legend, points
 
 import greybox as gb
-from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
-from greybox.plotting.response_series import MARKER_SIZE, response_series
 
 
 def test_a_joint_fit_shows_every_part_and_a_common_curve_once(rotors):
@@ -87,30 +85,6 @@ def test_a_refined_resonance_is_drawn_whole_and_counts_as_the_same_curve(rotors)
     assert -180 <= phase.min() < phase.max() <= 0
 
 
-def test_many_points_are_small_and_below_the_curve(sweep):
-    omega = np.geomspace(0.5, 200, 3000)
-    exact = gb.frequency_response(Tilt(), TRUTH, omega)
-    data = gb.FrequencyResponse(
-        omega, exact.response * 1e-9, "u", "theta", variance=np.full(3000, 1e-20)
-    )
-    for draw in (gb.plotting.nyquist, gb.plotting.bode):
-        axes = draw(data, replace(exact, response=exact.response * 1e-9))[0]
-        (cloud,), (line,) = points(axes), curves(axes)
-        assert len(cloud.get_xdata()) == 3000
-        assert cloud.get_markersize() < points(draw(sweep)[0])[0].get_markersize()
-        assert cloud.get_zorder() < line.get_zorder()
-        assert axes.figure.legends[0].get_lines()[0].get_markersize() > cloud.get_markersize()
-
-
-def test_one_frequency_and_odd_names_are_drawn():
-    data = gb.FrequencyResponse(
-        [2.0], [0.0], input="RATE.POut", output="Omega_1", name="_50 % of $u$ and $x"
-    )
-    curve = gb.frequency_response(Rotor(), {}, [2.0])
-    for draw in (gb.plotting.nyquist, gb.plotting.bode):
-        draw(data, curve)[0].figure.draw_without_rendering()
-
-
 @pytest.mark.parametrize(
     ("name", "shown"),
     [
@@ -139,11 +113,4 @@ def test_wrong_use_is_said_in_a_sentence(pitch):
 def test_curves_of_different_items_have_different_lines(pitch):
     curve = gb.frequency_response(Tilt(), TRUTH, [1.0, 2.0, 5.0])
     axes = gb.plotting.bode(*[replace(curve, response=k * curve.response) for k in range(1, 6)])
-    assert [line.get_linestyle() for line in curves(axes[0])] == ["-", "--", "-.", ":", "-"]
-
-
-@pytest.mark.parametrize(("count", "size"), [(20, 1.0), (100, 1.0), (400, 0.5)])
-def test_the_ink_of_many_points_is_that_of_a_hundred(count, size):
-    data = gb.FrequencyResponse(np.geomspace(1, 9, count), np.ones(count))
-    (series,) = response_series([data], (), None)
-    assert series.look["markersize"] == pytest.approx(size * MARKER_SIZE)
+    assert [line.get_linestyle() for line in curves(axes[0])] == ["-", "--", ":", "-.", "-"]

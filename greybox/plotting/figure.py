@@ -1,0 +1,145 @@
+"""A figure as a value. matplotlib (`matplotlib_figure`) and the page of a report draw the same values."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from greybox.files.arrays import Array
+
+Limits = tuple[float, float]
+
+GRAY = -1  # colors without a number
+INK = -2
+CROSS = -1  # marker of what failed
+COLORS = 6  # colors that are told apart
+ANGLES = (1, 2, 5, 15, 30, 45, 90, 180, 360, 720)  # natural steps of an axis in degrees
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Lines, points or areas of one color.
+
+    Attributes
+    ----------
+    name : str
+        Entry in the legend; empty for none. Series of one name share an entry.
+    kind : "line", "points", "band", "rule" or "regions"
+        A band lies between `low` and `high`. A rule is a horizontal line at ``y[0]``. Regions are
+        polygons with NaN between them, filled with a pale color or, if hollow, outlined; the page
+        leaves them out.
+    x, y : (n,) arrays
+        NaN in y interrupts a line.
+    color : int
+        0 to 5, then again from 0; GRAY or INK.
+    style : int
+        Number of the dash pattern or of the marker; CROSS.
+    low, high : (n,) arrays or None
+        Ends of error bars, or of the band.
+    notes : sequence of str
+        What the page shows when a point is read, instead of its numbers.
+    labels : sequence of str
+        What matplotlib writes beside the points.
+    width : float
+        Of a line in matplotlib, points.
+    is_hollow : bool
+    """
+
+    name: str
+    kind: Literal["line", "points", "band", "rule", "regions"]
+    x: Array
+    y: Array
+    color: int = 0
+    style: int = 0
+    low: Array | None = None
+    high: Array | None = None
+    notes: Sequence[str] = ()
+    labels: Sequence[str] = ()
+    width: float = 1.6
+    is_hollow: bool = False
+
+
+def band(name: str, x: Array, low: Array, high: Array, color: int = 0) -> Series:
+    """Return the area between two curves (n,)."""
+    return Series(name, "band", x, low, color, low=low, high=high)
+
+
+def rule(y: float = 0.0, name: str = "", style: int = 0) -> Series:
+    """Return a gray horizontal line."""
+    return Series(name, "rule", np.zeros(1), np.array([y]), GRAY, style)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One vertical axis with its series.
+
+    Attributes
+    ----------
+    label : str
+        The quantity, with its unit after a comma.
+    series : sequence of Series
+        Later ones are drawn above earlier ones.
+    height : float
+        In multiples of a usual panel.
+    is_logarithmic : bool
+    limits : (float, float) or None
+        By default everything that is drawn.
+    steps : sequence of float
+        Natural distances of ticks, such as `ANGLES`; by default 1, 2 and 5 times powers of ten.
+    title : str
+        Drawn by matplotlib above the panel; the page has captions.
+    """
+
+    label: str
+    series: Sequence[Series]
+    height: float = 1.0
+    is_logarithmic: bool = False
+    limits: Limits | None = None
+    steps: Sequence[float] = ()
+    title: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """Panels below one another, over one horizontal axis.
+
+    Attributes
+    ----------
+    title : str
+        The kind of diagram.
+    label : str
+        Of the horizontal axis.
+    panels : sequence of Panel
+    subject : str
+        Names of what is drawn: the title in matplotlib.
+    caption : str
+        Sentences below the title on the page.
+    bands : str
+        What bands show, for the legend of matplotlib.
+    spans : sequence of (start, end, color)
+        Shaded by matplotlib in all panels.
+    is_logarithmic : bool
+        The horizontal axis.
+    is_plane : bool
+        Both axes have one scale, as in the complex plane.
+    is_whole : bool
+        The horizontal axis counts.
+    is_wide : bool
+        The figure takes the whole width of the page.
+    limits : (float, float) or None
+        Of the horizontal axis; by default everything that is drawn.
+    """
+
+    title: str
+    label: str
+    panels: Sequence[Panel]
+    subject: str = ""
+    caption: str = ""
+    bands: str = ""
+    spans: Sequence[tuple[float, float, int]] = ()
+    is_logarithmic: bool = False
+    is_plane: bool = False
+    is_whole: bool = False
+    is_wide: bool = False
+    limits: Limits | None = None

@@ -1,0 +1,450 @@
+"""The matplotlib renderer: draws a `Figure` value into new axes or into those of a user."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure as MatplotlibFigure
+from matplotlib.figure import SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from numpy.typing import NDArray
+
+from greybox.files.arrays import Array
+from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series
+
+# Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
+# pale for lines.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+DASHES = ("-", "--", ":", "-.")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+MARKER_SIZE = 5.5  # points
+CROWD = 100  # points of one series from which on markers shrink and lie below the curves
+BAND_ALPHA = 0.2
+TITLE_SIZE = 12  # points
+ORIGIN = "origin"  # marks the lines through the origin of a plane
+
+AxesArray = NDArray[np.object_]
+"""Matplotlib Axes, in one dimension."""
+
+GivenAxes = Axes | Sequence[Axes] | AxesArray
+"""Axes that a user made: one, or an array-like of them."""
+
+
+class _NotebookFigure(MatplotlibFigure):
+    """A figure that a notebook shows although pyplot, which registers the display, was not imported."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=100)
+        return buffer.getvalue()
+
+
+def new_figure(width: float, height: float) -> MatplotlibFigure:
+    """Return an empty figure of this size in inches."""
+    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
+    return _NotebookFigure(figsize=(width, height), layout=layout)
+
+
+# --- whole figures
+
+
+def draw(
+    figure: Figure,
+    axes: GivenAxes | None = None,
+    *,
+    legend: bool = True,
+    width: float = 6.4,
+    inches: float = 2.5,
+) -> AxesArray:
+    """Draw a figure into the given axes, one for each panel, or into a new one.
+
+    `width` and the height of a usual panel, `inches`, are those of a new figure.
+    """
+    if axes is None:
+        return draw_into(new_figure(width, height_of(figure, inches)), figure, legend=legend)
+
+    drawn = given_axes(axes, [panel.label for panel in figure.panels], figure.title)
+    draw_panels(drawn, figure)
+    _write_title(drawn[0], figure)
+    if legend:
+        legend_inside(drawn[0], [figure])
+    return drawn
+
+
+def draw_into(
+    place: MatplotlibFigure | SubFigure, figure: Figure, *, legend: bool = True
+) -> AxesArray:
+    """Draw a figure into an empty matplotlib figure or a part of one, with its legend below."""
+    heights = [panel.height for panel in figure.panels]
+    axes = place.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+    draw_panels(axes, figure)
+    _write_title(axes[0], figure)
+    place.align_ylabels(axes)
+    if legend:
+        legend_below(place, [figure])
+    return axes
+
+
+def draw_grid(
+    figures: Sequence[Figure],
+    axes: GivenAxes | None = None,
+    *,
+    columns: int,
+    size: tuple[float, float],
+    title: str = "",
+) -> AxesArray:
+    """Draw the panels of several figures side by side, each over its own horizontal axis.
+
+    `columns` and the `size` of a panel in inches are those of a new figure, `title` is its title.
+    """
+    panels = [(figure, panel) for figure in figures for panel in figure.panels]
+    if axes is None:
+        rows = -(-len(panels) // columns)
+        drawn = grid(new_figure(size[0] * columns, size[1] * rows + 0.4), len(panels), columns)
+        drawn[0].figure.suptitle(plain(title), fontsize=TITLE_SIZE)
+    else:
+        drawn = given_axes(axes, [panel.title or panel.label for _, panel in panels], "this figure")
+    for ax, (figure, panel) in zip(drawn, panels, strict=True):
+        _draw_panel(ax, figure, panel)
+        _horizontal_axis([ax], figure)
+    return drawn
+
+
+def grid(place: MatplotlibFigure | SubFigure, count: int, columns: int) -> AxesArray:
+    """Make this number of axes in rows."""
+    axes = place.subplots(-(-count // columns), columns, squeeze=False).ravel()
+    for spare in axes[count:]:
+        spare.remove()
+    return axes[:count]
+
+
+def draw_panels(axes: Sequence[Axes] | AxesArray, figure: Figure) -> None:
+    """Draw the panels of a figure into these axes, without title and legend."""
+    for ax, panel in zip(axes, figure.panels, strict=True):
+        _draw_panel(ax, figure, panel)
+    _horizontal_axis(axes, figure)
+
+
+def _write_title(ax: Axes, figure: Figure) -> None:
+    title = plain(figure.subject or figure.title)
+    ax.set_title("\n".join(filter(None, [title, ax.get_title()])), fontsize=TITLE_SIZE)
+
+
+def height_of(figure: Figure, inches: float = 2.5) -> float:
+    """Return the height in inches that a figure needs."""
+    return 1.1 + inches * sum(panel.height for panel in figure.panels)
+
+
+# --- axes of a user
+
+
+def given_axes(axes: GivenAxes, names: Sequence[str], drawing: str) -> AxesArray:
+    """Return the axes of a user as an array (n,), one for each of `names`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For what is not an Axes, or for another number of them.
+    """
+    flat = flat_axes(axes)
+    if flat.size != len(names):
+        raise ValueError(
+            f"{drawing} has {len(names)} panels ({'; '.join(names)}), but `axes` has {flat.size}: "
+            "give one for each."
+        )
+    return flat
+
+
+def flat_axes(axes: GivenAxes) -> AxesArray:
+    """Return the axes of a user as an array (n,).
+
+    Raises
+    ------
+    TypeError
+        For what is not an Axes.
+    """
+    flat = np.array(axes, dtype=object).ravel()
+    for item in flat:
+        if not isinstance(item, Axes):
+            raise TypeError(
+                f"cannot draw into {item!r:.80}: give matplotlib Axes, e.g. those of plt.subplots()."
+            )
+    return flat
+
+
+# --- one panel
+
+
+def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
+    for start, end, color in figure.spans:
+        ax.axvspan(start, end, color=color_of(color), alpha=0.15, linewidth=0)
+    for series in panel.series:
+        _DRAWERS[series.kind](ax, series)
+
+    if figure.is_plane:
+        ax.axhline(0, color="0.6", linewidth=0.8, zorder=1, gid=ORIGIN)
+        ax.axvline(0, color="0.6", linewidth=0.8, zorder=1, gid=ORIGIN)
+        ax.margins(0.12)
+        ax.set_aspect("equal", adjustable="datalim")
+        _include_regions(ax, panel)
+        if figure.limits is not None and panel.limits is not None:
+            ax.dataLim.set_points(np.array([figure.limits, panel.limits]).T)
+            ax.margins(0)
+    else:  # `point_numbers` finds room for the labels of a plane
+        for series in panel.series:
+            _write_labels(ax, series)
+    if panel.title:
+        ax.set_title(plain(panel.title), fontsize=10)
+    _vertical_axis(ax, panel)
+    finish(ax, panel.label)
+
+
+def _draw_line(ax: Axes, series: Series) -> None:
+    look = _look(series)
+    if len(series.x) == 1:
+        look["marker"] = "+"  # a line of one point is invisible
+    ax.plot(series.x, _finite(series.y), **look)
+
+
+def _draw_points(ax: Axes, series: Series) -> None:
+    crowded = len(series.x) > CROWD
+    y = _finite(series.y)
+    if series.low is not None and series.high is not None:
+        ends = [y - _finite(series.low), _finite(series.high) - y]
+        ax.errorbar(
+            series.x,
+            y,
+            ends,
+            fmt="none",
+            ecolor=color_of(series.color),
+            elinewidth=1.0,
+            capsize=0.0 if crowded else 2.0,
+            alpha=0.3 if crowded else 0.7,
+            zorder=1.2 if crowded else 2,
+        )
+    # The ink of all points together remains the same.
+    shrink = min(1.0, (CROWD / max(len(series.x), 1)) ** 0.5)
+    size = max(2.0, shrink * MARKER_SIZE)
+    ax.plot(series.x, y, **{**_look(series), "markersize": size}, zorder=1.5 if crowded else 3)
+
+
+def _write_labels(ax: Axes, series: Series) -> None:
+    look = {"fontsize": 8, "color": color_of(series.color), "ha": "center"}
+    for x, y, text in zip(series.x, series.y, series.labels, strict=False):
+        if text:
+            ax.annotate(text, (x, y), xytext=(0, 5), textcoords="offset points", **look)
+
+
+def _draw_band(ax: Axes, series: Series) -> None:
+    assert series.low is not None
+    assert series.high is not None
+    look = {"color": color_of(series.color), "alpha": BAND_ALPHA, "linewidth": 0, "zorder": 1.1}
+    ax.fill_between(series.x, _finite(series.low), _finite(series.high), **look)
+
+
+def _draw_rule(ax: Axes, series: Series) -> None:
+    dash = DASHES[series.style % len(DASHES)]
+    ax.axhline(series.y[0], color=color_of(series.color), linewidth=0.8, linestyle=dash, zorder=1)
+
+
+def _draw_regions(ax: Axes, series: Series) -> None:
+    color = color_of(series.color)
+    look: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 0.8}
+    look |= {"alpha": 0.6, "zorder": 2}
+    if not series.is_hollow:
+        # Opaque and of a pale color: where transparent regions overlap they would add up.
+        pale = tuple(1 - BAND_ALPHA * (1 - part) for part in to_rgb(color))
+        look = {"facecolors": [pale], "linewidths": 0, "zorder": 0.5}
+    ax.add_collection(PolyCollection(_polygons(series), **look), autolim=False)
+
+
+_DRAWERS = {
+    "line": _draw_line,
+    "points": _draw_points,
+    "band": _draw_band,
+    "rule": _draw_rule,
+    "regions": _draw_regions,
+}
+
+
+def _polygons(series: Series) -> list[Array]:
+    vertices = np.column_stack([series.x, series.y])
+    gaps = np.flatnonzero(np.isnan(vertices).any(axis=1))
+    pieces = (piece[~np.isnan(piece).any(axis=1)] for piece in np.split(vertices, gaps))
+    return [piece for piece in pieces if len(piece)]
+
+
+def _include_regions(ax: Axes, panel: Panel) -> None:
+    """Extend the limits to filled regions, by half of the extent of points and curves at most."""
+    reach = ax.dataLim.expanded(1.5, 1.5)
+    for series in panel.series:
+        if series.kind == "regions" and not series.is_hollow and series.x.size:
+            vertices = np.vstack(_polygons(series))
+            ax.update_datalim(np.clip(vertices, reach.min, reach.max))
+
+
+def _look(series: Series) -> dict[str, Any]:
+    """Return the keywords of matplotlib's `plot`."""
+    color = color_of(series.color)
+    look = {"color": color, "label": plain(series.name) or "_"}
+    if series.kind == "line":
+        dash = DASHES[series.style % len(DASHES)]
+        return {**look, "linestyle": dash, "linewidth": series.width}
+
+    look |= {"linestyle": "none", "markersize": MARKER_SIZE}
+    if series.style == CROSS:
+        return {**look, "marker": "x"}
+    look["marker"] = MARKERS[series.style % len(MARKERS)]
+    if series.is_hollow:
+        return {**look, "markerfacecolor": "none", "markeredgecolor": color}
+    return {**look, "markeredgecolor": "white", "markeredgewidth": 0.5}
+
+
+def _finite(values: Array) -> Array:
+    """Replace infinity, as the logarithm of zero, by NaN: matplotlib would scale axes to it."""
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+# --- colors, text and axes
+
+
+def color_of(number: int) -> str:
+    """Return the color of this number."""
+    named = {GRAY: "#999999", INK: "#222222"}
+    return named.get(number) or COLORS[number % len(COLORS)]
+
+
+def plain(text: str) -> str:
+    """Return text that matplotlib shows as it is: without mathematics, and not hidden from a legend."""
+    return text.lstrip("_").replace("$", r"\$")
+
+
+def finish(ax: Axes, ylabel: str) -> None:
+    """Label the vertical axis and give the panel the grid and the spines of every diagram."""
+    ax.set_ylabel(plain(ylabel), fontsize=11)
+    ax.tick_params(labelsize=10)
+    ax.grid(True, color="0.9", linewidth=0.8)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def label_horizontal(axes: Sequence[Axes] | AxesArray, label: str) -> None:
+    """Label the horizontal axes that show numbers: of stacked panels only the lowest."""
+    for ax in axes:
+        if ax.xaxis.get_tick_params().get("labelbottom", True):
+            ax.set_xlabel(plain(label), fontsize=11)
+
+
+def _vertical_axis(ax: Axes, panel: Panel) -> None:
+    if panel.is_logarithmic:
+        ax.set_yscale("log")
+    if panel.limits is not None and ax.get_aspect() != 1:  # equal aspect changes the limits
+        low, high = (limit if np.isfinite(limit) else None for limit in panel.limits)
+        ax.set_ylim(low, high)
+
+    span = float(np.ptp(ax.get_ylim()))
+    if panel.steps and span > 60:
+        large = [step for step in panel.steps if step >= 15 and span <= 7 * step]
+        most = panel.steps[-1]
+        ax.yaxis.set_major_locator(
+            MultipleLocator(large[0] if large else most * np.ceil(span / (7 * most)))
+        )
+    elif not panel.is_logarithmic:
+        count = 7 if panel.height >= 1 else 4
+        ax.yaxis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
+
+
+def _horizontal_axis(axes: Sequence[Axes] | AxesArray, figure: Figure) -> None:
+    label_horizontal(axes, figure.label)
+    if figure.limits is not None and not figure.is_plane:
+        for ax in axes:
+            ax.set_xlim(figure.limits)
+    if figure.is_whole:
+        for ax in axes:
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    if figure.is_logarithmic:
+        _logarithmic(axes)
+
+
+def _logarithmic(axes: Sequence[Axes] | AxesArray) -> None:
+    """Make horizontal axes logarithmic, with 1, 2 and 5 of every decade where there is room."""
+    # Everything in the panels, including what a user drew before.
+    low = min(ax.dataLim.minposx for ax in axes)
+    high = max(ax.dataLim.xmax for ax in axes)
+    ratio = high / low
+    for ax in axes:
+        ax.set(xscale="log", xlim=(low / 1.15, high * 1.15))
+        linear = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
+        decades = LogLocator(subs=(1, 2, 5) if ratio < 1e3 else (1,))
+        ax.xaxis.set_major_locator(linear if ratio < 5 else decades)
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+# --- legends
+
+
+def legend_below(place: MatplotlibFigure | SubFigure, figures: Sequence[Figure]) -> None:
+    """Draw the legend below everything, where it covers no data."""
+    entries = legend_entries(figures)
+    if not entries:
+        return
+    inches = place.bbox.width / place.dpi
+    # A letter of 10 points takes about 1/11 inch, a key six letters.
+    columns = int(11 * inches / (max(map(len, entries)) + 6))
+    place.legend(
+        handles=[*entries.values()],
+        labels=[*entries],
+        loc="outside lower center",
+        ncols=max(1, min(len(entries), columns)),
+        fontsize=10,
+        frameon=False,
+        **_keys_side_by_side(entries),
+    )
+
+
+def legend_inside(ax: Axes, figures: Sequence[Figure]) -> None:
+    """Draw the legend inside a panel."""
+    entries = legend_entries(figures)
+    if entries:
+        look = {"fontsize": 9, **_keys_side_by_side(entries)}
+        ax.legend(handles=[*entries.values()], labels=[*entries], **look)
+
+
+def legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
+    """Return the keys by label: points, then lines, then bands; one label has the keys of all its colors."""
+    keys: dict[str, dict[tuple[int, int], Artist]] = {}
+    bands: dict[str, dict[int, Artist]] = {}
+    for panel_figure, panel in ((figure, panel) for figure in figures for panel in figure.panels):
+        known = set(keys)
+        for series in sorted(panel.series, key=lambda series: series.kind != "points"):
+            is_area = series.kind == "band" or (series.kind == "regions" and not series.is_hollow)
+            if is_area and panel_figure.bands:
+                patch = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
+                bands.setdefault(panel_figure.bands, {})[series.color] = patch
+            elif series.name and series.name not in known and not is_area:
+                kind = "line" if series.kind == "rule" else series.kind
+                key = Line2D([], [], **_look(replace(series, kind=kind)))
+                keys.setdefault(series.name, {})[series.color, series.style] = key
+    legend = {plain(label): tuple(artists.values()) for label, artists in keys.items()}
+    for label, artists in bands.items():
+        legend[plain(label)] = tuple(artists[color] for color in sorted(artists))
+    return legend
+
+
+def _keys_side_by_side(entries: dict[str, tuple[Artist, ...]]) -> dict[str, Any]:
+    most = max(map(len, entries.values()))
+    return {
+        "handler_map": {tuple: HandlerTuple(ndivide=None, pad=0.4)},
+        "handlelength": max(2.0, 1.2 * most),
+    }

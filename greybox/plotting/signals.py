@@ -1,0 +1,43 @@
+"""Signals as a person reads them: degrees for radians, Greek letters; and tests as shaded spans."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
+from greybox.data.record import Record
+from greybox.data.test_segment import Segment
+from greybox.files.text_table import in_greek
+from greybox.plotting.figure import GRAY
+
+Item = TypeVar("Item")
+ORANGE = 1  # color of tests that are not usable, and of samples at a limit
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Return the factor to the unit that a person reads, degrees for radians, and that unit."""
+    degrees = {"rad": "°", "rad/s": "°/s"}.get(unit)
+    return (1.0, unit) if degrees is None else (180 / math.pi, degrees)
+
+
+def signal_label(record: Record, name: str) -> str:
+    """Return the symbol of a signal and the unit that a person reads."""
+    unit = shown_unit(record.units.get(name, ""))[1]
+    return f"{in_greek(name)}, {unit}" if unit else in_greek(name)
+
+
+def spans_of(tests: Iterable[Segment]) -> list[tuple[float, float, int]]:
+    """Return when tests were flown, in orange where they are not usable."""
+    return [(test.start, test.end, GRAY if test.usable else ORANGE) for test in tests]
+
+
+def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
+    """Return the item of this number, counted from 0, or from the end where it is negative.
+
+    Raises
+    ------
+    ValueError
+        If it does not exist.
+    """
+    if not -len(items) <= number < len(items):
+        raise ValueError(f"there is no {kind} {number}: the fit has {len(items)}, counted from 0.")
+    return items[number]
