@@ -7,6 +7,7 @@ Begin with `compiled_problem`.
 | `compiled_problem` | what a solver is given: parts, limits, scaling |
 | `part`, `part_without_nodes` | the interface of every part of a problem, and what parts without states at nodes share |
 | `response_part`, `response_map` | a frequency response; many points as one mapped function |
+| `response_programs` | all frequency responses as programs for a solver |
 | `transient_part` | the spectrum of a manoeuvre |
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |

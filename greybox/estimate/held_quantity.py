@@ -62,9 +62,11 @@ class _Programs:
     @cached_property
     def newton(self) -> BatchedNewton | None:
         """Newton's method, where there are only bounds; it takes a tenth of IPOPT's time."""
-        if self._quantity is not None or self._nlp.limits or not BatchedSolver.serves(self._nlp):
+        program = self._nlp.programs[-1]
+        if self._quantity is not None or not BatchedSolver.serves(self._nlp):
             return None
-        return BatchedNewton(self._nlp.explicit[-1], self.lower, self.upper, self._nlp.roots)
+        assert program.explicit is not None
+        return BatchedNewton(program.explicit, self.lower, self.upper, program.roots)
 
     @cached_property
     def ipopt(self) -> tuple[Ipopt, dict[str, Array]]:

@@ -148,7 +148,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
     profile takes some forty solves, so problems too large for the batched search, records with
     states and long tables are not profiled unless the user asks.
     """
-    if fit.white is None or nlp.limits or nlp.roots is not None or fit.priors:
+    if fit.white is None or nlp.limits or nlp.programs[-1].roots or fit.priors:
         return None
     static = all(isinstance(part, RecordPart) and part.is_static for part in nlp.parts)
     if not (static or (len(fit.responses) == len(fit.parts) and BatchedSolver.serves(nlp))):

@@ -1,18 +1,24 @@
 """From starts to minima.
 
-Begin with `multistart`, which chooses the solver, and `local_solver`, what every solver answers.
-`ipopt` solves problems of frequency responses, `screened_ipopt` compares the starts before; from
-many starts `batched_solver` brings them to minima together, by `batched_newton`, whose steps are in
-`newton_iteration`, and, under constraints, `augmented_lagrangian`, and has IPOPT confirm each.
-`gauss_newton/` solves problems with records, and `transcribed_program` hands records to IPOPT as
-one sparse program. `waves` says in which order starts are tried and when there were enough;
-`global_search` is the scatter search of MATLAB's GlobalSearch; an `outcome` is what one run leaves,
-`runs` has those of a search in columns, `minima` groups them. `executors` has the runs made by
-other processes, `worker_pool` has such on this machine, `kept_runs` says what keeps them.
-`local_search` tries more than the starts, `discretization_error` refines the integration, `cost`
-evaluates a problem at given parameters. `constraints` and `quadratic_program` serve the
-Gauss-Newton steps. `interruption` says what becomes of Ctrl-C, `time_limits` how long a search may
-take.
+Begin with `multistart`.
+
+| file | contents |
+| --- | --- |
+| `multistart` | which solver a problem gets, and its runs from many starts |
+| `waves` | in which order starts are tried, and when there were enough |
+| `local_solver` | what every solver answers |
+| `ipopt` | IPOPT on frequency responses |
+| `batched_solver` | the default for frequency responses: many starts improved at once, minima confirmed by IPOPT |
+| `batched_newton`, `newton_iteration` | Newton's method from many points, and its iteration |
+| `gauss_newton/` | Gauss-Newton steps on records |
+| `transcribed_program` | records as one sparse program for IPOPT |
+| `global_search` | the scatter search of MATLAB's GlobalSearch |
+| `local_search`, `discretization_error` | further starts near an end; finer integration steps |
+| `outcome`, `runs`, `minima` | what one run leaves; all runs in columns; distinct minima |
+| `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes on this machine; stored runs |
+| `interruption`, `time_limits` | Ctrl-C; how long a search may take |
+| `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
+| `cost` | the cost at given parameters |
 """
 
 from greybox.compiled.strategies import Strategies as Strategies

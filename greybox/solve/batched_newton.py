@@ -135,11 +135,10 @@ class BatchedNewton:
         upper: Array,
         roots: ca.Function | None = None,
     ) -> None:
-        """Take the program and the bounds (p,) of z.
+        """Take an SX function (z, smoothing, ...) -> cost, ..., and the bounds (p,) of z.
 
-        It is an SX function (z, smoothing, ...) -> cost, ..., which takes besides: the `roots` of
-        z, if there are any, which its derivatives may hold; then, if searches differ in it, what is
-        given.
+        The function also takes the `roots` of z, if there are any, which its derivatives may
+        contain, and what differs between the searches: `given` of `minimize`.
         """
         inputs = [ca.SX.sym("v", program.numel_in(k)) for k in range(program.n_in())]
         self._function = SecondOrder(inputs, program(*inputs)[0])

@@ -1,121 +1,159 @@
-"""IPOPT for what few starts need, and Newton's method from many starts at once for the rest.
+"""The search of frequency responses: starts are compared, and Newton's method improves many at once.
 
-Runs that are improved together end at a minimum of the same smoothed cost as those of IPOPT. Of
-every distinct minimum IPOPT solves one run once more: a minimum counts only when IPOPT's conditions
-of optimality (KKT) hold there too.
+Runs that are improved together end at a minimum of the same smoothed cost as those of IPOPT. IPOPT
+then solves one run of every distinct minimum again: a minimum counts only when IPOPT's conditions of
+optimality (KKT) are met there too. IPOPT also makes all runs of problems that `fits_a_batch` excludes.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
-from greybox.solve.augmented_lagrangian import ConstrainedNewton
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end, stop_requested
-from greybox.solve.ipopt import IpoptSolver
-from greybox.solve.minima import Minimum, same_cost
+from greybox.solve.ipopt import IpoptSolver, merits
+from greybox.solve.local_solver import LocalSolver, Profile, Screened
+from greybox.solve.minima import Minimum, Multistart, same_cost
 from greybox.solve.outcome import IMPROVED, Outcome, Run
 from greybox.solve.runs import Runs
-from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.time_limits import one_run
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 
-# Starts from which a batch takes less time than as many runs of IPOPT: the operations of one step
-# on few points take 0.3 ms, ten times an iteration of IPOPT.
-FEWEST = 6
-
-# Starts in a batch, at most: operations on more do not become cheaper. Instructions times starts,
-# of what takes some 0.5 s: a time limit costs no more than the batch at hand, and progress is seen.
-# In batches of fewer than the last number a start takes more than twice its time.
-MOST = 1024
-MOST_AT_ONCE = 10_000_000
-FEWEST_AT_ONCE = 128
-
 # Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order
-# up to 200; IPOPT goes on with those that need more.
+# up to 200. IPOPT continues those that need more.
 ITERATIONS = 300
 
-# Of the projected gradient, in the solver's variables: that of IPOPT.
-TOLERANCE = 1e-8
-
-# Instructions of cost, gradient and Hessian from which the functions take most of IPOPT's time, and
-# unknowns from which eigenvalues do: there is little to gain from a batch.
-MOST_INSTRUCTIONS = 50_000
-MOST_UNKNOWNS = 20
-
-TRIES = 3  # runs of one minimum that IPOPT solves once more, until one is confirmed
+TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
 
-class BatchedSolver(ScreenedIpopt):
-    """Newton's method on all starts of a batch; IPOPT for what it leaves, and for the certificate."""
+def fits_a_batch(program: ca.Function | None) -> bool:
+    """Tell whether a batch of a program (z, smoothing, ...) -> cost, constraints is faster than IPOPT's runs.
+
+    It needs an explicit cost (an SX function) and no constraints but bounds. From 50 000 instructions of cost,
+    gradient and Hessian on, these take most of IPOPT's time, and from 20 unknowns on eigenvalues
+    do: a batch gains little then.
+    """
+    if program is None or not program.is_a("SXFunction") or program.numel_out(1):
+        return False
+    return program.numel_in(0) <= 20 and _instructions(program) <= 50_000
+
+
+class BatchedSolver(LocalSolver):
+    """Newton's method on all starts of a batch; IPOPT for the others, and to confirm the minima."""
+
+    starts = IpoptSolver.starts
+    tries_declared_values = IpoptSolver.tries_declared_values
+    promising = (8, 4)
 
     def __init__(
-        self,
-        nlp: CompiledProblem,
-        options: Mapping[str, Any] = MappingProxyType({}),
-        like: "IpoptSolver | None" = None,
+        self, problem: CompiledProblem, options: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
         """Build IPOPT; the functions of the batch are built when the first one is run."""
-        super().__init__(nlp, options, like)
-        self.together = _power_of_two(
-            min(max(MOST_AT_ONCE // _instructions(nlp), FEWEST_AT_ONCE), MOST)
-        )
-        self._batches: list[BatchedNewton | ConstrainedNewton] = []
+        self._problem = problem
+        self._options = options
+        self._ipopt = IpoptSolver(problem, options)
+        self._batches: list[BatchedNewton] = []
+        explicit = problem.programs[-1].explicit
+        self.together = _batch_size(explicit) if explicit and self.serves(problem) else 1
+
+    def __reduce__(self) -> tuple[Callable[..., "BatchedSolver"], tuple[Any, ...]]:
+        """Return what builds the same solver."""
+        return BatchedSolver, (self._problem, dict(self._options))
 
     @staticmethod
-    def serves(nlp: CompiledProblem) -> bool:
-        """Tell whether a problem has the form that a batch takes: small, without states, and explicit."""
-        if any(part.has_states for part in nlp.parts) or not nlp.explicit:
-            return False
-        return len(nlp.free) <= MOST_UNKNOWNS and _instructions(nlp) <= MOST_INSTRUCTIONS
+    def serves(problem: CompiledProblem) -> bool:
+        """Tell whether starts of a problem are improved together."""
+        without_states = not any(part.has_states for part in problem.parts)
+        return without_states and fits_a_batch(problem.programs[-1].explicit)
+
+    # --- as IPOPT does
+
+    def run(self, start: Array) -> Outcome:
+        """Solve by IPOPT from the parameters `start` (p,)."""
+        return self._ipopt.run(start)
+
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+        """Return the point x (p,): there is nothing hidden."""
+        return self._ipopt.profile(x, nodes)
+
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing at all values (k,)."""
+        return self._problem.cost(values)
+
+    def judged(self, estimates: Array) -> tuple[Array, Any]:
+        """Return the costs, without smoothing, and signatures."""
+        return self._ipopt.judged(estimates)
+
+    def refined(self, nlp: CompiledProblem) -> "BatchedSolver":
+        """Return the solver of another problem with the same options."""
+        return BatchedSolver(nlp, self._options)
+
+    def polished(self, search: Multistart) -> Multistart:
+        """Return the search with the minima close to the best solved with less smoothing."""
+        return self._ipopt.polished(search)
+
+    # --- many starts
+
+    def screened(self, starts: Array) -> Screened:
+        """Compare the starts (r, p) by their merits."""
+        values = merits(self._problem, self._problem.scaling.to_solver(starts).T)
+        return Screened(np.argsort(values, kind="stable"), values, starts)
 
     def run_together(self, starts: Array) -> list[Outcome]:
-        """Bring all starts (r, p) to a minimum together; those that do not get there are IPOPT's."""
-        if len(starts) < FEWEST:
+        """Bring all starts (r, p) to a minimum together; IPOPT continues those that do not arrive."""
+        # One step on few points takes 0.3 ms, ten times an iteration of IPOPT.
+        if len(starts) < 6 or self.together == 1:
             return super().run_together(starts)
+
         began = time.perf_counter()
-        z = self._nlp.scaling.to_solver(starts).T
-        limits = {
-            "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
-            "tolerance": float(self._options.get("tol", TOLERANCE)),
-        }
+        z = self._problem.scaling.to_solver(starts).T
         iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
         for k, batch in enumerate(self._built()):
-            ends = batch.minimize(z, **limits, from_near=k > 0)
+            ends = batch.minimize(
+                z,
+                max_iterations=int(self._options.get("max_iter", ITERATIONS)),
+                tolerance=float(self._options.get("tol", TOLERANCE)),
+                from_near=k > 0,
+            )
             z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
-        estimates = np.clip(self._nlp.scaling.to_parameters(z.T), self._nlp.lower, self._nlp.upper)
-        each = (time.perf_counter() - began) / len(starts)
+
+        parameters = self._problem.scaling.to_parameters(z.T)
+        estimates = np.clip(parameters, self._problem.lower, self._problem.upper)
+        seconds = (time.perf_counter() - began) / len(starts)
         return [
-            Outcome(x, AT_MINIMUM, n, each, converged=True, stage=IMPROVED)
+            Outcome(x, AT_MINIMUM, count, seconds, converged=True, stage=IMPROVED)
             if at_minimum
-            else self._gone_on(x, n, each)
-            for x, n, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True)
+            else self._continued(x, count, seconds)
+            for x, count, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True)
         ]
 
-    def _built(self) -> "list[BatchedNewton | ConstrainedNewton]":
+    def _built(self) -> list[BatchedNewton]:
         """Return the criterion that locates the minimum, if any, then the problem's own."""
         if not self._batches:
-            nlp, bounds = self._nlp, (self._bounds["lbx"], self._bounds["ubx"])
+            scale = self._problem.scaling.to_solver
+            bounds = scale(self._problem.lower), scale(self._problem.upper)
             self._batches = [
-                ConstrainedNewton(program, *bounds, nlp.origin, nlp.roots)
-                if nlp.limits
-                else BatchedNewton(program, *bounds, nlp.roots)
-                for program in nlp.explicit
+                BatchedNewton(program.explicit, *bounds, program.roots)
+                for program in self._problem.programs
+                if program.explicit is not None
             ]
         return self._batches
 
-    def _gone_on(self, x: Array, iterations: int, seconds: float) -> Outcome:
-        """Return where IPOPT comes from the end of a run that did not arrive."""
+    def _continued(self, x: Array, iterations: int, seconds: float) -> Outcome:
+        """Return where IPOPT gets to from the end of a run that did not arrive."""
         if cut := reason_to_end():
             return Outcome(x, cut, iterations, seconds, converged=False)
-        return self._spent(self._timed_run(x), Outcome(x, "", iterations, seconds, converged=False))
+        return _spent(self._timed_run(x), Outcome(x, "", iterations, seconds, converged=False))
+
+    # --- the certificate
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
         """Return a run of IPOPT's for every minimum that has none.
@@ -125,49 +163,54 @@ class BatchedSolver(ScreenedIpopt):
         """
         certified: dict[int, Outcome] = {}
         for minimum in minima:
-            places = np.array(minimum.runs)
-            if np.any(runs.stage[places] != IMPROVED):
+            if np.any(runs.stage[np.array(minimum.runs)] != IMPROVED):
                 continue
-            if any(self._confirm(runs[k], certified) for k in minimum.runs[:TRIES]):
+            # One of the three best runs of a minimum must be confirmed.
+            if any(self._confirm(runs[k], certified) for k in minimum.runs[:3]):
                 continue
             for k in minimum.runs:
                 if k not in certified and not stop_requested():
-                    certified[k] = self.judged_run(
-                        self._spent(self._timed_run(runs[k].start), runs[k])
-                    )
+                    again = _spent(self._timed_run(runs[k].start), runs[k])
+                    certified[k] = self._ipopt.judged_run(again)
         return certified
 
-    def _confirm(self, before: Run, certified: dict[int, Outcome]) -> bool:
-        """Solve by IPOPT from the end of a run; tell whether it stays there. A lower minimum is taken over."""
+    def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
+        """Solve by IPOPT from the end of a run; tell whether it stays there. A lower minimum replaces the run."""
         if stop_requested():
             return True
-        after = self.judged_run(self._timed_run(before.estimate))
-        higher = after.cost - before.cost
-        tolerated = same_cost(self._nlp, before.cost)
-        if not after.converged or not higher <= tolerated:
+        outcome = self._ipopt.judged_run(self._timed_run(run.estimate))
+        higher = outcome.cost - run.cost
+        tolerated = same_cost(self._problem, run.cost)
+        if not outcome.converged or not higher <= tolerated:
             return False
-        certified[before.index] = self._spent(after, before)
+        certified[run.index] = _spent(outcome, run)
         return higher >= -tolerated
 
     def _timed_run(self, x: Array) -> Outcome:
         with one_run():
             return self.run(x)
 
-    @staticmethod
-    def _spent(after: Outcome, before: Outcome | Run) -> Outcome:
-        """Return an outcome with what was spent before it."""
-        return replace(
-            after,
-            iterations=before.iterations + after.iterations,
-            seconds=before.seconds + after.seconds,
-        )
+
+def _spent(outcome: Outcome, earlier: Outcome | Run) -> Outcome:
+    """Return an outcome with the iterations and seconds of an earlier one added."""
+    return replace(
+        outcome,
+        iterations=earlier.iterations + outcome.iterations,
+        seconds=earlier.seconds + outcome.seconds,
+    )
 
 
-def _instructions(nlp: CompiledProblem) -> int:
-    """Return those of cost, gradient and Hessian: some two for every operation of the cost and unknown."""
-    return max(nlp.explicit[-1].n_instructions() * 2 * len(nlp.free), 1)
+def _instructions(program: ca.Function) -> int:
+    """Estimate the instructions of cost, gradient and Hessian: two for every operation and unknown."""
+    return max(program.n_instructions() * 2 * program.numel_in(0), 1)
 
 
-def _power_of_two(count: int) -> int:
-    """Return the largest up to a count: as many columns are evaluated at once."""
+def _batch_size(program: ca.Function) -> int:
+    """Return how many starts are improved at once: a power of two, as the columns of a batch.
+
+    Up to 1024: more do not become cheaper. Fewer where a batch would take more than some 0.5 s (10
+    million instructions), so that a time limit costs no more and progress is seen. At least 128:
+    below, a start takes more than twice its time.
+    """
+    count = min(max(10_000_000 // _instructions(program), 128), 1024)
     return 1 << (count.bit_length() - 1)

@@ -19,12 +19,11 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.executors import packed
 from greybox.solve.interruption import stop_requested
-from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.ipopt import IpoptSolver, merits
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import SCREENED, Outcome
 from greybox.solve.runs import Ended
-from greybox.solve.screened_ipopt import merits
 from greybox.solve.time_limits import one_run
 
 # The values of the reference, section 3 and table 1, and of MATLAB's GlobalSearch.

@@ -60,6 +60,14 @@ WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200
 WITHOUT_BARRIER = {**WARM, "mu_init": 1e-11, "max_iter": 50, "obj_scaling_factor": 0.01}
 
 
+def merits(nlp: CompiledProblem, z: Array) -> Array:
+    """Return the smoothed costs at the columns of z (p, m), with a penalty on missed constraints: (m,)."""
+    costs, limits = (value.full() for value in nlp.programs[0].function(z, SMOOTHING))
+    # The weight of the penalty: a constraint missed by a thousandth weighs as much as a cost of one.
+    values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
+    return np.where(np.isfinite(values), values, np.inf)
+
+
 class StopCheck(ca.Callback):
     """Ends IPOPT on a problem at the next iteration after Ctrl-C, when time is up, or when the run gets nowhere.
 
@@ -201,19 +209,12 @@ class IpoptSolver(LocalSolver):
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        programs = (
-            (nlp.locating, nlp.locating_derivatives),
-            (nlp.program, nlp.program_derivatives),
-        )
-        stated = [
-            (program, derivatives) for program, derivatives in programs if program is not None
-        ]
+        derivatives = [program.derivatives for program in nlp.programs]
         if like:
-            stated = [
-                (p, stage.derivatives) for (p, _), stage in zip(stated, like._stages, strict=True)
-            ]
+            derivatives = [stage.derivatives for stage in like._stages]
         self._stages = [
-            Ipopt(_statement(program), options, derivatives) for program, derivatives in stated
+            Ipopt(_statement(program.function), options, known)
+            for program, known in zip(nlp.programs, derivatives, strict=True)
         ]
         scale = nlp.scaling.to_solver
         self._bounds = {
@@ -225,7 +226,7 @@ class IpoptSolver(LocalSolver):
 
     def __reduce__(self) -> tuple[Callable[..., "IpoptSolver"], tuple[Any, ...]]:
         """Return what builds the same solver."""
-        return type(self), (self._nlp, dict(self._options))
+        return IpoptSolver, (self._nlp, dict(self._options))
 
     def run(self, start: Array, smoothing: float = SMOOTHING) -> Outcome:
         """Solve from the parameters `start` (p,)."""
@@ -276,7 +277,7 @@ class IpoptSolver(LocalSolver):
 
     def refined(self, nlp: CompiledProblem) -> "IpoptSolver":
         """Return the solver of another problem with the same options."""
-        return type(self)(nlp, self._options)
+        return IpoptSolver(nlp, self._options)
 
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with the minima close to the best (after Ctrl-C: the best) solved with less smoothing."""

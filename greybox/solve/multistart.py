@@ -25,7 +25,6 @@ from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.runs import Ended, Runs
-from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.transcribed_program import TranscribedProgram
 from greybox.solve.waves import AllAtOnce, Waves
 
@@ -57,13 +56,7 @@ def solver_for(
         For options that the solver does not take.
     """
     if not any(part.has_states for part in nlp.parts):
-        if search != BATCHED:
-            return IpoptSolver(nlp, options)
-        return (
-            BatchedSolver(nlp, options)
-            if BatchedSolver.serves(nlp)
-            else ScreenedIpopt(nlp, options)
-        )
+        return BatchedSolver(nlp, options) if search == BATCHED else IpoptSolver(nlp, options)
     if nlp.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
     return GaussNewton(nlp, settings=with_options(nlp.strategies, options))

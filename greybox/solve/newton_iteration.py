@@ -17,11 +17,10 @@ import numpy as np
 COST = 0  # infinite where it or a derivative is not finite
 RADIUS, LEVEL = 1, 2
 SWITCHED = 3  # whether the trial is the point again, at the next level
-SLOPE = 4  # the largest component of the projected gradient
-IS_NEWTON = 5  # whether the trial is where the model is least; where it is not, `bounded` finds one
-END = 6  # 1 at a minimum, -1 where the search can go no further, else 0
-ITERATIONS = 7
-SINGLE = 8
+IS_NEWTON = 4  # whether the trial is where the model is least; where it is not, `bounded` finds one
+END = 5  # 1 at a minimum, -1 where the search can go no further, else 0
+ITERATIONS = 6
+SINGLE = 7
 
 # Of the distance to a bound, how much of it a step takes while there is a barrier: that of IPOPT.
 TO_BOUND = 0.99
@@ -160,7 +159,6 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
         radius,
         level,
         switched,
-        slope,
         ca.logic_or(is_newton, switched),
         end,
         numbers[ITERATIONS] + 1,

@@ -13,9 +13,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import CompiledProblem, response_options, solver_weights
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.limits import limits_of, stacked
 from greybox.compiled.response_map import LARGE
+from greybox.compiled.response_programs import response_options, solver_weights
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem

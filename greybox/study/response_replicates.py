@@ -19,13 +19,7 @@ from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.scaling import Scaling
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.batched_solver import (
-    AT_MINIMUM,
-    ITERATIONS,
-    MOST_INSTRUCTIONS,
-    MOST_UNKNOWNS,
-    TOLERANCE,
-)
+from greybox.solve.batched_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, fits_a_batch
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
@@ -366,7 +360,7 @@ class ResponseReplicates(Runner):
 
     @cached_property
     def _newton(self) -> BatchedNewton | None:
-        return BatchedNewton(self._program, *self._bounds) if _is_small(self._program) else None
+        return BatchedNewton(self._program, *self._bounds) if fits_a_batch(self._program) else None
 
     @cached_property
     def _ipopt(self) -> Ipopt:
@@ -387,11 +381,3 @@ class ResponseReplicates(Runner):
 
     def _estimate(self, z: Array) -> Array:
         return np.clip(self._scaling.to_parameters(z), *self._limits)
-
-
-def _is_small(program: ca.Function) -> bool:
-    """Tell whether a batch takes less time than as many runs of IPOPT, see `BatchedSolver.serves`."""
-    if not program.is_a("SXFunction") or program.numel_out(1):
-        return False
-    p = program.numel_in(0)
-    return p <= MOST_UNKNOWNS and program.n_instructions() * 2 * p <= MOST_INSTRUCTIONS

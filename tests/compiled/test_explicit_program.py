@@ -42,15 +42,18 @@ def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives
     )
     problem = response(2.0, 1).with_(constraints=[lambda p: p.m - p.c**2]) + second
     nlp = compile_problem(problem)
-    assert nlp.roots is not None
-    (explicit,), z = nlp.explicit, nlp.scaling.to_solver(np.array([0.7, 1.6, 0.4, -0.2]))
+    [program] = nlp.programs
+    assert program.explicit is not None
+    assert program.roots is not None
+    z = nlp.scaling.to_solver(np.array([0.7, 1.6, 0.4, -0.2]))
     assert nlp.free == ("c", "m", "w", "w2")
 
     def whole(v):
         return np.concatenate([value.full().ravel() for value in nlp.program(v, 0.0)])
 
     assert_allclose(
-        np.concatenate([v.full().ravel() for v in explicit(z, 0.0, nlp.roots(z))]), whole(z)
+        np.concatenate([v.full().ravel() for v in program.explicit(z, 0.0, program.roots(z))]),
+        whole(z),
     )
     x = nlp.scaling.to_parameters(z)
     assert_allclose(whole(z)[1:], [1.6 - 0.7**2, 0.7 * 1.6**2 + 0.2], rtol=1e-9)
@@ -58,7 +61,7 @@ def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives
         nlp.parts[k].weight * nlp.response_cost(x).full()[k, 0] for k in (0, 1)
     )
 
-    gradient, hessian = nlp.program_derivatives["grad_f"], nlp.program_derivatives["hess_lag"]
+    gradient, hessian = program.derivatives["grad_f"], program.derivatives["hess_lag"]
     slopes = numeric_jacobian(whole, z)
     cost, found = (v.full().ravel() for v in gradient(z, 0.0))
     assert_allclose(cost, whole(z)[0])

@@ -9,7 +9,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.compiled import compiled_problem
+from greybox.compiled import response_programs
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import LinearTilt
 
@@ -56,8 +56,7 @@ def tilt():
 @pytest.fixture
 def as_large(monkeypatch):
     """Take every response for a large one."""
-    monkeypatch.setattr(compiled_problem, "LARGE", 0)
-    monkeypatch.setattr(compiled_problem, "FEW", 0)
+    monkeypatch.setattr(response_programs, "LARGE", 0)
 
 
 def hessian(nlp, z, smoothing, multipliers):
@@ -77,7 +76,7 @@ def test_values_and_derivatives_are_those_of_the_expression(problem, as_large, m
     plain = compile_problem(problem)
     assert plain.program.is_a("SXFunction")
     assert not mapped.program.is_a("SXFunction")
-    assert plain.program_derivatives == {}
+    assert plain.programs[-1].derivatives == {}
     random = np.random.default_rng(5)
     for _ in range(5):
         x = np.array(
@@ -88,7 +87,7 @@ def test_values_and_derivatives_are_those_of_the_expression(problem, as_large, m
             assert_allclose(other, one, rtol=1e-12)
         multipliers = random.normal(size=plain.constraint.numel_out())
         expected = hessian(plain, z, 1e-8, multipliers)
-        found = mapped.program_derivatives["hess_lag"](z, 1e-8, 1.7, multipliers).full()
+        found = mapped.programs[-1].derivatives["hess_lag"](z, 1e-8, 1.7, multipliers).full()
         assert_allclose(found, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
         for one, other in zip(plain.parts, mapped.parts, strict=True):
             values = plain.all_values(x)
@@ -116,7 +115,8 @@ def test_a_mapped_problem_travels(as_large):
     back = pickle.loads(pickle.dumps(nlp))
     assert float(back.program(z, 0.0)[0]) == float(nlp.program(z, 0.0)[0])
     assert_allclose(
-        *(each.program_derivatives["hess_lag"](z, 0.0, 1, 0) for each in (back, nlp)), rtol=1e-14
+        *(each.programs[-1].derivatives["hess_lag"](z, 0.0, 1, 0) for each in (back, nlp)),
+        rtol=1e-14,
     )
 
 
@@ -156,7 +156,7 @@ def test_two_hundred_parameters_need_no_large_expressions():
     )
     nlp = compile_problem(gb.Problem(many(), data))
     assert nlp.program.n_instructions() < 1000
-    assert nlp.program_derivatives["hess_lag"].n_instructions() < 1000
+    assert nlp.programs[-1].derivatives["hess_lag"].n_instructions() < 1000
     assert float(nlp.program(nlp.scaling.to_solver(np.ones(count)), 0.0)[0]) == pytest.approx(
         0, abs=1e-9
     )

@@ -1,7 +1,6 @@
 """The search from all starts at once: IPOPT is the reference, and confirms every minimum."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +13,8 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.batched_solver import BatchedSolver, _power_of_two
-from greybox.solve.minima import Minimum
+from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.newton_iteration import RADIUS, Vectors, bounded
-from greybox.solve.outcome import IMPROVED, POLISHED, Outcome, Run
-from greybox.solve.runs import Runs
 from greybox.solve.waves import probability_of_no_other
 
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
@@ -108,25 +104,13 @@ def both_searches(problem, starts):
 def test_constraints_that_part_the_box_are_respected_from_every_start():
     """Where a1 a2 >= 100 the best minimum is at negative values, and every one of them at the constraint."""
     problem = gb.Problem(Tilt(), pitch_hover.data(), constraints=[lambda p: p.a1 * p.a2 / 100 - 1])
-    fit, wanted = both_searches(problem, 40)
-    assert stages(fit).count("improved") >= 30
-    assert fit.cost == pytest.approx(wanted.cost, rel=1e-6)
-    assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-3)
-    assert fit.agreeing >= wanted.agreeing - 6
-    for run in fit.runs:
-        if run.converged:
-            values = dict(zip(fit.free, run.estimate, strict=True))
-            assert values["a1"] * values["a2"] >= 100 * (1 - 1e-6)
-
-
-def test_bounds_of_tied_parameters_are_constraints():
-    """Of two lags in a ratio of 5 instead of 10, the longer one ends at its bound."""
-    problem = gb.Problem(LagLagDelay(), NOISY.data, tied={"T1": lambda p: 5 * p.T2})
-    assert compile_problem(problem).limits
-    fit, wanted = both_searches(problem, 20)
-    assert stages(fit).count("improved") >= 15
-    assert fit.cost == pytest.approx(wanted.cost, rel=1e-6)
-    assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-4)
+    fit = gb.fit(problem, 12, progress=False, profiles=False)
+    converged = [run for run in fit.runs if run.converged]
+    assert len(converged) >= 10
+    for run in converged:
+        values = dict(zip(fit.free, run.estimate, strict=True))
+        assert values["a1"] * values["a2"] >= 100 * (1 - 1e-6)
+    assert fit.estimate["a1"] < 0
 
 
 def test_trims_within_the_optimization_are_searched_together_too():
@@ -145,19 +129,19 @@ def test_derivatives_with_the_roots_held_are_those_through_the_root_finder():
     hessian, gradient = ca.hessian(nlp.program(z, p)[0], z)
     wanted = ca.Function("derivatives", [z, p], [gradient, ca.triu(hessian)])
     point = 0.3 + 0.5 * np.random.default_rng(0).random(len(nlp.free))
-    slope = nlp.program_derivatives["grad_f"](point, 1e-8)[1]
-    curvature = nlp.program_derivatives["hess_lag"](point, 1e-8, 1.0, [])
+    slope = nlp.programs[-1].derivatives["grad_f"](point, 1e-8)[1]
+    curvature = nlp.programs[-1].derivatives["hess_lag"](point, 1e-8, 1.0, [])
     for found, exact in zip((slope, curvature), wanted(point, 1e-8), strict=True):
         np.testing.assert_allclose(
             found.full(), exact.full(), rtol=1e-9, atol=1e-9 * np.abs(exact.full()).max()
         )
 
 
-def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all(monkeypatch):
-    monkeypatch.setattr("greybox.solve.batched_solver.MOST_UNKNOWNS", 1)
-    assert not BatchedSolver.serves(compile_problem(NOISY))
-    assert set(stages(gb.fit(NOISY, 8, progress=False))) == {"polished"}
-    few = gb.fit(NOISY, progress=False)
+def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all():
+    problem = NOISY.with_(constraints=[lambda p: p.K + 1])
+    assert not BatchedSolver.serves(compile_problem(problem))
+    assert set(stages(gb.fit(problem, 8, progress=False))) == {"polished"}
+    few = gb.fit(problem, progress=False)
     assert [stages(few).count(stage) for stage in ("screened", "polished")] == [192, 8]
     assert few.cost == pytest.approx(
         gb.fit(NOISY, 20, search="multistart", progress=False).cost, rel=1e-7
@@ -362,70 +346,17 @@ def test_the_limits_of_iterations_and_the_tolerance_are_options():
     assert loose.cost == pytest.approx(tight.cost, rel=1e-6)
 
 
-def test_a_time_limit_cuts_between_batches(monkeypatch, clock):
+def test_a_time_limit_cuts_between_batches(clock):
     """On a clock that goes on by a second at every look: within a batch of which some have arrived."""
-    solver = BatchedSolver(compile_problem(NOISY))
-    assert solver.together == 1024
-    wide = measured(LagLagDelay(), np.geomspace(0.1, 100, 100), TWO_LAGS, noise=0.03, seed=2)
-    assert BatchedSolver(compile_problem(gb.Problem(LagLagDelay(), wide))).together < 500
+    assert BatchedSolver(compile_problem(NOISY)).together == 1024
+    wide = measured(LagLagDelay(), np.geomspace(0.1, 100, 150), TWO_LAGS, noise=0.03, seed=2)
+    problem = gb.Problem(LagLagDelay(), wide)
+    together = BatchedSolver(compile_problem(problem)).together
+    assert together < 512
 
-    monkeypatch.setattr("greybox.solve.batched_solver.MOST", 32)
-    fit = gb.fit(NOISY, 320, seconds=280, progress=False)
-    assert 32 <= len(fit.runs) < 320
+    fit = gb.fit(problem, 320, seconds=280, progress=False)
+    assert together <= len(fit.runs) < 320
     assert all(run.status != "time limit of the fit" for run in fit.runs)
     assert fit.warnings[0].startswith(
         f"the time limit ended the search after {len(fit.runs)} of 320 starts"
     )
-
-
-class Confirming(BatchedSolver):
-    """IPOPT goes from each point to the cost that is stated for it; None is no solution."""
-
-    def __init__(self, costs):
-        self.costs, self.asked = costs, []
-        self._nlp = SimpleNamespace(parts=[SimpleNamespace(is_likelihood=True, numbers=9)])
-
-    def run(self, x, smoothing=0.0):
-        self.asked.append(float(x[0]))
-        cost = self.costs[float(x[0])]
-        return Outcome(
-            x + 0.5, "end", 10, 1.0, converged=cost is not None, cost=99.0 if cost is None else cost
-        )
-
-    def judged_run(self, outcome):
-        return outcome
-
-
-def improved_runs(*costs, stage=IMPROVED):
-    """From -1, -2, ... to 1, 2, ..."""
-    return Runs.of(
-        Run(k, np.array([-1.0 - k]), np.array([1.0 + k]), cost, "s", True, 4, 0.25, "", stage)
-        for k, cost in enumerate(costs)
-    )
-
-
-def test_what_ipopt_confirms_is_taken_over_with_what_was_spent_before():
-    """One of the best three runs of each minimum; costs of likelihoods are the same within a hundredth."""
-    runs = improved_runs(5.0, 5.0, 7.0)
-    minima = [Minimum(5.0, np.ones(1), (0, 1), 1), Minimum(7.0, np.ones(1), (2,), 1)]
-    solver = Confirming({1.0: 5.009, 3.0: 6.991})
-    found = solver.certified(runs, minima)
-    assert solver.asked == [1.0, 3.0]
-    assert {k: outcome.cost for k, outcome in found.items()} == {0: 5.009, 2: 6.991}
-    assert (found[0].iterations, found[0].seconds, found[0].stage) == (14, 1.25, POLISHED)
-    assert solver.certified(improved_runs(5.0, 5.0, 7.0, stage=POLISHED), minima) == {}
-
-
-def test_what_ipopt_does_not_confirm_is_made_again_from_its_starts():
-    """A higher cost or no solution at the first three; a lower minimum is taken over, and the next run is asked."""
-    runs = improved_runs(5.0, 5.0, 5.0, 5.0)
-    minimum = [Minimum(5.0, np.ones(1), (0, 1, 2, 3), 1)]
-    solver = Confirming({1.0: 5.011, 2.0: None, 3.0: 4.9, -1.0: 8.0, -2.0: 4.0, -4.0: 6.0})
-    found = solver.certified(runs, minimum)
-    assert solver.asked == [1.0, 2.0, 3.0, -1.0, -2.0, -4.0]
-    assert {k: outcome.cost for k, outcome in found.items()} == {0: 8.0, 1: 4.0, 2: 4.9, 3: 6.0}
-    assert all(outcome.iterations == 14 for outcome in found.values())
-
-
-def test_a_batch_is_a_power_of_two():
-    assert [_power_of_two(count) for count in (1, 2, 3, 127, 128, 1024)] == [1, 2, 2, 64, 128, 1024]

@@ -145,8 +145,7 @@ def test_the_answer_does_not_depend_on_who_makes_the_runs(which, workers):
         require_same(fitted(problem, threads, by_ipopt=by_ipopt), alone)
 
 
-def test_batches_on_workers_give_the_same_runs(workers, monkeypatch):
-    monkeypatch.setattr("greybox.solve.batched_solver.MOST", 64)
+def test_batches_on_workers_give_the_same_runs(workers):
     alone = gb.fit(RESPONSE, 200, progress=False)
     fit = gb.fit(RESPONSE, 200, executor=workers, progress=False)
     require_same(fit, alone)

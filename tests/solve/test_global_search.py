@@ -11,11 +11,12 @@ from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 
 import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
 from greybox.problems import pitch_hover
 from greybox.solve import global_search as module
 from greybox.solve.global_search import _Filters, _ScatterSearch, global_search
+from greybox.solve.ipopt import merits
 from greybox.solve.outcome import SCREENED, Outcome
-from greybox.solve.screened_ipopt import merits
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 
@@ -207,19 +208,11 @@ def test_of_the_first_fifth_the_best_is_run_and_later_what_the_filters_let_pass(
                 filters.reached(found.runs.start[k], found.runs.estimate[k], 0.0)
 
 
-def test_merits_are_costs_with_what_constraints_are_missed_by():
-    z = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-
-    def program(points, smoothing):
-        assert smoothing == 1e-8
-        costs, limits = (
-            np.array([[1.0, np.nan, 3.0]]),
-            np.array([[0.5, 1.0, -0.25], [-0.125, 0.0, -1.0]]),
-        )
-        return [SimpleNamespace(full=lambda v=v: v) for v in (costs + points[:1], limits)]
-
-    for nlp in (
-        SimpleNamespace(locating=None, program=program),
-        SimpleNamespace(locating=program, program=None),
-    ):
-        assert merits(nlp, z).tolist() == [2 + 125.0, np.inf, 6 + 1250.0]
+def test_merits_are_costs_with_a_penalty_on_missed_constraints():
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05)
+    problem = gb.Problem(LagLagDelay(), data, constraints=[lambda p: p.K - 4])
+    nlp = compile_problem(problem)
+    x = np.array([[5.0, 0.5, 0.2, 0.1], [3.5, 0.5, 0.2, 0.1]])
+    costs = [gb.cost(problem, dict(zip(nlp.free, row, strict=True))) for row in x]
+    wanted = [costs[0], costs[1] + 1e3 * 0.5]
+    assert merits(nlp, nlp.scaling.to_solver(x).T) == pytest.approx(wanted, rel=1e-3)

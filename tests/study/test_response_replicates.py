@@ -285,7 +285,7 @@ def runner_of(drawn, sets, **changes):
 @pytest.mark.parametrize("by_ipopt", [False, True])
 def test_drawn_points_are_fitted_by_newton_or_ipopt(monkeypatch, by_ipopt):
     if by_ipopt:
-        monkeypatch.setattr("greybox.study.response_replicates.MOST_UNKNOWNS", 1)
+        monkeypatch.setattr("greybox.study.response_replicates.fits_a_batch", lambda program: False)
     runner, made, _ = runner_of("points", two_parts())
     outcomes = runner.run_together(np.array([[4.0], [3.0]]))
     values = made.replicate(3)
@@ -315,7 +315,7 @@ def test_a_part_that_is_not_drawn_does_not_count():
 
 
 def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
-    monkeypatch.setattr("greybox.study.response_replicates.MOST_UNKNOWNS", 1)
+    monkeypatch.setattr("greybox.study.response_replicates.fits_a_batch", lambda program: False)
     runner, _, _ = runner_of("residuals", two_parts())
     with limited(TimeLimits(end=0.0)):
         (outcome,) = runner.run_together(np.array([[5.0]]))

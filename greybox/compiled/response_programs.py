@@ -1,0 +1,282 @@
+"""The frequency responses of a problem as programs for a solver: cost and constraints at its variables.
+
+Responses exist in one of three forms. Most are one SX expression. Large ones are a formula of one
+frequency, mapped over all (`response_map`); the operating point of some is found by Newton's method
+(`explicit_program`). The last two are MX functions, and bring derivatives of their own.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.compiled.explicit_program import derivatives_at, explicit_program, roots_of
+from greybox.compiled.limits import Limit, limits_of, stacked
+from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
+from greybox.compiled.response_part import ResponsePart
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.harmonic_balance import harmonic_function
+from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
+from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.trim import Trimmed
+
+Named = Mapping[str, Any]
+ChooseCriterion = Callable[[Problem], Criterion]
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseProgram:
+    """What a solver of frequency responses minimizes.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        (z, smoothing) -> the cost with `solver_weights`, and what must be >= 0.
+    derivatives : dict of casadi.Function
+        Options of `casadi.nlpsol`, where CasADi's own derivatives take longer.
+    explicit : casadi.Function or None
+        The same as an SX function (z, smoothing), or (z, smoothing, w) with the `roots` given; None
+        where responses exist as MX functions only.
+    roots : casadi.Function or None
+        (z) -> w, the unknowns of all operating points that Newton's method finds.
+    """
+
+    function: ca.Function
+    derivatives: dict[str, ca.Function] = field(default_factory=dict)
+    explicit: ca.Function | None = None
+    roots: ca.Function | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledResponses:
+    """The frequency responses of a problem; all functions exist without any responses too.
+
+    Attributes
+    ----------
+    parts : mapping of problem to ResponsePart
+    programs : tuple of ResponseProgram
+        With the criteria that locate the minimum, where they differ, then with the problem's own.
+    cost : casadi.Function
+        (all values) -> the cost without smoothing of every response, unweighted, stacked.
+    values : casadi.Function
+        (all values) -> real and imaginary parts of all responses, stacked: (2 N,).
+    constraint : casadi.Function
+        (all values) -> what must be >= 0, stacked.
+    limits : tuple of str
+        What each of these is, in words.
+    """
+
+    parts: Mapping[Problem, ResponsePart]
+    programs: tuple[ResponseProgram, ...]
+    cost: ca.Function
+    values: ca.Function
+    constraint: ca.Function
+    limits: tuple[str, ...]
+
+
+def compile_responses(
+    problem: Problem | Sum[Problem],
+    names: Sequence[str],
+    point: ca.SX,
+    values_at: Callable[[Any], Named],
+) -> CompiledResponses:
+    """Compile all frequency responses of a problem.
+
+    `names` are those of all values; `values_at` turns symbols of the solver's variables, such as
+    `point` (p,), into these values by name.
+    """
+    parts = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
+    mapped = _mapped(parts)
+    formulas = [] if mapped else [_formula(part) for part in parts]
+    models = [response.function() for response in mapped] or [_closed(f) for f in formulas]
+    kind: Any = ca.SX if all(model.is_a("SXFunction") for model in models) else ca.MX
+    limits = limits_of(problem, kind)
+
+    def responses_at(named: Named) -> list[Complex]:
+        pairs = zip(models, parts, strict=True)
+        return [Complex(*model(_values(part, named))) for model, part in pairs]
+
+    # In the user's parameters.
+    x = kind.sym("x", len(names))
+    by_name = dict(zip(names, ca.vertsplit(x), strict=True))
+    responses = responses_at(by_name)
+    costs = _costs(parts, responses, 0.0, _own_criterion)
+    real, imaginary = [r.re for r in responses], [r.im for r in responses]
+
+    # In the solver's variables.
+    z, smoothing = kind.sym("z", point.numel()), kind.sym("smoothing")
+    scaled = responses_at(values_at(z))
+    scaled_limits = stacked(limits, values_at(z), kind)
+    roots = None
+    if kind is ca.MX and formulas and all(isinstance(f, Trimmed) for f in formulas):
+        roots = ca.Function("roots", [z], [roots_of(parts, formulas, values_at(z))])
+
+    def program(choose: ChooseCriterion) -> ResponseProgram:
+        total = _weighted(parts, _costs(parts, scaled, smoothing, choose))
+        function = ca.Function("program", [z, smoothing], [kind(total), scaled_limits])
+        if mapped:
+            hessian = _mapped_hessian(parts, mapped, values_at(point), point, limits, choose)
+            return ResponseProgram(function, {"hess_lag": hessian})
+        if roots is None:
+            return ResponseProgram(function, explicit=function if kind is ca.SX else None)
+        explicit = explicit_program(
+            parts,
+            formulas,
+            values_at(point),
+            point,
+            lambda found, smoothing: _weighted(parts, _costs(parts, found, smoothing, choose)),
+            stacked(limits, values_at(point), ca.SX),
+        )
+        return ResponseProgram(function, derivatives_at(roots, explicit), explicit, roots)
+
+    is_located = any(_own_criterion(part).locator is not None for part in parts)
+    criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
+    compiled = (
+        ResponsePart(
+            problem=part,
+            objective=ca.Function("objective", [z, smoothing], [kind(cost)]),
+            model_response=ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
+            scaled_response=ca.Function(
+                "response", [z], [kind(ca.vertcat(scaled_response.re, scaled_response.im))]
+            ),
+        )
+        for part, cost, response, scaled_response in zip(
+            parts,
+            _costs(parts, scaled, smoothing, _own_criterion),
+            responses,
+            scaled,
+            strict=True,
+        )
+    )
+    return CompiledResponses(
+        parts=dict(zip(parts, compiled, strict=True)),
+        programs=tuple(program(choose) for choose in criteria),
+        cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
+        values=ca.Function("responses", [x], [ca.vertcat(kind(0, 1), *real, *imaginary)]),
+        constraint=ca.Function("constraint", [x], [stacked(limits, by_name, kind)]),
+        limits=tuple(limit.label for limit in limits),
+    )
+
+
+def _values(part: Problem, named: Named) -> Any:
+    """Return the values of a part's own parameters as a vector."""
+    return ca.vertcat(*part.local_values(named).values())
+
+
+# --- the models
+
+
+def _formula(part: Problem) -> Trimmed | ca.Function:
+    if part.amplitude is not None:
+        return harmonic_function(
+            part.model, part.response.omega, part.amplitude, **response_options(part)
+        )
+    return response_formula(part.model, part.response.omega, **response_options(part))
+
+
+def _closed(formula: Trimmed | ca.Function) -> ca.Function:
+    return formula.closed() if isinstance(formula, Trimmed) else formula
+
+
+def response_options(part: Problem) -> dict[str, Any]:
+    """Return how the response of a part is evaluated, as `response_formula` takes it."""
+    data = part.response
+    return {
+        "input": data.input,
+        "output": data.output,
+        "at": part.at,
+        "pade": delay_order(part.delay),
+    }
+
+
+def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
+    """Return the responses as formulas of one frequency if together they are large and all have one; else none."""
+    size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
+    # Formulas have fewer than 300 instructions a frequency: others need not be built to know.
+    if 300 * size < LARGE or any(part.amplitude is not None for part in parts):
+        return []
+    mapped = []
+    for part in parts:
+        omega = part.response.omega
+        formula = formula_at_one_frequency(part.model, omega, **response_options(part))
+        if formula is None:
+            return []
+        mapped.append(Mapped(formula, omega))
+    return mapped if sum(response.work for response in mapped) > LARGE else []
+
+
+def _mapped_hessian(
+    parts: Sequence[Problem],
+    mapped: Sequence[Mapped],
+    named: Named,
+    z: ca.SX,
+    limits: Sequence[Limit],
+    choose: ChooseCriterion,
+) -> ca.Function:
+    """Return the Hessian of the weighted costs of mapped responses and of the limits."""
+    terms = [
+        (
+            response,
+            ca.SX(_values(part, named)),
+            lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
+            weight,
+        )
+        for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
+    ]
+    return lagrangian_hessian(terms, z, stacked(limits, named, ca.SX))
+
+
+# --- the costs
+
+
+def _own_criterion(part: Problem) -> Criterion:
+    assert isinstance(part.criterion, Criterion)
+    return part.criterion
+
+
+def _locator(part: Problem) -> Criterion:
+    return _own_criterion(part).locator or _own_criterion(part)
+
+
+def _costs(
+    parts: Sequence[Problem],
+    responses: Sequence[Complex],
+    smoothing: Any,
+    choose: ChooseCriterion,
+) -> list[Any]:
+    pairs = zip(parts, responses, strict=True)
+    return [choose(part).cost(response, part.response, smoothing) for part, response in pairs]
+
+
+def _weighted(parts: Sequence[Problem], costs: Sequence[Any]) -> Any:
+    total: Any = 0.0
+    for weight, cost in zip(solver_weights(parts), costs, strict=True):
+        total = total + weight * cost
+    return total
+
+
+def solver_weights(parts: Sequence[Problem]) -> list[float]:
+    """Return the weights of responses in what the solver minimizes, so small that its tolerance can be reached.
+
+    A model is rounded relative to its magnitude M. Where errors have a known size σ, the gradient of
+    the cost is rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds the tolerance
+    of the solver, 1e-8.
+    """
+    precision = 0.0
+    for part in parts:
+        criterion = _own_criterion(part)
+        if criterion.known_noise:
+            data = part.response
+            ratios = np.abs(data.response) / criterion.error_size(data.response, data)
+            precision += part.weight * float((ratios**2).sum())
+
+    # A hundred rounding errors over the tolerance: with ten, a quarter of the runs on 14 points
+    # with errors of 1e-4 does not reach it, with a hundred all runs do.
+    unit = max(1.0, 100 * float(np.finfo(float).eps) / 1e-8 * precision)
+    return [part.weight / unit for part in parts]
