@@ -1,4 +1,4 @@
-"""What a comparison of fits answers, in plain values that print themselves."""
+"""The result of a comparison: plain values that print themselves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,31 +20,21 @@ SIGNIFICANT = 0.05
 # section 2.6.
 EQUAL_AIC = 2.0
 
-# Rows of the table beyond which its text leaves out details: what a page holds beside titles and
-# sentences.
-PAGE = 45
-MOST_SIGNALS = 3  # that an output is shown to be correlated with: the largest findings
-
 
 @dataclass(frozen=True)
 class Row:
-    """One measure, for every fit: None where it is not known or does not exist.
+    """One measure of every fit.
 
     Attributes
     ----------
     data : str
-        "fit"; on which records the windows lie: "identification" or "held-out"; or what was left
-        out and predicted by the fit to the rest: "frequencies" or "parts".
+        "fit"; the records that were predicted: "identification" or "held-out"; or the left-out
+        "frequencies".
     output : str
-        Empty for what belongs to the whole fit.
+        Empty for a measure of the whole fit.
     measure, unit : str
     values : tuple of float or None
-        In the order of the fits.
-    signal : str
-        Of a p-value of no correlation between the errors of the output and a signal, that signal;
-        of what belongs to such a row too.
-    is_detail : bool
-        Whether the text leaves it out where it would be longer than a page.
+        In the order of the fits; None where it is not known or does not exist.
     """
 
     data: str
@@ -52,40 +42,32 @@ class Row:
     measure: str
     unit: str
     values: tuple[float | None, ...]
-    signal: str = ""
-    is_detail: bool = False
-
-    @property
-    def is_p_value(self) -> bool:
-        """Whether it is a p-value."""
-        return self.measure.endswith("(p)")
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Several fits side by side. Printing it answers the reader's questions in order.
+    """Several fits side by side. Printing it gives the verdict, the table, and the sentences.
 
     Attributes
     ----------
     labels : tuple of str
-        Of the fits.
+        One for every fit.
     data : str
         Whether the fits have the same data, and which, in words.
     rows : tuple of Row
         The measures.
     statements : tuple of str
-        What they mean, in sentences.
+        What the measures mean, in sentences.
     window, lead : float or None
-        Lengths of the windows in s, as used in the first record in time: whole samples; None
-        without one.
+        Lengths in s of the windows and of the data before them, in the first record in time.
     windows : mapping of str to int
-        How many there are on identification data and on held-out records.
+        Number of windows by kind of data: "identification", "held-out".
     predictions : mapping of str to tuple of tuples
         For every fit the `Prediction` of every record, for figures.
     supported : str
-        The label of the smallest structure that the data support; empty where that cannot be told.
+        The label of the smallest structure that the data support; empty where none is known.
     verdict : str
-        Why, in one sentence.
+        The reason, in one sentence.
     """
 
     labels: tuple[str, ...]
@@ -118,12 +100,12 @@ class Comparison:
         ValueError
             If there is none of that name.
         """
-        found = [r for r in self.rows if (r.data, r.output, r.measure) == (data, output, measure)]
-        if not found or label not in self.labels:
-            raise ValueError(
-                f"there is no {measure!r} of {label!r} for {data!r} and output {output!r} in the table."
-            )
-        return found[0].values[self.labels.index(label)]
+        values = {(row.data, row.output, row.measure): row.values for row in self.rows}
+        if (data, output, measure) in values and label in self.labels:
+            return values[data, output, measure][self.labels.index(label)]
+        raise ValueError(
+            f"there is no {measure!r} of {label!r} for {data!r} and output {output!r} in the table."
+        )
 
     def __repr__(self) -> str:
         return one_line(self, f"of {', '.join(self.labels)}", counted(len(self.rows), "row"))
@@ -131,33 +113,17 @@ class Comparison:
     def __str__(self) -> str:
         lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
         lines += [f"  {self.verdict}", ""] if self.verdict else []
-        shown = self._shown()
-        lines += self._section([r for r in shown if r.data == "fit"])
-        rows = [r for r in self.rows if r.data == FREQUENCIES]
-        if rows:
-            lines += ["  left-out frequencies, predicted by the fit to the others", ""]
-            lines += self._section(rows)
-        for data in (IDENTIFICATION, HELD_OUT):
-            rows = [r for r in self.rows if r.data == data]
-            if rows:
-                lines += [f"  {data} data: {self._windows(data)}", ""]
-            for output in dict.fromkeys(r.output for r in rows):
-                lines += self._section(
-                    [r for r in shown if r.data == data and r.output == output], output
-                )
-        if len(shown) < len(self.rows):
-            lines += [
-                f"  The most telling {len(shown)} of {len(self.rows)} rows; `table` has all.",
-                "",
-            ]
+        titles = {
+            "fit": "",
+            FREQUENCIES: "left-out frequencies, predicted by the fit to the others",
+        }
+        titles |= {kind: f"{kind} data: {self._windows(kind)}" for kind in self.predictions}
+        for data, title in titles.items():
+            rows = [row for row in self.rows if row.data == data]
+            lines += [f"  {title}", ""] if rows and title else []
+            for output in dict.fromkeys(row.output for row in rows):
+                lines += self._section([row for row in rows if row.output == output], output)
         return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
-
-    def _shown(self) -> list[Row]:
-        """Return the rows of the text: correlated signals first, and no details beyond a page."""
-        outputs = dict.fromkeys((r.data, r.output) for r in self.rows)
-        of_outputs = {key: [r for r in self.rows if (r.data, r.output) == key] for key in outputs}
-        shown = [row for rows in of_outputs.values() for row in _without_uncorrelated(rows)]
-        return shown if len(shown) <= PAGE else [row for row in shown if not row.is_detail]
 
     def _repr_html_(self) -> str:
         rows = [
@@ -170,67 +136,26 @@ class Comparison:
         return title + table + html_list(self.statements)
 
     def _windows(self, data: str) -> str:
-        """Say how many windows there are and how long, as used: whole samples of records that may differ."""
-        of = self.predictions[data][0]
-        rows = [p for p in of if not p.data.has_time]
-        of = [p for p in of if p.data.has_time]
+        """Say how many windows there are and how long, in records that may differ."""
+        predictions = self.predictions[data][0]
+        rows = [p for p in predictions if not p.data.has_time]
+        in_time = [p for p in predictions if p.data.has_time]
         texts = [f"{counted(sum(map(len, rows)), 'row')}, each by itself"] if rows else []
-        return " and ".join([*texts, *([self._windows_in_time(of)] if of else [])])
+        if in_time:
+            window, lead = (
+                " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
+                for lengths in ([p.horizon for p in in_time], [p.lead for p in in_time])
+            )
+            count = counted(sum(map(len, in_time)), "window")
+            samples = in_time[0].rows.shape[1]
+            of_samples = f" ({counted(samples, 'sample')})" if len(in_time) == 1 else ""
+            texts.append(f"{count} of {window} s{of_samples}, each from {lead} s before it")
+        return " and ".join(texts)
 
-    def _windows_in_time(self, of: Sequence[Prediction]) -> str:
-        window, lead = (
-            " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
-            for lengths in ([p.horizon for p in of], [p.lead for p in of])
-        )
-        samples = f" ({counted(of[0].rows.shape[1], 'sample')})" if len(of) == 1 else ""
-        return f"{counted(sum(map(len, of)), 'window')} of {window} s{samples}, each from {lead} s before it"
-
-    def _section(self, rows: Sequence[Row], title: str = "") -> list[str]:
-        if not rows:
-            return []
+    def _section(self, rows: Sequence[Row], title: str) -> list[str]:
         cells = [[r.measure, r.unit, *(_cell(v) for v in r.values)] for r in rows]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]
-
-
-def _without_uncorrelated(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows of one output with the signals that its errors are most clearly correlated with, first.
-
-    The others are one row with the least of their p-values. Many signals are many tests: a p-value
-    counts below its share of the limit (Bonferroni).
-    """
-    signals = list(dict.fromkeys(r.signal for r in rows if r.signal))
-    least = {
-        name: min(
-            v
-            for r in rows
-            if r.signal == name and r.is_p_value
-            for v in (*r.values, 1.0)
-            if v is not None
-        )
-        for name in signals
-    }
-    found = [
-        name
-        for name in sorted(signals, key=lambda name: least[name])
-        if least[name] < SIGNIFICANT / len(signals)
-    ]
-    told = found[:MOST_SIGNALS]
-    result = [r for r in rows if not r.signal] + [
-        r for name in told for r in rows if r.signal == name
-    ]
-    others = [r for r in rows if r.signal and r.signal not in told and r.is_p_value]
-    if len(others) > 1:
-        columns = zip(*(r.values for r in others), strict=True)
-        values = tuple(
-            min((v for v in column if v is not None), default=None) for column in columns
-        )
-        row = others[0]
-        result.append(
-            Row(row.data, row.output, f"  {len(others)} other signals (least p)", "", values)
-        )
-        return result
-    return result + [r for r in rows if r.signal and r.signal not in told]
 
 
 def _cell(value: float | None) -> str:

@@ -1,14 +1,12 @@
 """The rows of a comparison are those of the predictions and of the likelihood."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
 from greybox.statistics.metrics import LAGS, input_correlation, whiteness
-from greybox.validation.measures import _information_rows, _is_constant, _relative_rms
+from greybox.validation.measures import information_rows
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +23,6 @@ def test_the_measures_are_those_of_the_predictions(quadratic):
     assert found.windows == {"identification": 14, "held-out": 14}
     assert found.value("error (rms)", "LinearDrag", "held-out", "v") == pytest.approx(
         alone.rms("v"), rel=1e-6
-    )
-    assert found.value("  1 s ahead", "LinearDrag", "held-out", "v") == pytest.approx(
-        alone.rms("v", 0.5), rel=1e-6
     )
     assert found.value("fit", "LinearDrag", "held-out", "v") == pytest.approx(
         alone.fit_percent("v"), rel=1e-6
@@ -84,7 +79,7 @@ def test_gains_of_an_output_count_in_the_test_of_its_whiteness():
 def test_criteria_of_information_are_their_formulas_and_count_from_the_least():
     """AICc as Burnham and Anderson have it, AIC + 2 k (k + 1) / (n - k - 1); none where n is k + 1 or less."""
     k, n, cost = np.array([2, 4, 9]), np.array([12, 12, 10]), np.array([5.0, 2.5, 1.0])
-    rows = {row.measure: row.values for row in _information_rows(cost, k.tolist(), n.tolist())}
+    rows = {row.measure: row.values for row in information_rows(cost, k.tolist(), n.tolist())}
     aic = 2 * k + 2 * cost
     corrected = aic[:2] + 2 * k[:2] * (k[:2] + 1) / (n[:2] - k[:2] - 1)
     assert rows["AIC"] == pytest.approx(aic)
@@ -93,27 +88,8 @@ def test_criteria_of_information_are_their_formulas_and_count_from_the_least():
     assert rows["BIC"] == pytest.approx(k * np.log(n) + 2 * cost)
     assert rows["AIC less the least"] == pytest.approx(aic - aic.min())
     assert rows["AICc less the least"][:2] == pytest.approx(corrected - corrected.min())
-    (last,) = [row for row in _information_rows([1.0], [9], [11]) if row.measure == "AICc"]
+    (last,) = [row for row in information_rows([1.0], [9], [11]) if row.measure == "AICc"]
     assert last.values == pytest.approx((2 * 9 * 11 / 1 + 2,))
-
-
-def test_the_size_of_relative_residuals_is_that_of_all_points_of_all_responses_in_percent():
-    parts = [
-        SimpleNamespace(
-            response=np.array(fitted), data=SimpleNamespace(response=np.array(measured))
-        )
-        for fitted, measured in (([1.1, 2.0j], [1.0, 2.0]), ([3.0], [4.0]))
-    ]
-    squares = [0.1**2, abs(1j - 1) ** 2, 0.25**2]
-    assert _relative_rms(SimpleNamespace(responses=parts)) == pytest.approx(
-        100 * np.sqrt(np.mean(squares))
-    )
-
-
-def test_signals_that_keep_one_value_are_no_inputs():
-    assert _is_constant([np.array([2.0, np.nan]), np.array([2.0])])
-    assert _is_constant([np.array([np.nan])])
-    assert not _is_constant([np.array([2.0]), np.array([2.0 + 1e-9])])
 
 
 def test_every_input_is_held_against_the_errors_one_step_ahead(quadratic):
@@ -127,9 +103,23 @@ def test_every_input_is_held_against_the_errors_one_step_ahead(quadratic):
     assert found.value("  not correlated with theta (p)", "a", "held-out", "v") == pytest.approx(
         test.p_value
     )
-    assert found.value("  lags of theta beyond 99 %", "a", "held-out", "v") == test.outside
     measures = {row.measure for row in found.rows}
     assert not any("still" in measure or "with v " in measure for measure in measures)
     assert found.value("one step ahead: error over noise", "a", "held-out", "v") == pytest.approx(
         np.sqrt(np.nanmean(along**2))
     )
+
+
+def test_of_many_signals_the_correlated_ones_have_rows_and_the_others_one(quadratic):
+    right, wrong, other = quadratic
+    random = np.random.default_rng(0)
+    noise = {f"u{k}": random.normal(size=len(other)) for k in range(8)}
+    made = gb.compare(right, wrong, records=other).predictions["held-out"][1][0]
+    errors = np.zeros(len(other))
+    errors[made.rows.ravel()] = np.nan_to_num(made.one_step[0].ravel())
+    record = other.with_signals(**noise, shaken=errors + 0.5 * random.normal(size=len(other)))
+    found = gb.compare(right, wrong, records=record, labels=("a", "b"))
+    rows = {row.measure: row for row in found.rows if row.data == "held-out"}
+    assert rows["  not correlated with shaken (p)"].values[1] < 1e-3
+    assert "  9 other signals (least p)" in rows
+    assert not any(f"with u{k} " in measure for measure in rows for k in range(8))
