@@ -36,12 +36,9 @@ DETECTION = {
     "BENT": (0.012, 0.04, 0.4, 1.2),
     "BENT_UNEXPLAINED": (0.05, 0.15, 0.9),
     "FOLLOWS": (0.005, 0.02, 0.15, 0.5),
-    "SHORTEST": (0.1, 0.3, 3.0, 10.0),
-    "OVERLAP": (0.01, 0.03, 0.3, 0.9),
     "SWEEP_RATIO": (1.03, 1.1, 2.0, 3.0),
     "SWEEP_PIECES": (1, 2, 5),
     "CROSSINGS": (3, 4, 7, 9),
-    "MOST_CROSSINGS": (40, 4000),
     "SAMPLES": (2, 4, 16, 40),
     "HEIGHTS": (np.array([0.01]), np.array([0.1]), np.array([0.5]), np.array([0.01, 0.1, 0.5])),
 }

@@ -1,4 +1,4 @@
-"""What runs in the subprocess of `subprocess_reader`: the libraries that a damaged or crafted file can lead astray.
+"""Runs in the subprocess of `subprocess_reader`, with the libraries that a damaged or crafted file can lead astray.
 
 Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a
 line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes":
@@ -15,7 +15,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,31 +48,29 @@ PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowErro
 
 
 class RefusedError(Exception):
-    """What an honest file does not hold; the whole file is refused, not only the part in question."""
+    """The file has something that no honest file has: the whole file is refused."""
 
 
 class Collector:
-    """What is found in a file, as far as its size is plausible."""
+    """Collects the contents of a file, up to a plausible size."""
 
     def __init__(self, room: int) -> None:
         self.room = room
         self.letters = SMALL
         self.links = LINKS
-        self.allow_memory: Callable[[int], None] = lambda _: None
         self.items: list[dict[str, Any]] = []
         self.arrays: list[np.ndarray] = []
         self.findings: list[str] = []
         self.about: dict[str, Any] = {}
 
     def reserve(self, numbers: int) -> bool:
-        """Return whether there is room for so many numbers, and take it."""
+        """Return whether there is room for this number of numbers, and take it."""
         fits = 8 * numbers <= self.room and len(self.arrays) < MOST
         self.room -= 8 * numbers if fits else 0
-        self.allow_memory(8 * numbers if fits else 0)
         return fits
 
     def text(self, text: str) -> str:
-        """Return a text for which there is room."""
+        """Return a text if there is room for it; RefusedError otherwise."""
         self.letters -= len(text)
         if self.letters < 0:
             raise RefusedError(f"its text has more than {SMALL} characters")
@@ -113,21 +111,21 @@ def hdf5_objects(path: str, collector: Collector) -> Iterator[tuple[str, Any]]:
         addresses: set[int] = set()
         waiting: list[tuple[str, Any]] = [("", file["/"])]
         while waiting:
-            name, thing = waiting.pop()
-            if hash(thing) in seen:  # which is that of its address in the file
+            name, item = waiting.pop()
+            if hash(item) in seen:  # the hash of its address in the file
                 continue
-            seen.add(hash(thing))
-            if isinstance(thing, h5py.Dataset):
-                _require_own_storage(name, thing)
-            yield name, thing
-            if isinstance(thing, h5py.Group):
-                waiting += reversed([*_members(name, thing, collector, addresses)])
+            seen.add(hash(item))
+            if isinstance(item, h5py.Dataset):
+                _require_own_storage(name, item)
+            yield name, item
+            if isinstance(item, h5py.Group):
+                waiting += reversed([*_members(name, item, collector, addresses)])
 
 
 def _members(
     path: str, group: Any, collector: Collector, addresses: set[int]
 ) -> Iterator[tuple[str, Any]]:
-    """Yield what the hard links of a group lead to, and not twice what is at one address."""
+    """Yield the targets of the hard links of a group, each address once."""
     collector.links -= len(group)
     if collector.links < 0:
         raise RefusedError(f"it has more than {LINKS} links")
@@ -152,17 +150,17 @@ def _require_own_storage(name: str, dataset: Any) -> None:
 
 
 def _stored(dataset: Any) -> int:
-    """Return how many numbers of 8 bytes reading a dataset takes at least; a chunk is read as a whole."""
+    """Return the least number of 8-byte numbers that reading takes; a chunk is read as a whole."""
     largest = max(math.prod(dataset.shape), math.prod(dataset.chunks or ()))
     return math.ceil(largest * max(dataset.dtype.itemsize / 8, len(dataset.dtype.names or "1")))
 
 
 def hdf5(path: str, collector: Collector, _: list[str]) -> None:
     """Collect the numeric datasets, and the fields of tables."""
-    for name, thing in hdf5_objects(path, collector):
-        if hasattr(thing, "dtype"):
+    for name, item in hdf5_objects(path, collector):
+        if hasattr(item, "dtype"):
             try:
-                _keep_dataset(name, thing, collector)
+                _keep_dataset(name, item, collector)
             except PROBLEMS:
                 collector.findings.append(f"{name}: it cannot be read, the file is damaged there.")
 
@@ -188,12 +186,12 @@ def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
 
 def sealed(path: str, collector: Collector, _: list[str]) -> None:
     """Collect everything that `sealed_files` writes: attributes, numbers, and lists of texts."""
-    for name, thing in hdf5_objects(path, collector):
-        about = {"attributes": _attributes(thing, collector)}
-        if not hasattr(thing, "dtype"):
+    for name, item in hdf5_objects(path, collector):
+        about = {"attributes": _attributes(item, collector)}
+        if not hasattr(item, "dtype"):
             collector.items.append({"path": name, "holds": "members", **about})
-        elif thing.shape is not None and thing.ndim <= 2 and collector.reserve(_stored(thing)):
-            _keep_values(name, thing, collector, about)
+        elif item.shape is not None and item.ndim <= 2 and collector.reserve(_stored(item)):
+            _keep_values(name, item, collector, about)
         else:
             raise RefusedError(f"{name} is larger than the file")
 
@@ -208,19 +206,19 @@ def _keep_values(name: str, dataset: Any, collector: Collector, about: dict[str,
         raise RefusedError(f"{name} holds neither numbers nor text")
 
 
-def _attributes(thing: Any, collector: Collector) -> dict[str, Any]:
+def _attributes(item: Any, collector: Collector) -> dict[str, Any]:
     """Return the texts and numbers among the attributes."""
-    if len(thing.attrs) > ATTRIBUTES:
+    if len(item.attrs) > ATTRIBUTES:
         raise RefusedError(f"a group in it has more than {ATTRIBUTES} attributes")
     attributes = {}
-    for name in thing.attrs:
-        stored = thing.attrs.get_id(name)
+    for name in item.attrs:
+        stored = item.attrs.get_id(name)
         if stored.shape != ():
             continue
         if _is_text(stored.dtype):
-            attributes[name] = collector.text(str(thing.attrs[name]))
+            attributes[name] = collector.text(str(item.attrs[name]))
         elif _is_number(stored.dtype):
-            attributes[name] = thing.attrs[name].item()
+            attributes[name] = item.attrs[name].item()
     return attributes
 
 
@@ -229,7 +227,7 @@ def _is_number(dtype: Any) -> bool:
 
 
 def _is_text(dtype: Any) -> bool:
-    """Return whether it is text of any length, as greybox writes it."""
+    """Return whether this is text of variable length, as greybox writes it."""
     import h5py  # noqa: PLC0415
 
     string = h5py.check_string_dtype(dtype)
@@ -237,17 +235,14 @@ def _is_text(dtype: Any) -> bool:
 
 
 def _text(attributes: Any, name: str) -> str:
-    """Return a text attribute; empty if there is none, or it is something else."""
+    """Return a text attribute, or an empty text."""
     try:
         value = attributes.get(name, "")
-        value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
-        return (
-            value.decode("utf-8", "replace")
-            if isinstance(value, bytes)
-            else value
-            if isinstance(value, str)
-            else ""
-        )
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.item()
+        if isinstance(value, bytes):
+            return value.decode("utf-8", "replace")
+        return value if isinstance(value, str) else ""
     except PROBLEMS:
         return ""
 
@@ -262,17 +257,18 @@ def matlab(path: str, collector: Collector, _: list[str]) -> None:
     collector.findings += sorted(
         {f"scipy says: {str(w.message).splitlines()[0]:.160}" for w in raised}
     )
-    _keep_struct("", contents, collector)
+    keep_struct("", contents, collector)
 
 
-def _keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -> None:
+def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -> None:
+    """Collect the numeric vectors and matrices of a struct, and of the structs in it."""
     simulink = _simulink(contents)
     for key, value in {**contents, **simulink}.items():
         if key.startswith("__") or (simulink and key == "signals"):
             continue
         if isinstance(value, Mapping):
             if group.count("/") < DEEPEST:
-                _keep_struct(f"{group}{key}/", value, collector)
+                keep_struct(f"{group}{key}/", value, collector)
         elif type(value).__name__ in OPAQUE:
             collector.findings.append(
                 f"{key}: only MATLAB can read this object (a timetable?); save it as a struct."
@@ -345,33 +341,24 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
         )
 
 
-def _limit_time(size: int) -> None:
-    """Let a damaged file end with a signal, and leave no image of the memory, where the system supports limits."""
+def limit_resources(size: int, room: int) -> None:
+    """Limit processor time by the size of the file, and memory by the bytes of its arrays, where the system can."""
     try:
         import resource  # noqa: PLC0415 (not on Windows)
         import signal  # noqa: PLC0415
     except ImportError:
         return
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a crash leaves no image of the memory
     signal.setitimer(signal.ITIMER_PROF, SECONDS + size / SPEED)
-
-
-def _allow_memory(more: int) -> None:
-    """Let what follows take memory for arrays of so many bytes, and end with a MemoryError if it takes much more."""
-    try:
-        import resource  # noqa: PLC0415 (not on Windows)
-    except ImportError:
-        return
     # An array is in memory as it is stored, as it is written, and once more on the way.
-    most = _memory() + MEMORY + 3 * more
+    most = _memory() + MEMORY + 3 * room
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(
-        resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard)
-    )
+    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
 
 
 def _memory() -> int:
-    """Return the address space that this process uses, bytes; elsewhere than on Linux what it uses at most."""
+    """Return the address space of this process, bytes; an upper limit where the system is not Linux."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
@@ -396,11 +383,7 @@ def main() -> None:
     collector = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
     try:
         importlib.import_module(library)
-        _limit_time(size)
-        # Libraries that take a file as a whole need memory for all of it at once.
-        _allow_memory(0 if library == "h5py" else collector.room)
-        if library == "h5py":
-            collector.allow_memory = _allow_memory
+        limit_resources(size, collector.room)
         collect(path, collector, topics)
         collector.write()
     except RefusedError as reason:

@@ -9,93 +9,78 @@ import numpy as np
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, IntArray
 
-# What the following constants decide is measured by `benchmarks/signal_constants.py`: "of 20" are
-# pairs of noisy sines, "of 15" clean, offset, quantized or held schedules, "of 24" sweeps, "of 16"
-# signals without a sine.
+# `benchmarks/signal_constants.py` shows what these constants decide. Below, "of 20" means pairs of
+# noisy sines; "of 15", schedules that are clean, offset, quantized or held; "of 24", sweeps; and
+# "of 16", signals without a sine.
 
-# Amplitude of a sine, of the signal's range; a turning point is twice as high. All heights up to
-# half of the range are tried, so that neither noise on a sine nor a large step beside it hides the
-# turning points: with 0.01 alone none of 20 is found, with 0.1 alone 13, with 0.5 alone 12 of 15.
+# Least amplitude of a sine as a share of the signal's range; a turning point is twice as high. All
+# heights up to half of the range are tried, so that neither noise nor a large step hides the turning
+# points: with 0.01 alone, none of 20 is found; with 0.1 alone, 13; with 0.5 alone, 12 of 15.
 LEAST_AMPLITUDE = 0.005
 HEIGHTS = np.array([2 * LEAST_AMPLITUDE, 0.03, 0.1, 0.25, 0.5])
 
-# Of the middle, at least: two periods. With three, sines are found in 5 of 16; nine would do as
-# well for long tests.
+# Least number of mid-level crossings of a sine: two periods. With 3, sines are found in 5 of 16.
+# With 9, long tests are found as well.
 CROSSINGS = 5
 
-# That the next crossing is predicted from. Time grows with its square; from 40 to 4000 the same
-# sines are found.
-MOST_CROSSINGS = 400
-
-# Half periods by which a crossing may be off the line through those before. At 0.1, 18 of 20 are
-# found and 3 of 24 sweeps are called sines; at 0.4, 10 of 15, since successive frequencies run into
-# one another.
+# Tolerance of a crossing about the line through the previous ones, in half periods. At 0.1, 18 of 20
+# are found and 3 of 24 sweeps are called sines. At 0.4, 10 of 15 are found, because successive
+# frequencies merge.
 OFF_LINE = 0.2
 
-# One swing over the median of those before: separates sines of one frequency whose amplitudes
-# differ by a factor of two (not of 1.5). At 0.9 to 1.1, 17 of 20 are found.
+# Range of one swing over the median of the previous ones. It separates sines of one frequency whose
+# amplitudes differ by a factor of 2, not 1.5. At 0.9 to 1.1, 17 of 20 are found.
 SWING = (0.6, 1.6)
 
-# Half periods; crossings at the ends that are farther off the median line are cut. At 0.01, 14 of
-# 15 are found, at 0.3 five.
+# Crossings at the ends that are farther off the median line, in half periods, are cut. At 0.01, 14
+# of 15 are found; at 0.3, five.
 TRANSIENT = 0.03
 
-# In a sine, and per period of it, at least: with 40, no schedule is found at 20 rad/s and 100 Hz;
-# from 2 to 16 all are.
+# Least number of samples of a sine, and in each period. With 40, no schedule is found at 20 rad/s and
+# 100 Hz; from 2 to 16, all are.
 SAMPLES = 8
 
-# Of the variance, at most, of a sine. At 0.015, 15 of 20 are found; at 0.3, sines are found in 6 of
-# 16: a square wave's fundamental leaves 1 - 8/π² = 0.19.
+# Largest share of the variance that a fitted sine may leave unexplained. At 0.015, 15 of 20 are
+# found. At 0.3, sines are found in 6 of 16: the fundamental of a square wave leaves 1 - 8/π² = 0.19.
 UNEXPLAINED = 0.15
 
-# Phase at the ends of a piece relative to a straight line, rad, above which the piece is of a
+# Phase at the ends of a piece relative to a straight line, rad, above which the piece is part of a
 # sweep. At 0.012, 17 of 20 are found; at 0.4, 5 of 24 sweeps are called sines.
 BENT = 0.12
 
-# Of the variance, at most, of a piece of a sweep, of which a bend of b rad leaves 4/45 b² besides
-# the noise: two rad.
+# Largest unexplained share for a piece of a sweep. Besides the noise, a bend of b rad leaves 4/45 b²;
+# this allows two rad.
 BENT_UNEXPLAINED = 0.5
 
-# Of the amplitude: where the signal is farther off the fitted sine, the sine ends. From 0.005 to
-# 0.15 all ends are found within a half period, at 0.5 those of 10 of 15.
+# A sine ends where the signal is farther off the fitted sine than this share of the amplitude. From
+# 0.005 to 0.15, all ends are found within half a period; at 0.5, those of 10 of 15.
 FOLLOWS = 0.05
 
-SHORTEST = 1.0  # s, of a sine; from 0.1 to 10 s the same are found
+# Least number of pieces of a sweep whose frequency moves one way. With two, every change of
+# frequency would be a sweep.
+SWEEP_PIECES = 3
 
-# Of a run, that another may cover: at 0.01, neighboring sines suppress each other (11 of 15); from
-# 0.03 to 0.9 none do.
-OVERLAP = 0.1
-
-SWEEP_PIECES = (
-    3  # whose frequency moves one way: with two, every change of frequency would be a sweep
-)
-
-# Of the frequencies at the ends of a sweep, at least. At 1.1, 16 of 24 are found as one sweep; at
+# Least ratio of the frequencies at the ends of a sweep. At 1.1, 16 of 24 are found as one sweep; at
 # 2, 23, but narrower sweeps are lost.
 SWEEP_RATIO = 1.3
 
-# Half periods at an end of a sweep, from which the next is predicted, and by how much of itself it
-# may be off: the frequency of a logarithmic sweep is linear in the number of half periods, that of
-# a linear one its square.
+# The next half period of a sweep is predicted from this number of half periods, within this relative
+# tolerance. The frequency of a logarithmic sweep is linear in the number of half periods; that of a
+# linear sweep, its square.
 KNOWN_PERIODS = 4
 OFF_SWEEP = 0.25
 
-# Mean over peak of a half wave, at least: 2/π of a sine, 0.55 of one that fades in from zero, 1/2
-# of a triangle. Where there is a rest beside another motion it is less.
-FULL = 0.45
-
 
 def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
-    """Return the sines (two periods at least) and sweeps in one signal, (n,) arrays.
+    """Return the sines of at least two periods, and the sweeps, in one signal, (n,) arrays.
 
-    Half periods end where the signal crosses the middle between turning points, of several least
-    heights. Crossings on one line form a piece. A piece whose fitted sine explains 85 % of the
-    variance is a sine, unless its phase bends; three or more bent pieces in a row, with rising or
-    falling frequency, are a sweep.
+    A half period ends where the signal crosses the middle between two turning points. Several least
+    heights of turning points are tried. Crossings on one line form a piece. A piece is a sine if a
+    fitted sine explains 85 % of its variance and its phase does not bend. Three or more bent pieces
+    in a row, with rising or falling frequency, are a sweep.
     """
-    if (
-        time.size < SAMPLES or not 1e-100 < np.ptp(values) < 1e100
-    ):  # squares must neither vanish nor overflow
+    # Squares must neither vanish nor overflow.
+    if time.size < SAMPLES or not 1e-100 < np.ptp(values) < 1e100:
         return []
 
     corners = np.arange(time.size)
@@ -108,12 +93,11 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
         sweeps = _sweeps([s for s in pieces if s is not None and s.kind == "sweep"])
         candidates += [_whole(time, values, corners, crossings, swings, sweep) for sweep in sweeps]
 
+    # The longest run wins. Neighbors may overlap by a tenth: their ends are known within a period.
     accepted: list[Segment] = []
     for run in sorted(candidates, key=lambda s: -s.duration):
-        if all(
-            min(run.end, other.end) - max(run.start, other.start) < OVERLAP * run.duration
-            for other in accepted
-        ):
+        overlaps = [min(run.end, s.end) - max(run.start, s.start) for s in accepted]
+        if all(overlap < 0.1 * run.duration for overlap in overlaps):
             accepted.append(run)
     sweeps = [run for run in accepted if run.kind == "sweep"]
     alone = [run for run in accepted if not any(_part_of(run, sweep) for sweep in sweeps)]
@@ -121,10 +105,10 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
 
 
 def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray:
-    """Return those of the indices `corners` where the signal turns by at least `height`, and both ends."""
+    """Return the indices among `corners` where the signal turns by at least `height`, and both ends."""
     turns = []
-    direction = 0  # not known yet; then 1 on the way up, -1 on the way down
-    extreme = int(corners[0])  # index of the highest (lowest) value on the way, and that value
+    direction = 0  # unknown; later 1 on the way up, -1 on the way down
+    extreme = int(corners[0])  # index of the highest (lowest) value on the way
     levels = values[corners].tolist()
     low = high = top = levels[0]
     for index, level in zip(corners.tolist(), levels, strict=True):
@@ -146,7 +130,7 @@ def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray
 
 
 def _crossings(time: Array, values: Array, corners: IntArray) -> tuple[Array, Array]:
-    """Return when the signal crosses the middle between successive turning points, s, and how far apart these are."""
+    """Return when the signal crosses the middle between turning points, s, and their distances."""
     times = []
     for a, b in pairwise(corners):
         part = (values[a : b + 1] - (values[a] + values[b]) / 2) * np.sign(values[b] - values[a])
@@ -157,17 +141,18 @@ def _crossings(time: Array, values: Array, corners: IntArray) -> tuple[Array, Ar
 
 
 def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
-    """Return first and one past the last of the crossings that lie on one line and are of one height."""
+    """Return the first and one past the last of crossings that form a line and have one height."""
     runs = []
     start = 0
-    end = 3  # as few as a line can be extrapolated from and checked
+    end = 3  # the fewest from which a line can be extrapolated and checked
     while end <= crossings.size:
-        known = slice(start, end + 1)
-        if end < crossings.size and _continues(
-            crossings[known][-MOST_CROSSINGS:], swings[known][-CROSSINGS:]
-        ):
+        # 400 crossings predict the next one as well as all do, and the time grows with their square.
+        line = crossings[max(start, end - 399) : end + 1]
+        heights = swings[max(start, end + 1 - CROSSINGS) : end + 1]
+        if end < crossings.size and _continues(line, heights):
             end += 1
             continue
+
         if end - start >= CROSSINGS:
             runs.append((start, end))
             start = end - 1
@@ -178,7 +163,7 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
 
 
 def _continues(crossings: Array, swings: Array) -> bool:
-    """Return whether the last crossing lies where the line through the others predicts it, with as high a swing."""
+    """Return whether the line through the other crossings predicts the last one, and its swing is as high."""
     n = crossings.size - 1
     past = crossings[:-1]
     centered = np.arange(n) - (n - 1) / 2
@@ -189,7 +174,7 @@ def _continues(crossings: Array, swings: Array) -> bool:
 
 
 def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
-    """Fit offset, trend, sine and its frequency, then extend the ends as far as the signal follows."""
+    """Fit offset, trend, sine and its frequency, then extend the ends while the signal follows."""
     index = np.arange(crossings.size)
     apart = crossings.size // 2
     half_period = float(np.median(crossings[apart:] - crossings[:-apart])) / apart
@@ -201,9 +186,9 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     start = float(good[0])
     end = float(good[-1])
     period = 2 * half_period
-    around = slice(*np.searchsorted(time, (start - period, end + period)))
-    time = time[around]
-    values = values[around]
+    window = slice(*np.searchsorted(time, (start - period, end + period)))
+    time = time[window]
+    values = values[window]
     rows = (time >= start) & (time <= end)
     t = time[rows]
     x = values[rows]
@@ -231,7 +216,7 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     first = off[off < start].max(initial=time[0])
     last = off[off > end].min(initial=time[-1])
     run = Segment(float(first), float(last), omega=omega, amplitude=amplitude, offset=float(c[0]))
-    return run if run.duration >= SHORTEST else None
+    return run if run.duration >= 1 else None  # s; from 0.1 to 10 s the same sines are found
 
 
 def _refined_frequency(t: Array, x: Array, omega: float) -> float:
@@ -244,7 +229,7 @@ def _refined_frequency(t: Array, x: Array, omega: float) -> float:
 
 
 def _phase_bend(t: Array, x: Array, omega: float, half: float) -> float:
-    """Return by how much the phase at the ends, `half` seconds off the middle, is off that of one frequency, rad."""
+    """Return how far the phase, `half` seconds off the middle, is off that of one frequency, rad."""
     c = np.linalg.lstsq(_waves(t, omega, 8), x, rcond=None)[0]
     return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300) * (2 * half) ** 2 / 4
 
@@ -280,9 +265,9 @@ def _whole(
     swings: Array,
     sweep: Segment,
 ) -> Segment:
-    """Return a sweep with its ends, where the frequency changes too fast from one half period to the next for a piece.
+    """Return a sweep with its ends, where the frequency changes too fast for a piece.
 
-    The half wave in which a sweep begins or ends, from a rest or to one, is a part of it.
+    The half wave in which a sweep leaves or reaches a rest is part of it.
     """
     step = float(np.median(np.diff(time)))
     first, last = (
@@ -292,11 +277,15 @@ def _whole(
         return sweep
 
     def is_full(k: int, way: int) -> bool:
-        """Return whether the signal between crossing k and the next one is a half wave."""
+        """Return whether the signal between crossing k and the next one is a half wave.
+
+        The mean over the peak is 2/π for a sine, 0.55 for one that fades in from zero and 1/2 for a
+        triangle. It is less where a rest follows another motion.
+        """
         a, b = np.searchsorted(time, sorted((crossings[k], crossings[k + way])))
         middle = (values[corners[k]] + values[corners[k + 1]]) / 2
         peak = values[corners[max(k, k + way)]] - middle
-        return bool(b > a and np.mean(values[a:b] - middle) / peak > FULL)
+        return bool(b > a and np.mean(values[a:b] - middle) / peak > 0.45)
 
     def end(k: int, way: int) -> int:
         while (
@@ -322,25 +311,25 @@ def _whole(
         crossings[first : first + KNOWN_PERIODS + 1],
         crossings[last - KNOWN_PERIODS : last + 1][::-1],
     )
-    slow, fast = sorted((_end_frequency(crossings_of_end) for crossings_of_end in ends), key=max)
+    slow, fast = sorted(map(_end_frequency, ends), key=max)
     return replace(sweep, start=start, end=stop, band=(min(slow), max(fast)))
 
 
 def _end_frequency(crossings: Array) -> tuple[float, float]:
-    """Return the frequency, rad/s, where a sweep ends half a wave beyond the first of these crossings, and at it."""
+    """Return the frequency half a wave beyond the first of these crossings, and at it, rad/s."""
     frequency = math.pi / np.abs(np.diff(crossings))
     beyond = float(_beyond(1.5) @ frequency)
     return float(np.clip(beyond, 0.5 * frequency[0], frequency[0])), float(frequency[0])
 
 
 def _beyond(steps: float) -> Array:
-    """Return the weights of `KNOWN_PERIODS` values of which the regression line is read `steps` before the first."""
+    """Return the weights that extrapolate the regression line of values to `steps` before the first."""
     centered = np.arange(KNOWN_PERIODS) - (KNOWN_PERIODS - 1) / 2
     return 1 / KNOWN_PERIODS + centered * (centered[0] - steps) / np.sum(centered**2)
 
 
 def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
-    """Return whether the crossing after k, one way, is where a smooth change of the frequency predicts it."""
+    """Return whether a smooth change of frequency predicts the next crossing after k, one way."""
     crossings_used = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
     frequency = 1 / np.abs(np.diff(crossings_used))
     least = 0.5 * frequency[0]
@@ -356,10 +345,10 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
 
 
 def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossings: Array) -> float:
-    """Return when the signal left the middle before its first turning point `peak`, whose `other` is the second.
+    """Return when the signal left the middle before its first turning point `peak`; `other` is the second.
 
-    That is at most as long before the first of the `crossings` as the next half periods let expect;
-    else it is that.
+    The next half periods limit how long before the first of the `crossings` this may be. Otherwise
+    it is this crossing.
     """
     middle = (values[peak] + values[other]) / 2
     periods = np.diff(crossings)
@@ -372,9 +361,8 @@ def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossing
 def _part_of(sine: Segment, sweep: Segment) -> bool:
     """Return whether a "sine" is the slow start or the end of a sweep: short, and next to it.
 
-    The end of a sweep may be far from its last piece when it is very short; a sine of up to four
-    periods, or one of the sweep's own frequencies (within a factor of 1.5) and up to 15 % of its
-    duration, counts as short.
+    Short is a sine of up to four periods, or one that lasts up to 15 % of the sweep at one of its
+    frequencies (within a factor of 1.5). A very short end of a sweep may be far from its last piece.
     """
     reach = 0.3 * sweep.duration if sine.duration < 0.05 * sweep.duration else 2 * sine.duration
     near = max(sweep.start - sine.end, sine.start - sweep.end) < reach

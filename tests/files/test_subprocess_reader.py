@@ -40,8 +40,7 @@ LIMITED = f"""
 import sys
 sys.path.insert(0, {str(subprocess_main.__file__).rpartition("/")[0]!r})
 import subprocess_main
-subprocess_main._limit_time(1000)
-subprocess_main._allow_memory(1000)
+subprocess_main.limit_resources(1000, 1000)
 """
 
 

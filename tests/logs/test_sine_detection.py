@@ -10,19 +10,6 @@ from sine_schedules import STEP, schedule
 
 from greybox.data.test_segment import Segment, segment_table
 from greybox.logs.sine_detection import (
-    _beyond,
-    _continues,
-    _crossings,
-    _end_frequency,
-    _first_half_wave,
-    _follows,
-    _part_of,
-    _phase_bend,
-    _refined_frequency,
-    _runs,
-    _sweeps,
-    _turning_points,
-    _waves,
     sines_and_sweeps,
 )
 
@@ -56,7 +43,7 @@ def test_sines_one_after_another(pause, spoiled):
 
 
 @given(seed=st.integers(0, 10_000), ratio=st.floats(6, 100), omega=st.floats(1, 15))
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=6, deadline=None, derandomize=True)
 def test_sines_in_noise(seed, ratio, omega):
     plan = [(omega, 15.0 + 20 / omega), (1.3 * omega, 15.0 + 20 / omega)]
     t, r, starts = schedule(plan)
@@ -130,7 +117,7 @@ def test_a_sweep_between_other_sticks_is_found_whole(duration, highest, noise, w
     assert np.array(run.band) / (2 * np.pi) == pytest.approx([0.1, highest], rel=0.35)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_noise_steps_squares_and_walks_are_no_sines(seed):
     rng = np.random.default_rng(seed)
     t = np.arange(0, 60, STEP)
@@ -181,104 +168,6 @@ def test_what_is_found_does_not_depend_on_when_the_clock_began(samples):
     )
     first, later = (sines_and_sweeps(start + t, r) for start in (0.0, 5000.0))
     assert [round(run.start, 3) for run in first] == [round(run.start - 5000, 3) for run in later]
-
-
-@pytest.mark.parametrize("phase", [0.0, 0.8, 1.6, 2.9])
-@pytest.mark.parametrize("rate", [0.004, -0.004])
-def test_the_bend_of_the_phase_is_that_of_a_slow_chirp(phase, rate):
-    t = np.linspace(-5, 5, 2001)
-    x = 2 * np.sin(4 * t + rate * t**2 + phase) + 0.3
-    assert _phase_bend(t, x, 4.0, 5.0) == pytest.approx(abs(rate) * 5**2, rel=0.05)
-
-
-def test_turning_points_are_where_the_signal_turned_by_the_height():
-    values = np.array([5.0, 5.5, 9.0, 7.5, 8.0, 3.0, 4.5, 2.0, 4.0, 6.0])
-    for offset in (0.0, 1000.0, -1000.0):  # a constant turns nothing
-        corners = _turning_points(values + offset, np.arange(10), 2.0)
-        assert [*corners] == [0, 2, 7, 9]
-
-
-@pytest.mark.parametrize(
-    ("values", "turns"),
-    [
-        (
-            [5.0, 4.5, 5.5, 6.5, 4.5, 4.6, 2.0, 3.9, 1.0, 3.0],
-            [3, 8],
-        ),  # 6.5 is higher by two than the lowest before it
-        ([5.0, 4.5, 5.5, 6.4, 4.5, 4.6, 2.0, 3.9, 1.0, 3.0], [8]),  # 6.4 is not: it turns nothing
-        ([9.0, 8.0, 4.0, 6.0, 3.0, 8.0], [2, 3, 4]),
-        ([4.0, 4.0, 5.0, 5.0, 4.5, 4.5], []),
-    ],
-)
-def test_a_turn_is_of_the_height_that_is_asked_for(values, turns):
-    """Upside down as well; and of points chosen before, whose indices are kept."""
-    values = np.array(values)
-    expected = [0, *turns, *([] if turns == [] else [len(values) - 1])]
-    spread = np.zeros(3 * values.size)
-    spread[1::3] = values
-    for sign in (1, -1):
-        if turns:
-            assert [*_turning_points(sign * values, np.arange(values.size), 2.0)] == expected
-            at = _turning_points(sign * spread, 1 + 3 * np.arange(values.size), 2.0)
-            assert [*at] == [1 + 3 * k for k in expected]
-        else:
-            assert _turning_points(sign * values, np.arange(values.size), 2.0)[0] == 0
-            assert _turning_points(sign * values, np.arange(values.size), 2.0).size == 2
-
-
-@pytest.mark.parametrize(
-    ("values", "crossing"),
-    [
-        ([0.0, 1.0, 2.0], 4.0),  # at the sample that is the middle
-        ([0.0, 0.5, 1.6, 2.0], 6.0),  # halfway between those below and above it
-        ([0.0, 1.5, 0.5, 2.0], 6.0),  # and between the last one below and the first above
-        ([0.0, 1.2, 1.4, 2.0], 2.5),
-    ],
-)
-def test_a_crossing_is_where_the_middle_is_left_and_reached(values, crossing):
-    """Of turning points 0 and 2, on the way up and down."""
-    time = np.array([1.0, 4.0, 8.0, 9.5])[: len(values)]
-    for sign, offset in ((1, 0.0), (-1, 0.0), (1, 7.0), (-3, -5.0)):
-        crossings, swings = _crossings(
-            time, offset + sign * np.array(values), np.array([0, len(values) - 1])
-        )
-        assert crossings.tolist() == [crossing]
-        assert swings == pytest.approx([2 * abs(sign)])
-
-
-@pytest.mark.parametrize(
-    ("counts", "runs"),
-    [
-        ((8, 8), [(0, 9), (8, 17)]),  # a crossing ends one run and begins the next
-        ((4, 4), [(0, 5), (4, 9)]),
-        ((8, 3, 8), [(0, 9), (11, 20)]),
-        ((3,), []),
-    ],
-)
-def test_runs_are_of_evenly_spaced_crossings_five_at_least(counts, runs):
-    """Half periods of 1 s, 0.5 s and 0.25 s one after the other, so many of each."""
-    steps = np.repeat(0.5 ** np.arange(len(counts)), counts)
-    crossings = np.append(3.0, 3.0 + np.cumsum(steps))
-    assert _runs(crossings, np.ones(crossings.size)) == runs
-
-
-def test_a_swing_of_another_height_ends_a_run():
-    crossings = np.arange(20.0)
-    assert _runs(crossings, np.where(crossings < 12, 1.0, 2.0)) == [(0, 12), (11, 20)]
-    assert _runs(crossings, np.where(crossings < 12, 1.0, 1.4)) == [(0, 20)]
-
-
-def test_the_frequency_of_a_sine_is_refined_by_least_squares():
-    """From 3 % off, with offset and trend beside it; a step is a tenth at most."""
-    t = np.linspace(-4, 5, 700)
-    for truth in (3.1, 6.7):
-        x = 1.3 * np.sin(truth * t + 0.7) + 2.0 - 0.4 * t
-        for start in (0.97, 1.0, 1.03):
-            assert _refined_frequency(t, x, start * truth) == pytest.approx(truth, rel=1e-6)
-    t = np.linspace(-0.4, 0.5, 300)
-    assert _refined_frequency(t, np.sin(6 * t + 0.3), 12.0) == pytest.approx(
-        12 * 0.9**4
-    )  # four steps from far off
 
 
 @pytest.mark.parametrize(
@@ -340,131 +229,8 @@ def test_a_clean_sweep_is_found_from_its_first_half_wave_to_its_last(law, low, h
     assert run.band[1] == pytest.approx(high, rel=0.06)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_sweep_is_followed_by_its_frequency_on_a_line_and_by_its_square(way):
-    """Half periods before: 1/1.0, 1/1.1, 1/1.2, 1/1.3 s, of which the next is 1/1.4 s or 1/1.38 s."""
-    frequency = np.array([1.0, 1.1, 1.2, 1.3])
-    square = math.sqrt(np.polyval(np.polyfit(np.arange(4), frequency**2, 1), 4))
-    assert square == pytest.approx(1.382, abs=1e-3)
-    shortest, longest = sorted((1 / 1.4, 1 / square))
-    step = 0.01
-    for period, follows in (
-        (0.75 * shortest - step - 1e-6, False), (0.75 * shortest - step + 1e-6, True),
-        (1.25 * longest + step - 1e-6, True), (1.25 * longest + step + 1e-6, False),
-    ):  # fmt: skip
-        crossings = np.cumsum([2.0, *(1 / frequency), period])
-        swings = np.ones(6)
-        k = 4 if way > 0 else 1
-        along = crossings if way > 0 else -crossings[::-1]
-        assert _follows(along, swings, k, way, step) is follows
-    along = np.cumsum([2.0, *(1 / frequency), shortest])[::way] * way
-    for swing, follows in ((0.59, False), (0.61, True), (1.59, True), (1.61, False)):
-        swings = np.array([9.0, 9.0, 9.0, 9.0, 2.0, 2.0 * swing])[::way]
-        assert _follows(along, swings, 4 if way > 0 else 1, way, step) is follows
-
-
-def test_a_frequency_is_expected_to_fall_to_a_half_at_most():
-    """On the way to a rest: of 4, 3, 2, 1 Hz the line leads to zero; the next half period is two at most."""
-    crossings = np.cumsum([0.0, 1 / 4, 1 / 3, 1 / 2, 1.0])
-    for period, follows in ((2.49, True), (2.52, False)):
-        assert (
-            _follows(np.append(crossings, crossings[-1] + period), np.ones(6), 4, 1, 0.01)
-            is follows
-        )
-
-
-def test_crossings_are_halfway_between_turning_points_and_swings_their_distance():
-    time = np.arange(0, 20, 0.01)
-    crossings, swings = _crossings(
-        time, np.cos(2 * time) + 7, np.rint(np.arange(0, 20, np.pi / 2) * 100).astype(int)
-    )
-    assert crossings == pytest.approx(np.pi / 4 + np.arange(crossings.size) * np.pi / 2, abs=0.006)
-    assert swings == pytest.approx(2.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(("swing", "late", "continues"), [
-    (1.0, 0.18, True), (1.0, 0.22, False), (1.0, -0.18, True), (1.0, -0.22, False),
-    (0.62, 0.0, True), (0.58, 0.0, False), (1.58, 0.0, True), (1.62, 0.0, False),
-])  # fmt: skip
-def test_a_crossing_continues_within_a_fifth_of_a_half_period_of_the_regression_line(
-    swing, late, continues
-):
-    """The line by numpy's polyfit through crossings that scatter."""
-    k = np.arange(7)
-    past = 3.0 + 0.5 * k + 0.03 * np.array([1, -2, 0, 3, -1, 1, -2])
-    slope, first = np.polyfit(k, past, 1)
-    next_ = first + slope * (7 + late)
-    swings = np.array([2.0, 2.2, 1.8, 2.0, 2.0 * swing])
-    assert _continues(np.append(past, next_), swings) is continues
-
-
-@pytest.mark.parametrize("steps", [1.0, 1.5])
-def test_a_sweep_is_extrapolated_by_the_line_through_four_values(steps):
-    values = np.array([3.0, 2.0, 2.5, 0.7])
-    assert _beyond(steps) @ values == pytest.approx(
-        np.polyval(np.polyfit(np.arange(4), values, 1), -steps)
-    )
-
-
-def test_the_frequency_at_the_end_of_a_sweep_lies_half_a_wave_beyond_its_last_crossing():
-    """Half periods of 1, 1/1.1, 1/1.2, 1/1.3 s: frequencies on a line; at half of the last one it stays."""
-    crossings = np.cumsum([0, 1 / 1.0, 1 / 1.1, 1 / 1.2, 1 / 1.3])
-    assert _end_frequency(crossings) == pytest.approx((math.pi * (1.0 - 0.15), math.pi))
-    steep = np.cumsum([0, 1.0, 1 / 2, 1 / 3, 1 / 4])
-    assert _end_frequency(steep) == pytest.approx((0.5 * math.pi, math.pi))
-    assert _end_frequency(crossings[::-1]) == pytest.approx(
-        (1.3 * math.pi, 1.3 * math.pi)
-    )  # not above the last
-
-
-def test_the_columns_of_a_fit_are_the_derivatives_of_a_sine_by_its_frequency():
-    x, h = np.linspace(-2, 3, 11), 1e-4
-    low, at, high = (_waves(x, omega, 8) for omega in (1.7 - h, 1.7, 1.7 + h))
-    assert np.column_stack([at[:, 0], at[:, 1], at[:, 2], at[:, 3]]) == pytest.approx(
-        np.column_stack([np.ones(11), x, np.sin(1.7 * x), np.cos(1.7 * x)])
-    )
-    slope, curve = (high - low)[:, 2:4] / (2 * h), (high - 2 * at + low)[:, 2:4] / h**2
-    assert at[:, 4:6] == pytest.approx(slope, abs=1e-6)
-    assert -at[:, 6:8] == pytest.approx(curve, abs=1e-5)
-
-
 def sweep(start, end, low=1.0, high=8.0):
     return Segment(start, end, "sweep", band=(low, high))
-
-
-@pytest.mark.parametrize(("duration", "gap", "omega", "part"), [
-    (14.0, 27.0, 1.0, True), (14.0, 29.0, 1.0, False),  # next to it: within twice its own duration
-    (4.0, 29.0, 4.0, True), (4.0, 31.0, 4.0, False),  # very short: within 0.3 of the sweep's
-    (14.9, 1.0, 5.0, True), (15.1, 1.0, 5.0, False),  # of its frequencies: up to 15 % of its duration
-    (10.0, 1.0, 11.9, True), (10.0, 1.0, 12.1, False),  # within a factor of 1.5 of its band
-    (30.0, 1.0, 0.83, True), (30.0, 1.0, 0.84, False),  # of up to four periods: 30 s at 2 π 4/30
-    (10.0, 1.0, 0.9, True),
-])  # fmt: skip
-def test_what_is_a_part_of_a_sweep(duration, gap, omega, part):
-    """Beside a sweep of 100 s from 1 to 8 rad/s, before and after it."""
-    for start in (100 - gap - duration, 200 + gap):
-        sine = Segment(start, start + duration, "sine", omega=omega)
-        assert bool(_part_of(sine, sweep(100, 200))) is part
-
-
-def test_pieces_are_a_sweep_from_three_on_of_thirty_percent_and_without_a_pause():
-    def pieces(*omega, gap=0.0):
-        starts = 10.0 * np.arange(len(omega))
-        return [
-            Segment(t, t + 10 - gap, "sweep", band=(w, w), amplitude=1.0)
-            for t, w in zip(starts, omega, strict=True)
-        ]
-
-    (joined,) = _sweeps(pieces(2.0, 2.3, 2.61))
-    assert (joined.start, joined.end, joined.band) == (0.0, 30.0, (2.0, 2.61))
-    assert _sweeps(pieces(2.0, 2.3, 2.59)) == []
-    assert _sweeps(pieces(2.0, 4.0)) == []
-    assert _sweeps(pieces(2.0, 4.0, 3.0)) == []  # not one way
-    assert _sweeps(pieces(4.0, 3.0, 2.0))[0].band == (2.0, 4.0)
-    assert (
-        len(_sweeps(pieces(2.0, 2.3, 2.7, gap=math.pi / 1.36))) == 1
-    )  # a period of the later piece at most
-    assert _sweeps(pieces(2.0, 2.3, 2.7, gap=math.pi / 1.34)) == []
 
 
 @pytest.mark.parametrize(
@@ -474,20 +240,6 @@ def test_a_sine_lasts_a_second_and_two_periods(omega, duration, found):
     t = np.arange(0, 30, STEP)
     r = np.where((t > 10) & (t < 10 + duration), np.sin(omega * (t - 10)), 0.0)
     assert len([run for run in sines_and_sweeps(t, r) if run.kind == "sine"]) == found
-
-
-@pytest.mark.parametrize("offset", [0.0, 40.0])
-def test_a_sweep_begins_where_its_first_half_wave_leaves_the_middle(offset):
-    """A sine of half periods of 1 s about the rest before it; without a rest, at the first crossing."""
-    t = np.arange(0, 12, 0.01)
-    r = offset + np.where(t > 3, np.sin(math.pi * (t - 3)), 0.0)
-    peak, other, crossings = 350, 450, np.array([4.0, 5.0, 6.0])
-    # The middle of the first two turning points, that of the sweep, is left by a twentieth of the
-    # amplitude.
-    assert _first_half_wave(t, r, peak, other, crossings) == pytest.approx(
-        3 + math.asin(0.05) / math.pi, abs=0.011
-    )
-    assert _first_half_wave(t, np.where(t > 3.5, r, offset + 1), peak, other, crossings) == 4.0
 
 
 def test_a_constant_beside_a_sweep_changes_nothing():

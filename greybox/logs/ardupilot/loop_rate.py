@@ -106,12 +106,12 @@ def thinning_error(
         gain
         * s
         * response.response
-        * _first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
+        * first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
     )
     if response.units.get(response.output) == "rad":
-        share = share * s * _second_order(float(parameters["INS_GYRO_FILTER"]), s)
+        share = share * s * second_order(float(parameters["INS_GYRO_FILTER"]), s)
     return DRIFTING * np.array(
-        [share * found.count * _passed(parameters, axis, found.loop), s * found.age]
+        [share * found.count * remaining_alternation(parameters, axis, found.loop), s * found.age]
     )
 
 
@@ -127,21 +127,23 @@ def _differences(per_pass: float, kept: int) -> tuple[float, float]:
     )
 
 
-def _passed(parameters: Mapping[str, float], axis: str, loop: float) -> float:
+def remaining_alternation(parameters: Mapping[str, float], axis: str, loop: float) -> float:
     """Return what the D term's filter, at the rate of the loop, leaves of an alternation from pass to pass."""
     cutoff = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_FLTD", 0))
     alpha = 1 / (1 + loop / (2 * math.pi * cutoff)) if cutoff > 0 else 1.0
     return alpha / (2 - alpha)
 
 
-def _first_order(filters: tuple, s: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+def first_order(filters: tuple, s: Complex) -> Complex:
+    """Return the response of first-order low-pass filters in series at s, 1/s, (n,)."""
     result = np.ones_like(s)
     for filter_ in filters:
         result = result / (1 + s / (2 * math.pi * filter_.cutoff))
     return result
 
 
-def _second_order(cutoff: float, s: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+def second_order(cutoff: float, s: Complex) -> Complex:
+    """Return the response of a Butterworth filter of second order, cutoff in Hz, at s, 1/s, (n,)."""
     x = s / (2 * math.pi * cutoff)
     return 1 / (x**2 + math.sqrt(2) * x + 1)
 

@@ -80,10 +80,10 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     topics = {name: name.partition("[")[0] for name in recording}
     about = {
         **_about(contents.about),
-        **(_states(recording[STATUS]) if STATUS in topics.values() else {}),
+        **(states_of(recording[STATUS]) if STATUS in topics.values() else {}),
     }
     by_name = {
-        name: _with_angles(topics[name], record)
+        name: with_angles(topics[name], record)
         for name, record in recording.items()
         if topics_wanted is None or topics[name] in topics_wanted
     }
@@ -100,7 +100,7 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
     info = said["info"]
     about = {
         "vehicle": info.get("sys_name"),
-        "firmware": _firmware(info),
+        "firmware": firmware_of(info),
         "board": info.get("ver_hw"),
         "frame": f"airframe {airframe:g}"
         if (airframe := said["parameters"].get("SYS_AUTOSTART"))
@@ -112,7 +112,7 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in about.items() if value}
 
 
-def _firmware(info: Mapping[str, Any]) -> str | None:
+def firmware_of(info: Mapping[str, Any]) -> str | None:
     """Return the release and the commit, as ``v1.14.3 (29f5e2a1)``."""
     commit, release = info.get("ver_sw"), info.get("ver_sw_release")
     if not isinstance(release, int) or not release:
@@ -121,7 +121,7 @@ def _firmware(info: Mapping[str, Any]) -> str | None:
     return f"v{version} ({commit})" if commit else f"v{version}"
 
 
-def _with_angles(name: str, record: Record) -> Record:
+def with_angles(name: str, record: Record) -> Record:
     """Add roll, pitch and yaw, rad, to a record of quaternions, and the units of known fields."""
     units = {field: "rad/s" for field in record.signals if re.fullmatch(RATES.get(name, ""), field)}
     q = [record.signals.get(f"{QUATERNIONS.get(name, '')}[{k}]") for k in range(4)]
@@ -147,7 +147,7 @@ def _with_angles(name: str, record: Record) -> Record:
     )
 
 
-def _states(status: Record) -> dict[str, Any]:
+def states_of(status: Record) -> dict[str, Any]:
     """Return modes and armed times from the vehicle's status."""
     states: dict[str, Any] = {}
     time = status.time.tolist()

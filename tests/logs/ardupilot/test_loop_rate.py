@@ -9,9 +9,9 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.identification.systematic_errors import systematic_errors, with_systematic_errors
 from greybox.logs.ardupilot.loop_rate import (
-    _first_order,
-    _passed,
-    _second_order,
+    first_order,
+    remaining_alternation,
+    second_order,
     thinning,
     thinning_error,
 )
@@ -149,9 +149,9 @@ def test_what_is_left_of_an_alternation_behind_the_filter(cutoff, passed):
     value = 0.0
     for k in range(2000):
         value += alpha * ((-1) ** k - value)
-    assert _passed(stated, "pitch", LOOP) == pytest.approx(abs(value), rel=1e-9)
-    assert _passed(stated, "pitch", LOOP) == pytest.approx(passed, rel=0.01)
-    assert _passed(stated, "nothing", LOOP) == 1.0
+    assert remaining_alternation(stated, "pitch", LOOP) == pytest.approx(abs(value), rel=1e-9)
+    assert remaining_alternation(stated, "pitch", LOOP) == pytest.approx(passed, rel=0.01)
+    assert remaining_alternation(stated, "nothing", LOOP) == 1.0
 
 
 def test_the_mode_is_that_in_which_the_test_began():
@@ -177,10 +177,10 @@ def test_filters_of_first_and_second_order_are_butterworths():
     cutoff = 20.0
     s = 2j * math.pi * cutoff * np.array([0.1, 1.0, 10.0])
     poles = 2 * math.pi * cutoff * np.exp(1j * math.pi * np.array([0.75, 1.25]))
-    assert _second_order(cutoff, s) == pytest.approx(
+    assert second_order(cutoff, s) == pytest.approx(
         np.prod(poles) / ((s - poles[0]) * (s - poles[1]))
     )
-    assert _first_order([FirstOrderLowPass(cutoff)], s) == pytest.approx(
+    assert first_order([FirstOrderLowPass(cutoff)], s) == pytest.approx(
         1 / (1 + s / (2 * math.pi * cutoff))
     )
 

@@ -7,7 +7,7 @@ from synthetic_logs import ulog
 
 from greybox.data.record import Record
 from greybox.logs.readers import read
-from greybox.logs.readers.ulog import _firmware, _states, _with_angles
+from greybox.logs.readers.ulog import firmware_of, states_of, with_angles
 
 installed = pytest.mark.skipif(
     importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed"
@@ -75,14 +75,14 @@ def test_the_angles_of_a_quaternion_are_those_of_scipys_rotation():
     rotation = Rotation.random(20, random_state=0)
     x, y, z, w = rotation.as_quat().T
     quaternion = {f"q[{k}]": values for k, values in enumerate((w, x, y, z))}
-    made = _with_angles("vehicle_attitude", Record(np.arange(20.0), quaternion, hold={"q[0]": 0.0}))
+    made = with_angles("vehicle_attitude", Record(np.arange(20.0), quaternion, hold={"q[0]": 0.0}))
     yaw, pitch, roll = rotation.as_euler("ZYX").T
     for name, angle in (("roll", roll), ("pitch", pitch), ("yaw", yaw)):
         np.testing.assert_allclose(made[name], angle, atol=1e-9)
         assert made.units[name] == "rad"
         assert made.hold[name] == 0.0
     known = Record(np.arange(20.0), quaternion | {"roll": np.ones(20)})
-    assert np.all(_with_angles("vehicle_attitude", known)["roll"] == 1)
+    assert np.all(with_angles("vehicle_attitude", known)["roll"] == 1)
 
 
 def test_modes_are_those_of_px4s_status():
@@ -91,7 +91,7 @@ def test_modes_are_those_of_px4s_status():
     names += "AUTO_TAKEOFF AUTO_LAND AUTO_FOLLOW_TARGET AUTO_PRECLAND ORBIT AUTO_VTOL_TAKEOFF ."
     expected = [f"mode {k}" if name == "." else name for k, name in enumerate(names.split())]
     status = Record(np.arange(48) / 2, {"nav_state": np.repeat(np.arange(24.0), 2)})
-    assert _states(status) == {"modes": tuple(zip(np.arange(24.0), expected, strict=True))}
+    assert states_of(status) == {"modes": tuple(zip(np.arange(24.0), expected, strict=True))}
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_modes_are_those_of_px4s_status():
 )
 def test_armed_is_the_second_state_of_arming(states, armed):
     """ARMING_STATE_ARMED of vehicle_status.msg; a log may begin and end in it."""
-    assert _states(Record(np.arange(6.0), {"arming_state": states})) == {"armed": armed}
+    assert states_of(Record(np.arange(6.0), {"arming_state": states})) == {"armed": armed}
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_armed_is_the_second_state_of_arming(states, armed):
     ],
 )
 def test_the_release_is_three_bytes(info, said):
-    assert _firmware(info) == said
+    assert firmware_of(info) == said
 
 
 @pytest.mark.parametrize(
@@ -135,4 +135,4 @@ def test_the_release_is_three_bytes(info, said):
     ],
 )
 def test_rates_have_their_unit(topic, field, unit):
-    assert _with_angles(topic, Record([0.0, 1.0], {field: [1.0, 2.0]})).units.get(field, "") == unit
+    assert with_angles(topic, Record([0.0, 1.0], {field: [1.0, 2.0]})).units.get(field, "") == unit
