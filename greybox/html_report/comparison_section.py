@@ -1,4 +1,4 @@
-"""Several results side by side: one table of all, how they compare, and their figures laid over one another."""
+"""Several results side by side: tables of all, how they compare, and figures over one another."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,94 +20,73 @@ from greybox.validation.comparison import HELD_OUT, Comparison
 
 OVERLAID = 6  # fits in one figure: there are six colors
 WIDEST = 12  # quantities in one table: more do not fit beside one another
+GRADES = {"good": "good", "doubt": "in doubt", "failed": "failed"}
 
 
 def comparison_section(
     entries: Sequence[Entry], comparison: Comparison | None, columns: int
 ) -> list[Element]:
-    """Return what the results say beside one another: estimates, tests, and figures of all."""
-    fits = [
-        (entry.label, entry.fit)
-        for entry in entries
-        if entry.fit is not None and entry.fit.converged
-    ]
+    """Return estimates, tests and figures of all results.
+
+    Lines of records have as many `columns` (`drawn_line`).
+    """
+    converged = [e for e in entries if e.fit is not None and e.fit.converged]
+    labels = [entry.label for entry in converged]
+    fits = [entry.fit for entry in converged if entry.fit is not None]
+    few = 2 <= len(fits) <= OVERLAID
     content = list(_estimates(entries))
-    labels, converged = [label for label, _ in fits], [fit for _, fit in fits]
-    if comparison is None and 2 <= len(fits) <= OVERLAID:
+    if comparison is None and few:
         try:
-            comparison = compare(*converged, labels=labels)
+            comparison = compare(*fits, labels=labels)
         except (ValueError, LookupError) as error:
             content.append(tag("p", f"They are not compared by a test: {error.args[0]}"))
     if comparison is not None:
         content += _comparison(comparison)
-    drawn = (
-        list(_figures(converged, labels, comparison, columns)) if 2 <= len(fits) <= OVERLAID else []
-    )
-    if drawn:
-        content.append(figure_grid(drawn))
-    return content
+    figures = list(_figures(fits, labels, comparison, columns)) if few else []
+    return [*content, figure_grid(figures)] if figures else content
 
 
 def overview(entries: Sequence[Entry]) -> Element:
     """Return the table of all results, with links to their sections."""
-    rows = []
-    for entry in entries:
-        name = Cell(tag("a", entry.label, href=f"#{entry.anchor}") if entry.anchor else entry.label)
-        answer = entry.answer
-        if entry.error or not answer:
-            rows.append([name, Cell(entry.error or "no result", mark="failed"), *[Cell("")] * 6])
-            continue
-        grade = answer["verdict"]["grade"]
-        agreeing, warnings = answer["agreeing"], len(answer["warnings"])
-        rows.append(
-            [
-                name,
-                Cell({"good": "good", "doubt": "in doubt", "failed": "failed"}[grade], mark=grade),
-                Cell(", ".join(answer["model"])),
-                Cell(answer["criterion"]),
-                number_cell(answer["cost"], 6),
-                Cell(
-                    f"{agreeing} of {answer['starts']}" if answer["converged"] else "–",
-                    float(agreeing),
-                ),
-                Cell(str(warnings), float(warnings)),
-                Cell(", ".join(answer["data"])),
-            ]
-        )
-    header = [
-        "result",
-        "verdict",
-        "model",
-        "criterion",
-        "cost",
-        "starts agreeing",
-        "warnings",
-        "data",
+    header = ["result", "verdict", "model", "criterion", "cost", "starts agreeing", "warnings"]
+    return table([*header, "data"], [_overview_row(entry) for entry in entries])
+
+
+def _overview_row(entry: Entry) -> list[Cell]:
+    name = Cell(tag("a", entry.label, href=f"#{entry.anchor}") if entry.anchor else entry.label)
+    answer = entry.answer
+    if entry.error or not answer:
+        return [name, Cell(entry.error or "no result", mark="failed"), *[Cell("")] * 6]
+    grade = answer["verdict"]["grade"]
+    agreeing = answer["agreeing"]
+    warnings = len(answer["warnings"])
+    agreement = f"{agreeing} of {answer['starts']}" if answer["converged"] else "–"
+    return [
+        name,
+        Cell(GRADES[grade], mark=grade),
+        Cell(", ".join(answer["model"])),
+        Cell(answer["criterion"]),
+        number_cell(answer["cost"], 6),
+        Cell(agreement, float(agreeing)),
+        Cell(str(warnings), float(warnings)),
+        Cell(", ".join(answer["data"])),
     ]
-    return table(header, rows)
 
 
 def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
-    """Yield the table of all estimates with their errors, or, of very different results, one for each structure."""
-    known = [
-        entry
-        for entry in entries
-        if entry.answer.get("converged") and entry.answer["standard_error"]
-    ]
-    all_names = tuple(
-        dict.fromkeys(name for entry in known for name in entry.answer["standard_error"])
-    )
+    """Yield one table of all estimates, or, where there are too many columns, one per structure."""
+    estimated = [e for e in entries if e.answer.get("converged") and e.answer["standard_error"]]
+    names = {entry.label: tuple(entry.answer["standard_error"]) for entry in estimated}
+    all_names = tuple(dict.fromkeys(name for group in names.values() for name in group))
     groups: dict[tuple[str, ...], list[Entry]] = {}
-    for entry in known:
-        names = all_names if len(all_names) <= WIDEST else tuple(entry.answer["standard_error"])
-        groups.setdefault(names, []).append(entry)
+    for entry in estimated:
+        group = all_names if len(all_names) <= WIDEST else names[entry.label]
+        groups.setdefault(group, []).append(entry)
     if groups:
         yield tag("h3", "Estimates with standard errors")
-    for names, group in groups.items():
-        yield table(
-            ["result", *names],
-            [[Cell(entry.label), *_estimate_cells(entry.answer, names)] for entry in group],
-        )
+    for group, members in groups.items():
+        rows = [[Cell(e.label), *_estimate_cells(e.answer, group)] for e in members]
+        yield table(["result", *group], rows)
 
 
 def _estimate_cells(answer: Mapping[str, Any], names: Sequence[str]) -> Iterator[Cell]:
@@ -116,8 +95,9 @@ def _estimate_cells(answer: Mapping[str, Any], names: Sequence[str]) -> Iterator
         if values.get(name) is None:
             yield Cell("–" if name in values else "")
             continue
-        spread = answer["standard_error"][name]
-        value, error = with_error(values[name], math.nan if spread is None else spread)
+        standard_error = answer["standard_error"][name]
+        spread = math.nan if standard_error is None else standard_error
+        value, error = with_error(values[name], spread)
         yield Cell(value if error == "-" else f"{value} ± {error}", values[name])
 
 
@@ -126,32 +106,25 @@ def _comparison(comparison: Comparison) -> Iterator[Element]:
     yield tag("p", f"Data: {comparison.data}.")
     for statement in comparison.statements:
         yield tag("p", statement)
-    header = ["data", "output", "measure", "unit", *comparison.labels]
     rows = [
-        [
-            Cell(r.data),
-            Cell(r.output),
-            Cell(r.measure),
-            Cell(r.unit),
-            *(number_cell(value) for value in r.values),
-        ]
-        for r in comparison.rows
+        [*map(Cell, (row.data, row.output, row.measure, row.unit)), *map(number_cell, row.values)]
+        for row in comparison.rows
     ]
-    yield table(header, rows)
+    yield table(["data", "output", "measure", "unit", *comparison.labels], rows)
 
 
 def _figures(
     fits: Sequence[Fit], labels: Sequence[str], comparison: Comparison | None, columns: int
 ) -> Iterator[Figure]:
-    """Yield responses and histories of all, and predictions of what none has seen."""
+    """Yield responses and histories of all, and predictions of records that no fit has used."""
     if all(fit.responses for fit in fits):
         yield bode_figure(fits, labels)
         yield from nyquist_figures(fits, labels)
     for k in range(min(len(fit.records) for fit in fits)):
         try:
             yield history_figure(fits, k, labels, columns)
-        except ValueError:  # other records
+        except ValueError:  # the fits have different records
             break
-    predictions = comparison.predictions.get(HELD_OUT, ()) if comparison else ()
-    for of_record in zip(*predictions, strict=True):
-        yield history_figure(of_record, 0, comparison.labels if comparison else labels, columns)
+    if comparison is not None:
+        for predictions in zip(*comparison.predictions.get(HELD_OUT, ()), strict=True):
+            yield history_figure(predictions, 0, comparison.labels, columns)

@@ -15,26 +15,25 @@ class Entry:
     Attributes
     ----------
     label : str
-        What it is called on the page.
+        Its name on the page.
     fit : Fit or None
-        What details are shown of; None where there are none.
-    kept : mapping
-        The numbers of a result whose fit is not loaded, as `Fit.to_dict` gives them.
+        None if the page shows no details.
+    numbers : mapping
+        `Fit.to_dict` of a result whose fit is not loaded.
     file : str
-        Where it was read.
     error : str
         Why there is no result.
     command : tuple of str
-        The arguments of the command ``greybox`` that made it, with others.
+        Arguments of the command ``greybox`` that made this result and others.
     bootstrap : mapping
-        What `Bootstrap.summary` says of one of this fit; empty where there is none.
+        `Bootstrap.summary` of this fit, or empty.
     anchor : str
-        Of its section; empty where it has none.
+        Of its section on the page, or empty.
     """
 
     label: str
     fit: Fit | None
-    kept: Mapping[str, Any] = field(default_factory=dict)
+    numbers: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
     error: str = ""
     command: tuple[str, ...] = ()
@@ -43,5 +42,5 @@ class Entry:
 
     @cached_property
     def answer(self) -> Mapping[str, Any]:
-        """The numbers of the result; empty where there is none."""
-        return self.kept if self.fit is None else self.fit.to_dict()
+        """`Fit.to_dict` of the result; empty if there is none."""
+        return self.numbers if self.fit is None else self.fit.to_dict()

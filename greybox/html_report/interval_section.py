@@ -15,24 +15,25 @@ from greybox.study.bootstrap import interval_text
 
 
 def interval_section(fit: Fit, bootstrap: Mapping[str, Any]) -> Iterator[Element]:
-    """Yield what there is: the profiles of a fit, and what `Bootstrap.summary` says of it."""
+    """Yield the profiles of a fit and its `Bootstrap.summary`, if there are any."""
     if fit.profiles is not None and fit.profiles.profiles:
         yield from _profiles(fit.profiles)
     if bootstrap:
         yield from bootstrap_table(bootstrap)
 
 
-def _profiles(found: Profiles) -> Iterator[Element]:
-    percent = f"{100 * found.level:g} %"
-    rows = [[Cell(p.name), number_cell(p.estimate), Cell(str(p))] for p in found.profiles]
+def _profiles(profiles: Profiles) -> Iterator[Element]:
+    percent = f"{100 * profiles.level:g} %"
+    rows = [[Cell(p.name), number_cell(p.estimate), Cell(str(p))] for p in profiles.profiles]
     yield table(["quantity", "estimate", f"{percent} interval by profile likelihood"], rows)
-    for warning in found.warnings:
+    for warning in profiles.warnings:
         yield tag("p", warning)
-    yield figure_grid(profile_figures(found))
+    yield figure_grid(profile_figures(profiles))
     yield tag(
         "p",
-        "r is the signed root of the likelihood ratio, all other parameters fitted again at every point; the interval "
-        "is where it stays below the limit. Where the curve leaves the dashed cone, the standard error misleads.",
+        "r is the signed root of the likelihood ratio; all other parameters are fitted again at "
+        "every point. The interval is where |r| stays below the limit. Where the curve leaves the "
+        "dashed cone, the standard error misleads.",
         class_="soft",
     )
 

@@ -1,9 +1,9 @@
-"""The page: everything in one file, which needs no network and runs no other script than its own."""
+"""The page: one file that needs no network and runs no script except its own."""
 
 import base64
 import hashlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,89 +18,83 @@ from greybox.html_report.fit_section import fit_section
 from greybox.plotting.long_lines import COLUMNS
 from greybox.validation.comparison import Comparison
 
-LARGEST = 2_900_000  # bytes of a page, so that mail takes it: from there on results stand in the table alone
-LINES = 1_200_000  # bytes for the lines of records, of LARGEST
-FEWEST = 200  # columns of a line, however many lines there are
-BYTES = 30  # of a column of a line: two points of two numbers
-LINKS = 13  # sections up to which all are linked at the top: the table and the details of twelve results
-OPEN = 3  # results up to which the details of all are open
+LARGEST = (
+    2_900_000  # bytes of a page, so that it can be mailed: beyond, results are in the table only
+)
+LINES = 1_200_000  # bytes for the lines of records
+FEWEST = 200  # columns of a line
+BYTES = 30  # of one column of a line: two points of two numbers
+LINKS = 13  # sections up to which all are linked at the top: the table and twelve results
+OPEN = 3  # results up to which all details are open
 
 HERE = Path(__file__).parent
 
 
 def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) -> str:
     """Return the page of these results as HTML."""
-    columns = _columns([entry.fit for entry in entries if entry.fit is not None])
-    if len(entries) == 1 and entries[0].fit is not None and comparison is None:
-        (entry,) = entries
-        sections = [_section(name, content) for name, content in fit_section(entry, columns)]
+    fits = [entry.fit for entry in entries if entry.fit is not None]
+    columns = columns_of(fits)
+    if len(entries) == 1 and fits and comparison is None:
+        sections = [_section(name, content) for name, content in fit_section(entries[0], columns)]
         return _document(title, sections)
 
     compared = comparison_section(entries, comparison, columns)
-    sections, entries = _details(
-        entries, columns, sum(len(html(part).encode()) for part in compared)
-    )
-    content: list[Child] = [overview(entries), compared]
-    left_out = sum(entry.fit is not None and not entry.anchor for entry in entries)
+    size = sum(len(html(element).encode()) for element in compared)
+    sections, entries = _details(entries, columns, size)
+    notes = []
+    omitted = sum(entry.fit is not None and not entry.anchor for entry in entries)
+    if omitted:
+        notes.append(
+            f"The details of {counted(omitted, 'result')} are left out to keep the page below "
+            "3 MB: write a page of each with greybox report RESULT."
+        )
     if any(entry.fit is None and not entry.error for entry in entries):
-        detailed = counted(sum(entry.fit is not None for entry in entries), "result")
-        text = (
-            f"Below are details of {detailed}, the best of each data set and criterion or those asked for; "
-            "greybox report STUDY --details NAME shows others."
+        notes.append(
+            f"Below are details of {counted(len(fits), 'result')}, the best of each data set and "
+            "criterion or those that were selected; greybox report STUDY --details NAME shows "
+            "others."
         )
-        content.insert(0, tag("p", text))
-    if left_out:
-        text = (
-            f"The details of {counted(left_out, 'result')} are left out to keep the page below 3 MB: "
-            "write a page of each with greybox report RESULT."
-        )
-        content.insert(0, tag("p", text))
+    content = [*(tag("p", text) for text in notes), overview(entries), *compared]
     return _document(title, [_section("Comparison", content), *sections])
 
 
 def _details(
     entries: Sequence[Entry], columns: int, size: int
 ) -> tuple[list[Element], list[Entry]]:
-    """Return the sections of as many results as the page of so many bytes holds, and all entries with their anchors."""
+    """Return the sections of as many results as fit on a page of `size` bytes, and all entries.
+
+    Entries with a section have its anchor.
+    """
     sections: list[Element] = []
     anchored: list[Entry] = []
     for k, entry in enumerate(entries):
         anchor = ""
         if entry.fit is not None and size < LARGEST:
-            anchor = f"result-{k + 1}"
-            section = _details_of(
-                entry.label, fit_section(entry, columns), anchor, len(entries) <= OPEN
-            )
+            inside = [
+                element
+                for name, content in fit_section(entry, columns)
+                for element in (tag("h3", name), *content)
+            ]
+            summary = tag("summary", tag("h2", entry.label))
+            details = tag("details", summary, inside, open=len(entries) <= OPEN)
+            section = tag("section", details, id=f"result-{k + 1}")
             size += len(html(section).encode())
             if size < LARGEST:
                 sections.append(section)
-            else:
-                anchor = ""
+                anchor = f"result-{k + 1}"
         anchored.append(replace(entry, anchor=anchor))
     return sections, anchored
 
 
-def _details_of(
-    label: str, parts: Iterable[tuple[str, list[Element]]], anchor: str, is_open: bool
-) -> Element:
-    inside = [element for name, content in parts for element in (tag("h3", name), *content)]
-    return tag(
-        "section", tag("details", tag("summary", tag("h2", label)), inside, open=is_open), id=anchor
-    )
-
-
-def _columns(fits: Sequence[Fit]) -> int:
-    """Return how many columns of every line of records the page has room for."""
-    lines = sum(
-        3 * len(part.outputs) + len(part.data.signals) for fit in fits for part in fit.records[:6]
-    )
+def columns_of(fits: Sequence[Fit]) -> int:
+    """Return the number of columns for which every line of a record has room on the page."""
+    parts = [part for fit in fits for part in fit.records[:6]]
+    lines = sum(3 * len(part.outputs) + len(part.data.signals) for part in parts)
     return max(FEWEST, min(COLUMNS, LINES // (BYTES * max(lines, 1))))
 
 
-def _section(title: str, content: Child, anchor: str = "") -> Element:
-    return tag(
-        "section", tag("h2", title), content, id=anchor or re.sub(r"\W+", "-", title.lower())
-    )
+def _section(title: str, content: Child) -> Element:
+    return tag("section", tag("h2", title), content, id=re.sub(r"\W+", "-", title.lower()))
 
 
 def _document(title: str, sections: Sequence[Element]) -> str:

@@ -1,8 +1,8 @@
-"""What was fitted to what, and how: sources, checksums, seed, versions, in the words that the result holds."""
+"""What was fitted to what, and how: sources, checksums, seed, versions."""
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
@@ -12,8 +12,7 @@ from greybox.files.text_table import counted, number
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.tables import Cell, number_cell, table
 
-# What the numbers of each kind of data are called.
-_NOUNS = {FittedResponse: "point", FittedRecord: "sample", FittedSpectrum: "line"}
+SIZES = {FittedResponse: "point", FittedRecord: "sample", FittedSpectrum: "line"}
 
 
 def data_summary(fit: Fit) -> str:
@@ -24,75 +23,63 @@ def data_summary(fit: Fit) -> str:
 
 
 def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[Element]:
-    """Return how a fit came about, and where its data come from; `command` made more than this fit."""
+    """Return how a fit was made, and where its data come from.
+
+    `command` is that of `identify` or `batch`, which made more than this fit.
+    """
     made_by = command or fit.command
-    facts: list[tuple[str, Child]] = []
-    if file:
-        facts.append(("result file", file))
-    facts += [
-        (
-            "made by",
-            tag("code", shlex.join(["greybox", *made_by])) if made_by else "gb.fit, from Python",
-        ),
-        ("cost", f"{number(fit.cost, 6)} ({fit.rule})"),
-        ("delay", fit.delay),
-        (
-            "starts",
-            f"{fit.starts}; {len(fit.runs)} runs, {sum(run.converged for run in fit.runs)} converged",
-        ),
-        ("seed", "none" if fit.seed is None else str(fit.seed)),
-        ("time taken", f"{fit.seconds:.2f} s"),
-        ("versions", ", ".join(f"{name} {version}" for name, version in fit.versions.items())),
+    converged = sum(run.converged for run in fit.runs)
+    versions = (f"{name} {version}" for name, version in fit.versions.items())
+    other_costs = [
+        f"{name} {number(cost)}"
+        for name, cost in fit.costs.items()
+        if name != fit.criterion and math.isfinite(cost)
     ]
+    facts: dict[str, Child] = {"result file": file} if file else {}
+    facts |= {
+        "made by": "gb.fit, from Python",
+        "cost": f"{number(fit.cost, 6)} ({fit.rule})",
+        "delay": fit.delay,
+        "starts": f"{fit.starts}; {len(fit.runs)} runs, {converged} converged",
+        "seed": "none" if fit.seed is None else str(fit.seed),
+        "time taken": f"{fit.seconds:.2f} s",
+        "versions": ", ".join(versions),
+    }
+    if made_by:
+        facts["made by"] = tag("code", shlex.join(["greybox", *made_by]))
     if fit.dof > 0:
-        facts.append(("standard errors", error_statement(fit)))
-    others = [
-        f"{name} {number(cost)}" for name, cost in fit.costs.items() if _is_other(fit, name, cost)
-    ]
-    if others:
-        facts.append(("other criteria", f"{', '.join(others)} at this estimate"))
-    return [description(facts), _data_table(fit), *_restrictions(fit)]
+        facts["standard errors"] = error_statement(fit)
+    if other_costs:
+        facts["other criteria"] = f"{', '.join(other_costs)} at this estimate"
+
+    restrictions = _restrictions(fit)
+    lists = [_description(restrictions)] if restrictions else []
+    return [_description(facts), _data_table(fit), *lists]
 
 
-def description(facts: list[tuple[str, Child]]) -> Element:
-    """Return a list of terms with what they are."""
-    return tag("dl", *(part for term, text in facts for part in (tag("dt", term), tag("dd", text))))
-
-
-def _is_other(fit: Fit, name: str, cost: float) -> bool:
-    return name != fit.criterion and math.isfinite(cost)
+def _description(facts: Mapping[str, Child]) -> Element:
+    """Return a list of terms with their descriptions."""
+    pairs = [(tag("dt", term), tag("dd", text)) for term, text in facts.items()]
+    return tag("dl", *(element for pair in pairs for element in pair))
 
 
 def _data_table(fit: Fit) -> Element:
-    rows = []
-    for part in fit.parts:
-        data = part.data
-        size = counted(len(data), _NOUNS[type(part)])
-        rows.append(
-            [
-                Cell(part.name or data.name or "–"),
-                Cell(part.label),
-                Cell(_signals(part)),
-                Cell(size, float(len(data))),
-                Cell(_span(part)),
-                Cell(part.criterion),
-                number_cell(part.weight),
-                Cell(data.source or "–"),
-                Cell(tag("code", data.checksum), mark="prose"),
-            ]
-        )
-    header = [
-        "data",
-        "model",
-        "signals",
-        "size",
-        "span",
-        "criterion",
-        "weight",
-        "source",
-        "checksum (SHA-256)",
+    rows = [
+        [
+            Cell(part.name or part.data.name or "–"),
+            Cell(part.label),
+            Cell(_signals(part)),
+            Cell(counted(len(part.data), SIZES[type(part)]), float(len(part.data))),
+            Cell(_span(part)),
+            Cell(part.criterion),
+            number_cell(part.weight),
+            Cell(part.data.source or "–"),
+            Cell(tag("code", part.data.checksum), mark="prose"),
+        ]
+        for part in fit.parts
     ]
-    return table(header, rows)
+    header = ["data", "model", "signals", "size", "span", "criterion", "weight", "source"]
+    return table([*header, "checksum (SHA-256)"], rows)
 
 
 def _signals(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
@@ -101,8 +88,8 @@ def _signals(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
     if isinstance(part, FittedRecord):
         inputs = [name for name in part.data.signals if name not in part.outputs]
         return f"{', '.join(inputs) or 'no input'} → {', '.join(part.outputs)}"
-    known = part.curve or part.data
-    return f"{known.input or 'input'} → {known.output or 'output'}"
+    named = part.curve or part.data
+    return f"{named.input or 'input'} → {named.output or 'output'}"
 
 
 def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
@@ -115,24 +102,22 @@ def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
     )
 
 
-def _restrictions(fit: Fit) -> list[Element]:
-    """Return ties, constraints, names and settings, as far as there are any."""
-    facts: list[tuple[str, Child]] = []
+def _restrictions(fit: Fit) -> dict[str, Child]:
+    """Return ties, constraints, names and settings."""
+    facts: dict[str, Child] = {}
     for part in fit.parts:
-        where = f" of {part.name}" if len(fit.parts) > 1 else ""
-        facts += [(f"tied {name}{where}", tag("code", text)) for name, text in part.tied.items()]
-        facts += [(f"constraint{where}", tag("code", text)) for text in part.constraints]
+        place = f" of {part.name}" if len(fit.parts) > 1 else ""
+        facts |= {f"tied {name}{place}": tag("code", text) for name, text in part.tied.items()}
+        if part.constraints:
+            constraints = [tag("div", tag("code", text)) for text in part.constraints]
+            facts[f"constraints{place}"] = constraints
         if part.rename:
-            names = ", ".join(f"{inside} is {outside}" for inside, outside in part.rename.items())
-            facts.append((f"names{where}", names))
-        if not isinstance(part, FittedRecord) and part.at:
-            facts.append(
-                (
-                    f"operating point{where}",
-                    ", ".join(f"{name} = {v:.5g}" for name, v in part.at.items()),
-                )
-            )
+            names = (f"{inside} is {outside}" for inside, outside in part.rename.items())
+            facts[f"names{place}"] = ", ".join(names)
         if isinstance(part, FittedRecord):
-            facts.append((f"solved by{where}", part.method))
-            facts += [(f"input {name}{where}", text) for name, text in part.between.items()]
-    return [description(facts)] if facts else []
+            facts[f"solved by{place}"] = part.method
+            facts |= {f"input {name}{place}": text for name, text in part.between.items()}
+        elif part.at:
+            at = (f"{name} = {value:.5g}" for name, value in part.at.items())
+            facts[f"operating point{place}"] = ", ".join(at)
+    return facts

@@ -1,4 +1,4 @@
-"""A page about one or several fits, to look at and to hand on."""
+"""A page about one or several fits, to look at and to share."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -32,52 +32,52 @@ def report(
     details: Collection[str] = (),
     title: str = "",
 ) -> None:
-    """Write a page about fits: one HTML file that needs nothing else, for a browser, for print, for a colleague.
+    """Write a page about fits: one HTML file for a browser, for print, or for a colleague.
 
     Parameters
     ----------
     fits : Fit, Study or sequence of them
-        Several stand side by side. Of a fit that was loaded without its model the page shows what
-        the file holds, and says what it cannot draw.
+        Several are shown side by side. For a fit that was loaded without its model the page shows
+        the contents of the file, and says what it cannot draw.
     path : str or Path
         An existing file is replaced once the new one is complete.
     comparison : Comparison, optional
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
     bootstraps : sequence of Bootstrap
-        Of some of the fits, which they stand beside; profiles are shown where a fit holds them.
+        Of some of the fits, matched by name. Profiles are shown if a fit contains them.
     details : collection of str
         Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default up
-        to twelve: the one of the lowest cost for each data set and criterion, then the next.
+        to twelve: for each data set and criterion the member of the lowest cost, then the next.
     title : str
         By default the name of the fit.
 
     Raises
     ------
     TypeError, ValueError
-        For what is no fit, or for nothing.
+        For an object that is not a fit, or for no fit.
     OSError
         If the folder cannot be written.
     """
-    given = [fits] if isinstance(fits, Fit | Study) else list(fits)
-    wrong = [thing for thing in given if not isinstance(thing, Fit | Study)]
-    if wrong:
-        raise TypeError(
-            f"cannot report {wrong[0]!r:.80}: give fits, such as gb.fit(problem) returns, or a study."
-        )
+    results = [fits] if isinstance(fits, Fit | Study) else list(fits)
+    for result in results:
+        if not isinstance(result, Fit | Study):
+            raise TypeError(
+                f"cannot report {result!r:.80}: give fits, such as gb.fit(problem) returns, or a "
+                "study."
+            )
     if comparison is not None and not isinstance(comparison, Comparison):
         raise TypeError(f"comparison is {comparison!r:.80}: give what gb.compare returns.")
-    alone = [thing for thing in given if isinstance(thing, Fit)]
-    labels = iter(labels_of(alone))
+
+    labels = iter(labels_of([result for result in results if isinstance(result, Fit)]))
     entries: list[Entry] = []
-    for thing in given:
-        entries += (
-            [Entry(next(labels), thing)]
-            if isinstance(thing, Fit)
-            else study_entries(thing, details)
-        )
-    said = [found.summary() for found in bootstraps]
-    write_page(with_bootstraps(entries, said), Path(path), comparison, title)
+    for result in results:
+        if isinstance(result, Fit):
+            entries.append(Entry(next(labels), result))
+        else:
+            entries += study_entries(result, details)
+    summaries = [bootstrap.summary() for bootstrap in bootstraps]
+    write_page(with_bootstraps(entries, summaries), Path(path), comparison, title)
 
 
 def write_page(
@@ -92,27 +92,27 @@ def write_page(
     """
     if not entries:
         raise ValueError("there is nothing to report: give at least one fit.")
-    (first, *more) = entries
-    by_default = (
-        f"{counted(len(entries), 'result')} side by side"
-        if more
-        else first.answer.get("problem", first.label)
-    )
-    with np.errstate(all="ignore"):  # files come from anyone: what is not finite is not drawn
-        text = page(entries, comparison, title or by_default)
+    default = f"{counted(len(entries), 'result')} side by side"
+    if len(entries) == 1:
+        default = entries[0].answer.get("problem", entries[0].label)
+    with np.errstate(all="ignore"):  # a loaded file may contain any numbers
+        text = page(entries, comparison, title or default)
     write_text(path, text)
 
 
-def with_bootstraps(entries: Sequence[Entry], said: Sequence[Mapping[str, Any]]) -> list[Entry]:
-    """Return the entries, each with the bootstrap of its fit if one of these summaries is; names tell.
+def with_bootstraps(
+    entries: Sequence[Entry], summaries: Sequence[Mapping[str, Any]]
+) -> list[Entry]:
+    """Return the entries, each with the bootstrap of its fit, matched by name.
 
     Raises
     ------
     ValueError
-        For what is no such summary, or of none of the fits.
+        For an object that is not such a summary, or has another name than all fits.
     """
-    found = {}
-    for summary in said:
+    names = {entry.fit.name for entry in entries if entry.fit is not None}
+    by_name = {}
+    for summary in summaries:
         try:
             bootstrap_table(summary)
             name = summary["problem"]
@@ -120,40 +120,41 @@ def with_bootstraps(entries: Sequence[Entry], said: Sequence[Mapping[str, Any]])
             raise ValueError(
                 "a bootstrap is not understood: give what greybox bootstrap --json printed."
             ) from None
-        if not any(entry.fit is not None and entry.fit.name == name for entry in entries):
+        if name not in names:
             raise ValueError(
                 f"there is a bootstrap of {name!r:.60}, and no fit of that name on this page."
             )
-        found[name] = summary
+        by_name[name] = summary
     return [
-        entry if entry.fit is None else replace(entry, bootstrap=found.get(entry.fit.name, {}))
+        replace(entry, bootstrap=by_name.get(entry.fit.name, {})) if entry.fit else entry
         for entry in entries
     ]
 
 
 def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
-    """Return the members of a study, with the fits of those whose `details` are shown.
+    """Return the members of a study, with the fits of those that are shown in detail.
 
     Raises
     ------
     ValueError
-        If no member with an answer has one of these names.
+        If no member with an answer has one of the names in `details`.
     """
     done = [member for member in study.members if member.status == "done"]
-    shown = {member.name for member in _best(done)[:DETAILED]}
+    detailed = {member.name for member in ranked(done)[:DETAILED]}
     if details:
-        for name in details:
-            if not any(_is_called(member, name) for member in done):
+        detailed = set()
+        for pattern in details:
+            names = {m.name for m in done if m.name == pattern or fnmatchcase(m.name, pattern)}
+            if not names:
                 raise ValueError(
-                    f"the study has no answer of a member {name!r}: its members are in its table."
+                    f"the study has no answer of a member {pattern!r}: its members are in its "
+                    "table."
                 )
-        shown = {
-            member.name for member in done if any(_is_called(member, name) for name in details)
-        }
+            detailed |= names
     return [
         Entry(
             member.name,
-            member.fit if member.name in shown else None,
+            member.fit if member.name in detailed else None,
             member.answer,
             str(member.file),
             "" if member.status == "done" else member.error or "unfinished",
@@ -162,26 +163,24 @@ def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
     ]
 
 
-def _is_called(member: StudyMember, name: str) -> bool:
-    return member.name == name or fnmatchcase(member.name, name)
+def ranked(members: Sequence[StudyMember]) -> list[StudyMember]:
+    """Sort by rank among the members with the same data and criterion, whose costs can be compared.
 
-
-def _best(members: Sequence[StudyMember]) -> list[StudyMember]:
-    """Return the members by their place among those whose costs can be compared, which have data and criterion alike.
-
-    Of one place, those by the first criterion of each data set come first.
+    Within a rank, the first criterion of each data set comes first.
     """
-    rules: dict[str, dict[str, int]] = {}  # of a data set, in the order of the study
+    criteria: dict[str, list[str]] = {}  # of each data set, in the order of the study
     for member in members:
-        of_data = rules.setdefault(member.answer["checksum"], {})
-        of_data.setdefault(member.answer["rule"], len(of_data))
-    places: dict[tuple[str, str], int] = {}
-    ranked = []
-    for k, member in sorted(enumerate(members), key=lambda pair: _cost(pair[1])):
-        data, rule = member.answer["checksum"], member.answer["rule"]
-        places[data, rule] = places.get((data, rule), 0) + 1
-        ranked.append((places[data, rule], rules[data][rule], k, member))
-    return [member for *_, member in sorted(ranked, key=lambda entry: entry[:3])]
+        rules = criteria.setdefault(member.answer["checksum"], [])
+        if member.answer["rule"] not in rules:
+            rules.append(member.answer["rule"])
+    ranks: dict[tuple[str, str], int] = {}
+    keys = {}
+    for k in sorted(range(len(members)), key=lambda k: _cost(members[k])):
+        data = members[k].answer["checksum"]
+        rule = members[k].answer["rule"]
+        ranks[data, rule] = ranks.get((data, rule), 0) + 1
+        keys[k] = (ranks[data, rule], criteria[data].index(rule), k)
+    return [members[k] for k in sorted(keys, key=keys.__getitem__)]
 
 
 def _cost(member: StudyMember) -> float:

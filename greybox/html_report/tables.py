@@ -1,22 +1,21 @@
-"""Tables of the page, which its script can sort."""
+"""Tables of the page; its script can sort them."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
+from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
-from greybox.estimate.result import Fit, Quantity
+from greybox.estimate.result import Fit
 from greybox.estimate.verdict import percent
 from greybox.files.text_table import number, with_error
 from greybox.html_report.elements import Child, tag
 
-PROSE = 24  # characters from which a text is broken into lines
-
 
 @dataclass(frozen=True)
 class Cell:
-    """What stands in a cell, the number it is sorted by, and whether it is marked."""
+    """Text of a cell, the number by which it is sorted, and the class that marks it."""
 
     text: Child
     value: float | None = None
@@ -25,126 +24,90 @@ class Cell:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
     """Return a table; columns of numbers are flush right."""
-    numeric = [any(row[k].value is not None for row in rows) for k in range(len(header))]
-    head = tag(
-        "tr", *(_header(text, is_number) for text, is_number in zip(header, numeric, strict=True))
-    )
-    body = tag("tbody", *(tag("tr", *map(_cell, row, numeric)) for row in rows))
-    return tag(
-        "div",
-        tag("table", tag("thead", head), body, class_="sortable"),
-        class_="scroll",
-        tabindex="0",
-    )
+    is_number = [any(row[k].value is not None for row in rows) for k in range(len(header))]
+    head = [
+        tag("th", text, scope="col", class_="number" if right else None)
+        for text, right in zip(header, is_number, strict=True)
+    ]
+    body = tag("tbody", *(tag("tr", *map(_cell, row, is_number)) for row in rows))
+    sortable = tag("table", tag("thead", tag("tr", *head)), body, class_="sortable")
+    return tag("div", sortable, class_="scroll", tabindex="0")
 
 
 def parameter_table(fit: Fit) -> Element:
-    """Return the table of all parameters and derived quantities of a fit, or of those where its best run ended."""
+    """Return the table of all quantities; of a failed fit, of the values at which its best run ended."""
     if not fit.converged:
-        return _best_effort(fit)
+        header, rows, _ = printed.parameter_table(fit)
+        return table(header, [[Cell(text) for text in row] for row in rows])
+
     intervals = fit.interval(0.95)
-    error, insensitivity = _shares(fit)
+    errors, insensitivities = _shares(fit)
     rows = []
     for q in fit.quantities:
-        value, spread = with_error(q.value, q.standard_error)
+        value, error = with_error(q.value, q.standard_error)
         low, high = intervals.get(q.name, (math.nan, math.nan))
+        is_free = q.kind == "free"
         rows.append(
             [
                 Cell(q.name),
                 Cell(value, q.value),
-                Cell("–", None) if spread == "-" else Cell(spread, q.standard_error),
+                Cell("–") if error == "-" else Cell(error, q.standard_error),
                 Cell(_interval(low, high), low),
                 Cell(q.unit),
-                _share(error.get(q.name), ERROR_GUIDELINE),
-                _share(insensitivity.get(q.name), INSENSITIVITY_GUIDELINE),
-                Cell(_bounds(q)),
-                Cell("at bound" if q.at_bound else q.kind, mark="doubt" if q.at_bound else ""),
+                _share(errors.get(q.name, math.nan), ERROR_GUIDELINE),
+                _share(insensitivities.get(q.name, math.nan), INSENSITIVITY_GUIDELINE),
+                Cell(_minus(f"{q.bounds[0]:g} to {q.bounds[1]:g}") if is_free else ""),
+                Cell("at bound", mark="doubt") if q.at_bound else Cell(q.kind),
                 Cell(q.about),
             ]
         )
-    header = (
-        "parameter",
-        "estimate",
-        "± error",
-        "95 % interval",
-        "unit",
-        "CR, %",
-        "insensitivity, %",
-        "bounds",
-        "kind",
-    )
-    return table([*header, "meaning"], rows)
+    header = ["parameter", "estimate", "± error", "95 % interval", "unit", "CR, %"]
+    return table([*header, "insensitivity, %", "bounds", "kind", "meaning"], rows)
 
 
 def number_cell(value: float | None, digits: int = 5) -> Cell:
-    """Return the cell of a number; a dash for what is not known."""
+    """Return the cell of a number; a dash for an unknown one."""
     if value is None or not math.isfinite(value):
         return Cell("–")
     return Cell(number(value, digits), value)
 
 
-def _best_effort(fit: Fit) -> Element:
-    values = fit.best_effort or {}
-    rows = [
-        [
-            Cell(q.name),
-            number_cell(values.get(q.name)),
-            Cell(q.unit),
-            Cell(_bounds(q)),
-            Cell(q.kind),
-            Cell(q.about),
-        ]
-        for q in fit.quantities
-        if q.name in values or not values
-    ]
-    return table(["parameter", "ended at", "unit", "bounds", "kind", "meaning"], rows)
-
-
 def _shares(fit: Fit) -> tuple[dict[str, float], dict[str, float]]:
-    """Return errors and insensitivities by name as shares of the values; nothing where the fit has none."""
+    """Return errors and insensitivities as shares of the values by name."""
     try:
         judged = fit.identifiability
-    except ValueError:
+    except ValueError:  # the fit has no standard errors
         return {}, {}
-    pairs = (judged.error.tolist(), judged.insensitivity.tolist())
-    error, insensitivity = (dict(zip(judged.names, column, strict=True)) for column in pairs)
-    return error, insensitivity
+    errors = dict(zip(judged.names, judged.error.tolist(), strict=True))
+    return errors, dict(zip(judged.names, judged.insensitivity.tolist(), strict=True))
 
 
-def _share(share: float | None, guideline: float) -> Cell:
-    if share is None or math.isnan(share):
+def _share(share: float, guideline: float) -> Cell:
+    if math.isnan(share):
         return Cell("–")
     text = "∞" if math.isinf(share) else percent(share)
-    return Cell(
-        f"{text} !" if share > guideline else text,
-        min(share, 1e300),
-        "doubt" if share > guideline else "",
-    )
+    value = min(share, 1e300)
+    return Cell(f"{text} !", value, "doubt") if share > guideline else Cell(text, value)
 
 
 def _interval(low: float, high: float) -> str:
     if not (math.isfinite(low) and math.isfinite(high)):
         return "–"
-    low_text, _ = with_error(low, (high - low) / 4)
-    high_text, _ = with_error(high, (high - low) / 4)
-    return f"{low_text} to {high_text}".replace("-", "−")
+    ends = (with_error(end, (high - low) / 4)[0] for end in (low, high))
+    return _minus(" to ".join(ends))
 
 
-def _bounds(q: Quantity) -> str:
-    return (
-        f"{q.bounds[0]:g} to {q.bounds[1]:g}".replace("-", "−").replace("inf", "∞")
-        if q.kind == "free"
-        else ""
-    )
-
-
-def _header(text: str, is_number: bool) -> Element:
-    return tag("th", text, scope="col", class_="number" if is_number else None)
+def _minus(text: str) -> str:
+    return text.replace("-", "−").replace("inf", "∞")
 
 
 def _cell(cell: Cell, is_number: bool) -> Element:
-    is_prose = isinstance(cell.text, str) and len(cell.text) > PROSE
-    classes = [cell.mark, *(["number"] if is_number else []), *(["prose"] if is_prose else [])]
-    text = cell.text.replace("-", "−") if is_number and isinstance(cell.text, str) else cell.text
+    text = cell.text
+    classes = [cell.mark, "number" if is_number else ""]
+    if isinstance(text, str):
+        if len(text) > 24:  # characters from which a text is broken into lines
+            classes.append("prose")
+        if is_number:
+            text = _minus(text)
     value = f"{cell.value:.12g}" if cell.value is not None and math.isfinite(cell.value) else None
     return tag("td", text, class_=" ".join(filter(None, classes)) or None, data_value=value)

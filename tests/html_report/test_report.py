@@ -11,7 +11,7 @@ from page_results import MARKUP, crafted, lag
 import greybox as gb
 from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
-from greybox.html_report.report import _best, study_entries
+from greybox.html_report.report import ranked, study_entries
 
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -230,7 +230,7 @@ def test_what_does_not_fit_on_the_page_stands_in_its_table(fit, monkeypatch):
 
 def member(name, checksum, rule, cost, status="done"):
     answer = {"checksum": checksum, "rule": rule, "cost": cost}
-    said = {"error": "no log" if status == "failed" else "", "folder": f"of/{name}"}
+    said = {"error": "no log" if status == "failed" else "", "file": f"of/{name}"}
     return SimpleNamespace(name=name, status=status, answer=answer, fit=f"fit of {name}", **said)
 
 
@@ -245,7 +245,7 @@ def test_of_a_study_the_best_of_all_data_and_criteria_are_shown_first():
         member("f", "one", "ML", None),
         member("g", "two", "ML", 9.0),
     ]
-    assert [each.name for each in _best(members)] == ["b", "d", "c", "g", "a", "e", "f"]
+    assert [each.name for each in ranked(members)] == ["b", "d", "c", "g", "a", "e", "f"]
 
 
 def test_the_members_of_a_study_stand_with_their_answers_or_why_there_are_none():

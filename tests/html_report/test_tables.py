@@ -11,10 +11,10 @@ from greybox.estimate.printed import error_statement
 from greybox.files.text_table import number, with_error
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.entry import Entry
-from greybox.html_report.fit_section import _remarks
+from greybox.html_report.fit_section import remarks
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.html_report.provenance import data_summary, provenance
-from greybox.html_report.tables import Cell, _best_effort, number_cell, parameter_table, table
+from greybox.html_report.tables import Cell, number_cell, parameter_table, table
 
 
 @pytest.fixture(scope="module")
@@ -241,28 +241,12 @@ def test_a_bootstrap_is_a_sentence_and_a_table():
     )
 
 
-@pytest.mark.parametrize(
-    ("known", "shown"), [({"b0": 3.0}, ["b0"]), ({}, ["b0", "a0"]), (None, ["b0", "a0"])]
-)
-def test_where_a_search_ended_is_told_of_what_is_known_or_else_of_all(known, shown):
-    def quantity(name):
-        return SimpleNamespace(name=name, unit="s", kind="free", about="", bounds=(0.0, 9.0))
-
-    found = texts(
-        _best_effort(
-            SimpleNamespace(best_effort=known, quantities=[quantity("b0"), quantity("a0")])
-        )
-    )
-    assert [row[0] for row in found[1:]] == shown
-    assert [row[1] for row in found[1:]] == (["3"] if known else ["–", "–"])
-
-
 def entry(label, **known):
     """A result whose fit is not loaded: values by name, and their errors."""
     values = {name: pair[0] for name, pair in known.items()}
     errors = {name: pair[1] for name, pair in known.items()}
-    kept = {"converged": True, "estimate": values, "derived": {}, "standard_error": errors}
-    return Entry(label, None, kept=kept)
+    numbers = {"converged": True, "estimate": values, "derived": {}, "standard_error": errors}
+    return Entry(label, None, numbers)
 
 
 def test_quantities_that_a_result_has_not_are_empty_and_unknown_ones_a_dash():
@@ -287,14 +271,14 @@ def test_correlations_and_combinations_are_told_below_the_parameters():
         correlated=[("a", "b", -0.954), ("b", "c", 0.91)], combinations=("a b", "c / d")
     )
     unprofiled = SimpleNamespace(converged=True, profiles=None, identifiability=judged)
-    meaning, correlated, combined = (part.text for part in _remarks(unprofiled))
+    meaning, correlated, combined = (part.text for part in remarks(unprofiled))
     assert correlated == "Correlated beyond 0.9: a and b (−0.95), b and c (0.91)."
     assert combined == "Determined in combination: a b; c / d."
     profiled = SimpleNamespace(profiles=[SimpleNamespace(name="a"), SimpleNamespace(name="c")])
     plain = SimpleNamespace(correlated=(), combinations=())
-    told = _remarks(SimpleNamespace(converged=True, profiles=profiled, identifiability=plain))
+    told = remarks(SimpleNamespace(converged=True, profiles=profiled, identifiability=plain))
     assert [part.text for part in told] == [
         meaning,
-        "The intervals here are those of the standard errors, which mislead for a and c: see Intervals.",
+        "These intervals come from the standard errors, which mislead for a and c: see Intervals.",
     ]
-    assert _remarks(SimpleNamespace(converged=False)) == []
+    assert remarks(SimpleNamespace(converged=False)) == []
