@@ -30,7 +30,7 @@ from greybox.estimate.covariance import assess, degrees, propagate
 from greybox.estimate.diagnostics.frequency_correlation import FEWEST_LENGTHS
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
-from greybox.models.tilt import Tilt
+from greybox.models.tilt import PAPER_G, Tilt
 
 UNEQUAL = (
     "MaximumLikelihood",
@@ -57,7 +57,13 @@ class Lags(gb.TransferFunction):
         return p.K / ((p.T1 * s + 1) * (p.T2 * s + 1)) * gb.exp(-s * p.T)
 
 
-PITCH = {"a1": -14.61, "a2": 2.97, "a3": 83.06 / gb.g, "a4": 295.5, "a5": 0.16}  # the paper, (4.28)
+PITCH = {
+    "a1": -14.61,
+    "a2": 2.97,
+    "a3": 83.06 / PAPER_G,
+    "a4": 295.5,
+    "a5": 0.16,
+}  # the paper, (4.28)
 ROTOR = {"K_Omega": 1033.0, "T_rotor": 0.048, "T_delay": 0.0042}  # the paper, (4.22)
 TRUTH = {"K": 2.0, "T1": 0.4, "T2": 0.05, "T": 0.02, **PITCH, **ROTOR}
 

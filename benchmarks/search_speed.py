@@ -29,6 +29,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.formulation.starts import LatinHypercube, Sobol
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.polynomial import Polynomial
+from greybox.models.tilt import PAPER_G
 from greybox.problems import (
     pitch_5deg,
     pitch_hover,
@@ -78,7 +79,7 @@ class WideTilt(gb.TransferFunction):
 
     def response(self, s, p):
         """Return the response."""
-        tilt = (s + 0.16) / ((s + 0.16) * (s**2 + p.a2 * s + p.a1) + gb.g * p.a3)
+        tilt = (s + 0.16) / ((s + 0.16) * (s**2 + p.a2 * s + p.a1) + PAPER_G * p.a3)
         return p.a4 * tilt / (0.048 * s + 1) * gb.exp(-s * p.T_delay)
 
 

@@ -38,6 +38,7 @@ from typing import Any
 
 import numpy as np
 from time_references import (
+    GRAVITY,
     LOWER,
     NAMES,
     NOISE,
@@ -97,7 +98,7 @@ def greybox_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
 
         def derivative(self, x: Any, u: Any, p: Any) -> Any:
             return (
-                gb.g * gb.tan(x.theta) - p.C_x * abs(x.v) * x.v,
+                GRAVITY * gb.tan(x.theta) - p.C_x * abs(x.v) * x.v,
                 -p.a1 * x.theta - p.a2 * x.q - p.a3 * x.v + p.a4 * u.u,
                 x.q,
             )

@@ -2,6 +2,8 @@
 
 import greybox as gb
 
+PAPER_G = 9.8065  # m/s², the value of the paper, below (4.24)
+
 
 class CoupledVelocity(gb.StateSpace):
     r"""Roll rate and sideways velocity from the roll control, (2.9).
@@ -31,11 +33,11 @@ class CoupledVelocity(gb.StateSpace):
     derived = {
         "b1_tilde": lambda p: p.a2 * p.b1 / p.b2 - p.a1,
         "a2_tilde": lambda p: -p.a1,
-        "a0_tilde": lambda p: -gb.g * p.a2,
+        "a0_tilde": lambda p: -PAPER_G * p.a2,
     }
 
     def derivative(self, x, u, p):
-        return (p.a1 * x.v + gb.g * x.phi + p.b1 * u.u, p.a2 * x.v + p.b2 * u.u, x.p)
+        return (p.a1 * x.v + PAPER_G * x.phi + p.b1 * u.u, p.a2 * x.v + p.b2 * u.u, x.p)
 
     def output(self, x, u, p):
         return (x.p, x.phi, x.v)
@@ -91,12 +93,12 @@ class DampedCoupledVelocity(gb.StateSpace):
         "b1_tilde": lambda p: -p.a11,
         "a2_tilde": lambda p: -(p.a11 + p.a22),
         "a1_tilde": lambda p: p.a11 * p.a22 - p.a12 * p.a21,
-        "a0_tilde": lambda p: -gb.g * p.a21,
+        "a0_tilde": lambda p: -PAPER_G * p.a21,
     }
 
     def derivative(self, x, u, p):
         return (
-            p.a11 * x.v + p.a12 * x.p + gb.g * x.phi,
+            p.a11 * x.v + p.a12 * x.p + PAPER_G * x.phi,
             p.a21 * x.v + p.a22 * x.p + p.b2 * u.u,
             x.p,
         )

@@ -2,6 +2,8 @@
 
 import greybox as gb
 
+PAPER_G = 9.8065  # m/s², the value of the paper, below (4.24)
+
 
 class Drag(gb.StateSpace):
     r"""Horizontal velocity from the tilt angle, with linear and quadratic drag, (4.23) and (4.24).
@@ -22,7 +24,7 @@ class Drag(gb.StateSpace):
     C_x = gb.Parameter(0.05, bounds=(-1, 2), unit="1/m", about="drag per squared velocity, (4.23)")
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - p.C_x * abs(x.v) * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - p.C_x * abs(x.v) * x.v,)
 
     def output(self, x, u, p):
         return (x.v,)

@@ -3,7 +3,7 @@
 import math
 
 import greybox as gb
-from greybox.models.tilt import NonlinearTilt, TiltParameters
+from greybox.models.tilt import PAPER_G, NonlinearTilt, TiltParameters
 
 
 class MomentParameters(TiltParameters):
@@ -97,7 +97,7 @@ class TiltMomentAt(MomentParameters, gb.TransferFunction):
 
     def response(self, s, p):
         angle = self.angle
-        speed = math.sqrt(gb.g * math.tan(angle) / self.drag)
+        speed = math.sqrt(PAPER_G * math.tan(angle) / self.drag)
         a5 = 2 * self.drag * speed
         moment = p.a1 * angle + p.a3 * speed + p.b_vv * speed**2 + p.b_vtheta * speed * angle
         a4 = p.a4 - p.b_vtau * speed
@@ -105,6 +105,6 @@ class TiltMomentAt(MomentParameters, gb.TransferFunction):
         a1 = p.a1 + p.b_vtheta * speed + 2 * p.b_thetatheta * angle
         a2 = p.a2 + p.b_vq * speed + p.b_thetaq * angle
         a3 = p.a3 + 2 * p.b_vv * speed + p.b_vtheta * angle + p.b_vtau * torque
-        coupling = gb.g / math.cos(angle) ** 2 * a3
+        coupling = PAPER_G / math.cos(angle) ** 2 * a3
         tilt = (s + a5) / ((s + a5) * (s**2 + a2 * s + a1) + coupling)
         return a4 * tilt / (p.T_rotor * s + 1) * gb.exp(-s * p.T_delay)

@@ -2,6 +2,8 @@
 
 import greybox as gb
 
+PAPER_G = 9.8065  # m/s², the value of the paper, below (4.24)
+
 
 class TiltParameters:
     """Parameters common to the three forms of the tilt dynamics: (4.23) without its drag, and the rotor (4.22)."""
@@ -22,7 +24,7 @@ class TiltParameters:
     T_delay = gb.Parameter(
         0.0042, bounds=(0, 0.05), unit="s", about="controller and ESC delay", fixed=True
     )
-    derived = {"a3_tilde": lambda p: gb.g * p.a3}
+    derived = {"a3_tilde": lambda p: PAPER_G * p.a3}
 
 
 class Tilt(TiltParameters, gb.TransferFunction):
@@ -44,7 +46,7 @@ class Tilt(TiltParameters, gb.TransferFunction):
     )
 
     def response(self, s, p):
-        tilt = (s + p.a5) / ((s + p.a5) * (s**2 + p.a2 * s + p.a1) + gb.g * p.a3)
+        tilt = (s + p.a5) / ((s + p.a5) * (s**2 + p.a2 * s + p.a1) + PAPER_G * p.a3)
         return p.a4 * tilt / (p.T_rotor * s + 1) * gb.exp(-s * p.T_delay)
 
 
@@ -88,7 +90,7 @@ class LinearTilt(TiltParameters, gb.StateSpace):
 
     def derivative(self, x, u, p):
         return (
-            gb.g * x.theta - p.a5 * x.v,
+            PAPER_G * x.theta - p.a5 * x.v,
             -p.a1 * x.theta - p.a2 * x.q - p.a3 * x.v + p.a4 * x.rotor,
             x.q,
             (u.u - x.rotor) / p.T_rotor,
@@ -123,7 +125,7 @@ class NonlinearTilt(TiltParameters, gb.StateSpace):
 
     def derivative(self, x, u, p):
         return (
-            gb.g * gb.tan(x.theta) - p.C_x * abs(x.v) * x.v,
+            PAPER_G * gb.tan(x.theta) - p.C_x * abs(x.v) * x.v,
             -p.a1 * x.theta - p.a2 * x.q - p.a3 * x.v + p.a4 * x.rotor,
             x.q,
             (u.u - x.rotor) / p.T_rotor,

@@ -21,12 +21,12 @@ import math
 
 import greybox as gb
 from greybox.files.text_table import number, text_table
-from greybox.models.tilt import NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, NonlinearTilt, Tilt
 from greybox.problems import pitch_5deg, pitch_hover
 
 ANGLE = math.radians(5)
 DRAG = Tilt.a5.start**2 / (
-    4 * gb.g * math.tan(ANGLE)
+    4 * PAPER_G * math.tan(ANGLE)
 )  # 2 C_x |v| = a5 at the speed where C_x v² = g tan θ
 
 minimum = 6.084491  # 982 of 1000 starts

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.modeling.function_of_s import FunctionOfS, is_casadi
 
-g = 9.8065  # m/s², the paper's value, below (4.24)
+g = 9.80665  # m/s², standard acceleration of free fall, as in greybox.data.units
 
 
 def _function(

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_programs import solver_weights
-from greybox.models.tilt import NonlinearTilt
+from greybox.models.tilt import PAPER_G, NonlinearTilt
 
 NOISY = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05)
 LAG = measured(Lag(), TWO_LAGS_OMEGA, {"K": 3.0, "T": 0.2}, noise=0.05)
@@ -96,10 +96,10 @@ def test_logarithmic_parameters_recover_the_truth_over_decades(T, K):
 
 def forward_flight(omega, p, theta):
     """Pitch angle from control about a steady pitch `theta`: (4.23) linearized by hand, drag slope 2 C_x |v0|."""
-    v0 = np.sqrt(gb.g * np.tan(theta) / p["C_x"])
+    v0 = np.sqrt(PAPER_G * np.tan(theta) / p["C_x"])
     A = np.array(
         [
-            [-2 * p["C_x"] * v0, 0, gb.g / np.cos(theta) ** 2, 0],
+            [-2 * p["C_x"] * v0, 0, PAPER_G / np.cos(theta) ** 2, 0],
             [-p["a3"], -p["a2"], -p["a1"], p["a4"]],
             [0, 1, 0, 0],
             [0, 0, 0, -1 / p["T_rotor"]],

@@ -31,12 +31,12 @@ from greybox.estimate.covariance import (
     steepness,
 )
 from greybox.models.rotor import Rotor
-from greybox.models.tilt import Tilt
+from greybox.models.tilt import PAPER_G, Tilt
 
 OMEGA = np.geomspace(1, 60, 20)
 ROTOR_OMEGA = np.array([30.28, 20.11, 16.01, 12.03, 8.00, 5.34, 4.00, 3.50, 3.00])
 ROTOR = {"K_Omega": 1033.0, "T_rotor": 0.048, "T_delay": 0.0042}
-TILT = {"a1": -14.61, "a2": 2.97, "a3": 83.06 / gb.g, "a4": 295.5}
+TILT = {"a1": -14.61, "a2": 2.97, "a3": 83.06 / PAPER_G, "a4": 295.5}
 LAGS = {"K": 2.0, "T1": 0.4, "T2": 0.05, "T": 0.02}
 
 

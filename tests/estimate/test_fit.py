@@ -25,7 +25,7 @@ from greybox.estimate.fit import _cut_short, _rule, _waves
 from greybox.estimate.fitted_values import refined_curve
 from greybox.formulation.starts import Chained, Listed, Sobol, UntilFoundAgain
 from greybox.models.rotor import Rotor
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
 from greybox.solve.time_limits import TimeLimits, limited
 from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst
@@ -161,7 +161,7 @@ def test_an_earlier_fit_widens_the_standard_errors_by_how_the_estimate_moves_wit
     assert_allclose(widened.covariance_of(given), sigma, rtol=1e-12)
     assert all(widened.standard_error[n] > 1.03 * narrow.standard_error[n] for n in names)
     assert widened.standard_error["a3_tilde"] == pytest.approx(
-        gb.g * widened.standard_error["a3"], rel=1e-9
+        PAPER_G * widened.standard_error["a3"], rel=1e-9
     )
 
 

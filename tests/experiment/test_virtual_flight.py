@@ -13,7 +13,7 @@ import greybox as gb
 from greybox.experiment.virtual_flight import _averaged, _commands, _open_loop_rate, _thinning
 from greybox.modeling.model import Names
 from greybox.models.controller import AttitudeController
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawAngle
 
 TRUTH = TILT | {"T_rotor": 0.05, "T_delay": 0.0042}
@@ -66,7 +66,12 @@ def exact_loop(values, setpoint, controller):
     """The loop of `LinearTilt` and the linear controller: exact discretization by matrix exponentials."""
     p, gains, h = LinearTilt().values(values), controller.values, 1 / controller.rate
     A = np.array(
-        [[-p.a5, 0, gb.g, 0], [-p.a3, -p.a2, -p.a1, p.a4], [0, 1, 0, 0], [0, 0, 0, -1 / p.T_rotor]],
+        [
+            [-p.a5, 0, PAPER_G, 0],
+            [-p.a3, -p.a2, -p.a1, p.a4],
+            [0, 1, 0, 0],
+            [0, 0, 0, -1 / p.T_rotor],
+        ],
         dtype=float,
     )
     B = np.array([[0], [0], [0], [1 / p.T_rotor]])
@@ -339,7 +344,7 @@ def test_a_controller_of_the_velocity_flies_the_attitude():
     )
     assert_allclose(flown["reference"], 0.08 * (3 - flown["v"]) + 0.01, rtol=1e-12)
     # steady: g θ = a5 v and, since the angle's error is zero at rest, θ = K (3 - v) + 0.01
-    v = gb.g * 0.25 / (0.16 + gb.g * 0.08)
+    v = PAPER_G * 0.25 / (0.16 + PAPER_G * 0.08)
     assert_allclose(flown["v"][-1], v, rtol=1e-2)
 
 
@@ -392,7 +397,7 @@ def test_the_default_gains_hold_what_the_paper_identified(estimate):
         values = {
             "a1": a1,
             "a2": a2,
-            "a3": a3_tilde / gb.g,
+            "a3": a3_tilde / PAPER_G,
             "a4": more * a4,
             "T_delay": 0.0042 + later,
         }

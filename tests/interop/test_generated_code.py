@@ -12,7 +12,7 @@ from scipy import signal
 from scipy.io import loadmat
 
 import greybox as gb
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 
 VALUES = {**TILT, "T_rotor": 0.05, "T_delay": 0.0, "C_x": 0.3}
 STEP = 0.01
@@ -26,7 +26,7 @@ def test_the_casadi_function_is_the_formula():
     v, q, theta, rotor, u = 3.0, 0.2, 0.1, 0.05, 0.4
     derivative, y = f([v, q, theta, rotor], u)
     by_hand = [
-        gb.g * np.tan(theta) - VALUES["C_x"] * abs(v) * v,
+        PAPER_G * np.tan(theta) - VALUES["C_x"] * abs(v) * v,
         -VALUES["a1"] * theta - VALUES["a2"] * q - VALUES["a3"] * v + VALUES["a4"] * rotor,
         q,
         (u - rotor) / VALUES["T_rotor"],

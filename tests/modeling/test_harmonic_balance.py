@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 import greybox as gb
 from greybox.modeling import harmonic_balance
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
 
 TRUTH = {
@@ -50,7 +50,7 @@ class Slider(gb.StateSpace):
     C_x = gb.Parameter(0.3, bounds=(0.001, 2), unit="1/m", scale="log")
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.C_x * abs(x.v) * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.C_x * abs(x.v) * x.v,)
 
     def output(self, x, u, p):
         return (x.v,)
@@ -67,9 +67,9 @@ def simulated_velocity(omega, swing, middle=0.0, C_x=TRUTH["C_x"]):
     period = 2 * np.pi / omega
 
     def slope(t, v):
-        return gb.g * np.tan(middle + swing * np.cos(omega * t)) - C_x * np.abs(v) * v
+        return PAPER_G * np.tan(middle + swing * np.cos(omega * t)) - C_x * np.abs(v) * v
 
-    begin = np.sign(middle) * np.sqrt(gb.g * np.tan(abs(middle)) / C_x)
+    begin = np.sign(middle) * np.sqrt(PAPER_G * np.tan(abs(middle)) / C_x)
     last = (PERIODS + np.arange(256) / 256) * period
     found = solve_ivp(
         slope, (0, last[-1]), [begin], t_eval=last, rtol=1e-9, atol=1e-11, method="LSODA"
@@ -143,7 +143,7 @@ def test_the_tilt_with_a_sine_for_control_solves_the_periodic_boundary_value_pro
         acceleration = -p["a1"] * theta - p["a2"] * q - p["a3"] * v + p["a4"] * rotor
         drag = p["C_x"] * np.abs(v) * v
         return np.array(
-            [gb.g * np.tan(theta) - drag, acceleration, q, (control - rotor) / p["T_rotor"]]
+            [PAPER_G * np.tan(theta) - drag, acceleration, q, (control - rotor) / p["T_rotor"]]
         )
 
     t = np.linspace(0, 2 * np.pi / omega, 101)
@@ -657,7 +657,7 @@ def test_what_is_given_at_every_frequency():
         states, inputs, outputs = ("v",), ("theta", "wind"), ("v",)
 
         def derivative(self, x, u, p):
-            return (gb.g * gb.tan(u.theta) - p.C_x * (x.v - u.wind) * abs(x.v - u.wind),)
+            return (PAPER_G * gb.tan(u.theta) - p.C_x * (x.v - u.wind) * abs(x.v - u.wind),)
 
     omega, amplitudes = np.array([1.0, 3.0, 2.0]), np.array([0.1, 0.2, 0.3])
     sine = gb.modeling.Sine("theta", amplitudes, harmonics=1)
@@ -666,7 +666,7 @@ def test_what_is_given_at_every_frequency():
         Leaned(), omega, sine, input="theta", output="v", at=at
     )
     given = np.asarray(ca.DM(balance.given(ca.DM([0.4]), omega)))
-    speed = 2.0 + np.sqrt(gb.g * np.tan(0.05) / 0.4)
+    speed = 2.0 + np.sqrt(PAPER_G * np.tan(0.05) / 0.4)
     rows = [[0.4] * 3, [speed] * 3, [0.05] * 3, [2.0] * 3, omega, amplitudes, [0.05] * 3]
     assert_allclose(given, rows, rtol=1e-9)
 

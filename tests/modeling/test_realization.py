@@ -11,7 +11,7 @@ from scipy.signal import lsim
 
 import greybox as gb
 from greybox.modeling.realization import dynamics
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 
 OMEGA = np.geomspace(0.05, 50, 25)
 VALUES = {"a1": -2.0, "a2": 4.0, "a3": 3.0, "a4": 200.0, "T_rotor": 0.05, "T_delay": 0.03}
@@ -130,7 +130,7 @@ def test_realized_states_simulate_as_those_of_scipy():
     time = np.arange(200) / 100
     u = np.sin(7 * time)
     slow = np.polymul([1, values.a5], [1, values.a2, values.a1])
-    denominator = np.polymul([values.T_rotor, 1], np.polyadd(slow, [gb.g * values.a3]))
+    denominator = np.polymul([values.T_rotor, 1], np.polyadd(slow, [PAPER_G * values.a3]))
     _, wanted, _ = lsim(
         ScipyTransferFunction(values.a4 * np.array([1, values.a5]), denominator), u, time
     )

@@ -10,7 +10,7 @@ import greybox as gb
 from greybox.modeling.linear_response import response_formula
 from greybox.modeling.trim import trim_of
 from greybox.models.mixer import Torques
-from greybox.models.tilt import NonlinearTilt
+from greybox.models.tilt import PAPER_G, NonlinearTilt
 from greybox.models.yaw import YawStates
 
 OMEGA = np.geomspace(0.3, 40, 6)
@@ -22,8 +22,8 @@ def closed_form(p, theta):
     """Real and imaginary part of (4.25) with the drag slope 2 C_x |v0| and g / cos² θ, by hand."""
     a1, a2, a3, a4, T_rotor, T_delay, C_x = p
     s = 1j * OMEGA
-    drag = 2 * np.sqrt(C_x * gb.g * np.tan(abs(theta)))
-    tilt = (s + drag) / ((s + drag) * (s**2 + a2 * s + a1) + gb.g * a3 / np.cos(theta) ** 2)
+    drag = 2 * np.sqrt(C_x * PAPER_G * np.tan(abs(theta)))
+    tilt = (s + drag) / ((s + drag) * (s**2 + a2 * s + a1) + PAPER_G * a3 / np.cos(theta) ** 2)
     response = a4 * tilt / (T_rotor * s + 1) * np.exp(-s * T_delay)
     return np.concatenate([response.real, response.imag])
 
@@ -32,7 +32,11 @@ class OwnTrim(NonlinearTilt):
     """The pitch ODE with its trim in closed form."""
 
     def trim(self, at, p):
-        v = gb.sign(at.theta) * gb.sqrt(gb.g * gb.tan(abs(at.theta)) / p.C_x) if at.theta else 0.0
+        v = (
+            gb.sign(at.theta) * gb.sqrt(PAPER_G * gb.tan(abs(at.theta)) / p.C_x)
+            if at.theta
+            else 0.0
+        )
         u = (p.a1 * at.theta + p.a3 * v) / p.a4
         return {"v": v, "rotor": u, "u": u}
 
@@ -73,7 +77,7 @@ def test_response_jacobian_and_hessian_through_the_trim(model, degrees, p):
 @pytest.mark.parametrize("C_x", [0.001, 0.05, 2.0])
 def test_trim_balances_gravity_and_drag_everywhere(theta, C_x):
     point = gb.modeling.linearize(NonlinearTilt(), {"C_x": C_x}, at={"theta": theta}).point
-    v = np.sign(theta) * np.sqrt(gb.g * np.tan(abs(theta)) / C_x)
+    v = np.sign(theta) * np.sqrt(PAPER_G * np.tan(abs(theta)) / C_x)
     assert_allclose(point["v"], v, rtol=1e-6)
     assert_allclose(point["u"], 5.0 * v / 250.0, rtol=1e-6)
 
@@ -81,7 +85,7 @@ def test_trim_balances_gravity_and_drag_everywhere(theta, C_x):
 @pytest.mark.parametrize("name", ["v", "u", "rotor"])
 def test_the_point_may_be_given_by_any_of_its_coordinates(name):
     """At 5 m/s the drag is 0.05 · 25 m/s², so the angle is arctan(1.25 / g); the control is 5 · 5 / 250."""
-    wanted = {"v": 5.0, "q": 0.0, "theta": np.arctan(1.25 / gb.g), "rotor": 0.1, "u": 0.1}
+    wanted = {"v": 5.0, "q": 0.0, "theta": np.arctan(1.25 / PAPER_G), "rotor": 0.1, "u": 0.1}
     point = gb.modeling.linearize(NonlinearTilt(), at={name: wanted[name]}).point
     assert_allclose([point[n] for n in wanted], list(wanted.values()), rtol=1e-8, atol=1e-12)
 

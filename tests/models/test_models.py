@@ -22,7 +22,7 @@ from greybox.models.polynomial import Polynomial
 from greybox.models.rate import BasicAngle, BasicRate, DampedRate, YawRateLag, YawRateLead
 from greybox.models.rigid_body import EulerKinematics, RigidBody
 from greybox.models.rotor import Rotor
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawAngle, YawRate, YawStates
 
 SHIPPED = shipped_models()
@@ -230,7 +230,7 @@ def test_coupled_velocity_has_its_printed_transfer_function(values):
         "K_tilde": values["b2"],
         "b1_tilde": values["a2"] * values["b1"] / values["b2"] - values["a1"],
         "a2_tilde": -values["a1"],
-        "a0_tilde": -gb.g * values["a2"],
+        "a0_tilde": -PAPER_G * values["a2"],
         "T_delay": values["T_delay"],
     }
     expected = response(CoupledVelocityTransfer(), printed)
@@ -247,7 +247,7 @@ def test_damped_coupled_velocity_has_its_printed_transfer_function(values):
         "b1_tilde": -a11,
         "a2_tilde": -(a11 + a22),
         "a1_tilde": a11 * a22 - a12 * a21,
-        "a0_tilde": -gb.g * a21,
+        "a0_tilde": -PAPER_G * a21,
     }
     expected = response(DampedCoupledVelocityTransfer(), printed)
     assert_allclose(response(DampedCoupledVelocity(), values, output="p"), expected, rtol=1e-10)
@@ -268,7 +268,7 @@ def test_linear_tilt_has_the_transfer_functions_of_the_paper(values):
     angle = response(LinearTilt(), values, output="theta")
     assert_allclose(angle, response(Tilt(), values), rtol=1e-10)
     velocity = response(LinearTilt(), values, output="v")
-    assert_allclose(velocity, angle * gb.g / (1j * OMEGA + values["a5"]), rtol=1e-10)
+    assert_allclose(velocity, angle * PAPER_G / (1j * OMEGA + values["a5"]), rtol=1e-10)
     derived_quantities_equal(LinearTilt(), values, {"a3_tilde": 9.8065 * values["a3"]})
 
 
@@ -306,7 +306,7 @@ def test_nonlinear_tilt_in_hover_is_linear_tilt_without_drag(values):
 @pytest.mark.parametrize("values", draws(NonlinearTilt()))
 def test_nonlinear_tilt_in_forward_flight(values, theta):
     """The trim balances gravity and drag; the drag's slope is 2 C_x |v|, that of g tan θ is g / cos² θ."""
-    speed = np.sqrt(gb.g * np.tan(abs(theta)) / values["C_x"])
+    speed = np.sqrt(PAPER_G * np.tan(abs(theta)) / values["C_x"])
     v = np.sign(theta) * speed
     u = (values["a1"] * theta + values["a3"] * v) / values["a4"]
     system = gb.modeling.linearize(NonlinearTilt(), values, at={"theta": theta})
@@ -316,7 +316,7 @@ def test_nonlinear_tilt_in_forward_flight(values, theta):
     )
     linear = gb.modeling.linearize(LinearTilt(), shared_with(LinearTilt, values))
     A = linear.A.copy()
-    A[0, 0], A[0, 2] = -2 * values["C_x"] * speed, gb.g / np.cos(theta) ** 2
+    A[0, 0], A[0, 2] = -2 * values["C_x"] * speed, PAPER_G / np.cos(theta) ** 2
     assert_allclose(system.A, A, rtol=1e-9)
     assert_allclose(system.B, linear.B, rtol=1e-14)
 
@@ -348,7 +348,7 @@ def test_published_parameters_give_the_published_gain_and_poles(name):
     names = ["a1", "a2", "a3", "a4"] if model is Tilt else ["a1_tilde", "a2", "a3_tilde", "a4"]
     values = dict(zip(names, numbers, strict=True))
     if model is Tilt:
-        values["a3"] /= gb.g
+        values["a3"] /= PAPER_G
     for parameter, value in values.items():
         low, high = model.parameters[parameter].bounds
         assert low < value < high

@@ -14,7 +14,7 @@ from greybox.models.controller import AttitudeController
 from greybox.models.mixer import Torques
 from greybox.models.rigid_body import RigidBody
 from greybox.models.rotor import Rotor
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
 from greybox.regression.equation_error import (
     EquationErrorEstimate,
@@ -96,9 +96,9 @@ def tilt(model, values, seconds=40.0, step=0.01):
 
     def derivative(t, y):
         v, q, theta, rotor = y
-        drag = p.C_x * abs(v) * v - gb.g * (np.tan(theta) - theta) if "C_x" in p else p.a5 * v
+        drag = p.C_x * abs(v) * v - PAPER_G * (np.tan(theta) - theta) if "C_x" in p else p.a5 * v
         acceleration = -p.a1 * theta - p.a2 * q - p.a3 * v + p.a4 * rotor
-        return gb.g * theta - drag, acceleration, q, (control(t, y) - rotor) / p.T_rotor
+        return PAPER_G * theta - drag, acceleration, q, (control(t, y) - rotor) / p.T_rotor
 
     y = solved(derivative, [0, 0, 0, 0], time)
     u = np.array([control(t, column) for t, column in zip(time, y.T, strict=True)])

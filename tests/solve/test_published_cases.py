@@ -7,6 +7,7 @@ from hard_models import LOTKA_VOLTERRA, Pendulum, free_motion, lotka_volterra, s
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.diagnostics.discretization import discretization_warnings
+from greybox.models.tilt import PAPER_G
 from greybox.solve.discretization_error import discretization_error, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.multistart import multistart, solver_for
@@ -94,8 +95,8 @@ class Airspeed(gb.StateSpace):
 
     def derivative(self, x, u, p):
         return (
-            -p.drag * x.rho * x.V**2 - gb.g * gb.sin(u.gamma),
-            gb.g / x.V - p.lift * gb.sqrt(x.rho) * x.V * x.alpha,
+            -p.drag * x.rho * x.V**2 - PAPER_G * gb.sin(u.gamma),
+            PAPER_G / x.V - p.lift * gb.sqrt(x.rho) * x.V * x.alpha,
             -0.01 * gb.log(x.rho),
         )
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 import greybox as gb
+from greybox.models.tilt import PAPER_G
 
 
 class Drag(gb.StateSpace):
@@ -16,7 +17,7 @@ class Drag(gb.StateSpace):
     C_x = gb.Parameter(0.05, bounds=(-1, 2), unit="1/m")
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - p.C_x * abs(x.v) * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - p.C_x * abs(x.v) * x.v,)
 
     def output(self, x, u, p):
         return (x.v,)
@@ -29,7 +30,7 @@ class LinearDrag(gb.StateSpace):
     a5 = Drag.a5
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v,)
 
     def output(self, x, u, p):
         return (x.v,)
@@ -42,7 +43,7 @@ class QuadraticDrag(LinearDrag):
     C_x = dataclasses.replace(Drag.C_x, bounds=(0.001, 2))
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - p.C_x * abs(x.v) * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - p.C_x * abs(x.v) * x.v,)
 
 
 QUADRATIC, LINEAR = {"a5": 0.0, "C_x": 0.08}, {"a5": 0.3, "C_x": 0.0}

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.linalg import expm
 
 import greybox as gb
+from greybox.models.tilt import PAPER_G
 
 
 class Lateral(gb.StateSpace):
@@ -31,7 +32,7 @@ class Lateral(gb.StateSpace):
         )
 
     def output(self, x, u, p):
-        return (x.beta, x.p, x.r, x.phi, 40 / gb.g * (p.Y_beta * x.beta + p.Y_rudder * u.rudder))
+        return (x.beta, x.p, x.r, x.phi, 40 / PAPER_G * (p.Y_beta * x.beta + p.Y_rudder * u.rudder))
 
 
 LATERAL = dict(

@@ -7,6 +7,7 @@ import pytest
 from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
+from greybox.models.tilt import PAPER_G
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,7 @@ class Shifted(LinearDrag):
     C = gb.Parameter(-0.4, bounds=(-2, 2))
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - (p.C + 0.5) * abs(x.v) * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - (p.C + 0.5) * abs(x.v) * x.v,)
 
 
 def test_the_table_is_plain(quadratic):

@@ -6,6 +6,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
+from greybox.models.tilt import PAPER_G
 from greybox.validation.nesting import NotNestedError, nested_values
 
 NAMES = ("small", "large")
@@ -39,7 +40,7 @@ class OtherDrag(Drag):
     """The parameters of `Drag`, and no value of `C_x` that makes it linear."""
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - (p.C_x + 0.3) * abs(x.v) * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - (p.C_x + 0.3) * abs(x.v) * x.v,)
 
 
 class PositiveDrag(Drag):
@@ -54,7 +55,9 @@ class PowerDrag(LinearDrag):
     n = gb.Parameter(1.5, bounds=(0.5, 3))
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v * gb.exp((p.n - 1) * gb.log(abs(x.v) + 1e-9)),)
+        return (
+            PAPER_G * gb.tan(u.theta) - p.a5 * x.v * gb.exp((p.n - 1) * gb.log(abs(x.v) + 1e-9)),
+        )
 
 
 class SaturatingDrag(LinearDrag):
@@ -64,7 +67,7 @@ class SaturatingDrag(LinearDrag):
     v_s = gb.Parameter(0.5, bounds=(0.01, 5))
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - p.c * gb.tan(x.v / (20 * p.v_s)),)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - p.c * gb.tan(x.v / (20 * p.v_s)),)
 
 
 class LaggedDrag(LinearDrag):
@@ -74,7 +77,7 @@ class LaggedDrag(LinearDrag):
     k = gb.Parameter(0.1, bounds=(-1, 1))
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v + p.k * x.w, x.v - 2 * x.w)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v + p.k * x.w, x.v - 2 * x.w)
 
 
 class RenamedDrag(Drag):
@@ -83,7 +86,7 @@ class RenamedDrag(Drag):
     states = ("speed",)
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.speed - p.C_x * abs(x.speed) * x.speed,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.speed - p.C_x * abs(x.speed) * x.speed,)
 
     def output(self, x, u, p):
         return (x.speed,)
@@ -104,7 +107,7 @@ class Squared(LinearDrag):
     w = gb.Parameter(0.9, bounds=(0.5, 3))
 
     def derivative(self, x, u, p):
-        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - (p.w**2 - 0.25) * abs(x.v) * x.v,)
+        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - (p.w**2 - 0.25) * abs(x.v) * x.v,)
 
 
 def test_a_term_that_is_zero_one_at_a_bound_fixed_or_tied_makes_a_model_nested(record):
