@@ -1,10 +1,16 @@
-"""Models run at given values.
+"""Simulation and prediction of records at given parameter values.
 
-Begin with `simulate` (`simulate`, `predict`). `model_at_estimate` brings model and values together,
-`simulator` runs the model with as many steps as accuracy needs, `windows` cuts a record,
-`state_estimation` finds the state at the beginning of each window, `own_values` what else belongs
-to a record that the model was not fitted to (biases, trims), and `prediction` is what `predict`
-returns.
+Begin with `simulate`.
+
+| file | contents |
+| --- | --- |
+| `simulate` | `simulate` and `predict` |
+| `prediction` | the value that `predict` returns |
+| `model_at_estimate` | a model with its values, covariance, and assumptions of the fit |
+| `windows` | a record cut into lead-ins and horizons |
+| `simulator` | simulation with as many steps as accuracy needs, and its standard errors |
+| `state_estimation` | the state at the beginning of each window |
+| `own_values` | biases and trims of a record to which the model was not fitted |
 """
 
 from greybox.simulation.prediction import Prediction as Prediction

@@ -1,9 +1,18 @@
 """Statistics of residuals and signals, independent of any model.
 
-`residual_spectrum` is what standard errors in time use where residuals are correlated,
-`variance_components` has the variances of sensors and process noise in it, and `error_spectrum`
-draws such errors; `residual_autocorrelation` makes a series white; `neighbor_correlation` is what
-those of frequency responses use, and `column_space` what fitted parameters can take from residuals;
-`noise_ratio` tells a smooth signal from noise; `metrics` holds fit percent, variance accounted for,
-Theil's coefficient and tests of whiteness, of correlation with the input, and of feedback.
+Begin with `metrics` for measures of fit, or `residual_spectrum` for errors that are correlated in
+time.
+
+| file | contents |
+| --- | --- |
+| `metrics` | measures of fit; tests of whiteness, of correlation with the input, and of feedback |
+| `noise_ratio` | whether a signal is smooth or noise |
+| `residual_autocorrelation` | autoregressions of one series, and of several together |
+| `error_spectrum` | a spectrum of errors: residuals made white, errors drawn |
+| `frequency_grid` | transforms, and the bands in which spectra are compared |
+| `spectral_families` | families of spectra that are compared by their likelihood |
+| `variance_components` | the variances of sensors and process noise in residuals |
+| `residual_spectrum` | covariance of an estimate whose errors are correlated in time |
+| `neighbor_correlation` | the same for errors that are correlated along frequency |
+| `column_space` | what fitted parameters can take from residuals |
 """

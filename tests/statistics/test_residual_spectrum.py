@@ -16,19 +16,21 @@ from scipy.linalg import (
 )
 from scipy.signal import lfilter
 
+from greybox.statistics.frequency_grid import FrequencyGrid, fast_length
+from greybox.statistics.residual_autocorrelation import vector_autoregressions
 from greybox.statistics.residual_spectrum import (
-    _aicc,
-    _Evidence,
-    _fast,
-    _Grid,
-    _Sandwich,
-    _seen,
-    _slow_parts,
-    _smoothed,
-    _smoothed_shapes,
-    _whittle,
+    AveragedSpectrum,
+    ResidualSpectra,
     colored_information,
+    remaining_products,
     score_covariance,
+    unmasked,
+)
+from greybox.statistics.spectral_families import (
+    aicc_penalty,
+    moving_average,
+    sensitivity_shapes,
+    slow_parts,
 )
 from greybox.statistics.variance_components import whittle_score
 
@@ -267,9 +269,9 @@ def test_the_outputs_of_the_only_record_tell_all_that_there_is_together():
     information = np.einsum("kpn,kqn->pq", weighted, slopes)
     residuals = np.sqrt(np.diag(noise))[:, None] * random.normal(size=(2, 200))
     for share in (1.0, 0.5):
-        made = _Sandwich.of([weighted], [residuals], share * np.linalg.inv(information), noise)
+        made = ResidualSpectra([weighted], [residuals], share * np.linalg.inv(information), noise)
         assert_allclose(made.root @ made.root.T, share * np.linalg.inv(information))
-        told = [made._not_excluded(i)[0] for i in range(2)]
+        told = [made.not_excluded(i)[0] for i in range(2)]
         assert_allclose(sum(told), share * np.eye(3), atol=1e-9)
         each = [share * np.einsum("pn,qn->pq", weighted[i], slopes[i]) for i in range(2)]
         assert_allclose(
@@ -278,7 +280,7 @@ def test_the_outputs_of_the_only_record_tell_all_that_there_is_together():
 
 
 def test_values_of_bands_are_interpolated_between_their_mean_frequencies():
-    grid = _Grid.of(4000)
+    grid = FrequencyGrid.of(4000)
     omega = 2 * np.pi * np.arange(len(grid.weight)) / grid.size
     assert len(grid.omega) < len(omega) / 4
     values = np.sin(3 * grid.omega) + 2
@@ -305,7 +307,7 @@ def test_what_is_hidden_is_beside_the_variances_that_are_given():
     inverse = np.linalg.inv(J[0] @ J[0].T)
     e = colored([1, -0.7], n, seed=3)
     e = (e - e @ J[0].T @ inverse @ J[0])[None]
-    sandwich, found = _Sandwich.of([J], [e], inverse, np.eye(1)), information([J], [e])
+    sandwich, found = ResidualSpectra([J], [e], inverse, np.eye(1)), information([J], [e])
     hidden = [
         sandwich.hidden(factor * found.meat, found.spectrum.density)
         for factor in (1.0, 0.04, 0.01, 1e6)
@@ -420,7 +422,7 @@ def small(initial=False, shocks=None, others=0.0, missing=False):
         if initial
         else None
     )
-    return _Sandwich.of(
+    return ResidualSpectra(
         weighted, residuals, np.linalg.inv(bread) / (1 + others), noise, moved, shocks
     )
 
@@ -504,7 +506,7 @@ def test_what_the_estimate_takes_from_errors_is_that_of_dense_matrices():
         rows_of(W).T @ dense(made, density, s) @ rows_of(W) for s, W in enumerate(made.weighted)
     )
     assert_allclose(made.grid.score_covariance(made.transforms(), density), wanted)
-    assert made._taken(density) == pytest.approx(np.sum(made.inverse * wanted))
+    assert made.taken_by(density) == pytest.approx(np.sum(made.inverse * wanted))
 
 
 @pytest.mark.parametrize(("initial", "missing"), [(False, False), (True, False), (True, True)])
@@ -581,14 +583,15 @@ def test_process_noise_is_looked_for_where_jumps_move_an_output():
 
 def test_missing_samples_multiply_covariances_by_their_share():
     """At all lags but zero, of an output; of two outputs at every lag, by the root of both shares."""
-    made = replace(small(), seen=np.array([0.5, 0.8]))
+    made = small()
+    shares = np.array([0.5, 0.8])
     density = some_density(made)
     r = np.fft.irfft(density, made.grid.size)
-    seen = r * np.sqrt(np.multiply.outer(made.seen, made.seen))[:, :, None]
-    seen[[0, 1], [0, 1], 0] = r[[0, 1], [0, 1], 0]
-    assert_allclose(made._unmasked(np.fft.rfft(seen)), density, atol=1e-12)
-    assert replace(made, seen=np.array([0.95, 1.0]))._unmasked(density) is density
-    assert replace(made, seen=np.array([1.0, 0.94]))._unmasked(density) is not density
+    masked = r * np.sqrt(np.multiply.outer(shares, shares))[:, :, None]
+    masked[[0, 1], [0, 1], 0] = r[[0, 1], [0, 1], 0]
+    assert_allclose(unmasked(np.fft.rfft(masked), shares, made.grid), density, atol=1e-12)
+    assert unmasked(density, np.array([0.95, 1.0]), made.grid) is density
+    assert unmasked(density, np.array([1.0, 0.94]), made.grid) is not density
 
 
 def test_the_best_lag_tells_which_share_of_the_products_is_left():
@@ -596,25 +599,25 @@ def test_the_best_lag_tells_which_share_of_the_products_is_left():
     e[1, 1::2] = 0.0  # every other one: all products two samples apart
     e[2, 4:] = 0.0  # of neighbors 3 are left for 4 samples, of 19 for 20
     e[3] = 0.0
-    assert_allclose(_seen([e]), [1.0, 1.0, 3 / 4 * 20 / 19, 1e-3])
+    assert_allclose(remaining_products([e]), [1.0, 1.0, 3 / 4 * 20 / 19, 1e-3])
     random = np.where(np.random.default_rng(3).random((1, 4000)) < 0.6, 1.0, 0.0)
-    assert _seen([random, random[:, :1500]])[0] == pytest.approx(0.6, abs=0.05)
-    assert _seen([e[:1], e[:1, :7]]).tolist() == [1.0]
+    assert remaining_products([random, random[:, :1500]])[0] == pytest.approx(0.6, abs=0.05)
+    assert remaining_products([e[:1], e[:1, :7]]).tolist() == [1.0]
 
 
 def test_the_moving_average_is_mirrored_at_its_ends():
     values = np.array([3.0, 1.0, 4.0, 1.5, 9.0, 2.0])
     mirrored = [4.0, 1.0, 3.0, 1.0, 4.0, 1.5, 9.0, 2.0, 9.0, 1.5]
-    assert_allclose(_smoothed(values, 5), [np.mean(mirrored[k : k + 5]) for k in range(6)])
-    assert_allclose(_smoothed(values, 4), _smoothed(values, 5))
-    assert_allclose(_smoothed(values[:2], 32), [(1 + 3 + 1) / 3, (3 + 1 + 3) / 3])
+    assert_allclose(moving_average(values, 5), [np.mean(mirrored[k : k + 5]) for k in range(6)])
+    assert_allclose(moving_average(values, 4), moving_average(values, 5))
+    assert_allclose(moving_average(values[:2], 32), [(1 + 3 + 1) / 3, (3 + 1 + 3) / 3])
 
 
 def test_slow_parts_are_exponentials_in_white_noise():
     """Of a circle of samples: covariances share φˡ, wound around it, and the rest of one at lag zero."""
     for n, slowest in ((90, 30.0), (4, 2.0)):
-        grid = _Grid.of(n)
-        shapes = _slow_parts(grid).reshape(14, 11, -1)
+        grid = FrequencyGrid.of(n)
+        shapes = slow_parts(grid).reshape(14, 11, -1)
         for k, share in ((0, 0.01), (4, 0.12), (9, 0.9)):
             for m in (0, 5, 13):
                 phi = np.exp(-(slowest ** (-m / 13)))
@@ -630,11 +633,11 @@ def test_slow_parts_are_exponentials_in_white_noise():
 
 
 def test_shapes_of_the_sensitivities_are_their_power_and_its_root_of_mean_one():
-    grid = _Grid.of(40)
-    flat = _smoothed_shapes(grid, np.full(len(grid.omega), 7.0))
+    grid = FrequencyGrid.of(40)
+    flat = sensitivity_shapes(grid, np.full(len(grid.omega), 7.0))
     assert_allclose(flat, np.ones((4, len(grid.omega))))
     power = 0.1 + np.exp(-grid.omega)
-    shapes = _smoothed_shapes(grid, power)
+    shapes = sensitivity_shapes(grid, power)
     assert_allclose([grid.mean(shape) for shape in shapes], np.ones(4))
     for one, root in (shapes[:2], shapes[2:]):
         assert np.ptp(one / root**2) < 1e-12
@@ -644,7 +647,7 @@ def test_shapes_of_the_sensitivities_are_their_power_and_its_root_of_mean_one():
 
 def test_weights_of_frequencies_make_sums_of_squares():
     for n in (5, 24, 900):
-        grid = _Grid.of(n)
+        grid = FrequencyGrid.of(n)
         x = np.random.default_rng(0).normal(size=n)
         assert grid.size >= 2 * n
         assert grid.weight @ np.abs(np.fft.rfft(x, grid.size)) ** 2 == pytest.approx(x @ x)
@@ -666,7 +669,7 @@ def test_weights_of_frequencies_make_sums_of_squares():
 def test_fast_lengths_are_the_next_even_ones_of_few_small_factors():
     fast = sorted(m * 2**k for m in (1, 3, 5, 9, 15) for k in range(1, 13))
     for count in range(1, 1200):
-        assert _fast(count) == next(length for length in fast if length >= count)
+        assert fast_length(count) == next(length for length in fast if length >= count)
 
 
 def of_past(r, order):
@@ -682,7 +685,7 @@ def test_vector_autoregressions_solve_the_equations_of_yule_and_walker():
     r = np.array(
         [[[lagged([e], lag, i, j) / 60 for j in (0, 1)] for i in (0, 1)] for lag in range(6)]
     )
-    found = list(_whittle(r))
+    found = list(vector_autoregressions(r))
     assert [a.shape for a, _ in found] == [(2, 2 * order) for order in range(6)]
     for order, (a, innovation) in enumerate(found):
         past = np.zeros((0, 0))
@@ -696,7 +699,7 @@ def test_vector_autoregressions_solve_the_equations_of_yule_and_walker():
 def test_predictable_outputs_have_no_higher_order():
     """Of a sine two samples tell all others."""
     r = np.array([[[np.cos(0.5 * lag)]] for lag in range(7)])
-    found = list(_whittle(r))
+    found = list(vector_autoregressions(r))
     assert len(found) == 2
     assert_allclose(found[1][1], [[np.sin(0.5) ** 2]])
 
@@ -711,12 +714,12 @@ def test_the_vector_autoregression_has_the_covariances_of_the_residuals_up_to_it
             np.array([[0.5, 0.2], [-0.3, 0.4]]) @ e[:, t - 1] - 0.3 * e[:, t - 2] + white[:, t]
         )
     J = random.normal(size=(2, 1, n))
-    made = _Sandwich.of([J], [e[:, 100:]], 1 / np.einsum("kpn,kpn->p", J, J)[:, None], np.eye(2))
+    made = ResidualSpectra([J], [e[:, 100:]], 1 / np.einsum("kpn,kpn->p", J, J)[:, None], np.eye(2))
     lags = made.periodogram[0]
-    found = made._together(lags)
+    found = made.joint_outputs(lags)
     order = round(found.uncertainty * n / 2) - 1
     assert order in (2, 3)
-    assert found.taken == pytest.approx(made._taken(found.density))
+    assert found.taken == pytest.approx(made.taken_by(found.density))
     for lag in range(order + 1):
         covariance = np.fft.irfft(made.grid.spread_out(found.density), made.grid.size)[:, :, lag]
         assert_allclose(covariance, lags[lag], atol=1e-3)
@@ -735,7 +738,7 @@ def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
     n = 60
     e = lfilter([1, 0.7], [1, -0.6], np.random.default_rng(8).normal(size=(1, n + 50)))[:, 50:]
     J = np.random.default_rng(9).normal(size=(1, 2, n)).cumsum(axis=2)
-    made = replace(_Sandwich.of([J], [e], np.linalg.inv(J[0] @ J[0].T), np.eye(1)), families=[()])
+    made = ResidualSpectra([J], [e], np.linalg.inv(J[0] @ J[0].T), np.eye(1))
     r = made.periodogram[0][:, 0, 0]
     spectra, scores, orders = [], [], [order for order in range(16) if order != 1]
     for order in orders:
@@ -750,11 +753,11 @@ def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
     weight = np.exp(-0.5 * np.array(scores))
     evidence = -2 * np.log(weight.sum())
     weight /= weight.sum()
-    found = made._one_output(0, r, made.periodogram[1][0, 0].real)
+    found = made.one_output(0, r, made.periodogram[1][0, 0].real, ())
     assert_allclose(found.density, weight @ spectra, rtol=2e-3)
     assert_allclose(found.typical, weight @ np.log(spectra), atol=2e-3)
     assert found.score == pytest.approx(evidence)
-    taken = np.array([made._taken(one[None, None] + 0j) for one in spectra])
+    taken = np.array([made.taken_by(one[None, None] + 0j) for one in spectra])
     assert found.taken == pytest.approx(weight @ taken, rel=2e-3)
     between = weight @ (np.log(taken) - weight @ np.log(taken)) ** 2
     assert found.uncertainty == pytest.approx(
@@ -782,9 +785,9 @@ def test_spectra_that_are_not_excluded_are_those_of_the_restricted_likelihood_by
     e -= [A @ estimate, B @ estimate]
     k = 1 + beside
     weighted = np.array([A.T / noise, B.T / other])
-    made = _Sandwich.of([weighted[:k]], [e[:k]], inverse, np.diag([noise, other])[:k, :k])
+    made = ResidualSpectra([weighted[:k]], [e[:k]], inverse, np.diag([noise, other])[:k, :k])
     size = np.sqrt(np.mean(e[0] ** 2))
-    told, meats = made._not_excluded(0)
+    told, meats = made.not_excluded(0)
     assert_allclose(told, made.root.T @ A.T @ A @ made.root / noise, atol=1e-9)
     turn = dct(np.eye(n), axis=0, norm="ortho")
     band = np.arange(n) * made.grid.size // (2 * n)
@@ -817,8 +820,8 @@ def test_an_output_that_tells_nothing_hides_nothing():
     inverse = np.linalg.inv(J[0] @ J[0].T)
     e = lfilter([1.0], [1, -0.7], np.random.default_rng(3).normal(size=(2, n)))
     e[0] -= e[0] @ J[0].T @ inverse @ J[0]
-    alone = _Sandwich.of([J], [e[:1]], inverse, np.eye(1))
-    both = _Sandwich.of([np.concatenate([J, 0 * J])], [e], inverse, np.eye(2))
+    alone = ResidualSpectra([J], [e[:1]], inverse, np.eye(1))
+    both = ResidualSpectra([np.concatenate([J, 0 * J])], [e], inverse, np.eye(2))
     meat = inverse @ np.linalg.inv(inverse) @ np.linalg.inv(inverse) / 100
     density = np.ones((1, 1, len(alone.grid.omega)))
     assert alone.hidden(meat, density) > 2
@@ -826,7 +829,7 @@ def test_an_output_that_tells_nothing_hides_nothing():
 
 
 def test_correlation_times_are_the_time_constants_of_exponentials():
-    grid = _Grid.of(1000)
+    grid = FrequencyGrid.of(1000)
     found = grid.correlation_times(
         np.array(
             [
@@ -840,9 +843,9 @@ def test_correlation_times_are_the_time_constants_of_exponentials():
 
 def test_the_penalty_is_that_of_aicc():
     """2 k + 2 k (k + 1) / (n - k - 1), and beyond any score where the unknowns are as many as the numbers."""
-    assert _aicc(3, 20) == pytest.approx(6 + 24 / 16)
-    assert _aicc(9, 10) == pytest.approx(2 * 9 * 10 / 1e-3)
-    assert _aicc(30, 10) > 1e5
+    assert aicc_penalty(3, 20) == pytest.approx(6 + 24 / 16)
+    assert aicc_penalty(9, 10) == pytest.approx(2 * 9 * 10 / 1e-3)
+    assert aicc_penalty(30, 10) > 1e5
 
 
 def test_outputs_that_are_not_measured_are_left_out_and_have_no_correlation_time():
@@ -882,7 +885,7 @@ def slow_and_its_parameter(seed, n=150):
 def test_limits_of_outputs_of_which_each_tells_of_one_parameter_combine_as_independent_numbers():
     (one, e), (other, f) = slow_and_its_parameter(1), slow_and_its_parameter(2)
     inverse = np.diag([1 / (one[0] @ one[0]), 1 / (other[0] @ other[0])])
-    both = _Sandwich.of(
+    both = ResidualSpectra(
         [np.array([[one[0], 0 * one[0]], [0 * other[0], other[0]]])],
         [np.array([e, f])],
         inverse,
@@ -890,17 +893,17 @@ def test_limits_of_outputs_of_which_each_tells_of_one_parameter_combine_as_indep
     )
     density, meats, hidden = None, [], []
     for i, (J, left) in enumerate(((one, e), (other, f))):
-        alone = _Sandwich.of([J[None]], [left[None]], inverse[i : i + 1, i : i + 1], np.eye(1))
+        alone = ResidualSpectra([J[None]], [left[None]], inverse[i : i + 1, i : i + 1], np.eye(1))
         density = np.ones((1, 1, len(alone.grid.omega)))
-        likeliest = alone._not_excluded(0)[1][0, 0, 0]
+        likeliest = alone.not_excluded(0)[1][0, 0, 0]
         meats.append(likeliest / inverse[i, i])
         hidden.append(alone.hidden(np.array([[meats[i]]]), density))
         assert hidden[i] > 1.5
         # Of what other data tell three fourths, nothing is hidden.
-        quarter = _Sandwich.of(
+        quarter = ResidualSpectra(
             [J[None]], [left[None]], inverse[i : i + 1, i : i + 1] / 4, np.eye(1)
         )
-        told, spectra = quarter._not_excluded(0)
+        told, spectra = quarter.not_excluded(0)
         assert told[0, 0] == pytest.approx(0.25)
         wanted = (0.75 + spectra.max()) / (0.75 + 0.25 * 1.3)
         assert quarter.hidden(
@@ -912,10 +915,10 @@ def test_limits_of_outputs_of_which_each_tells_of_one_parameter_combine_as_indep
 
 def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_says():
     made = small()
-    nothing = _Sandwich.of([0 * W for W in made.weighted], made.residuals, made.inverse, NOISE)
+    nothing = ResidualSpectra([0 * W for W in made.weighted], made.residuals, made.inverse, NOISE)
     density = some_density(made)
-    one = _Evidence(density, np.zeros((2, len(made.grid.omega))), 7.5, 3.0, 0.2)
-    judged = nothing._judged_on_residuals(one, made.periodogram[1])
+    one = AveragedSpectrum(density, np.zeros((2, len(made.grid.omega))), 7.5, 3.0, 0.2)
+    judged = nothing.judged_on_residuals(one, made.periodogram[1])
     assert judged.score == pytest.approx(
         7.5 + 21 * 2
     )  # of every number, the mean of its square over its variance
@@ -929,10 +932,10 @@ def test_outputs_apart_add_what_they_take_and_its_variance():
     made = small()
     size = len(made.grid.omega)
     alone = [
-        _Evidence(np.full(size, d), np.full(size, t), s, taken, u)
+        AveragedSpectrum(np.full(size, d), np.full(size, t), s, taken, u)
         for d, t, s, taken, u in ((2, 0.5, 11, 3, 0.2), (5, 1.5, 6, 0.5, 0.7))
     ]
-    found = made._apart(alone)
+    found = made.independent_outputs(alone)
     assert_allclose(found.density[:, :, 3], [[2, 0], [0, 5]])
     assert_allclose(found.typical[:, 3], [0.5, 1.5])
     assert (found.score, found.taken) == (17, 3.5)
@@ -944,8 +947,10 @@ def test_outputs_apart_add_what_they_take_and_its_variance():
 def test_spectra_are_averaged_by_their_evidence():
     made = small()
     lags, banded = made.periodogram
-    apart = made._apart([made._one_output(i, lags[:, i, i], banded[i, i].real) for i in (0, 1)])
-    together = made._together(lags)
+    apart = made.independent_outputs(
+        [made.one_output(i, lags[:, i, i], banded[i, i].real, made.families[i]) for i in (0, 1)]
+    )
+    together = made.joint_outputs(lags)
     share = 1 / (1 + np.exp((together.score - apart.score) / 2))
     assert 1e-6 < share < 1 - 1e-6
     found = made.mixture(lags, banded)
@@ -975,24 +980,24 @@ def resonant():
     A = J.reshape(-1)
     inverse = 1 / (A @ A)
     e -= J * (A @ e.reshape(-1)) * inverse
-    return _Sandwich.of([J[:, None]], [e], np.array([[inverse]]), np.eye(2), None, lambda: jumps)
+    return ResidualSpectra([J[:, None]], [e], np.array([[inverse]]), np.eye(2), None, lambda: jumps)
 
 
 def test_process_noise_is_judged_by_the_variances_of_its_parts():
     made = resonant()
     parts = made.noise_parts
-    found, variances = made._process_noise(parts), made._variances
+    found, variances = made.process_noise(parts), made.variances
     assert variances.variance.shape == (4,)
     assert_allclose(
         found.density,
         sum(v * part for v, part in zip(variances.variance, parts.density, strict=True)),
     )
     assert_allclose(found.typical, np.log([found.density[i, i].real for i in (0, 1)]))
-    assert found.taken == pytest.approx(made._taken(found.density))
+    assert found.taken == pytest.approx(made.taken_by(found.density))
     assert found.score == pytest.approx(variances.score + 8 + 2 * 4 * 5 / (120 - 5))
 
     def logarithm(logs):
-        return np.log(made._taken(np.tensordot(np.exp(logs), parts.density, 1)))
+        return np.log(made.taken_by(np.tensordot(np.exp(logs), parts.density, 1)))
 
     logs = np.log(variances.variance)
     slope = np.array([(logarithm(logs + d) - logarithm(logs - d)) / 2e-5 for d in 1e-5 * np.eye(4)])
@@ -1001,7 +1006,7 @@ def test_process_noise_is_judged_by_the_variances_of_its_parts():
 
 def test_the_most_process_noise_that_residuals_do_not_exclude_is_the_largest_below_the_limit():
     made = resonant()
-    parts, variances = made.noise_parts, made._variances
+    parts, variances = made.noise_parts, made.variances
     white = np.eye(2)[:, :, None] * np.ones(len(made.grid.omega), dtype=complex)
 
     def score(variance):
@@ -1010,9 +1015,9 @@ def test_the_most_process_noise_that_residuals_do_not_exclude_is_the_largest_bel
             expected, made.periodogram[1].transpose(2, 0, 1), 60 * made.grid.band_weight
         )
 
-    for likely in (white, made._process_noise(parts).density):
-        limit = min(variances.score, made._score(likely)) + 3.84
-        (worst,) = made._process_noise_not_excluded(parts, likely)
+    for likely in (white, made.process_noise(parts).density):
+        limit = min(variances.score, made.score_of(likely)) + 3.84
+        (worst,) = made.largest_process_noise(parts, likely)
         own, shares = variances.variance[:2], np.maximum(variances.variance[2:], 1e-4)
         total = (made.grid.mean(np.einsum("iib->b", worst).real) - own.sum()) / 2
         every = np.geomspace(1e-3, 30, 40)
@@ -1024,7 +1029,7 @@ def test_the_most_process_noise_that_residuals_do_not_exclude_is_the_largest_bel
             for each in every[[place + 1, place]]
         )
         assert at < limit <= above
-    assert made._score(white) > limit + 5  # what has no process noise is less likely
+    assert made.score_of(white) > limit + 5  # what has no process noise is less likely
     # One parameter, of which the data tell alone: its variance is the sum of what the spectrum
     # makes of its score.
     meat = np.array([[1e-3]])
@@ -1043,7 +1048,7 @@ def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_
         inverse = np.linalg.inv(J[0] @ J[0].T)
         e = lfilter([1.0], [1, -slow], random.normal(size=n))
         e = (e - e @ J[0].T @ inverse @ J[0])[None]
-        made = _Sandwich.of([J], [e], inverse, np.eye(1))
+        made = ResidualSpectra([J], [e], inverse, np.eye(1))
         lags, banded = made.periodogram
         mixtures = [made.mixture(lags, banded)]
         for _ in range(2):
@@ -1059,7 +1064,7 @@ def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_
 def test_frequencies_without_power_do_not_make_a_spectrum_infinitely_unlikely():
     J, e = slow_and_its_parameter(0)
     silent = np.fft.irfft(np.fft.rfft(J[0]) * (np.arange(76) < 9), 150)
-    made = _Sandwich.of(
+    made = ResidualSpectra(
         [silent[None, None]], [e[None]], np.array([[1 / (silent @ silent)]]), np.eye(1)
     )
     assert all(np.isfinite(family.logarithm).all() for family in made.families[0])
