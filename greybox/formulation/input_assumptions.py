@@ -5,28 +5,16 @@ The samples do not tell whether an input is held or interpolated, so the record 
 size.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array
-from greybox.files.text_table import listed, number
-from greybox.modeling.parameter import Parameter
+from greybox.files.text_table import number
 
 Inputs = Literal["record", "linear", "held"]
 """How inputs run between their samples: as the record says, or all of them in one way."""
-
-# Shift of a parameter, in standard errors, that does not matter: it adds 0.5 % to the root mean
-# square error.
-SMALL_SHIFT = 0.1
-
-MOST_NAMED = (
-    4  # parameters with their shifts, the largest in standard errors first: a sentence, not a table
-)
 
 
 def require_inputs(inputs: Any) -> None:
@@ -69,72 +57,3 @@ def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> di
             who += f", else delays differ by half a step, {number(500 * record.step, 3)} ms"
         result[name] = f"{between}, {who}"
     return result
-
-
-def other_assumptions(
-    inputs: Inputs, between: Mapping[str, Intersample], record: Record
-) -> dict[str, Intersample]:
-    """Return how moving inputs might run instead: as the record says, or, where nobody says it, held."""
-    result = {}
-    for name, now in between.items():
-        if inputs != "record" and name not in record.hold:
-            continue  # who states it knows it
-        other = intersample(record.hold.get(name, HELD), record.step)
-        values = record[name][np.isfinite(record[name])]
-        if other != now and values.size and np.ptp(values) > 0:
-            result[name] = other
-    return result
-
-
-def assumption_warning(
-    asked: str,
-    inputs: Inputs,
-    between: Mapping[str, Intersample],
-    others: Mapping[str, Intersample],
-    effect: str,
-) -> str:
-    """Say what is assumed of the inputs `others`, the `effect` of the other assumption, and how to state which it is.
-
-    `asked` is the criterion or the function whose argument `inputs` is.
-    """
-    names = list(others)
-    are, it, they_are = ("is", "it", "it is") if len(names) == 1 else ("are", "them", "they are")
-    now = between[names[0]]
-    if inputs != "record":
-        return (
-            f"the record says that {listed(names)} {are} {others[names[0]]}, and {asked} takes {it} as {now}: what the "
-            f"record says {effect}; leave out inputs={inputs!r} to follow it."
-        )
-    return (
-        f"{listed(names)} {are} taken as {now} between samples; the record does not say, and the data cannot tell, "
-        f"whether {they_are} held, as the output of a controller is, which {effect}: state it, "
-        f"{asked}(..., inputs='held') or 'linear', or in the record, hold={{{names[0]!r}: math.inf}} or 0."
-    )
-
-
-def effect_of(
-    parameters: Mapping[str, Parameter],
-    shift: Array,
-    errors: Array,
-    delays: Collection[str],
-) -> str:
-    """Say by how much another assumption moves the estimates, (p,), in units and in standard errors.
-
-    Empty where it does not matter: none is the value of one of the `delays`, and none moves
-    noticeably.
-    """
-    relative = np.divide(np.abs(shift), errors, out=np.zeros(len(shift)), where=errors > 0)
-    if not np.all(np.isfinite(shift)):
-        return "moves the estimate by an unknown amount"
-    names = list(parameters)
-    order = np.argsort(-relative).tolist()
-    moved = [k for k in order if names[k] in delays or relative[k] > SMALL_SHIFT]
-    sizes = []
-    for k in moved[:MOST_NAMED]:
-        unit = parameters[names[k]].unit
-        size = f"{names[k]} by {'+' if shift[k] > 0 else ''}{number(float(shift[k]), 2)}"
-        size += f" {unit}" if unit not in ("", "1") else ""
-        sizes.append(
-            f"{size} ({number(float(relative[k]), 2)} standard errors)" if relative[k] else size
-        )
-    return f"moves {listed(sizes)}" if sizes else ""

@@ -8,32 +8,25 @@ Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 a
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from greybox.data.intersample import Intersample
 from greybox.data.record import Record, require_time
 from greybox.files.arrays import Array
 from greybox.files.text_table import number, one_line, text_table, with_error
 from greybox.formulation.input_assumptions import (
     Inputs,
-    assumption_warning,
     between_samples,
     described_inputs,
-    effect_of,
-    other_assumptions,
     require_inputs,
 )
-from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.state_space import StateSpace
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
@@ -152,7 +145,6 @@ def equation_error(
     fixed: Mapping[str, float] | None = None,
     free: Sequence[str] = (),
     cutoff: float | None = None,
-    biases: Sequence[str] = (),
     inputs: Inputs = "record",
 ) -> EquationErrorEstimate:
     """Estimate the parameters of an ODE from its measured states, equation by equation, by least squares.
@@ -183,9 +175,6 @@ def equation_error(
     cutoff : float, Hz, optional
         The band of all terms, e.g. below a vibration; by default half the lowest cutoff that the
         smoothed signals of an equation choose.
-    biases : sequence of str
-        Measured signals (states, outputs, inputs) with an unknown constant error, which becomes the
-        parameter ``<name>_bias``: measured less true.
     inputs : "record", "linear" or "held"
         How inputs run between their samples, as in `OutputError`: by default as the record says.
 
@@ -197,11 +186,8 @@ def equation_error(
     """
     _require(model, record, cutoff)
     require_inputs(inputs)
-    biases = (biases,) if isinstance(biases, str) else tuple(biases)
-    declared = {**model.parameters, **_bias_parameters(model, record, biases)}
-    parameters = _problem_parameters(
-        model, declared, fixed or {}, [free] if isinstance(free, str) else free
-    )
+    free = [free] if isinstance(free, str) else free
+    parameters = _problem_parameters(model, fixed or {}, free)
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}
     if not unknown:
@@ -211,7 +197,7 @@ def equation_error(
     record = regular(record)
     _require_motion(model, system, record)
     start = np.array([p.start for p in unknown.values()])
-    equations = regressions(system, record.signals, constants, start, biases)
+    equations = regressions(system, record.signals, constants, start)
     _require_equations(model, equations, record)
     longest_delays = _longest_delays(system, parameters)
     names = (system.states, system.inputs)
@@ -236,27 +222,9 @@ def equation_error(
     fixed_options = {"p": start, "latest": longest_delays, "cutoffs": data.cutoffs, "band": band}
     again = partial(regressors, equations, names, **fixed_options)
     bias = _bias(data, projection, record, again)
-    delays = _delays(system)
-    warnings = _assumed_inputs(projection, record, inputs, between, parameters, delays, again)
     name = f"{model.label}, {record.name or 'record'}"
     texts = described_inputs(inputs, system.inputs, record)
-    return _result(name, data, projection, bias, parameters, warnings, texts)
-
-
-def _bias_parameters(model: Model, record: Record, biases: Sequence[str]) -> dict[str, Parameter]:
-    """Return the unknown constant errors of signals."""
-    states = model.states if isinstance(model, StateSpace) else ()
-    signals = dict.fromkeys((*states, *model.output_names, *model.input_names))
-    require_known(
-        biases, [name for name in signals if name in record.signals], "measured signal", model.label
-    )
-    result = {f"{name}_bias": bias_parameter(name, record) for name in biases}
-    taken = [name for name in result if name in model.parameters]
-    if taken:
-        raise ValueError(
-            f"{model.label} declares {taken[0]!r}, which is also the name of a bias: rename it there."
-        )
-    return result
+    return _result(name, data, projection, bias, parameters, texts)
 
 
 def _require(model: Any, record: Any, cutoff: Any) -> None:
@@ -274,9 +242,10 @@ def _require(model: Any, record: Any, cutoff: Any) -> None:
 
 
 def _problem_parameters(
-    model: Model, declared: Mapping[str, Parameter], fixed: Mapping[str, float], free: Sequence[str]
+    model: Model, fixed: Mapping[str, float], free: Sequence[str]
 ) -> dict[str, Parameter]:
     """Apply `fixed` and `free` to the declared parameters."""
+    declared = model.parameters
     if not isinstance(fixed, Mapping):
         raise TypeError(
             f"fixed is {fixed!r:.60}: give {{name: value}}, e.g. fixed=dict(fit.estimate)."
@@ -347,13 +316,6 @@ def _longest_delays(system: Dynamics, parameters: Mapping[str, Parameter]) -> Ar
     return delays
 
 
-def _delays(system: Dynamics) -> set[str]:
-    """Return the parameters that the delays depend on."""
-    p = ca.SX.sym("p", len(system.parameters))
-    delay = system.delay(p)
-    return {name for k, name in enumerate(system.parameters) if ca.depends_on(delay, p[k])}
-
-
 def _bias(
     data: Regressors, projection: Projection, record: Record, again: Callable[..., Regressors]
 ) -> dict[str, float]:
@@ -376,33 +338,12 @@ def _bias(
     return dict(zip(projection.names, np.mean(steps, axis=0), strict=True))
 
 
-def _assumed_inputs(
-    projection: Projection,
-    record: Record,
-    inputs: Inputs,
-    between: Mapping[str, Intersample],
-    parameters: Mapping[str, Parameter],
-    delays: Collection[str],
-    again: Callable[..., Regressors],
-) -> Iterator[str]:
-    """Say by how much the estimate moves if inputs run otherwise between samples than was assumed."""
-    others = other_assumptions(inputs, between, record)
-    if not others:
-        return
-    step = projection.step(again(record=record, between={**between, **others}))
-    errors = np.sqrt(np.maximum(np.diag(projection.covariance), 0))
-    effect = effect_of({name: parameters[name] for name in projection.names}, step, errors, delays)
-    if effect:
-        yield assumption_warning("equation_error", inputs, between, others, effect)
-
-
 def _result(
     name: str,
     data: Regressors,
     projection: Projection,
     bias: Mapping[str, float],
     parameters: Mapping[str, Parameter],
-    warnings: Iterable[str],
     inputs: Mapping[str, str],
 ) -> EquationErrorEstimate:
     unknown = [n for n, p in parameters.items() if not p.fixed]
@@ -440,7 +381,7 @@ def _result(
         states=tuple(str(state) for state in data.equations.states),
         cutoffs={n: c / (2 * math.pi) for n, c in data.cutoffs.items()},
         parameters=dict(parameters),
-        warnings=(*warnings, *_warnings(used, projection, bias, errors)),
+        warnings=tuple(_warnings(used, projection, bias, errors)),
         inputs=inputs,
     )
 

@@ -13,17 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.files.arrays import Array
+from greybox.statistics.residual_autocorrelation import autocovariance
 
 # Singular value of the matrix with unit columns below which a combination is not determined: the
 # root of the rounding, at which the normal equations lose it.
 UNDETERMINED = 1e-7
 PART = 1e-3  # share in such a combination from which a column belongs to it: above rounding divided by UNDETERMINED
-# Parzen window, in correlation lengths of the residuals: it passes half at 0.36 of its width,
-# nearly three of them.
-WIDTH = 8.0
-# Residuals for each lag of the correlation length: with a fifth as many lags, every lag averages
-# over most residuals.
-RESIDUALS_PER_LAG = 5
 ROUNDING = 1e-24  # of the power of a target: residuals smaller than this are rounding
 
 
@@ -149,25 +144,15 @@ def _triangle(blocks: Sequence[Block], weights: Array) -> Array:
 def _autocovariance(errors: Sequence[Array]) -> Autocovariance:
     """Estimate the autocovariance over several stretches, in a window of several correlation lengths."""
     total = sum(e.size for e in errors)
-    longest = max(2, min(total // RESIDUALS_PER_LAG, max(e.size for e in errors) - 1))
-    raw = np.sum([_products(e, longest) for e in errors], axis=0) / total
+    # With a fifth as many lags as residuals, every lag averages over most of them.
+    longest = max(2, min(total // 5, max(e.size for e in errors) - 1))
+    raw = autocovariance(list(errors), longest - 1)
     if raw[0] <= 0:
         return Autocovariance(np.zeros(1), float(total))
     noise = 2 * longest / total  # what the squared autocorrelations of white residuals add up to
     length = max(1.0, float(2 * np.sum((raw / raw[0]) ** 2) - 1 - noise))
-    width = int(min(max(math.ceil(WIDTH * length), 2), longest))
-    return Autocovariance(raw[:width] * _parzen(width), total / length)
-
-
-def _products(error: Array, lags: int) -> Array:
-    size = 1 << (2 * error.size - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(error, size)) ** 2
-    return np.pad(
-        np.fft.irfft(spectrum, size)[: min(lags, error.size)], (0, max(lags - error.size, 0))
-    )
-
-
-def _parzen(width: int) -> Array:
-    """Return the one-sided Parzen lag window, (width,)."""
+    # Parzen's window passes half at 0.36 of its width: nearly three correlation lengths.
+    width = int(min(max(math.ceil(8 * length), 2), longest))
     k = np.arange(width) / width
-    return np.where(k <= 0.5, 1 - 6 * k**2 + 6 * k**3, 2 * (1 - k) ** 3)
+    window = np.where(k <= 0.5, 1 - 6 * k**2 + 6 * k**3, 2 * (1 - k) ** 3)
+    return Autocovariance(raw[:width] * window, total / length)

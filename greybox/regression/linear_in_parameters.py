@@ -1,6 +1,6 @@
 """Which equations of a model become regressions: how each state is known, which parameters enter linearly."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -100,7 +100,6 @@ def regressions(
     signals: Iterable[str],
     fixed: Mapping[str, float],
     start: np.ndarray,
-    biases: Sequence[str] = (),
 ) -> Equations:
     """Find out which states are known, and which equations then contain only known signals and parameters.
 
@@ -113,10 +112,8 @@ def regressions(
     start : (number of free parameters,) array
         Values at which simulated states must be stable, so that they forget their unknown initial
         values.
-    biases : sequence of str
-        Signals with a constant error, the parameter ``<signal>_bias`` after those of the model.
     """
-    return _Analysis(model, set(signals), fixed, start, biases).result()
+    return _Analysis(model, set(signals), fixed, start).result()
 
 
 class _Analysis:
@@ -128,17 +125,14 @@ class _Analysis:
         signals: set[str],
         fixed: Mapping[str, float],
         start: np.ndarray,
-        biases: Sequence[str],
     ) -> None:
         self.model = model
         self.signals = signals
         self.start = start
         self.x = ca.SX.sym("x", len(model.states))
         self.u = ca.SX.sym("u", len(model.inputs))
-        names = (*model.parameters, *(f"{name}_bias" for name in biases))
-        self.free = tuple(name for name in names if name not in fixed)
+        self.free = tuple(name for name in model.parameters if name not in fixed)
         self.p = ca.SX.sym("p", len(self.free))
-        self.biases = {n: ca.SX(fixed.get(f"{n}_bias", self._symbol(f"{n}_bias"))) for n in biases}
         p = ca.vertcat(
             *[fixed.get(name, self._symbol(name)) for name in model.parameters], ca.SX(0, 1)
         )
@@ -157,7 +151,6 @@ class _Analysis:
         self._know_measured_states()
         self._know_simulated_states()
         identities = self._identities()
-        self._correct_biases()
 
         candidates = list(self._candidates(identities))
         equations = tuple(equation for _, equation in candidates)
@@ -290,28 +283,6 @@ class _Analysis:
         sources = {state.source for state in self.states.values() if state.how == "signal"}
         rows = zip(self.model.outputs, ca.vertsplit(self.h), strict=True)
         return {name for name, row in rows if name in sources and not self._own_parameters(row)}
-
-    def _correct_biases(self) -> None:
-        """Put what is true in the place of what is measured with a bias: measured signals are x, u and outputs."""
-        if not self.biases:
-            return
-        true = ca.SX(self.x)
-        for state in self.states.values():
-            i = self.model.states.index(state.name)
-            bias = self.biases.get(state.source, ca.SX(0)) if state.how == "signal" else ca.SX(0)
-            if (
-                state.value is not None
-            ):  # affine in its source, so that what that is does not matter
-                true[i] += state.value(true, -bias) - state.value(self.x, 0)
-            else:
-                true[i] -= bias
-        u = self.u - ca.vertcat(
-            ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.inputs]
-        )
-        errors = ca.vertcat(
-            ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.outputs]
-        )
-        self.f, self.h = ca.substitute([self.f, self.h + errors], [self.x, self.u], [true, u])
 
     def _candidates(self, identities: set[str]) -> Iterable[tuple[ca.SX, Equation]]:
         """Yield the right side and the description of every equation that can be used."""

@@ -102,42 +102,6 @@ def test_an_unstable_state_is_not_simulated():
     )
 
 
-@pytest.mark.parametrize("fixed", [{"T": 0.0}, {"T": 0.0, "current_bias": 0.4}])
-def test_biases_are_taken_off_wherever_what_is_measured_stands(fixed):
-    """Of an angle from degrees, a current and a voltage that are measured themselves, and an output of the state."""
-
-    class Measured(Motor):
-        outputs = ("degrees", "heat")
-
-        def output(self, x, u, p):
-            return (-180 / np.pi * x.angle + 4, p.R * x.current**2 + x.angle)
-
-    model, biased = Measured(), ("degrees", "current", "u", "heat")
-    names = [*model.parameters, *(f"{name}_bias" for name in biased)]
-    values = {"k": 2.0, "c": 0.5, "R": 3.0, "L": 0.5, "T": 0.0, **dict.fromkeys(names[5:], 0.0)}
-    values |= {"degrees_bias": 3.0, "current_bias": 0.4, "u_bias": -0.7, "heat_bias": 0.2}
-    free = [name for name in names if name not in fixed]
-    start = np.array([values[name] for name in free])
-    found = regressions(dynamics(model), ["u", "degrees", "current", "heat"], fixed, start, biased)
-    assert found.free == tuple(free)
-    assert [e.left for e in found.equations] == ["rate'", "current'", "heat"]
-    assert "heat_bias" in found.linear
-    assert ("current_bias" in found.free) == ("current_bias" not in fixed)
-
-    true = np.array([0.3, 1.2, 0.8])
-    measured = true + np.array(
-        [-np.radians(3.0), 0.0, 0.4]
-    )  # the angle as it follows from the degrees
-    base, slopes = (np.asarray(v) for v in found.rows(measured, [4.0 - 0.7], start))
-    rows = base.ravel() + slopes @ [values[name] for name in found.linear]
-    p = [values[name] for name in model.parameters]
-    derivative = np.asarray(dynamics(model).derivative(true, [4.0], p)).ravel()
-    heat = float(dynamics(model).output(true, [4.0], p)[1])
-    assert_allclose(rows, [derivative[1], derivative[2], heat + 0.2])
-    rate = next(state for state in found.states if state.name == "rate")
-    assert_allclose(rate.value(measured, 0.9), 0.9)
-
-
 @pytest.mark.parametrize(
     ("term", "is_linear"),
     [
