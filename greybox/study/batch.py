@@ -1,4 +1,7 @@
-"""A batch of fits: every run is on disk soon after it is made, and a batch that was killed goes on."""
+"""A batch of fits: every run is stored soon after it is made, and a killed batch resumes.
+
+Begin with `batch`.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -28,26 +31,21 @@ from greybox.solve.time_limits import TimeLimits, is_search_over, limited
 from greybox.study.store import StoredMember, StoredRuns, add_members, locked, write_answer
 from greybox.study.study import Study, read_study
 
-DISPLAY = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}  {desc}"
-SHARE = (
-    0.99  # of a member's time that its runs take, for the display: the judgment comes after them
-)
-
-# A problem that cannot be fitted ends its own member; anything else is a mistake of the program.
+# A problem that cannot be fitted ends its own member; any other error is a bug.
 MEMBER_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RuntimeError)
 
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """One fit of a batch: a problem, and what `greybox.fit` takes besides.
+    """One fit of a batch: a problem, and the other arguments of `greybox.fit`.
 
     Parameters
     ----------
     problem : Problem or a sum of problems
     starts, seed, method, search, solver_options
-        As of `greybox.fit`.
+        As in `greybox.fit`.
     name : str
-        The problem's by default; no two members have the same.
+        By default the name of the problem. Members of a batch have different names.
     """
 
     problem: AnyProblem
@@ -59,20 +57,22 @@ class Member:
     search: str = BATCHED
 
     def __post_init__(self) -> None:
-        """Take the problem's name where none is given."""
+        """Use the name of the problem by default."""
         if not isinstance(self.problem, Problem | Sum):
             raise TypeError(
                 f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them."
             )
-        self.by  # noqa: B018  (checks what it is made of)
+        self.by  # noqa: B018  (checks the options)
         if not self.name:
             object.__setattr__(self, "name", self.problem.name)
         if self.name != printable(self.name):
-            raise ValueError(f"name is {self.name!r}: leave out what cannot be printed.")
+            raise ValueError(
+                f"name={self.name!r} has characters that cannot be printed: omit them."
+            )
 
     @property
     def by(self) -> SolverChoice:
-        """What solves it."""
+        """The choice of the solver."""
         return SolverChoice(self.method, self.search, self.solver_options)
 
 
@@ -82,7 +82,7 @@ class BatchInterrupted(KeyboardInterrupt):
     Attributes
     ----------
     study : Study
-        What was done; the same call goes on.
+        The members that were fitted; the same call resumes.
     """
 
     def __init__(self, study: Study) -> None:
@@ -90,7 +90,7 @@ class BatchInterrupted(KeyboardInterrupt):
         self.study = study
 
     def __str__(self) -> str:
-        return f"interrupted; what was done is in {self.study.folder}, and the same batch goes on from there"
+        return f"interrupted; the same batch resumes from {self.study.folder}"
 
 
 def batch(
@@ -102,29 +102,29 @@ def batch(
     start_seconds: float | None = None,
     progress: bool = True,
 ) -> Study:
-    """Fit many problems, one after the other, and keep every run in a folder.
+    """Fit many problems, one after the other, and store every run in a folder.
 
-    A batch that ended in any way, `kill -9` included, goes on when it is begun again with the same
-    members and folder: runs that are on disk are not made again, at most some two seconds of work
-    of each worker are lost, and the answer is that of a batch that was never interrupted. Members
-    that failed are tried again. A member with more starts of the same seed keeps the runs that it
-    has; new members are added to those in the folder.
+    A batch that ended in any way, `kill -9` included, resumes when it is called again with the same
+    members and folder. Stored runs are not made again, at most some two seconds of work of each
+    worker are lost, and the answer is that of a batch that was never interrupted. Members that
+    failed are tried again. A member with more starts of the same seed keeps its stored runs; new
+    members are added to the folder.
 
     Parameters
     ----------
     members : sequence of Member, Problem or sums of problems
     folder : str or Path
-        Is made where it does not exist; see `greybox.study.store` for what is in it.
+        Created if it does not exist; `greybox.study.store` describes its files.
     executor : concurrent.futures.Executor, optional
-        What makes the runs, as of `greybox.fit`.
+        Makes the runs, as in `greybox.fit`.
     seconds : float, optional
-        After which the batch ends; the member at hand and those that follow are then unfinished,
-        and the same batch goes on with them.
+        Time limit of the batch. The current member and those that follow are then unfinished, and
+        the same call resumes with them.
     start_seconds : float, optional
-        The same for the runs from each start. Those that it cuts count with what they reached, and
-        are made again when the member is fitted with a longer one.
+        Time limit of the runs from each start. A run that it cuts counts with the values that it
+        reached, and is made again when the member is fitted with a longer limit.
     progress : bool
-        A bar on a terminal for anything longer than two seconds.
+        Show a progress bar on a terminal after two seconds.
 
     Returns
     -------
@@ -134,15 +134,14 @@ def batch(
     Raises
     ------
     ValueError, TypeError
-        For bad input, in one sentence; and when a member is not the problem that the folder has
-        under its name.
+        For invalid arguments, and if the folder has another problem under the name of a member.
     OSError
-        When the folder cannot be written, or another process is at work on it. What was written
-        stays usable.
+        If the folder cannot be written, or another process writes to it. The stored runs stay
+        usable.
     RuntimeError
-        When the executor has lost its workers; the same batch goes on with another.
+        If the executor has lost its workers; the same call resumes with another executor.
     KeyboardInterrupt
-        After Ctrl-C; its attribute ``study`` is what was done.
+        After Ctrl-C; its attribute ``study`` has the results so far.
     """
     listed = [member if isinstance(member, Member) else Member(member) for member in members]
     require_distinct(listed)
@@ -163,19 +162,14 @@ def batch(
 
 
 def require_distinct(members: Sequence[Member]) -> None:
-    """Refuse a batch without members, or of two with one name.
-
-    Raises
-    ------
-    ValueError
-    """
+    """Raise ValueError if there are no members, or if two have the same name."""
     if not members:
         raise ValueError("members is empty: give at least one problem.")
     names = [member.name for member in members]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(
-                f"{counted(names.count(name), 'member')} have the name {name!r}: name them apart."
+                f"{counted(names.count(name), 'member')} have the name {name!r}: give different names."
             )
 
 
@@ -186,13 +180,13 @@ def _shown(members: Sequence[Member], progress: bool) -> Iterator["_Display"]:
         disable=None if progress else True,
         delay=2,
         leave=False,
-        bar_format=DISPLAY,
+        bar_format="{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}  {desc}",
     ) as bar:
         yield _Display(bar)
 
 
 class _Display:
-    """How far a batch is."""
+    """The progress bar of a batch."""
 
     def __init__(self, bar: Any) -> None:
         self._bar = bar
@@ -200,26 +194,23 @@ class _Display:
         self._failed = 0
 
     def begin(self, name: str) -> Callable[[int, int], None]:
-        """Return what reports the runs of a member."""
+        """Return a function that reports the runs of a member."""
 
         def report(done: int, count: int) -> None:
-            members = f"{self._done} of {self._bar.total} done{self._failures}"
-            self._bar.set_description_str(
-                f"{members}; {name}: {done} of {counted(count, 'start')}", refresh=False
-            )
-            self._bar.update(self._done + SHARE * done / count - self._bar.n)
+            failed = f", {self._failed} failed" if self._failed else ""
+            members = f"{self._done} of {self._bar.total} done{failed}"
+            runs = f"{name}: {done} of {counted(count, 'start')}"
+            self._bar.set_description_str(f"{members}; {runs}", refresh=False)
+            # The diagnostics after the runs take the remaining hundredth.
+            self._bar.update(self._done + 0.99 * done / count - self._bar.n)
 
         return report
 
     def end(self, *, failed: bool) -> None:
-        """Count a member that is done."""
+        """Count a finished member."""
         self._done += 1
         self._failed += failed
         self._bar.update(self._done - self._bar.n)
-
-    @property
-    def _failures(self) -> str:
-        return f", {self._failed} failed" if self._failed else ""
 
 
 def _fit_member(

@@ -1,9 +1,8 @@
-"""Frequency responses with their data left open: one function serves many data sets of one size, a column each.
+"""The cost of frequency responses as a function of their data, so that many data sets share one compilation.
 
-A compiled problem has its data as numbers inside. Refits of hundreds of data sets that differ in
-their numbers alone would spend most of their time on being compiled. Here frequencies, measured
-values and what is known of their errors are an input, and so are the constants of the problem,
-which an earlier fit may give with errors.
+A compiled problem contains its data as numbers, and hundreds of refits would spend most of their
+time on compilations. Here frequencies, measured values and their errors are an input, and so are
+the constants of the problem, which an earlier fit may give with errors.
 """
 
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ ROWS = ("omega", "re", "im", "coherence", "variance", "dof")
 
 
 def data_table(data: FrequencyResponse) -> Array:
-    """Return the numbers of a response, `ROWS` by points; NaN for what it does not have."""
+    """Return the numbers of a response, `ROWS` by points; NaN for missing ones."""
     rows = [
         data.omega,
         data.response.real,
@@ -40,47 +39,48 @@ def data_table(data: FrequencyResponse) -> Array:
     return np.array([np.full(len(data), np.nan) if row is None else row for row in rows])
 
 
-def given(constants: Array, counts: Array, tables: Sequence[Array]) -> Array:
-    """Return the third input of an `open_program`: the constants, how often every part counts, and its table."""
+def program_input(constants: Array, counts: Array, tables: Sequence[Array]) -> Array:
+    """Return the third input of an `open_program`: constants, the count of every part, and its table."""
     return np.concatenate([constants, counts, *(table.ravel() for table in tables)])
 
 
 def formulas_of_frequency(nlp: CompiledProblem) -> list[ca.Function] | None:
-    """Return (parameters, frequency) -> response of every part of a problem of responses; None where one has none.
+    """Return (parameters, frequency) -> response of every part of a problem of responses; None if one has none.
 
-    That is where a trim is found by Newton's method, or the response is that to a sine of finite
-    amplitude.
+    A part has none if its trim is found by Newton's method, or if the response is that to a sine of
+    finite amplitude.
     """
-    found = [
-        None
-        if part.amplitude is not None
-        else formula_at_one_frequency(part.model, part.response.omega, **response_options(part))
-        for part in nlp.problem.parts
-    ]
-    formulas = [formula for formula in found if formula is not None]
-    return formulas if len(formulas) == len(found) else None
+    formulas = []
+    for part in nlp.problem.parts:
+        formula = None
+        if part.amplitude is None:
+            options = response_options(part)
+            formula = formula_at_one_frequency(part.model, part.response.omega, **options)
+        if formula is None:
+            return None
+        formulas.append(formula)
+    return formulas
 
 
-@one_thread_at_a_time
 def open_program(
     nlp: CompiledProblem, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]
 ) -> ca.Function:
-    """Return (z, smoothing, given) -> the cost of a problem of responses as the solver has it, and what must be >= 0.
+    """Return the function (z, smoothing, data) -> cost in the solver's units, limits that must be >= 0.
 
-    Without `formulas` the frequencies that are given have no effect: they are those of the problem.
+    Without `formulas` the frequencies in the data have no effect: they are those of the problem.
 
     Parameters
     ----------
     nlp : CompiledProblem
     formulas : sequence of casadi.Function, or None
-        What `formulas_of_frequency` returns.
+        From `formulas_of_frequency`.
     sizes : sequence of int
-        How many points are given for every part.
+        Number of points of every part.
 
     Raises
     ------
     ValueError
-        Where a criterion takes data as numbers alone.
+        If a criterion accepts numbers alone.
     """
     parts = nlp.problem.parts
     small = all(f.is_a("SXFunction") for f in formulas or [nlp.responses])
@@ -95,7 +95,7 @@ def open_program(
     kind: Any = ca.SX if small else ca.MX
     z, smoothing = kind.sym("z", len(nlp.free)), kind.sym("smoothing")
     lengths = [len(nlp.constants), len(parts), *(len(ROWS) * size for size in sizes)]
-    numbers = kind.sym("given", sum(lengths))
+    numbers = kind.sym("data", sum(lengths))
     constants, counts, *tables = ca.vertsplit(numbers, np.cumsum([0, *lengths]).tolist())
     values = [*nlp.scaling.expressions(z), *ca.vertsplit(constants)]
     named = dict(zip(nlp.names, values, strict=True))
@@ -124,7 +124,7 @@ def open_program(
 
 
 class _Measured(Complex):
-    """A measured response as symbols; unlike `Complex` it has `np.abs`, which criteria take of data."""
+    """A measured response as symbols, with `np.abs`, which criteria use on data."""
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any) -> Any:
         return abs(self) if ufunc is np.absolute else NotImplemented
@@ -132,7 +132,7 @@ class _Measured(Complex):
 
 @dataclass(frozen=True, eq=False)
 class _OpenData:
-    """What criteria take of a `FrequencyResponse`, as symbols; None for what it does not have."""
+    """The fields of a `FrequencyResponse` that criteria use, as symbols; None for missing ones."""
 
     omega: Any
     response: _Measured
@@ -145,7 +145,7 @@ class _OpenData:
 
 
 def _open(data: FrequencyResponse, table: Any, size: int) -> Any:
-    """Return the rows of a table as data of the same kind as these."""
+    """Return the rows of a table as data with the same fields as these."""
     omega, re, im, coherence, variance, dof = ca.vertsplit(table, size)
     return _OpenData(
         omega,
@@ -161,27 +161,29 @@ def _cost(part: Problem, response: Complex, data: Any, smoothing: Any) -> Any:
     try:
         return criterion.cost(response, data, smoothing)
     except (TypeError, AttributeError, NotImplementedError, RuntimeError) as error:
-        said = " ".join(str(error).split())[:120].rstrip(".")
+        reason = " ".join(str(error).split())[:120].rstrip(".")
         raise ValueError(
-            f"{type(criterion).__name__} takes its data as numbers alone ({said}), and many data sets are fitted at "
-            "once as symbols: write its cost with data.response, abs and the functions of greybox."
+            f"{type(criterion).__name__} accepts numbers alone ({reason}), and many data sets are fitted at once as "
+            "symbols: write its cost with data.response, abs and the functions of greybox."
         ) from error
 
 
 @one_thread_at_a_time
 def _response(formula: ca.Function, p: Any, omega: Any) -> Complex:
     if isinstance(omega, ca.SX):
-        each = [formula(p, omega[k]) for k in range(omega.numel())]
-        return Complex(ca.vertcat(*[re for re, _ in each]), ca.vertcat(*[im for _, im in each]))
+        values = [formula(p, omega[k]) for k in range(omega.numel())]
+        return Complex(ca.vertcat(*[re for re, _ in values]), ca.vertcat(*[im for _, im in values]))
     re, im = formula.map("responses", "serial", omega.numel(), [0], [])(p, omega.T)
     return Complex(re.T, im.T)
 
 
 def _at_own_frequencies(nlp: CompiledProblem, values: Any) -> list[Complex]:
     stacked: Any = nlp.responses(values)
-    count, begin, found = stacked.numel() // 2, 0, []
+    count = stacked.numel() // 2
+    responses = []
+    begin = 0
     for part in nlp.problem.parts:
         end = begin + len(part.data)
-        found.append(Complex(stacked[begin:end], stacked[count + begin : count + end]))
+        responses.append(Complex(stacked[begin:end], stacked[count + begin : count + end]))
         begin = end
-    return found
+    return responses

@@ -27,74 +27,78 @@ Drawn = Literal["blocks", "parametric", "parts"]
 
 @dataclass(frozen=True, eq=False)
 class Stretched:
-    """One stretch of a record, without gaps: its measured and fitted outputs (k, n)."""
+    """One stretch of a record without gaps: its measured and fitted outputs (k, n)."""
 
     measured: Array
     fitted: Array
 
 
 @dataclass(frozen=True, eq=False)
-class RecordDraws:
-    """How the outputs of replicates of a problem of records are drawn.
+class DrawnRecord:
+    """The fitted outputs of one part, and the errors of its data.
 
     Attributes
     ----------
-    drawn : "blocks", "parametric" or "parts"
-    seed : int
-    stretches : tuple of tuple of Stretched
-        Of every part.
-    residuals : tuple of (k, samples) arrays
-        Of every part, of mean zero: whitened where there is a spectrum, elsewhere as large as
-        errors. Where an output is missing, NaN, the replicate draws from its others.
-    spectra : tuple of ErrorSpectrum or None
-        What gives whitened residuals their color again, of every part.
-    block : int
-        Samples of a block.
-    roots : tuple of (k, k) arrays
-        Square roots of the covariance of the errors of the outputs, of every part.
+    stretches : tuple of Stretched
+    residuals : (k, samples) array
+        Of mean zero: whitened if there is a spectrum, otherwise as large as errors. Where an output
+        is missing, NaN, a replicate draws from the others of this output.
+    spectrum : ErrorSpectrum or None
+        Gives whitened residuals their color again.
+    root : (k, k) array
+        Square root of the covariance of the errors of the outputs.
     """
 
-    drawn: Drawn
-    seed: int
-    stretches: tuple[tuple[Stretched, ...], ...]
-    residuals: tuple[Array, ...]
-    spectra: tuple[ErrorSpectrum | None, ...]
-    block: int
-    roots: tuple[Array, ...]
+    stretches: tuple[Stretched, ...]
+    residuals: Array
+    spectrum: ErrorSpectrum | None
+    root: Array
 
-    def outputs(self, number: int) -> list[list[Array]]:
-        """Return the outputs (k, n) of every stretch of every part for a replicate."""
-        random = np.random.default_rng([self.seed, number])
-        return [
-            [self._drawn(random, one, part) for one in some]
-            for part, some in enumerate(self.stretches)
-        ]
+    def outputs(self, random: np.random.Generator, block: int, *, normal: bool) -> list[Array]:
+        """Return drawn outputs (k, n) of every stretch, with normal errors or residuals in blocks."""
+        outputs = []
+        for stretch in self.stretches:
+            k, n = stretch.measured.shape
+            if normal:
+                errors = self.root @ random.standard_normal((k, n))
+            elif self.spectrum is None:
+                errors = self._drawn_residuals(random, n, block)
+            else:
+                # Of a circle twice as long, so that no sample is the neighbor of the last one.
+                errors = self.spectrum.colored(self._drawn_residuals(random, 2 * n, block))[:, :n]
+            is_measured = np.isfinite(stretch.measured)
+            outputs.append(np.where(is_measured, stretch.fitted + errors, np.nan))
+        return outputs
 
-    def _drawn(self, random: np.random.Generator, one: Stretched, part: int) -> Array:
-        k, n = one.measured.shape
-        if self.drawn == "parametric":
-            errors = self.roots[part] @ random.standard_normal((k, n))
-        elif (spectrum := self.spectra[part]) is None:
-            errors = self._residuals(random, n, part)
-        else:
-            # Of a circle twice as long, so that no sample is the neighbor of the last one.
-            errors = spectrum.colored(self._residuals(random, 2 * n, part))[:, :n]
-        return np.where(np.isfinite(one.measured), one.fitted + errors, np.nan)
-
-    def _residuals(self, random: np.random.Generator, count: int, part: int) -> Array:
-        """Draw `count` residuals of all outputs in blocks."""
-        given = self.residuals[part]
-        drawn = given[:, drawn_blocks(random, count, given.shape[1], self.block)]
-        for row, residuals in zip(drawn, given, strict=True):
+    def _drawn_residuals(self, random: np.random.Generator, count: int, block: int) -> Array:
+        """Draw `count` residuals of all outputs together."""
+        drawn = self.residuals[:, drawn_blocks(random, count, self.residuals.shape[1], block)]
+        for row, residuals in zip(drawn, self.residuals, strict=True):
             missing = np.isnan(row)
             row[missing] = random.choice(residuals[np.isfinite(residuals)], int(missing.sum()))
         return drawn
 
+
+@dataclass(frozen=True, eq=False)
+class RecordDraws:
+    """How the outputs of replicates of a problem of records are drawn: `block` samples at a time."""
+
+    drawn: Drawn
+    seed: int
+    records: tuple[DrawnRecord, ...]
+    block: int
+
+    def outputs(self, number: int) -> list[list[Array]]:
+        """Return the outputs (k, n) of every stretch of every part for a replicate."""
+        random = np.random.default_rng([self.seed, number])
+        normal = self.drawn == "parametric"
+        return [record.outputs(random, self.block, normal=normal) for record in self.records]
+
     def counts(self, number: int) -> Array:
         """Return how often every part is in a replicate of whole parts."""
         random = np.random.default_rng([self.seed, number])
-        many = len(self.stretches)
-        return np.bincount(random.integers(0, many, many), minlength=many).astype(float)
+        count = len(self.records)
+        return np.bincount(random.integers(0, count, count), minlength=count).astype(float)
 
 
 def record_draws(
@@ -105,19 +109,19 @@ def record_draws(
     seed: int,
     block: int,
 ) -> RecordDraws:
-    """Return how replicates are drawn of a problem of records, along its best `trajectories`.
+    """Return how replicates of a problem of records are drawn, along its best `trajectories`.
 
-    Residuals are whitened by the `spectra` of the errors, one for every part; where there is none,
+    Residuals are whitened by the `spectra` of the errors, one for every part. Without a spectrum
     they are enlarged for the parameters and initial states that were fitted.
 
     Raises
     ------
     ValueError
-        Where the residuals correct the states, for a block that is longer than the records, and for
-        data that are fitted exactly.
+        If the residuals correct the states, if a block is longer than the records, or if the data
+        are fitted exactly.
     """
-    stretches, drawn_from, colors, roots = [], [], [], []
     share = len(nlp.free) / len(nlp.parts)
+    records = []
     for part, trajectory, spectrum in zip(nlp.parts, trajectories, spectra, strict=True):
         assert isinstance(part, RecordPart)
         if part.gains and drawn != "parts":
@@ -125,40 +129,41 @@ def record_draws(
                 f"the residuals of {part.name!r} correct its states, so that they cannot be drawn and added: use "
                 "OutputError, or resampling='parts' of several records."
             )
-        left = max(
-            1 - (share + part.unknown_initial_states) / max(part.numbers, 1),
-            1 / max(part.numbers, 1),
-        )
-        larger = 1 / math.sqrt(left)
-        fitted = part.data.unpadded(part.simulated_outputs(trajectory))
-        own = [
-            Stretched(one.outputs, values)
-            for one, values in zip(part.data.stretches, fitted, strict=True)
-        ]
-        stretches.append(tuple(own))
-        each = [one.measured - one.fitted for one in own]
-        residuals = _centered(each)
-        if not np.nan_to_num(residuals).any(axis=1).all():
-            raise ValueError(
-                f"{part.name!r} is fitted exactly, so that the size of its errors is not known."
-            )
-        if spectrum is None:
-            drawn_from.append(larger * residuals)
-            colors.append(None)
-        else:
-            drawn_from.append(_centered([spectrum.whitened(values) for values in each]))
-            colors.append(spectrum.of_draws(drawn_from[-1]))
-        longest = max(one.measured.shape[1] for one in own)
+        record = _drawn_record(part, trajectory, spectrum, share)
+        longest = max(stretch.measured.shape[1] for stretch in record.stretches)
         if not 1 <= block <= longest:
             raise ValueError(
-                f"block is {block}: give a number of samples from 1 to {longest}, those of the record."
+                f"block={block} must be a number of samples from 1 to {longest}, those of the record."
             )
-        given = part.covariance.known is not None
-        covariance = part.covariance.covariance(trajectory.products) * (1.0 if given else larger**2)
-        roots.append(np.linalg.cholesky(covariance))
-    return RecordDraws(
-        drawn, seed, tuple(stretches), tuple(drawn_from), tuple(colors), block, tuple(roots)
+        records.append(record)
+    return RecordDraws(drawn, seed, tuple(records), block)
+
+
+def _drawn_record(
+    part: RecordPart, trajectory: Trajectory, spectrum: ErrorSpectrum | None, parameters: float
+) -> DrawnRecord:
+    """Return the errors of a part from whose residuals this number of `parameters` was fitted."""
+    fitted = part.data.unpadded(part.simulated_outputs(trajectory))
+    stretches = tuple(
+        Stretched(stretch.outputs, values)
+        for stretch, values in zip(part.data.stretches, fitted, strict=True)
     )
+    differences = [stretch.measured - stretch.fitted for stretch in stretches]
+    residuals = _centered(differences)
+    if not np.nan_to_num(residuals).any(axis=1).all():
+        raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
+
+    numbers = max(part.numbers, 1)
+    dof = max(numbers - parameters - part.unknown_initial_states, 1)
+    if spectrum is None:
+        residuals = math.sqrt(numbers / dof) * residuals
+    else:
+        residuals = _centered([spectrum.whitened(values) for values in differences])
+        spectrum = spectrum.of_draws(residuals)
+    covariance = part.covariance.covariance(trajectory.products)
+    if part.covariance.known is None:
+        covariance = covariance * numbers / dof
+    return DrawnRecord(stretches, residuals, spectrum, np.linalg.cholesky(covariance))
 
 
 def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int) -> IntArray:
@@ -168,14 +173,14 @@ def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int
 
 
 def _centered(stretches: Sequence[Array]) -> Array:
-    """Return the values (k, n) of stretches side by side, less their means."""
+    """Return the values (k, n) of stretches side by side, minus their means."""
     values = np.hstack(stretches)
     counts = np.isfinite(values).sum(axis=1, keepdims=True)
     return values - np.nansum(values, axis=1, keepdims=True) / np.maximum(counts, 1)
 
 
 class RecordReplicates(Runner):
-    """Gauss-Newton steps from the estimate for records with other outputs, or for some of the records.
+    """Gauss-Newton steps from the estimate, for records with drawn outputs or for drawn records.
 
     Parameters
     ----------
@@ -184,17 +189,18 @@ class RecordReplicates(Runner):
     start : (p,) array
         The estimate.
     nodes : tuple of (s, n) arrays
-        Its states at the beginning of every segment, of every part.
+        Its states at the beginning of every segment, for every part.
     """
 
     def __init__(
         self, nlp: CompiledProblem, draws: RecordDraws, start: Array, nodes: tuple[Array, ...]
     ) -> None:
-        """Keep them."""
-        self._nlp, self._draws, self._start, self._nodes = nlp, draws, start, nodes
+        self._nlp = nlp
+        self._draws = draws
+        self._start = start
+        self._nodes = nodes
 
     def __reduce__(self) -> tuple[Callable[..., "RecordReplicates"], tuple[Any, ...]]:
-        """Return what builds the same."""
         return RecordReplicates, (self._nlp, self._draws, self._start, self._nodes)
 
     def constants_of(self, number: int) -> Array:
@@ -207,25 +213,27 @@ class RecordReplicates(Runner):
         number = int(start[0])
         if self._draws.drawn == "parts":
             counts = self._draws.counts(number)
-            kept = np.flatnonzero(counts).tolist()
-            parts = [self._part(k).with_weight(float(counts[k])) for k in kept]
-            nodes = tuple(self._nodes[k] for k in kept)
+            drawn = np.flatnonzero(counts).tolist()
+            parts = [self._part(k).with_weight(float(counts[k])) for k in drawn]
+            nodes = tuple(self._nodes[k] for k in drawn)
         else:
             outputs = self._draws.outputs(number)
             parts = [self._part(k).with_outputs(values) for k, values in enumerate(outputs)]
             nodes = self._nodes
+
         nlp = copy(self._nlp)
         object.__setattr__(nlp, "parts", tuple(parts))
         solver = GaussNewton(nlp)
-        near = solver.run_simulated(self._start, nodes, self._nlp.strategies.max_iterations)
-        found = near if near is not None and near.converged else solver.run(self._start)
+        outcome = solver.run_simulated(self._start, nodes, self._nlp.strategies.max_iterations)
+        if outcome is None or not outcome.converged:
+            outcome = solver.run(self._start)
         return Outcome(
-            found.estimate,
-            found.status,
-            found.iterations,
+            outcome.estimate,
+            outcome.status,
+            outcome.iterations,
             time.perf_counter() - began,
-            converged=found.converged,
-            cost=found.cost,
+            converged=outcome.converged,
+            cost=outcome.cost,
         )
 
     def _part(self, k: int) -> RecordPart:

@@ -24,20 +24,89 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import IMPROVED, Outcome
-from greybox.study.open_data import data_table, formulas_of_frequency, given, open_program
+from greybox.study.open_data import data_table, formulas_of_frequency, open_program, program_input
 
 Drawn = Literal["residuals", "points", "parametric", "parts"]
 
-# Of the variance of a residual, what is taken to be left of that of its error at least: a fit that
-# all but passes through a point says nothing of the error there, and must not make it infinite.
+# Share of the variance of an error that is left in its residual, at least: a fit that nearly passes
+# through a point shows nothing of the error there, and must not make it infinite.
 LEAST_LEFT = 0.1
-UNSEEN = 1e-7  # of the largest singular value of the sensitivities, below which a direction takes nothing from residuals
 
-FEW = (
-    "too few distinct points"  # status of a replicate whose points cannot determine the parameters
-)
+# Status of a replicate whose points cannot determine the parameters.
+FEW = "too few distinct points"
 
 OMEGA, RE, IM = 0, 1, 2  # rows of a table
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPart:
+    """The fitted response of one part, and the errors of its data.
+
+    Attributes
+    ----------
+    table : (rows, n) array
+        The measured data, see `greybox.study.open_data`.
+    response : (n,) complex array
+        The fitted response.
+    size : (n,) array
+        To which the errors are proportional.
+    errors : (n,) complex array
+        Residuals over `size`, each enlarged to the size of an error.
+    deviation : float
+        Standard deviation of one component of an error over `size`.
+    dof : (n,) array or None
+        Degrees of freedom of `size` where it was estimated.
+    common : (m, n) complex array or None
+        Errors that all points have in common; `size` and `errors` do not contain them.
+    neighbors : (float, float) or None
+        If the errors are correlated along frequency: the correlation of neighbors, and the variance
+        over that of `deviation`.
+    """
+
+    table: Array
+    response: ComplexArray
+    size: Array
+    errors: ComplexArray
+    deviation: float
+    dof: Array | None = None
+    common: ComplexArray | None = None
+    neighbors: tuple[float, float] | None = None
+
+    def drawn_table(self, random: np.random.Generator, *, from_residuals: bool) -> Array:
+        """Return the table with the fitted response and errors that are drawn."""
+        draw = self._drawn_residuals if from_residuals else self._normal_errors
+        measured = self.response + self.size * draw(random)
+        if self.common is not None:
+            measured = measured + random.standard_normal(len(self.common)) @ self.common
+        table = self.table.copy()
+        table[RE] = measured.real
+        table[IM] = measured.imag
+        return table
+
+    def _drawn_residuals(self, random: np.random.Generator) -> ComplexArray:
+        """Return errors with the magnitudes of the residuals, at any angle."""
+        count = len(self.response)
+        turn = np.exp(2j * math.pi * random.random(count))
+        return self.errors[random.integers(0, count, count)] * turn
+
+    def _normal_errors(self, random: np.random.Generator) -> ComplexArray:
+        count = len(self.response)
+        normal = random.standard_normal(count) + 1j * random.standard_normal(count)
+        if self.neighbors is not None:
+            normal = self._correlated(normal, *self.neighbors)
+        if self.dof is not None:
+            normal = normal / np.sqrt(random.chisquare(self.dof) / self.dof)
+        return self.deviation * normal
+
+    def _correlated(self, normal: ComplexArray, correlation: float, scale: float) -> ComplexArray:
+        """Return errors that are correlated from neighbor to neighbor, along and across the response."""
+        from scipy.signal import lfilter  # noqa: PLC0415 - takes a third of a second to import
+
+        order = np.argsort(self.table[OMEGA], kind="stable")
+        normal = math.sqrt(scale) * normal[order]
+        normal[1:] *= math.sqrt(1 - correlation**2)
+        normal = lfilter([1.0], [1.0, -correlation], normal)
+        return normal[np.argsort(order)] * np.exp(1j * np.angle(self.response))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,76 +117,43 @@ class ResponseDraws:
     ----------
     drawn : "residuals", "points", "parametric" or "parts"
     seed : int
-    tables : tuple of (rows, n) arrays
-        The measured data of every part, see `greybox.study.open_data`.
-    responses : tuple of (n,) complex arrays
-        The fitted ones.
-    sizes : tuple of (n,) arrays
-        What the errors are in proportion to.
-    errors : tuple of (n,) complex arrays
-        Residuals over these, each as large as the error that it stands for.
-    deviations : tuple of float
-        Standard deviation of one component of the errors over their sizes, of every part.
-    dofs : tuple of (n,) arrays or None
-        Degrees of freedom of the sizes, where these were estimated.
-    common : tuple of (m, n) complex arrays or None
-        Errors that all points of a part have in common, which `sizes` and `errors` do not contain.
+    parts : tuple of DrawnPart
     constants : (c,) array
-        The constants of the problem.
+        Constants of the problem.
     root : (c, r) array
         A square root of their covariance.
     unknowns : int
-        How many parameters are free.
-    neighbors : tuple of (float, float) or None
-        Of every part whose errors are correlated along frequency, the correlation of neighbors, and
-        how many times larger the variances are than `deviations` say.
+        Number of free parameters.
     """
 
     drawn: Drawn
     seed: int
-    tables: tuple[Array, ...]
-    responses: tuple[ComplexArray, ...]
-    sizes: tuple[Array, ...]
-    errors: tuple[ComplexArray, ...]
-    deviations: tuple[float, ...]
-    dofs: tuple[Array | None, ...]
-    common: tuple[ComplexArray | None, ...]
+    parts: tuple[DrawnPart, ...]
     constants: Array
     root: Array
     unknowns: int
-    neighbors: tuple[tuple[float, float] | None, ...] = ()
 
     def replicate(self, number: int) -> Array | None:
-        """Return what is given for a replicate, (g,); None where its points are too few."""
+        """Return the data of a replicate as input (g,) of the program; None if its points are too few."""
         random = np.random.default_rng([self.seed, number])
         constants = self._constants(random)
-        counts = np.ones(len(self.tables))
+        counts = np.ones(len(self.parts))
+        tables = [part.table for part in self.parts]
         if self.drawn == "points":
-            places = [random.integers(0, table.shape[1], table.shape[1]) for table in self.tables]
-            if 2 * sum(np.unique(place).size for place in places) <= self.unknowns:
+            places = [random.integers(0, table.shape[1], table.shape[1]) for table in tables]
+            distinct = sum(np.unique(place).size for place in places)
+            if 2 * distinct <= self.unknowns:
                 return None
-            return given(
-                constants,
-                counts,
-                [t[:, place] for t, place in zip(self.tables, places, strict=True)],
-            )
-        if self.drawn == "parts":
-            chosen = random.integers(0, len(self.tables), len(self.tables))
-            return given(
-                constants,
-                np.bincount(chosen, minlength=len(self.tables)).astype(float),
-                self.tables,
-            )
-        tables = []
-        for k, table in enumerate(self.tables):
-            measured = self.responses[k] + self.sizes[k] * self._errors(random, k)
-            common = self.common[k]
-            if common is not None:
-                measured = measured + random.standard_normal(len(common)) @ common
-            drawn = table.copy()
-            drawn[RE], drawn[IM] = measured.real, measured.imag
-            tables.append(drawn)
-        return given(constants, counts, tables)
+            tables = [table[:, place] for table, place in zip(tables, places, strict=True)]
+        elif self.drawn == "parts":
+            chosen = random.integers(0, len(tables), len(tables))
+            counts = np.bincount(chosen, minlength=len(tables)).astype(float)
+        else:
+            from_residuals = self.drawn == "residuals"
+            tables = [
+                part.drawn_table(random, from_residuals=from_residuals) for part in self.parts
+            ]
+        return program_input(constants, counts, tables)
 
     def constants_of(self, number: int) -> Array:
         """Return the constants (c,) of a replicate."""
@@ -125,28 +161,6 @@ class ResponseDraws:
 
     def _constants(self, random: np.random.Generator) -> Array:
         return self.constants + self.root @ random.standard_normal(self.root.shape[1])
-
-    def _errors(self, random: np.random.Generator, k: int) -> ComplexArray:
-        """Return errors of part k over their sizes: with the residuals' magnitudes, or normal ones, at any angle."""
-        count = self.tables[k].shape[1]
-        if self.drawn == "residuals":
-            turn = np.exp(2j * math.pi * random.random(count))
-            return self.errors[k][random.integers(0, count, count)] * turn
-        normal = random.standard_normal(count) + 1j * random.standard_normal(count)
-        if self.neighbors and (known := self.neighbors[k]) is not None:
-            from scipy.signal import lfilter  # noqa: PLC0415 - takes a third of a second to import
-
-            correlation, scale = known
-            order = np.argsort(self.tables[k][OMEGA], kind="stable")
-            normal = math.sqrt(scale) * normal[order]
-            normal[1:] *= math.sqrt(1 - correlation**2)
-            normal = lfilter([1.0], [1.0, -correlation], normal)
-            # As the residuals are compared: along and across the response.
-            normal = normal[np.argsort(order)] * np.exp(1j * np.angle(self.responses[k]))
-        dof = self.dofs[k]
-        if dof is not None:
-            normal = normal / np.sqrt(random.chisquare(dof) / dof)
-        return self.deviations[k] * normal
 
 
 def response_draws(
@@ -160,113 +174,108 @@ def response_draws(
 ) -> ResponseDraws:
     """Return how replicates of a problem of responses are drawn, at the estimate x (p,).
 
-    Residuals are as large as the errors that they stand for once each is divided by the root of one
-    less its leverage, the mean of both components. Source: Davison and Hinkley (1997), Bootstrap
-    Methods and their Application, section
-    6.2.2.
+    A residual is enlarged to the size of its error by one over the root of one minus its leverage,
+    the mean of both components. Source: Davison and Hinkley (1997), Bootstrap Methods and their
+    Application, section 6.2.2.
 
     Parameters
     ----------
     nlp : CompiledProblem
     x : (p,) array
     at_bound : (p,) array of bool
-        Parameters that a bound holds.
+        Parameters that are held by a bound.
     covariance : (c, c) array
-        Of the constants.
-    drawn, seed, neighbors
-        As of `ResponseDraws`.
+        Covariance of the constants.
+    drawn, seed
+        See `ResponseDraws`.
+    neighbors
+        For every part, see `DrawnPart`.
 
     Raises
     ------
     ValueError
-        For data that are fitted exactly.
+        If the data are fitted exactly.
     """
     values = nlp.all_values(x)
     parts = [part for part in nlp.parts if isinstance(part, ResponsePart)]
-    responses = [part.response(values) for part in parts]
-    sizes = [
-        part.criterion.error_size(r, part.data) for part, r in zip(parts, responses, strict=True)
-    ]
-    sizes = [
-        size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
-        if part.criterion.known_noise
-        else size
-        for part, size in zip(parts, sizes, strict=True)
-    ]
-    errors = [
-        (part.data.response - r) / size
-        for part, r, size in zip(parts, responses, sizes, strict=True)
-    ]
-    spreads = [math.sqrt(float(np.mean(np.abs(error) ** 2))) for error in errors]
-    for part, spread in zip(parts, spreads, strict=True):
-        if not spread > math.sqrt(np.finfo(float).eps):
-            raise ValueError(
-                f"{part.name!r} is fitted exactly, so that the size of its errors is not known."
-            )
+    fitted = [_fitted(part, values) for part in parts]
     slopes = [
-        part.sensitivity(values)[:, : len(x)][:, ~at_bound] / (size * spread)[:, None]
-        for part, size, spread in zip(parts, sizes, spreads, strict=True)
+        part.sensitivity(values)[:, : len(x)][:, ~at_bound]
+        / (points.size * points.deviation)[:, None]
+        for part, points in zip(parts, fitted, strict=True)
     ]
     leverages = _leverages(slopes, nlp.scaling.slope(x)[~at_bound])
-    errors = [
-        e / np.sqrt(np.maximum(1 - h, LEAST_LEFT)) for e, h in zip(errors, leverages, strict=True)
-    ]
-    deviations = []
-    for k, part in enumerate(parts):
-        square = float(np.mean(np.abs(errors[k]) ** 2))
-        if part.criterion.known_noise and square < 1:  # what was given is believed
-            errors[k], square = errors[k] / math.sqrt(square), 1.0
-        deviations.append(math.sqrt(square / 2))
-    found, vectors = np.linalg.eigh(covariance)
+    pairs = neighbors or [None] * len(parts)
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
     return ResponseDraws(
         drawn=drawn,
         seed=seed,
-        tables=tuple(data_table(part.data) for part in parts),
-        responses=tuple(responses),
-        sizes=tuple(sizes),
-        errors=tuple(errors),
-        deviations=tuple(deviations),
-        dofs=tuple(part.data.dof if part.criterion.known_noise else None for part in parts),
-        common=tuple(part.data.common_errors for part in parts),
+        parts=tuple(
+            replace(_enlarged(points, leverage, part.criterion.known_noise), neighbors=pair)
+            for part, points, leverage, pair in zip(parts, fitted, leverages, pairs, strict=True)
+        ),
         constants=nlp.constant_values,
-        root=(vectors * np.sqrt(np.maximum(found, 0.0)))[:, found > 0],
+        root=root,
         unknowns=len(x),
-        neighbors=tuple(neighbors),
     )
 
 
+def _fitted(part: ResponsePart, values: Array) -> DrawnPart:
+    """Return the fitted response of a part with its residuals as they are; the deviation is that of both components."""
+    response = part.response(values)
+    size = part.criterion.error_size(response, part.data)
+    if part.criterion.known_noise:
+        size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
+    residuals = (part.data.response - response) / size
+    spread = math.sqrt(float(np.mean(np.abs(residuals) ** 2)))
+    if not spread > math.sqrt(np.finfo(float).eps):
+        raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
+    dof = part.data.dof if part.criterion.known_noise else None
+    return DrawnPart(
+        data_table(part.data), response, size, residuals, spread, dof, part.data.common_errors
+    )
+
+
+def _enlarged(points: DrawnPart, leverage: Array, known_noise: bool) -> DrawnPart:
+    """Return the residuals as large as errors, and the deviation of one component of these."""
+    errors = points.errors / np.sqrt(np.maximum(1 - leverage, LEAST_LEFT))
+    square = float(np.mean(np.abs(errors) ** 2))
+    if known_noise and square < 1:  # given variances are believed
+        errors = errors / math.sqrt(square)
+        square = 1.0
+    return replace(points, errors=errors, deviation=math.sqrt(square / 2))
+
+
 def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
-    """Return the leverage (n,) of the points of every part, from the derivatives (n, p) of their errors."""
-    stacked = np.vstack([np.vstack([slope.real, slope.imag]) for slope in slopes]) / scale
-    left, singular, _ = np.linalg.svd(stacked, full_matrices=False)
-    seen = left[:, singular > UNSEEN * singular.max(initial=0.0)]
-    each = (seen**2).sum(axis=1)
-    found, begin = [], 0
-    for slope in slopes:
-        found.append(each[begin : begin + 2 * len(slope)].reshape(2, -1).mean(axis=0))
-        begin += 2 * len(slope)
-    return found
+    """Return the leverages (n,) of the points of every part, from the derivatives (n, p) of their errors."""
+    rows = [np.vstack([slope.real, slope.imag]) for slope in slopes]
+    left, singular, _ = np.linalg.svd(np.vstack(rows) / scale, full_matrices=False)
+    # Below this singular value a direction takes nothing from the residuals.
+    seen = left[:, singular > 1e-7 * singular.max(initial=0.0)]
+    leverage = (seen**2).sum(axis=1)
+    ends = np.cumsum([len(row) for row in rows])[:-1]
+    return [part.reshape(2, -1).mean(axis=0) for part in np.split(leverage, ends)]
 
 
 def response_replicates(
     nlp: CompiledProblem, draws: ResponseDraws, x: Array
 ) -> "ResponseReplicates":
-    """Return what makes the refits of a problem of responses, with its costs compiled for data that are given.
+    """Return the refits of a problem of responses, with its cost compiled for data as an input.
 
     Raises
     ------
     ValueError
-        Where a criterion takes data as numbers alone, or points are drawn of a response that is
-        known at the measured frequencies alone.
+        If a criterion accepts numbers alone, or if points are drawn of a response that is compiled
+        at the measured frequencies alone.
     """
     formulas = formulas_of_frequency(nlp)
-    sizes = [table.shape[1] for table in draws.tables]
     if formulas is None and draws.drawn == "points":
         raise ValueError(
             f"the response of {nlp.problem.name!r} is compiled at its own frequencies alone (sines of finite "
             "amplitude, or a trim by Newton's method), so that no points can be drawn: use resampling='residuals'."
         )
-    program = open_program(nlp, formulas, sizes)
+    program = open_program(nlp, formulas, [part.table.shape[1] for part in draws.parts])
     return ResponseReplicates(
         draws, program, nlp.scaling.to_solver(x), nlp.lower, nlp.upper, nlp.scaling
     )

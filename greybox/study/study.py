@@ -1,4 +1,7 @@
-"""What a study has found so far: its members, each with its answer or why there is none, and one table of them."""
+"""The results of a study so far: its members, each with its answer or the reason for having none.
+
+Begin with `read_study`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,9 +29,9 @@ class StudyMember:
     error : str
         Why it failed.
     runs : int
-        How many are on disk, or those of the answer.
+        Number of runs on disk, or of the answer.
     answer : mapping
-        The numbers of the fit as ``greybox fit --json`` gives them; empty where there are none.
+        The numbers of the fit, as ``greybox fit --json`` prints them; empty without an answer.
     """
 
     name: str
@@ -45,7 +48,7 @@ class StudyMember:
         Raises
         ------
         FileNotFoundError
-            If the member has none yet.
+            If the member has no fit yet.
         """
         from greybox.estimate.storage import load  # noqa: PLC0415  (few look at more than the numbers)
 
@@ -57,7 +60,7 @@ class StudyMember:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """All members of a study, in their order; printed, it is the table that compares them."""
+    """All members of a study, in their order; printed, it is a table that compares them."""
 
     folder: Path
     members: tuple[StudyMember, ...]
@@ -71,19 +74,16 @@ class Study:
         )
 
     def count(self, status: Status) -> int:
-        """Return how many members have this status."""
+        """Return the number of members with this status."""
         return sum(member.status == status for member in self.members)
 
     def __repr__(self) -> str:
         return one_line(self, str(self.folder), self._state())
 
     def _state(self) -> str:
-        found = [
-            f"{self.count(status)} {status}"
-            for status in ("done", "failed", "unfinished")
-            if self.count(status)
-        ]
-        return f"{counted(len(self.members), 'member')}: {', '.join(found) or 'none'}"
+        statuses: tuple[Status, ...] = ("done", "failed", "unfinished")
+        counts = [f"{self.count(status)} {status}" for status in statuses if self.count(status)]
+        return f"{counted(len(self.members), 'member')}: {', '.join(counts) or 'none'}"
 
     def __str__(self) -> str:
         blocks = [f"Study {printable(str(self.folder))}, {self._state()}", _overview(self.members)]
@@ -108,7 +108,7 @@ def read_study(folder: str | Path) -> Study:
     FileNotFoundError
         If there is no study in the folder.
     ValueError
-        If a file of it is damaged.
+        If the study is damaged.
     """
     folder = Path(folder)
     return Study(folder, tuple(_member(stored, folder) for stored in read_members(folder)))
@@ -133,7 +133,7 @@ def _member(stored: StoredMember, folder: Path) -> StudyMember:
 
 
 def _require_labels(answer: Mapping[str, Any]) -> None:
-    """Raise TypeError where a text that a report shows is none."""
+    """Raise TypeError if a label for a report is not a text."""
     texts = [answer["criterion"], answer["rule"], answer["checksum"], answer["verdict"]["grade"]]
     if not all(isinstance(text, str) for text in (*texts, *answer["model"], *answer["data"])):
         raise TypeError

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import NonlinearTilt
-from greybox.study.open_data import data_table, formulas_of_frequency, given, open_program
+from greybox.study.open_data import data_table, formulas_of_frequency, open_program, program_input
 
 OMEGA = TWO_LAGS_OMEGA[::3]
 
@@ -48,7 +48,9 @@ def test_the_cost_for_data_that_are_given_is_that_of_a_problem_with_them(criteri
     program = open_program(nlp, formulas, [len(other), len(fewer)])
     values = {"K": 4.0, "T1": 0.5, "T2": 0.2, "gain": 2.5, "T": 0.3}
     x = np.array([values[name] for name in nlp.free])
-    numbers = given(np.array([0.07]), np.array([1.0, 2.0]), [data_table(other), data_table(fewer)])
+    numbers = program_input(
+        np.array([0.07]), np.array([1.0, 2.0]), [data_table(other), data_table(fewer)]
+    )
     found = float(program(nlp.scaling.to_solver(x), 0.0, numbers)[0])
     wanted = sum(
         weight
@@ -69,7 +71,7 @@ def test_limits_come_along():
     )
     program = open_program(nlp, formulas_of_frequency(nlp), [len(OMEGA)])
     z = nlp.scaling.to_solver(np.array([4.0, 0.5, 0.1, 0.05]))
-    numbers = given(np.zeros(0), np.ones(1), [data_table(points(1))])
+    numbers = program_input(np.zeros(0), np.ones(1), [data_table(points(1))])
     cost, limits = program(z, 0.0, numbers)
     assert_allclose(limits.full().ravel(), [0.3])
     assert float(cost) == pytest.approx(nlp.cost(np.array([4.0, 0.5, 0.1, 0.05])))
@@ -88,7 +90,9 @@ def test_what_has_no_formula_of_one_frequency_stays_at_its_own():
     table = data_table(other)
     table[0] = 99.0
     found = float(
-        program(nlp.scaling.to_solver(x), 0.0, given(nlp.constant_values, np.ones(1), [table]))[0]
+        program(
+            nlp.scaling.to_solver(x), 0.0, program_input(nlp.constant_values, np.ones(1), [table])
+        )[0]
     )
     values = dict(zip(nlp.names, nlp.all_values(x), strict=True))
     assert found == pytest.approx(gb.cost(problem.with_(data=other), values), rel=1e-9)

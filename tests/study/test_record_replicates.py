@@ -35,9 +35,9 @@ def draws_of(drawn, values=VALUES, block=1):
 
 def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():
     draws = draws_of("parametric")
-    assert_allclose(draws.roots[0], [[np.std(VALUES, ddof=1)]])
-    (one,) = draws.stretches[0]
-    assert_allclose(draws.residuals[0].std(), np.std(VALUES, ddof=1))
+    assert_allclose(draws.records[0].root, [[np.std(VALUES, ddof=1)]])
+    (one,) = draws.records[0].stretches
+    assert_allclose(draws.records[0].residuals.std(), np.std(VALUES, ddof=1))
     assert_allclose(one.fitted, VALUES.mean())
 
 
@@ -69,7 +69,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
 def test_missing_samples_stay_missing_and_do_not_count():
     values = np.where(np.arange(12) % 3 == 1, np.nan, VALUES)
     draws = draws_of("residuals", values, block=2)
-    assert_allclose(np.nanstd(draws.residuals[0]), np.nanstd(values, ddof=1))
+    assert_allclose(np.nanstd(draws.records[0].residuals), np.nanstd(values, ddof=1))
     for number in range(5):
         ((drawn,),) = draws.outputs(number)
         assert np.isnan(drawn[0]).tolist() == np.isnan(values).tolist()
@@ -113,7 +113,7 @@ def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_b
 
 
 def test_a_block_is_no_longer_than_the_record():
-    with pytest.raises(ValueError, match="block is 13: give a number of samples from 1 to 12"):
+    with pytest.raises(ValueError, match="block=13 must be a number of samples from 1 to 12"):
         draws_of("residuals", block=13)
 
 
@@ -150,24 +150,26 @@ def test_errors_of_two_outputs_are_drawn_together():
     """With their covariance, enlarged for one parameter of sixty numbers."""
     draws, errors = pair_draws("parametric")
     covariance = errors @ errors.T / 30 * 60 / 59
-    assert_allclose(draws.roots[0] @ draws.roots[0].T, covariance, rtol=1e-9)
+    assert_allclose(draws.records[0].root @ draws.records[0].root.T, covariance, rtol=1e-9)
     assert_allclose(
-        draws.residuals[0],
+        draws.records[0].residuals,
         np.sqrt(60 / 59) * (errors - errors.mean(axis=1, keepdims=True)),
         rtol=1e-9,
     )
-    drawn = np.array([draws.outputs(k)[0][0] - draws.stretches[0][0].fitted for k in range(150)])
+    drawn = np.array(
+        [draws.outputs(k)[0][0] - draws.records[0].stretches[0].fitted for k in range(150)]
+    )
     found = np.einsum("rkn,rln->kl", drawn, drawn) / (150 * 30)
     assert_allclose(found, covariance, rtol=0.1)
 
 
 def test_blocks_of_residuals_are_drawn_of_both_outputs_at_once_and_what_is_missing_from_the_others():
     draws, _ = pair_draws("blocks", block=5, missing=(3, 4, 17), noise="diagonal")
-    residuals = draws.residuals[0]
+    residuals = draws.records[0].residuals
     known = residuals[0][np.isfinite(residuals[0])]
     replaced = 0
     for number in range(4):
-        drawn = draws.outputs(number)[0][0] - draws.stretches[0][0].fitted
+        drawn = draws.outputs(number)[0][0] - draws.records[0].stretches[0].fitted
         assert np.flatnonzero(np.isnan(drawn[0])).tolist() == [3, 4, 17]
         places = [int(np.argmin(np.abs(residuals[1] - value))) for value in drawn[1]]
         assert_allclose(residuals[1][places], drawn[1], atol=1e-12)

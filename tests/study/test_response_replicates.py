@@ -10,32 +10,23 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.outcome import SEARCH_OVER
 from greybox.solve.time_limits import TimeLimits, limited
-from greybox.study.response_replicates import ResponseDraws, response_draws, response_replicates
+from greybox.study.response_replicates import (
+    DrawnPart,
+    ResponseDraws,
+    response_draws,
+    response_replicates,
+)
 
 
-def draws(drawn, *, parts=1, points=3, unknowns=4):
+def draws(drawn, *, parts=1, points=3, unknowns=4, constants=(), root=(), **changes):
     """Draws of parts of so many points each, without noise; frequencies 1, 2, ... tell the points apart."""
-    tables = tuple(
-        np.array([1.0 + np.arange(points), np.ones(points), np.zeros(points)]) for _ in range(parts)
+    table = np.array([1.0 + np.arange(points), np.ones(points), np.zeros(points)])
+    part = DrawnPart(
+        table, np.ones(points, complex), np.ones(points), np.zeros(points, complex), deviation=0.0
     )
-    shape = {
-        "responses": (np.ones(points, complex),) * parts,
-        "errors": (np.zeros(points, complex),) * parts,
-    }
-    sizes, deviations, unknown = (np.ones(points),) * parts, (0.0,) * parts, (None,) * parts
-    none = {"constants": np.zeros(0), "root": np.zeros((0, 0))}
-    return ResponseDraws(
-        drawn,
-        0,
-        tables,
-        sizes=sizes,
-        deviations=deviations,
-        dofs=unknown,
-        common=unknown,
-        unknowns=unknowns,
-        **shape,
-        **none,
-    )
+    part = replace(part, **changes)
+    root = np.zeros((0, 0)) if len(root) == 0 else root
+    return ResponseDraws(drawn, 0, (part,) * parts, np.array(constants, float), root, unknowns)
 
 
 def test_points_that_are_too_few_distinct_ones_are_no_replicate():
@@ -62,15 +53,15 @@ def measured_points(found, points=3):
 @pytest.mark.parametrize("dof", [None, 12.0])
 def test_parametric_errors_are_normal_or_of_student_and_what_points_have_in_common_is_added(dof):
     """In proportion to the sizes, of one variance in both components; Student's is larger by f / (f - 2)."""
-    made = replace(
-        draws("parametric"),
-        responses=(np.array([1.0, 2j, -3.0]),),
-        sizes=(np.array([1.0, 0.5, 2.0]),),
-        deviations=(0.3,),
-        dofs=(None if dof is None else np.full(3, dof),),
-        common=(np.array([[0.4, 0.4j, 0.0]]),),
+    made = draws(
+        "parametric",
+        response=np.array([1.0, 2j, -3.0]),
+        size=np.array([1.0, 0.5, 2.0]),
+        deviation=0.3,
+        dof=None if dof is None else np.full(3, dof),
+        common=np.array([[0.4, 0.4j, 0.0]]),
     )
-    errors = measured_points([made.replicate(k) for k in range(4000)]) - made.responses[0]
+    errors = measured_points([made.replicate(k) for k in range(4000)]) - made.parts[0].response
     size = 0.3 * np.array([1.0, 0.5, 2.0]) * (1 if dof is None else np.sqrt(dof / (dof - 2)))
     assert errors.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.04)
     assert errors.real.std(axis=0) == pytest.approx(np.hypot(size, [0.4, 0, 0]), rel=0.06)
@@ -82,12 +73,8 @@ def test_parametric_errors_are_normal_or_of_student_and_what_points_have_in_comm
 
 
 def test_residuals_are_drawn_with_their_magnitudes_at_any_angle():
-    made = replace(
-        draws("residuals"),
-        errors=(np.array([0.1, 0.2j, -0.3]),),
-        sizes=(np.array([1.0, 10.0, 100.0]),),
-    )
-    errors = (measured_points([made.replicate(k) for k in range(600)]) - 1) / made.sizes[0]
+    made = draws("residuals", errors=np.array([0.1, 0.2j, -0.3]), size=np.array([1.0, 10.0, 100.0]))
+    errors = (measured_points([made.replicate(k) for k in range(600)]) - 1) / made.parts[0].size
     magnitudes, counts = np.unique(np.abs(errors).round(9), return_counts=True)
     assert magnitudes.tolist() == [0.1, 0.2, 0.3]
     assert counts == pytest.approx(np.full(3, 600), abs=100)
@@ -97,7 +84,7 @@ def test_residuals_are_drawn_with_their_magnitudes_at_any_angle():
 
 def test_constants_of_an_earlier_fit_are_drawn_with_their_covariance():
     root = np.array([[0.3], [-0.6]])
-    made = replace(draws("parametric"), constants=np.array([5.0, 7.0]), root=root)
+    made = draws("parametric", constants=[5.0, 7.0], root=root)
     found = np.array([made.constants_of(k) for k in range(2000)])
     assert found.mean(axis=0) == pytest.approx([5, 7], abs=0.05)
     assert np.cov(found.T) == pytest.approx(root @ root.T, rel=0.1)
@@ -151,19 +138,21 @@ def test_residuals_of_several_parts_have_leverages_in_one_fit():
     stacked = np.vstack([np.vstack([rows.real, rows.imag]) for rows in slopes])
     each = np.diag(stacked @ np.linalg.pinv(stacked))
     found = each[:10].reshape(2, 5).mean(axis=0), each[10:].reshape(2, 4).mean(axis=0)
-    for errors, own, h in zip(made.errors, left, found, strict=True):
-        assert_allclose(errors, own / np.sqrt(1 - h), rtol=1e-6)
+    for part, own, h in zip(made.parts, left, found, strict=True):
+        assert_allclose(part.errors, own / np.sqrt(1 - h), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("at_bound", "free"), [((False, False), [0, 1]), ((True, False), [1])])
 def test_residuals_are_enlarged_by_their_leverage(at_bound, free):
     made, model, left, slopes = lag_draws(0.05, gb.SquaredRelativeError(), at_bound=at_bound)
-    assert_allclose(made.responses[0], model)
-    assert_allclose(made.sizes[0], np.abs(model))
+    assert_allclose(made.parts[0].response, model)
+    assert_allclose(made.parts[0].size, np.abs(model))
     wanted = left * model / np.abs(model) / np.sqrt(1 - leverage(slopes[:, free], np.abs(model)))
-    assert_allclose(made.errors[0], wanted, rtol=1e-6)
-    assert made.deviations[0] == pytest.approx(np.sqrt(np.mean(np.abs(wanted) ** 2) / 2), rel=1e-6)
-    assert (made.dofs, made.common, made.unknowns) == ((None,), (None,), 2)
+    assert_allclose(made.parts[0].errors, wanted, rtol=1e-6)
+    assert made.parts[0].deviation == pytest.approx(
+        np.sqrt(np.mean(np.abs(wanted) ** 2) / 2), rel=1e-6
+    )
+    assert (made.parts[0].dof, made.parts[0].common, made.unknowns) == (None, None, 2)
 
 
 @pytest.mark.parametrize(("given", "believed"), [(1e-1, True), (1e-3, False)])
@@ -175,16 +164,16 @@ def test_given_variances_are_believed_where_residuals_are_smaller(given, believe
         0.01, gb.MaximumLikelihood(), variance=variance, dof=dof, common_errors=common
     )
     size = np.sqrt(variance * [1.0, 0.5, 0.5, 0.1, 1.0])  # a tenth of the variance is left at least
-    assert_allclose(made.sizes[0], size)
+    assert_allclose(made.parts[0].size, size)
     wanted = left * model / size / np.sqrt(1 - leverage(slopes, size))
     if believed:
         wanted /= np.sqrt(np.mean(np.abs(wanted) ** 2))
-        assert made.deviations[0] == pytest.approx(np.sqrt(0.5))
+        assert made.parts[0].deviation == pytest.approx(np.sqrt(0.5))
     else:
-        assert made.deviations[0] > 1
-    assert_allclose(made.errors[0], wanted, rtol=1e-6)
-    assert made.dofs[0].tolist() == dof.tolist()
-    assert_allclose(made.common[0], common)
+        assert made.parts[0].deviation > 1
+    assert_allclose(made.parts[0].errors, wanted, rtol=1e-6)
+    assert made.parts[0].dof.tolist() == dof.tolist()
+    assert_allclose(made.parts[0].common, common)
 
 
 def test_a_covariance_of_constants_has_its_root():
@@ -195,9 +184,7 @@ def test_a_covariance_of_constants_has_its_root():
 
 
 def test_data_that_are_fitted_exactly_have_no_errors_to_draw():
-    with pytest.raises(
-        ValueError, match="is fitted exactly, so that the size of its errors is not known"
-    ):
+    with pytest.raises(ValueError, match="is fitted exactly"):
         lag_draws(0.0, gb.SquaredRelativeError())
 
 
@@ -206,7 +193,7 @@ def test_a_replicate_is_refitted_as_its_data_would_be():
     nlp = compile_problem(
         gb.Problem(
             Lag(),
-            gb.FrequencyResponse(OMEGA, made.responses[0], "u", "y"),
+            gb.FrequencyResponse(OMEGA, made.parts[0].response, "u", "y"),
             gb.SquaredRelativeError(),
         )
     )
@@ -223,30 +210,19 @@ def test_a_replicate_is_refitted_as_its_data_would_be():
 
 def test_errors_of_neighbors_in_frequency_are_correlated_along_and_across_the_response():
     """Of points that are not in order, by the autocorrelation of an AR(1); variances are enlarged in all of them."""
-    made = draws("parametric", points=4)
-    table = made.tables[0].copy()
-    table[0] = [3.0, 1.0, 4.0, 2.0]
+    table = np.array([[3.0, 1.0, 4.0, 2.0], np.ones(4), np.zeros(4)])
     response = np.array([1.0, 2j, -3.0, 2 - 1j])
-    made = replace(
-        made,
-        tables=(table,),
-        responses=(response,),
-        sizes=(np.array([1.0, 0.5, 2.0, 1.5]),),
-        deviations=(0.3,),
-        neighbors=((0.8, 2.5),),
-    )
-    errors = (measured_points([made.replicate(k) for k in range(2000)], 4) - response) / made.sizes[
-        0
-    ]
+    size = np.array([1.0, 0.5, 2.0, 1.5])
+    part = {"table": table, "response": response, "size": size, "deviation": 0.3}
+    made = draws("parametric", points=4, neighbors=(0.8, 2.5), **part)
+    errors = (measured_points([made.replicate(k) for k in range(2000)], 4) - response) / size
     turned = errors * np.exp(-1j * np.angle(response))
     wanted = 2.5 * 0.09 * 0.8 ** np.abs(table[0] - table[0][:, None])
     for component in (turned.real, turned.imag):
         assert component.T @ component / 2000 == pytest.approx(wanted, abs=0.025)
     assert turned.real.T @ turned.imag / 2000 == pytest.approx(np.zeros((4, 4)), abs=0.025)
-    plain = replace(made, neighbors=(None,))
-    errors = (
-        measured_points([plain.replicate(k) for k in range(2000)], 4) - response
-    ) / made.sizes[0]
+    plain = draws("parametric", points=4, **part)
+    errors = (measured_points([plain.replicate(k) for k in range(2000)], 4) - response) / size
     assert errors.real.T @ errors.real / 2000 == pytest.approx(0.09 * np.eye(4), abs=0.012)
 
 
