@@ -14,26 +14,24 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.solve.multistart import solver_for
 
-SMALLEST = 1e-13  # of the largest variance, in units that the data notice: rounding is below, knowledge above
-
 
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
-    """What a test would tell; prints itself.
+    """The standard errors that a test would give; printed, they are a table.
 
     Attributes
     ----------
     values : mapping of name to float
-        At which it was evaluated.
+        Parameter values at which they were evaluated.
     standard_error : mapping of name to float
-        Of every free parameter; NaN where the test would not determine it.
+        Of every free parameter; NaN if the test would not determine it.
     covariance : (p, p) array
         In the order of `standard_error`.
     information : (p, p) array
-        Fisher information: the inverse of the covariance, and zero in directions that the test
-        would not determine.
+        Fisher information: the inverse of the covariance, zero in directions that the test would
+        not determine.
     undetermined : tuple of str
-        Parameters that take part in a combination which the test would not, or hardly, determine.
+        Parameters in combinations that the test would hardly determine.
     units : mapping of name to str
     """
 
@@ -58,7 +56,7 @@ class ExpectedErrors:
         table = text_table(("", "value", "", "unit", "percent"), rows)
         lines = ["Standard errors that this test would give", "", table]
         if self.undetermined:
-            lines += ["", f"It would hardly tell {', '.join(self.undetermined)} apart."]
+            lines += ["", f"The test would hardly separate {', '.join(self.undetermined)}."]
         return "\n".join(lines)
 
 
@@ -67,25 +65,23 @@ def expected_errors(
 ) -> ExpectedErrors:
     """Return the standard errors that a fit of this problem would have if these were its estimates.
 
-    They come from the Fisher information, in the way of a fit's own standard errors (of the
-    criterion, with the noise that the residuals at `values` have), but nothing is solved. Fly the
-    test by `greybox.virtual_flight`, with the vehicle's controller, noise and wind, and state the
-    problem as for a flown record.
+    They follow from the Fisher information as those of a fit do, with the noise of the residuals at
+    `values`, but nothing is solved. Fly the test by `greybox.virtual_flight`, with the vehicle's
+    controller, noise and wind, and state the problem as for a flown record.
 
     Parameters
     ----------
     problem : Problem or sum of problems
-        Its data may be records of virtual flights, or responses with the variances that are
-        expected.
+        Its data may be records of virtual flights, or responses with expected variances.
     values : mapping of name to float
-        Rough estimates of the parameters; those that are left out have their declared starts.
+        Rough estimates of the parameters; by default their declared starts.
     method : Transcription, optional
         As for `greybox.fit`.
 
     Raises
     ------
     ValueError
-        For a name that is no parameter of the problem.
+        If a name is no parameter of the problem.
     """
     unknown = sorted(set(values) - set(problem.parameters))
     if unknown:
@@ -99,14 +95,14 @@ def expected_errors(
     count = len(nlp.free)
     covariance = accuracy.covariance[:count, :count]
     scale = np.outer(accuracy.size[:count], accuracy.size[:count])
-    information = np.linalg.pinv(covariance / scale, rcond=SMALLEST, hermitian=True) / scale
+    # Below this share of the largest variance, in units that the data notice, is rounding.
+    information = np.linalg.pinv(covariance / scale, rcond=1e-13, hermitian=True) / scale
     errors = np.sqrt(np.diag(covariance))
     errors[np.linalg.norm(accuracy.blind[:count], axis=1) > 0] = np.nan
-    named = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
+    undetermined = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
-    return ExpectedErrors(
-        at, dict(zip(nlp.free, errors.tolist(), strict=True)), covariance, information, named, units
-    )
+    standard_error = dict(zip(nlp.free, errors.tolist(), strict=True))
+    return ExpectedErrors(at, standard_error, covariance, information, undetermined, units)
 
 
 def _percent(error: float, value: float) -> str:

@@ -1,8 +1,12 @@
-"""Sines, one after another, that tell as much as wanted of a model in the shortest flight."""
+"""Sines, one after another, that reach wanted standard errors in the shortest flight.
+
+Begin with `plan_sines`.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -24,24 +28,20 @@ from greybox.modeling import Model, frequency_response
 from greybox.spectral.uniform_stretches import uniform_stretches
 from greybox.spectral.welch import HZ
 
-CANDIDATES = 40  # frequencies in the band; twice as many change the flight time of the tilt model by less than 1 %
-AVERAGED = 15  # lines of a spectrum: its relative error is a quarter, that of the standard errors an eighth
-SPARE = (
-    4  # numbers that the sines leave to judge the model by, beside those that its parameters take
-)
-QUIET_PERIODS = 4  # of the lowest frequency that a quiet flight holds at least
-NOWHERE: Mapping[str, float] = {}
+# A quiet flight has at least this number of periods of the lowest frequency.
+QUIET_PERIODS = 4
+NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
 class _Card(NamedTuple):
-    """What every sine costs besides its duration."""
+    """The least periods of a sine, the time that it needs to settle, and the pause after it, s."""
 
     periods: int
     lead_in: float
     pause: float
 
     def flown(self, omega: Array, seconds: Array) -> tuple[Array, float]:
-        """Return durations (n,) of whole periods and the flight time of sines that shall last at least so long, s."""
+        """Return durations (n,) in whole periods of at least these seconds, and the flight time, s."""
         period = HZ / omega
         duration = np.maximum(np.ceil(seconds / period - 1e-9), self.periods) * period
         settling = np.ceil(self.lead_in / period - 1e-9) * period
@@ -50,23 +50,21 @@ class _Card(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SinePlan:
-    """Sines to be flown one after another; prints itself.
+    """Sines to be flown one after another; printed, it is a table.
 
     Attributes
     ----------
     omega, amplitude, duration : (n,) arrays, rad/s, unit of the excitation, s
-        Of every sine; the duration is a whole number of periods, without what it needs to settle.
+        Of every sine. The duration is a whole number of periods, without the time to settle.
     limited_by : tuple of str
         For every sine, the signal whose limit sets its amplitude.
     standard_error : mapping of name to float
-        Expected of an efficient estimate: that of the whole record by `OutputError`, or nearly that
-        of the measured responses by `MaximumLikelihood` when each sine has ten periods or more.
+        Expected of an efficient estimate: of a fit to the whole record by `OutputError`, or nearly
+        of a fit to the measured responses by `MaximumLikelihood` if each sine has ten periods or
+        more.
     wanted : mapping of name to float
     flight_time : float, s
-        With what the sines need to settle, and with pauses.
-    equally_spaced : float, s
-        The flight time that as many sines, at equally spaced logarithms of frequency and equally
-        long, would take for the same errors.
+        Including the time to settle, and pauses.
     signal, unit : str
         The excitation.
     rate : float, Hz
@@ -81,7 +79,6 @@ class SinePlan:
     standard_error: Mapping[str, float]
     wanted: Mapping[str, float]
     flight_time: float
-    equally_spaced: float
     signal: str
     unit: str
     rate: float
@@ -101,8 +98,7 @@ class SinePlan:
         unit = f" ({self.unit})" if self.unit else ""
         return "\n".join(
             [
-                f"{len(self.omega)} sines in {self.signal}, {self.flight_time:.0f} s of flight;",
-                f"equally spaced sines would take {self.equally_spaced / self.flight_time:.2g} times as long.",
+                f"{len(self.omega)} sines in {self.signal}, {self.flight_time:.0f} s of flight",
                 "",
                 text_table(
                     ("rad/s", "Hz", f"amplitude{unit}", "limited by", "s", "periods"),
@@ -141,23 +137,23 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     output: str = "theta",
     excitation: str = "reference",
     controller: Controller | Sequence[Controller] | None = None,
-    limits: Mapping[str, float] = NOWHERE,
-    travel: Mapping[str, float] = NOWHERE,
+    limits: Mapping[str, float] = NOTHING,
+    travel: Mapping[str, float] = NOTHING,
     rate: float = 100.0,
     periods: int = 10,
     lead_in: float = 2.0,
     pause: float = 2.0,
     unit: str = "rad",
     free: Sequence[str] = (),
-    fixed: Mapping[str, float] = NOWHERE,
+    fixed: Mapping[str, float] = NOTHING,
 ) -> SinePlan:
     """Plan sines that reach the wanted standard errors in the shortest flight.
 
-    The response at a frequency is estimated from a sine of amplitude U at the plant's input and of
-    duration t with the variance E|P̂ - P|² = 2 G / (t |U|²), G being the one-sided spectral density
-    of what the output shows beside the response; the shares of the flight time follow from the
-    Fisher information as large as the limits allow. Larger amplitudes than the model is linear for
-    are not seen here: fly the plan by `virtual_flight` first.
+    A sine of amplitude U at the plant's input and of duration t measures the response with the
+    variance E|P̂ - P|² = 2 G / (t |U|²), where G is the one-sided spectral density of the output
+    noise. The shares of the flight time maximize the Fisher information within the limits. The
+    model is linearized: fly the plan by `virtual_flight` first to see whether the amplitudes are too
+    large for that.
 
     Parameters
     ----------
@@ -165,86 +161,65 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     values : mapping of name to float
         Rough estimates.
     wanted : mapping of name to float
-        Standard errors, in the parameters' units, of those that matter.
+        Standard errors of the parameters that matter, in their units.
     band : (low, high), rad/s
     amplitude : float
         Largest amplitude of the excitation, in its unit.
     noise : float or Record
-        Standard deviation of white noise of the output's sensor, per sample at `rate`; or a quiet
-        flight of the same vehicle, whose output minus the model's response to its input is taken as
+        Standard deviation of the white noise of the output's sensor, per sample at `rate`; or a
+        quiet flight of the same vehicle, whose output minus the model's response to its input is
         the noise, wind included.
     input, output : str
-        Of the response that is to be measured.
+        Signals of the response that is measured.
     excitation : str
         The signal that the sines are added to: a setpoint of the controller, or an input of the
         plant.
     controller : Controller or several, optional
-        What flies the vehicle meanwhile; without one the plant is tested in open loop.
+        Flies the vehicle meanwhile; without one the plant is tested in open loop.
     limits : mapping of signal to float
-        Largest amplitude of signals of the loop: outputs, inputs, states, and derivatives as
+        Largest amplitudes of signals of the loop: outputs, inputs, states, and derivatives such as
         ``theta_dot``.
     travel : mapping of signal to float
-        Largest amplitude of the integral of a signal: of a velocity, m.
+        Largest amplitudes of integrals of signals: of a velocity, m.
     rate : float, Hz
-        At which the log is written.
+        Sampling rate of the log.
     periods : int
-        That each sine has at least. Fewer leave the variance of its response poorly known.
+        Least number of periods of a sine. Fewer leave the variance of its response poorly known.
     lead_in, pause : float, s
-        As of `greybox.experiment.sine_schedule`.
+        As in `greybox.experiment.sine_schedule`.
     unit : str
-        Of the excitation.
+        Unit of the excitation.
     free, fixed
-        As of `Problem`.
+        As in `Problem`.
 
     Raises
     ------
     ValueError
-        For names and limits that do not fit, for errors that are not reachable in this band, and
-        for a loop that diverges.
+        For invalid names and limits, for errors that cannot be reached in this band, and for a loop
+        that diverges.
     """
-    low, high = band
-    if not isinstance(noise, Record) and not noise > 0:
-        raise ValueError(
-            f"noise is {noise!r}: give a positive standard deviation, or a quiet flight."
-        )
-    if not 0 < low < high:
-        raise ValueError(f"band is {band!r}: give two frequencies in rad/s, the lower one first.")
-    if not wanted:
-        raise ValueError("wanted is empty: give a standard error for at least one parameter.")
-    wrong = [name for name, value in {**wanted, **limits, **travel}.items() if not value > 0]
-    if wrong:
-        raise ValueError(
-            f"{wrong[0]} is given {({**wanted, **limits, **travel})[wrong[0]]:g}: give a positive number."
-        )
-    rates = [c.rate for c in _several(controller)]
-    grid = np.geomspace(low, high, CANDIDATES)
-    signals = {input, *limits, *travel}
+    _require_valid(band, noise, wanted, {**wanted, **limits, **travel})
+    rates = [c.rate for c in _listed(controller)]
     omega, gains = loop_gains(
         model,
         values,
-        grid,
-        signals,
+        # Twice as many candidates change the flight time of the tilt model by less than 1 %.
+        np.geomspace(*band, 40),
+        {input, *limits, *travel},
         excitation=excitation,
         controller=controller,
         amplitude=amplitude,
         rate=max(rates, default=rate),
     )
-    bounds = [
-        (excitation, np.full(len(omega), amplitude))
-    ]  # a signal may have a limit and one of its travel
-    bounds += [(name, limit / np.abs(gains[name])) for name, limit in limits.items()]
-    bounds += [(name, limit * omega / np.abs(gains[name])) for name, limit in travel.items()]
-    each = np.array([most for _, most in bounds])
-    size = each.min(axis=0)
-    limited_by = tuple(bounds[k][0] for k in each.argmin(axis=0))
+    size, limited_by = _largest_amplitudes(omega, gains, excitation, amplitude, limits, travel)
 
     nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free=free, fixed=fixed)
     missing = [name for name in wanted if name not in nlp.free]
     if missing:
         raise ValueError(
-            f"{missing[0]} is not estimated: it has no standard error; free are {', '.join(nlp.free)}."
+            f"{missing[0]} is not estimated, so it has no standard error; free are {', '.join(nlp.free)}."
         )
-    density = _density(noise, model, values, omega, (input, output), rate)
+    density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
     scale = np.array([wanted.get(name, np.nan) for name in nlp.free])
     scale = np.where(np.isfinite(scale), scale, _sizes(sensitivity, weight))
@@ -257,30 +232,63 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
     card = _Card(periods, lead_in, pause)
     chosen, duration = _fewest(omega, information, target, card)
-    chosen, duration = _with_spare(
-        omega, chosen, duration, math.ceil((len(nlp.free) + SPARE) / 2), periods
-    )
-    achieved = np.linalg.inv(np.tensordot(duration, information[chosen], 1))
-    spaced = np.unique(np.rint(np.linspace(0, len(omega) - 1, len(chosen))).astype(int))
-    total = time_needed(information[spaced].mean(axis=0), target)
-    equal = card.flown(omega[spaced], np.full(len(spaced), total / len(spaced)))
+    # Four numbers beside those that the parameters take are left to judge the model by.
+    count = math.ceil((len(nlp.free) + 4) / 2)
+    chosen, duration = with_spare_sines(omega, chosen, duration, count, periods)
+    covariance = np.linalg.inv(np.tensordot(duration, information[chosen], 1))
+    errors = np.sqrt(np.diag(covariance)) * scale
     return SinePlan(
-        omega[chosen],
-        size[chosen],
-        duration,
-        tuple(limited_by[k] for k in chosen),
-        dict(zip(nlp.free, (np.sqrt(np.diag(achieved)) * scale).tolist(), strict=True)),
-        dict(wanted),
-        card.flown(omega[chosen], duration)[1],
-        equal[1],
-        excitation,
-        unit,
-        rate,
-        {"lead_in": lead_in, "pause": pause},
+        omega=omega[chosen],
+        amplitude=size[chosen],
+        duration=duration,
+        limited_by=tuple(limited_by[k] for k in chosen),
+        standard_error=dict(zip(nlp.free, errors.tolist(), strict=True)),
+        wanted=dict(wanted),
+        flight_time=card.flown(omega[chosen], duration)[1],
+        signal=excitation,
+        unit=unit,
+        rate=rate,
+        settings={"lead_in": lead_in, "pause": pause},
     )
 
 
-def _several(controller: Controller | Sequence[Controller] | None) -> list[Controller]:
+def _require_valid(
+    band: tuple[float, float],
+    noise: float | Record,
+    wanted: Mapping[str, float],
+    positive: Mapping[str, float],
+) -> None:
+    if not isinstance(noise, Record) and not noise > 0:
+        raise ValueError(
+            f"noise={noise!r} must be a positive standard deviation, or a quiet flight."
+        )
+    if not 0 < band[0] < band[1]:
+        raise ValueError(f"band={band!r} must be two frequencies in rad/s, the lower one first.")
+    if not wanted:
+        raise ValueError("wanted is empty: give a standard error for at least one parameter.")
+    for name, value in positive.items():
+        if not value > 0:
+            raise ValueError(f"the value of {name}, {value:g}, must be a positive number.")
+
+
+def _largest_amplitudes(
+    omega: Array,
+    gains: Mapping[str, ComplexArray],
+    excitation: str,
+    amplitude: float,
+    limits: Mapping[str, float],
+    travel: Mapping[str, float],
+) -> tuple[Array, list[str]]:
+    """Return the largest amplitudes (n,) of the excitation, and the signals that limit them."""
+    # A list, because a signal may have a limit of its own and one of its travel.
+    bounds = [(excitation, np.full(len(omega), amplitude))]
+    bounds += [(name, limit / np.abs(gains[name])) for name, limit in limits.items()]
+    bounds += [(name, limit * omega / np.abs(gains[name])) for name, limit in travel.items()]
+    amplitudes = np.array([bound for _, bound in bounds])
+    return amplitudes.min(axis=0), [bounds[k][0] for k in amplitudes.argmin(axis=0)]
+
+
+def _listed(controller: Controller | Sequence[Controller] | None) -> list[Controller]:
     return [controller] if isinstance(controller, Controller) else list(controller or ())
 
 
@@ -308,12 +316,12 @@ def _sensitivities(
 
 
 def _sizes(sensitivity: ComplexArray, weight: Array) -> Array:
-    """Return sizes (p,) in which parameters that do not matter can be compared with those that do."""
+    """Return sizes (p,) for the parameters that do not matter, comparable with the wanted errors."""
     norm = np.sqrt((weight[:, None] * np.abs(sensitivity) ** 2).sum(axis=0))
     return 1 / np.where(norm > 0, norm, 1.0)
 
 
-def _density(
+def noise_density(
     noise: float | Record,
     model: Model,
     values: Mapping[str, float],
@@ -321,25 +329,24 @@ def _density(
     signals: tuple[str, str],
     rate: float,
 ) -> Array:
-    """Return the one-sided spectral density (n,) of the output beside the response, in its unit squared per Hz."""
+    """Return the one-sided spectral density (n,) of the output noise, in its unit squared per Hz."""
     if not isinstance(noise, Record):
         return np.full(len(omega), 2 * float(noise) ** 2 / rate)
     input, output = signals
-    total, seconds = np.zeros(len(omega)), 0.0
+    total = np.zeros(len(omega))
+    seconds = 0.0
     for stretch in uniform_stretches(noise, [input, output], "linear"):
         u, y = stretch.values
         length = stretch.step * u.size
         window = 1 - np.cos(2 * np.pi * (np.arange(u.size) + 0.5) / u.size)  # Hann
-        lines = _lines_around(omega, length)
-        each, where = np.unique(lines, return_inverse=True)
-        response = frequency_response(model, values, each, input=input, output=output).response[
-            where.ravel()
-        ]
+        lines = averaged_lines(omega, length)
+        frequencies, places = np.unique(lines, return_inverse=True)
+        model_response = frequency_response(model, values, frequencies, input=input, output=output)
+        response = model_response.response[places.ravel()]
         basis = window * np.exp(-1j * np.outer(lines.ravel(), np.arange(u.size) * stretch.step))
         power = np.abs(basis @ y - response * (basis @ u)) ** 2
-        total += (
-            length * 2 * stretch.step / np.sum(window**2) * power.reshape(lines.shape).mean(axis=1)
-        )
+        mean_power = power.reshape(lines.shape).mean(axis=1)
+        total += length * 2 * stretch.step / np.sum(window**2) * mean_power
         seconds += length
     if seconds * omega[0] < QUIET_PERIODS * HZ:
         raise ValueError(
@@ -349,20 +356,22 @@ def _density(
     return total / seconds
 
 
-def _lines_around(omega: Array, length: float) -> Array:
-    """Return lines (n, m), rad/s, around every frequency over which its density is averaged."""
-    apart = HZ / length
-    reach = np.clip(
-        omega / 6, 2 * apart, None
-    )  # a spectrum of wind changes little over a sixth of its frequency
-    return np.maximum(omega[:, None] + np.linspace(-1, 1, AVERAGED) * reach[:, None], apart)
+def averaged_lines(omega: Array, length: float) -> Array:
+    """Return the lines (n, 15), rad/s, around every frequency over which its density is averaged.
+
+    Fifteen lines leave an error of a quarter in the density, an eighth in the standard errors. A
+    spectrum of wind changes little over a sixth of its frequency.
+    """
+    spacing = HZ / length
+    reach = np.clip(omega / 6, 2 * spacing, None)
+    return np.maximum(omega[:, None] + np.linspace(-1, 1, 15) * reach[:, None], spacing)
 
 
 def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tuple[IntArray, Array]:
-    """Return which sines, and how long each, s: every further one costs what it needs to settle.
+    """Return the places of the sines that make the flight shortest, and their durations, s.
 
-    The optimal shares sit on few frequencies, or on neighbors of these; the smallest share is given
-    up as long as that makes the flight shorter.
+    The optimal shares concentrate on few frequencies and their neighbors. Every further sine costs
+    its time to settle, so the smallest share is dropped as long as that shortens the flight.
     """
     chosen = np.flatnonzero(shares(information, target))
     best: tuple[float, IntArray, Array] | None = None
@@ -383,10 +392,10 @@ def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tup
     return best[1], best[2]
 
 
-def _with_spare(
+def with_spare_sines(
     omega: Array, chosen: IntArray, duration: Array, count: int, periods: int
 ) -> tuple[IntArray, Array]:
-    """Return so many sines at least: short ones are added in the middle of the widest gaps of the band."""
+    """Return at least `count` sines: short ones are added in the middle of the widest gaps of the band."""
     seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
     while len(seconds) < min(count, len(omega)):
         edges = [-1, *sorted(seconds), len(omega)]

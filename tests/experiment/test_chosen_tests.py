@@ -8,7 +8,7 @@ from declared_models import TWO_LAGS, LagLagDelay
 
 import greybox as gb
 from greybox.experiment import choose_tests, expected_errors
-from greybox.experiment.chosen_tests import _without_surplus
+from greybox.experiment.chosen_tests import without_surplus
 from greybox.experiment.optimal_design import optimal_shares, size_of_errors
 
 
@@ -56,7 +56,6 @@ def test_the_wanted_errors_are_reached_and_nothing_shorter_does():
     assert (
         shortest <= found.flight_time <= shortest + 60
     )  # whole tests: at most one more than needed
-    assert "equally often would take" in str(found)
 
 
 @pytest.mark.parametrize("optimal", ["A", "D"])
@@ -108,7 +107,7 @@ def test_single_sines_are_tests_too():
     assert set(found.repeats.values()) == {1}
     together = expected_errors(sum(problem for problem, _ in sines.values()), TWO_LAGS)
     assert found.standard_error == pytest.approx(together.standard_error, rel=1e-6)
-    with pytest.raises(ValueError, match=r"no test tells .* apart: fix one of them, or add a test"):
+    with pytest.raises(ValueError, match=r"no test separates .*: fix one of them, or add a test"):
         choose_tests({"3": sines["3"]}, TWO_LAGS, seconds=30)
 
 
@@ -122,7 +121,7 @@ def test_single_sines_are_tests_too():
             "T_1 is no parameter of the tests: they have K, T1, T2, tau",
         ),
         ({"seconds": 10}, "too short"),
-        ({"seconds": 100, "optimal": "E"}, "give 'A' or 'D'"),
+        ({"seconds": 100, "optimal": "E"}, "must be 'A' or 'D'"),
     ],
 )
 def test_bad_requests_are_named(change, sentence):
@@ -132,7 +131,7 @@ def test_bad_requests_are_named(change, sentence):
 
 def test_of_tests_that_tell_the_same_the_longest_are_left_out():
     once, durations = np.ones((3, 1, 1)), np.array([30.0, 60.0, 20.0])
-    fewer = _without_surplus(
+    fewer = without_surplus(
         np.array([1, 2, 3]), once, durations, np.full(1, 0.5)
     )  # an error of a half: four tests
     assert [*fewer] == [1, 0, 3]
@@ -143,7 +142,7 @@ def test_there_are_tests_and_each_takes_its_time():
         choose_tests({}, TWO_LAGS, seconds=100)
     for seconds in (0.0, -3.0):
         wrong = {**TESTS, "fast": (TESTS["fast"][0], seconds)}
-        with pytest.raises(ValueError, match=r"^the test 'fast' takes no time: give seconds\.$"):
+        with pytest.raises(ValueError, match=r"^the test 'fast' takes no time"):
             choose_tests(wrong, TWO_LAGS, seconds=100)
 
 
@@ -153,8 +152,7 @@ def test_tests_for_a_short_time_say_what_is_missing():
     found = choose_tests(fast, TWO_LAGS, seconds=40.0)
     assert (found.repeats, found.flight_time) == ({"fast": 2}, 40.0)
     assert found.wanted == {}
-    assert "times as long" not in str(found)
-    with pytest.raises(ValueError, match="39 s are too short"):
+    with pytest.raises(ValueError, match="seconds=39 is too short"):
         choose_tests({"slow": TESTS["slow"]}, TWO_LAGS, seconds=39.0)
     # Of all parameters the errors count, each relative to its value: the mean of two tests of equal
     # information.
@@ -166,22 +164,15 @@ def test_tests_for_a_short_time_say_what_is_missing():
 
 @pytest.mark.parametrize(("share", "repeats"), [(6.5, 7), (7.0, 7), (7.2, 8)])
 def test_errors_shrink_by_the_root_of_the_repeats(share, repeats):
-    """Of one test: as often as it takes, and all tests equally often are the same flight."""
     once = expected_errors(TESTS["fast"][0], TWO_LAGS).standard_error
     found = choose_tests(
         {"fast": TESTS["fast"]}, TWO_LAGS, wanted={"T2": once["T2"] / np.sqrt(share)}
     )
-    assert (found.repeats, found.flight_time, found.equally_often) == (
-        {"fast": repeats},
-        20 * repeats,
-        20 * repeats,
-    )
+    assert (found.repeats, found.flight_time) == ({"fast": repeats}, 20 * repeats)
     assert found.standard_error["K"] == pytest.approx(once["K"] / np.sqrt(repeats))
 
 
 def test_tests_that_fit_and_leave_parameters_open_are_too_short():
     sines = {f"{omega:g}": (response(omega, omega, points=1), 10.0) for omega in (0.5, 3.0, 12.0)}
-    with pytest.raises(
-        ValueError, match="15 s are too short for tests that determine every parameter: give more"
-    ):
+    with pytest.raises(ValueError, match="seconds=15 is too short"):
         choose_tests(sines, TWO_LAGS, seconds=15.0)

@@ -71,17 +71,14 @@ def test_what_is_hardly_told_apart_is_said():
     lines = [line.split() for line in str(made).splitlines()]
     assert ["a", "-2", "±", "0.12", "s", "6.2", "%"] in lines
     assert ["c", "0", "±", "0.5", "s"] in lines
-    assert str(made).endswith("\n\nIt would hardly tell b, c apart.")
+    assert str(made).endswith("\n\nThe test would hardly separate b, c.")
 
 
 def test_chosen_tests_print_how_often_each_is_flown():
     flown, seconds, units = {"roll": 2, "yaw": 0}, {"roll": 20.0, "yaw": 7.0}, {"K": "", "T": "s"}
-    made = ChosenTests(flown, seconds, {"K": 0.1234, "T": 0.5}, {"K": 0.2}, units, 40.0, 81.0)
+    made = ChosenTests(flown, seconds, {"K": 0.1234, "T": 0.5}, {"K": 0.2}, units, 40.0)
     said = [" ".join(line.split()) for line in str(made).splitlines()]
-    assert said[:2] == [
-        "2 tests, 40 s of flight",
-        "all tests equally often would take 2 times as long",
-    ]
+    assert said[0] == "2 tests, 40 s of flight"
     assert [line for line in said if line.startswith(("roll", "yaw", "K", "T"))] == [
         "roll 2 40",
         "yaw 0 0",

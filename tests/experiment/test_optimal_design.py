@@ -57,13 +57,13 @@ def test_parameters_that_differ_by_rounding_are_not_told_apart(apart, told):
         require_determined(information, ["a", "b", "c"], "no test", "add one")
     else:
         with pytest.raises(
-            ValueError, match=r"^no test tells a, b apart: fix one of them, or add one\.$"
+            ValueError, match=r"^no test separates a, b: fix one of them, or add one\.$"
         ):
             require_determined(information, ["a", "b", "c"], "no test", "add one")
 
 
 def test_a_silent_parameter_is_named():
-    with pytest.raises(ValueError, match=r"^no test tells of b: fix it, or add one\.$"):
+    with pytest.raises(ValueError, match=r"^no test has information on b: fix it, or add one\.$"):
         require_determined(np.diag([1.0, 0.0]), ["a", "b"], "no test", "add one")
 
 
