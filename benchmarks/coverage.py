@@ -26,6 +26,7 @@ from scipy.special import stdtrit
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import assess, degrees, propagate
 from greybox.estimate.diagnostics.frequency_correlation import FEWEST_LENGTHS
 from greybox.modeling.complex_arithmetic import Complex
@@ -309,7 +310,8 @@ class Cell:
     def judge(self, problem: Any, x: np.ndarray, constants: np.ndarray) -> "Answer":
         """Return what a Fit would say at the minimum `x`, by the same code."""
         parts = tuple(
-            part.with_problem(p) for part, p in zip(self.nlp.parts, problem.parts, strict=True)
+            ResponsePart(p, part.objective, part.model_response, part.scaled_response)
+            for part, p in zip(self.nlp.parts, problem.parts, strict=True)
         )
         nlp = replace(self.nlp, problem=problem, parts=parts, constant_values=constants)
         accuracy = assess(nlp, x)

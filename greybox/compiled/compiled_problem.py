@@ -9,7 +9,7 @@ import numpy as np
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_part import ResponsePart
-from greybox.compiled.response_programs import ResponseProgram, compile_responses
+from greybox.compiled.response_programs import CostProgram, compile_responses
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
@@ -46,7 +46,7 @@ class CompiledProblem:
         How records are transcribed.
     parts : tuple of Part
         In the order of the problem's.
-    programs : tuple of ResponseProgram
+    programs : tuple of CostProgram
         What IPOPT minimizes for frequency responses, one after the other: with the criteria that
         locate the minimum, where they differ, then with the problem's own.
     constraint : casadi.Function
@@ -68,7 +68,7 @@ class CompiledProblem:
     scaling: Scaling
     method: Transcription
     parts: tuple[Part, ...]
-    programs: tuple[ResponseProgram, ...]
+    programs: tuple[CostProgram, ...]
     constraint: ca.Function
     limits: tuple[str, ...]
     response_cost: ca.Function

@@ -1,4 +1,4 @@
-"""A frequency response with its model, compiled: no nodes, a cost with exact derivatives, and its real residuals."""
+"""A frequency response with its model, compiled: its cost with exact derivatives, and its real residuals."""
 
 import math
 from functools import cached_property
@@ -20,12 +20,9 @@ from greybox.statistics.neighbor_correlation import (
     neighbor_correlation,
 )
 
-# Under the root of |e|² while a solver is at work, see `Criterion.cost`: 1e-14 takes about twice
-# the time, and 1e-8 moves the cost by 6e-5 at most.
+# Added under the root of |e|² while a solver is at work, see `Criterion.cost`: it moves the cost by
+# 6e-5 at most. With 1e-14 a solver takes about twice the time.
 SMOOTHING = 1e-8
-
-# Of the largest measured magnitude: points below, which may be zero, tell no two runs apart.
-LEAST_MAGNITUDE = 1e-12
 
 
 class ResponsePart(PartWithoutNodes):
@@ -36,7 +33,7 @@ class ResponsePart(PartWithoutNodes):
     criterion : Criterion
     data : FrequencyResponse
     magnitude : (n,) array
-        Of the measured response, above zero.
+        Magnitude of the measured response, above zero.
     objective : casadi.Function
         (z, smoothing) -> cost, unweighted.
     model_response : casadi.Function
@@ -52,7 +49,6 @@ class ResponsePart(PartWithoutNodes):
         model_response: ca.Function,
         scaled_response: ca.Function,
     ) -> None:
-        """Keep the functions."""
         super().__init__(problem)
         assert isinstance(problem.criterion, Criterion)
         self.criterion = problem.criterion
@@ -61,25 +57,20 @@ class ResponsePart(PartWithoutNodes):
         self.model_response = model_response
         self.scaled_response = scaled_response
         size = np.abs(self.data.response)
-        self.magnitude = np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
+        # Points that are nearly zero must not dominate the signature of a run.
+        self.magnitude = np.maximum(size, 1e-12 * size.max() + 1e-150)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave a criterion of the user's behind too: its cost is compiled."""
+        """Leave out a criterion of the user's too: its cost is compiled."""
         state = super().__getstate__()
-        return (
-            state
-            if self.travels_whole
-            else {name: each for name, each in state.items() if name != "criterion"}
-        )
+        if not self.travels_whole:
+            state.pop("criterion", None)
+        return state
 
     @property
     def travels_whole(self) -> bool:
-        """Only with one of the included criteria."""
+        """True with one of the included criteria."""
         return type(getattr(self, "criterion", None)) in {type(criterion) for criterion in CRITERIA}
-
-    def with_problem(self, problem: Problem) -> "ResponsePart":
-        """Return the part for a problem that differs in its data alone: only the solver's cost is still the old one."""
-        return ResponsePart(problem, self.objective, self.model_response, self.scaled_response)
 
     @property
     def has_states(self) -> bool:
@@ -88,7 +79,7 @@ class ResponsePart(PartWithoutNodes):
 
     @property
     def numbers(self) -> int:
-        """Two for every frequency."""
+        """Two real numbers for every frequency."""
         return 2 * len(self.data)
 
     def response(self, values: Array) -> ComplexArray:
@@ -108,7 +99,7 @@ class ResponsePart(PartWithoutNodes):
         return ca.Function("slope", [x], [ca.jacobian(self.model_response(x), x)])
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
-        """Return how many times as large as the given variances the squared residuals are; their mean without these."""
+        """Return the ratio of the squared residuals to the given variances; without variances their mean."""
         re, im = np.asarray(self.scaled_response(trajectory.z)).reshape(2, -1)
         return self.criterion.noise_ratio(re + 1j * im, self.data)
 
@@ -123,7 +114,7 @@ class ResponsePart(PartWithoutNodes):
         return ca.Function("derivatives", [z, smoothing], [gradient, hessian])
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
-        """Return the point z, without nodes; not finite where the cost is not."""
+        """Return the point z, without nodes; its cost may not be finite."""
         cost = np.array([[float(self.objective(z, SMOOTHING))]])
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True)
 
@@ -136,7 +127,7 @@ class ResponsePart(PartWithoutNodes):
     def linearize(
         self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
     ) -> tuple[Array, Array]:
-        """Return gradient (p,) and Hessian (p, p), its eigenvalues made positive."""
+        """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
         gradient, hessian = (value.full() for value in self._derivatives(trajectory.z, SMOOTHING))
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
         return gradient.ravel(), (vectors * np.abs(values)) @ vectors.T
@@ -148,7 +139,7 @@ class ResponsePart(PartWithoutNodes):
     # --- for IPOPT and for the covariance of the estimate
 
     def program(self, z: ca.MX) -> "ResponseProgram":
-        """Return the cost at z (p,): there is nothing hidden."""
+        """Return the cost at z (p,); there are no hidden unknowns."""
         return ResponseProgram(self, z)
 
     def information(
@@ -159,7 +150,7 @@ class ResponsePart(PartWithoutNodes):
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
-        """Return what the response says about the values (k,): the Jacobian and the spread of its criterion."""
+        """Return the information of the response on the values (k,): Jacobian and spread of its criterion."""
         criterion, data = self.criterion, self.data
         response = self.response(values)
         jacobian = criterion.jacobian(response, self.sensitivity(values), data)
@@ -167,35 +158,37 @@ class ResponsePart(PartWithoutNodes):
         common = np.zeros((len(jacobian), 0))
         if data.common_errors is not None:
             common = criterion.jacobian(response, data.common_errors.T, data)
-        # A given variance has the common errors inside; what residuals say of the noise has not:
-        # the fit follows them.
-        own = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
+        # A given variance includes the common errors. A noise estimated from residuals does not,
+        # because the fit follows these errors.
+        independent = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
 
-        def shared(bread: float) -> Array:
-            moved = bread * jacobian.T @ common
-            return moved @ moved.T
+        def common_meat(bread: float) -> Array:
+            shift = bread * jacobian.T @ common
+            return shift @ shift.T
 
         def spread(correction: float) -> tuple[float, Array]:
             bread, meat = criterion.spread(response, data, correction)
-            return bread, jacobian.T @ ((own * meat)[:, None] * jacobian) + shared(bread)
+            weighted = (independent * meat)[:, None] * jacobian
+            return bread, jacobian.T @ weighted + common_meat(bread)
 
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
-            known = self.neighbors(values, root, correction)
-            if known is None:
+            neighbors = self.neighbors(values, root, correction)
+            if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")
             bread, meat = criterion.spread(response, data, correction)
-            scores = _complex(np.sqrt(own * meat)[:, None] * jacobian)[order]
-            every = np.vstack([root, np.zeros((jacobian.shape[1] - len(root), root.shape[1]))])
-            middle, left, scale = averaged_meat(
-                scores, every, known, criterion.score_correlation, dof
+            scores = _complex(np.sqrt(independent * meat)[:, None] * jacobian)[order]
+            constants = np.zeros((jacobian.shape[1] - len(root), root.shape[1]))
+            middle, remaining_dof, scale = averaged_meat(
+                scores, np.vstack([root, constants]), neighbors, criterion.score_correlation, dof
             )
-            return CorrelatedPoints(middle + shared(bread), left, known.mean, scale, known.lengths)
+            meat = middle + common_meat(bread)
+            return CorrelatedPoints(meat, remaining_dof, neighbors.mean, scale, neighbors.lengths)
 
         nonzero = data.response != 0
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)
-        # Of isotropic normal errors of deviation s in each component, the mean magnitude is s
-        # sqrt(π/2).
+        # Isotropic normal errors with deviation s in each component have the mean magnitude
+        # s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
         bread = spread(1.0)[0]
 
@@ -223,10 +216,10 @@ class ResponsePart(PartWithoutNodes):
     def neighbors(
         self, values: Array, root: Array, correction: float
     ) -> NeighborCorrelation | None:
-        """Return how the errors of neighboring points are correlated, at all values (k,); None where independent.
+        """Return the correlation of the errors of neighboring points at all values (k,); None if independent.
 
-        The fit moved along the columns of `root` (p, r), directions of the first values.
-        `correction` scales the noise for the parameters estimated.
+        The fit has removed errors along the columns of `root` (p, r), directions of the first
+        values. `correction` scales the noise for the number of estimated parameters.
         """
         criterion, data = self.criterion, self.data
         response = self.response(values)
@@ -236,7 +229,7 @@ class ResponsePart(PartWithoutNodes):
             return None
         turned = (np.exp(-1j * np.angle(response)) / size)[order]
         moved = self.sensitivity(values)[:, : len(root)] @ root
-        if data.common_errors is not None:  # these are known, and accounted for
+        if data.common_errors is not None:  # known, and accounted for elsewhere
             moved = np.column_stack([moved, data.common_errors.T])
         design = turned[:, None] * moved[order]
         inflation = (
@@ -250,26 +243,25 @@ class ResponseProgram(Program):
     """The smoothed cost of a frequency response."""
 
     def __init__(self, part: ResponsePart, z: ca.MX) -> None:
-        """Evaluate the cost at z (p,)."""
         self._part = part
         self.unknowns = self.parameters = self.error = self.equations = ca.MX(0, 1)
         self.cost = part.objective(z, SMOOTHING)
 
     def initial_unknowns(self, trajectory: Trajectory) -> Array:
-        """Return nothing: there are no states."""
+        """Return an empty vector: there are no states."""
         return np.zeros(0)
 
     def initial_parameters(self, z: Array, share: float) -> Array:
-        """Return nothing: the criterion weighs the residuals."""
+        """Return an empty vector: the criterion weighs the residuals."""
         return np.zeros(0)
 
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return the cost without smoothing: nothing follows from it."""
+        """Return the cost without smoothing, and w as it is."""
         return float(self._part.objective(z, 0.0)), w, True
 
 
 def _complex(stacked: Array) -> ComplexArray:
-    """Return rows (2n, k), real parts first, as complex ones (n, k)."""
+    """Return real rows (2n, k), real parts first, as complex rows (n, k)."""
     n = len(stacked) // 2
     return stacked[:n] + 1j * stacked[n:]
 

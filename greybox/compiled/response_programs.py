@@ -31,7 +31,7 @@ ChooseCriterion = Callable[[Problem], Criterion]
 
 
 @dataclass(frozen=True, eq=False)
-class ResponseProgram:
+class CostProgram:
     """What a solver of frequency responses minimizes.
 
     Attributes
@@ -60,7 +60,7 @@ class CompiledResponses:
     Attributes
     ----------
     parts : mapping of problem to ResponsePart
-    programs : tuple of ResponseProgram
+    programs : tuple of CostProgram
         With the criteria that locate the minimum, where they differ, then with the problem's own.
     cost : casadi.Function
         (all values) -> the cost without smoothing of every response, unweighted, stacked.
@@ -73,7 +73,7 @@ class CompiledResponses:
     """
 
     parts: Mapping[Problem, ResponsePart]
-    programs: tuple[ResponseProgram, ...]
+    programs: tuple[CostProgram, ...]
     cost: ca.Function
     values: ca.Function
     constraint: ca.Function
@@ -117,14 +117,14 @@ def compile_responses(
     if kind is ca.MX and formulas and all(isinstance(f, Trimmed) for f in formulas):
         roots = ca.Function("roots", [z], [roots_of(parts, formulas, values_at(z))])
 
-    def program(choose: ChooseCriterion) -> ResponseProgram:
+    def program(choose: ChooseCriterion) -> CostProgram:
         total = _weighted(parts, _costs(parts, scaled, smoothing, choose))
         function = ca.Function("program", [z, smoothing], [kind(total), scaled_limits])
         if mapped:
             hessian = _mapped_hessian(parts, mapped, values_at(point), point, limits, choose)
-            return ResponseProgram(function, {"hess_lag": hessian})
+            return CostProgram(function, {"hess_lag": hessian})
         if roots is None:
-            return ResponseProgram(function, explicit=function if kind is ca.SX else None)
+            return CostProgram(function, explicit=function if kind is ca.SX else None)
         explicit = explicit_program(
             parts,
             formulas,
@@ -133,7 +133,7 @@ def compile_responses(
             lambda found, smoothing: _weighted(parts, _costs(parts, found, smoothing, choose)),
             stacked(limits, values_at(point), ca.SX),
         )
-        return ResponseProgram(function, derivatives_at(roots, explicit), explicit, roots)
+        return CostProgram(function, derivatives_at(roots, explicit), explicit, roots)
 
     is_located = any(_own_criterion(part).locator is not None for part in parts)
     criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)

@@ -1,17 +1,16 @@
 """Newton's method from many points at once: every operation is done for all of them by one call.
 
-IPOPT spends most of a small fit on itself: of 130 µs an iteration some 15 are the functions. Here
-the functions are evaluated for all points together, and so is the iteration itself, see
-`newton_iteration`; what is left for some of the points is a small eigenvalue problem. Each point is
-a search of its own, with a trust region of its own; none depends on the others.
+IPOPT spends most of a small fit on itself: of 130 µs an iteration, the functions take some 15. Here
+the functions and the iteration itself (`newton_iteration`) are evaluated for all points together;
+only some of the points need a small eigenvalue problem. Each point is a search of its own, with its
+own trust region; none depends on the others.
 
-A search passes through levels. At first a logarithmic barrier keeps it away from its bounds, at
-which it would end in corners of wide boxes, and kinks of the cost at zero residuals are rounded
-off; both are reduced from level to level. At the last one there is no barrier and the smoothing is
-that of every solver here. The steps minimize the quadratic model within the trust region, with the
-eigenvalues of the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983),
-over the variables that are not held at a bound by the gradient (Bertsekas, SIAM J. Control Optim.
-20, 1982).
+A search passes through levels. First a logarithmic barrier keeps it away from its bounds, where it
+would end in corners of wide boxes, and kinks of the cost at zero residuals are rounded off. Both are
+reduced from level to level; at the last level there is no barrier, and the smoothing is that of every
+solver here. The steps minimize the quadratic model within the trust region, with the eigenvalues of
+the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983), over the variables
+that the gradient does not hold at a bound (Bertsekas, SIAM J. Control Optim. 20, 1982).
 """
 
 import threading
@@ -35,12 +34,12 @@ from greybox.solve.newton_iteration import (
     LEVEL,
     RADIUS,
     SWITCHED,
-    Vectors,
     advanced,
     bounded,
+    layout,
 )
 
-# Factors of the barrier, and smoothings of a cost with kinks, one after the other. The first
+# Factors of the barrier, and smoothings of a cost with kinks, one level after the other. The first
 # smoothing rounds off what is smaller than the measured response. Without a barrier 81 % instead of
 # all of the searches for the yaw axis of the paper reach its minimum, and 15 instead of 60 % of
 # those for two resonances with a delay. But a strong barrier misses minima at a bound: of the
@@ -49,20 +48,7 @@ from greybox.solve.newton_iteration import (
 # barrier.
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
 SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
-LOOSE = 1e-2  # projected gradient at which the next level is taken: with 1e-3 searches take a twentieth more iterations
-
-# Of the distance of its bounds, how near to one a search begins: that of IPOPT.
-INSIDE = 1e-2
-
 LAST = BARRIERS.shape[1] - 1
-
-FIRST_RADIUS = 1.0  # of the trust region: that of the box of the starts in the solver's variables
-
-# A batch is narrowed to a quarter or less, so that few layouts of registers serve; to a half where
-# none are laid out.
-NARROWER, NARROWER_OF_FEW = 4, 2
-
-SIZES = 16  # numbers of variables of which the iterations are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +59,7 @@ class Ends:
     ----------
     z : (p, m) array
     at_minimum : (m,) array of bool
-        Where the projected gradient is as small as was asked for.
+        Whether the projected gradient is below the tolerance.
     iterations : (m,) array of int
     """
 
@@ -84,16 +70,29 @@ class Ends:
 
 @dataclass(eq=False)
 class _Searches:
-    """The searches that are under way, a column for each, and some that fill up to a width."""
+    """The searches in progress, a column for each, and copies that fill up to a width.
 
-    owner: IntArray  # of the column, where it is live
-    path: IntArray  # row of the barriers
-    numbers: Array  # see `newton_iteration`
+    Attributes
+    ----------
+    owner : (w,) array
+        The search of each live column.
+    path : (w,) array
+        The row of the barriers.
+    numbers : (size, w) array
+        See `newton_iteration`.
+    live : (w,) array of bool
+    given : (g, w) array
+        Further inputs of the function for each search.
+    """
+
+    owner: IntArray
+    path: IntArray
+    numbers: Array
     live: BoolArray
-    given: Array  # (g, m), what the function takes besides, of each search
+    given: Array
 
-    def taken(self, columns: IntArray) -> "_Searches":
-        """Return those in some columns, and one of them as often as a width takes."""
+    def narrowed_to(self, columns: IntArray) -> "_Searches":
+        """Return the searches in these columns, filled up to a width."""
         live = np.arange(_width(len(columns))) < len(columns)
         columns = _filled(columns)
         return _Searches(
@@ -106,17 +105,19 @@ class _Searches:
 
 
 class _Iterations(threading.local):
-    """Those of problems with the same number of variables are the same; CasADi's functions serve one thread."""
+    """The functions of the iteration by number of variables; CasADi functions must not be shared by threads."""
 
     def __init__(self) -> None:
-        self.of = lru_cache(maxsize=SIZES)(_iteration)
+        self.of = lru_cache(maxsize=16)(_iteration)
 
 
 @one_thread_at_a_time
 def _iteration(p: int) -> tuple[Columns, Columns]:
     """Return `advanced` and `bounded` for p variables."""
+    # Searches go to the next level at a projected gradient of 1e-2: with 1e-3 they take a twentieth
+    # more iterations.
     return (
-        Columns(advanced(p, LAST, LOOSE), fewest=FEWEST_COLUMNS),
+        Columns(advanced(p, LAST, 1e-2), fewest=FEWEST_COLUMNS),
         Columns(bounded(p, LAST), fewest=FEWEST_COLUMNS),
     )
 
@@ -129,11 +130,7 @@ class BatchedNewton:
 
     @one_thread_at_a_time
     def __init__(
-        self,
-        program: ca.Function,
-        lower: Array,
-        upper: Array,
-        roots: ca.Function | None = None,
+        self, program: ca.Function, lower: Array, upper: Array, roots: ca.Function | None = None
     ) -> None:
         """Take an SX function (z, smoothing, ...) -> cost, ..., and the bounds (p,) of z.
 
@@ -144,7 +141,8 @@ class BatchedNewton:
         self._function = SecondOrder(inputs, program(*inputs)[0])
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
-        self._rows = Vectors(len(lower))
+        self._p = len(lower)
+        self._rows = layout(len(lower))
 
     def minimize(
         self,
@@ -159,15 +157,17 @@ class BatchedNewton:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
         A search ends where its projected gradient is at most the `tolerance`, relative to the cost
-        where that is above one. The columns of `given` (g, m) belong to the searches, where the
-        program takes them, and so do those of other `bounds`, (p, m) each, than the problem's.
+        where that is above one. The columns of `given` (g, m) are further inputs of the program for
+        each search; `bounds`, (p, m) each, replace those of the problem.
         """
         m = z.shape[1]
         low, high = bounds or self._bounds
         ends = Ends(np.clip(z, low, high), np.zeros(m, bool), np.zeros(m, int))
         if not m:
             return ends
-        margin = np.where(np.isfinite(high - low) & (not from_near), INSIDE * (high - low), 0.0)
+
+        # A search begins at least a hundredth of the interval inside its bounds, as in IPOPT.
+        margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
         z = np.clip(z, low + margin, high - margin)
         searches = self._begun(z, low, high, LAST if from_near else 0, given)
         self._advance(searches, tolerance)
@@ -190,21 +190,18 @@ class BatchedNewton:
         numbers = np.zeros((rows.size, m))
         numbers[rows.z] = numbers[rows.trial] = z
         numbers[rows.lower], numbers[rows.upper] = low, high
-        # Taken over as any other level is.
-        numbers[RADIUS], numbers[LEVEL], numbers[SWITCHED], numbers[ITERATIONS] = (
-            FIRST_RADIUS,
-            level - 1,
-            1,
-            -1,
-        )
-        every = np.arange(m)
+        # The first evaluation is that of a search which has just switched to the level.
+        numbers[LEVEL] = level - 1
+        numbers[SWITCHED] = 1
+        numbers[ITERATIONS] = -1
+        numbers[RADIUS] = 1.0  # the size of the start box in the solver's variables
+        places = np.arange(m)
         given = np.zeros((0, m)) if given is None else given
-        return _Searches(every, every % len(BARRIERS), numbers, np.ones(m, bool), given).taken(
-            every
-        )
+        searches = _Searches(places, places % len(BARRIERS), numbers, np.ones(m, bool), given)
+        return searches.narrowed_to(places)
 
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
-        """Take searches out."""
+        """Move searches to the ends."""
         owner, numbers = searches.owner[which], searches.numbers[:, which]
         ends.z[:, owner] = numbers[self._rows.z]
         ends.at_minimum[owner] = numbers[END] > 0
@@ -212,41 +209,53 @@ class BatchedNewton:
         searches.live &= ~which
 
     def _advance(self, searches: _Searches, tolerance: float) -> None:
-        """Evaluate the trial of every search, and take it or not; or the next level."""
-        numbers, rows = searches.numbers, self._rows
-        trial, levels = numbers[rows.trial], (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
+        """Evaluate the trial of every search, accept it or not, and find the next trial."""
+        numbers, rows, p = searches.numbers, self._rows, self._p
+        trial = numbers[rows.trial]
+        levels = (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
         inputs = [trial, SMOOTHINGS[levels][None]]
         inputs += [] if self._roots is None else self._roots(trial)
         inputs += [searches.given] if len(searches.given) else []
         cost, gradient, hessian = self._function(*inputs)
-        advance, within_radius = _iterations.of(rows.p)
-        own = [BARRIERS[searches.path, levels][None], np.full((1, len(levels)), tolerance)]
-        numbers, of_free = advance(numbers, *own, cost[None], gradient, hessian)
+
+        advance, within_radius = _iterations.of(p)
+        barrier = BARRIERS[searches.path, levels][None]
+        tolerances = np.full((1, len(levels)), tolerance)
+        numbers, hessian_of_free = advance(
+            numbers, barrier, tolerances, cost[None], gradient, hessian
+        )
         searches.numbers = numbers
         searches.live &= np.isfinite(numbers[COST])
+
+        # Where Newton's step is none, or too long, eigenvalues find the step within the radius.
         others = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
         if others.size:
-            eigenvalues, vectors = np.linalg.eigh(of_free.T[others].reshape(-1, rows.p, rows.p))
-            vectors, each = vectors.reshape(-1, rows.p**2), _filled(np.arange(others.size))
+            eigenvalues, eigenvectors = np.linalg.eigh(hessian_of_free.T[others].reshape(-1, p, p))
+            columns = _filled(np.arange(others.size))
             [trials] = within_radius(
-                numbers.take(others[each], axis=1), eigenvalues[each].T, vectors[each].T
+                numbers.take(others[columns], axis=1),
+                eigenvalues[columns].T,
+                eigenvectors.reshape(-1, p**2)[columns].T,
             )
             numbers[rows.trial, others] = trials[:, : others.size]
 
 
 def _filled(columns: IntArray) -> IntArray:
-    """Return the columns, the first of them repeated up to a power of two, so that few layouts serve."""
+    """Return the columns, the first one repeated up to a width."""
     return np.concatenate([columns, np.full(_width(len(columns)) - len(columns), columns[0])])
 
 
 def _width(m: int) -> int:
-    """Return the number of columns that are evaluated for m points, at least one."""
+    """Return the number of columns that are evaluated for m points: a power of two, so that few layouts are built."""
     return 1 << (m - 1).bit_length()
 
 
 def _narrowed(searches: _Searches) -> _Searches:
-    """Return the searches without those that ended, where these are the most."""
+    """Return the searches without those that ended, if the width then shrinks enough.
+
+    To a quarter, so that few layouts of registers are built; to a half where none are built.
+    """
     live = np.flatnonzero(searches.live)
     width = _width(len(live))
-    narrower = NARROWER if width >= FEWEST_COLUMNS else NARROWER_OF_FEW
-    return searches if narrower * width > len(searches.live) else searches.taken(live)
+    narrower = 4 if width >= FEWEST_COLUMNS else 2
+    return searches if narrower * width > len(searches.live) else searches.narrowed_to(live)

@@ -1,160 +1,128 @@
 """One iteration of Newton's method within a trust region, as CasADi functions of the numbers of one search.
 
-Some hundred operations on arrays make an iteration, and for few searches each takes a microsecond,
-ten times as long as what it computes. As two functions they are evaluated for all searches by two
-calls, see `greybox.compiled.vectorized`.
+An iteration takes some hundred array operations. For a few searches each operation takes a
+microsecond, ten times as long as its arithmetic. As two CasADi functions they are evaluated for all
+searches by two calls, see `greybox.compiled.vectorized`.
 
-The numbers of a search of p variables are a column: single ones at the rows that are named here,
-then the vectors of `Vectors`.
+The numbers of a search of p variables are a column: first the scalars at the rows named here, then
+the vectors of `Vectors`.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-COST = 0  # infinite where it or a derivative is not finite
+COST = 0  # infinite where the cost or a derivative is not finite
 RADIUS, LEVEL = 1, 2
-SWITCHED = 3  # whether the trial is the point again, at the next level
-IS_NEWTON = 4  # whether the trial is where the model is least; where it is not, `bounded` finds one
-END = 5  # 1 at a minimum, -1 where the search can go no further, else 0
+SWITCHED = 3  # whether the trial is the same point at the next level
+IS_NEWTON = 4  # whether the trial minimizes the model; otherwise `bounded` finds one
+END = 5  # 1 at a minimum, -1 where the search can make no progress, else 0
 ITERATIONS = 6
-SINGLE = 7
+SCALARS = 7
 
-# Of the distance to a bound, how much of it a step takes while there is a barrier: that of IPOPT.
-TO_BOUND = 0.99
+# Curvatures below this share of the largest one are rounding errors.
+FLATTEST = 1e-12
 
-LARGEST_RADIUS = 10.0
-LEAST_RADIUS = 1e-15  # beyond, rounding has the last word
-FLATTEST = 1e-12  # of the largest eigenvalue: curvatures below are rounding errors
-
-SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
-ROUNDING = 1e-12  # of the cost: smaller promised decreases cannot be seen in it
-GOOD, POOR = 0.5, 0.1  # ratios of the real to the modeled decrease at which the radius changes
-WIDER = 3.0  # times the step after a good one
-SHORTEST, LONGEST = (
-    0.1,
-    0.5,
-)  # times the step after a failed one, between which interpolation decides
-SECULAR_STEPS = (
-    8  # of Newton's method for the multiplier of the radius; three or four reach a twentieth of it
-)
+# A step may be this much longer than the radius: the multiplier need not be exact.
 CLOSE_TO_RADIUS = 1.05
 TINY, LARGEST = float(np.finfo(float).tiny), float(np.finfo(float).max)
 
 
-@dataclass(frozen=True)
-class Vectors:
-    """The rows of the point z, the trial that is evaluated next, gradient and Hessian (p * p,) at z, and the bounds."""
+class Vectors(NamedTuple):
+    """The rows of the vectors of a search, after its scalars; `size` is the number of all rows.
 
-    p: int
+    The `trial` is evaluated next; `gradient` (p,) and `hessian` (p * p,) are those at `z`.
+    """
 
-    @property
-    def z(self) -> slice:
-        """(p,)."""
-        return slice(SINGLE, SINGLE + self.p)
+    z: slice
+    trial: slice
+    gradient: slice
+    hessian: slice
+    lower: slice
+    upper: slice
+    size: int
 
-    @property
-    def trial(self) -> slice:
-        """(p,)."""
-        return slice(SINGLE + self.p, SINGLE + 2 * self.p)
 
-    @property
-    def gradient(self) -> slice:
-        """(p,)."""
-        return slice(SINGLE + 2 * self.p, SINGLE + 3 * self.p)
-
-    @property
-    def hessian(self) -> slice:
-        """(p * p,)."""
-        return slice(SINGLE + 3 * self.p, self.size - 2 * self.p)
-
-    @property
-    def lower(self) -> slice:
-        """(p,)."""
-        return slice(self.size - 2 * self.p, self.size - self.p)
-
-    @property
-    def upper(self) -> slice:
-        """(p,)."""
-        return slice(self.size - self.p, self.size)
-
-    @property
-    def size(self) -> int:
-        """How many numbers a search has."""
-        return SINGLE + 5 * self.p + self.p**2
+def layout(p: int) -> Vectors:
+    """Return the rows of a search of p variables."""
+    ends = np.cumsum([SCALARS, p, p, p, p * p, p, p]).tolist()
+    slices = [slice(begin, end) for begin, end in pairwise(ends)]
+    return Vectors(*slices, size=ends[-1])
 
 
 def advanced(p: int, last: int, loose: float) -> ca.Function:
     """Return (numbers, barrier, tolerance, cost, gradient, Hessian) -> the numbers after the trial was judged.
 
     The cost and its derivatives are those of the trial, without the barrier. Below the `last` level
-    a slope of at most `loose` takes the next one. With them comes the Hessian (p * p,) for the
-    variables that no bound holds, that of the others being the identity: `bounded` takes its
-    eigenvalues.
+    a projected gradient of at most `loose` switches to the next level. The second output is the
+    Hessian (p * p,) of the variables that no bound holds, with the identity for the others:
+    `bounded` takes its eigenvalues.
     """
-    rows, numbers = Vectors(p), ca.SX.sym("numbers", Vectors(p).size)
+    rows = layout(p)
+    numbers = ca.SX.sym("numbers", rows.size)
     inputs = [numbers, *(ca.SX.sym("v", size) for size in (1, 1, 1, p, p * p))]
-    _, barrier, tolerance, found, slopes, curvatures = inputs
+    _, barrier, tolerance, trial_cost, slopes, curvatures = inputs
     lower, upper = numbers[rows.lower], numbers[rows.upper]
     z, trial, gradient = (numbers[at] for at in (rows.z, rows.trial, rows.gradient))
     hessian, new_hessian = ca.reshape(numbers[rows.hessian], p, p), ca.reshape(curvatures, p, p)
     old, radius, switched = numbers[COST], numbers[RADIUS], numbers[SWITCHED]
     level = numbers[LEVEL] + switched
 
-    new, new_gradient = found, slopes
+    # The barrier of both bounds.
+    new, new_gradient = trial_cost, slopes
     for to_bound, is_bounded, sign in (
         (trial - lower, lower > -LARGEST, 1.0),
         (upper - trial, upper < LARGEST, -1.0),
     ):
         factor = barrier * is_bounded
-        distance = ca.fmin(
-            ca.fmax(to_bound, TINY), LARGEST
-        )  # of no matter where there is no barrier
+        # Without a bound the distance does not count, but must be finite.
+        distance = ca.fmin(ca.fmax(to_bound, TINY), LARGEST)
         share = factor / distance
         new -= ca.sum1(factor * ca.log(distance))
         new_gradient -= sign * share
         new_hessian += ca.diag(share / distance)
 
+    # Whether the trial is accepted: a decrease of at least a share of what the gradient promises
+    # (Armijo), or a change too small to be seen in the cost.
     step = trial - z
     promised = -ca.dot(gradient, step)
     modeled = promised - 0.5 * ca.dot(step, hessian @ step)
-    # A sum is finite if all of it is, but for an overflow, which a step does not survive either.
+    # A sum is finite if all of its terms are, except for an overflow, which is refused as well.
     finite = ca.fabs(new + ca.sum1(new_gradient) + ca.sum1(ca.vec(new_hessian))) <= LARGEST
-    new = _chosen(finite, new, ca.inf)
+    new = ca.if_else(finite, new, ca.inf)
     decrease = old - new
-    invisible = ca.logic_and(finite, ca.fabs(promised) <= ROUNDING * ca.fabs(old))
-    falls = ca.logic_and(promised > 0, decrease >= SUFFICIENT * promised)
+    invisible = ca.logic_and(finite, ca.fabs(promised) <= 1e-12 * ca.fabs(old))
+    falls = ca.logic_and(promised > 0, decrease >= 1e-4 * promised)
     accepted = ca.logic_or(invisible, falls)
-    # What was taken over to another level is a beginning, not a step.
-    radius = _chosen(
-        switched,
-        radius,
-        _next_radius(radius, ca.norm_2(step), promised, modeled, decrease, accepted),
-    )
-    taken = ca.logic_or(accepted, switched)
-    z, cost, gradient = (
-        _chosen(taken, *pair) for pair in ((trial, z), (new, old), (new_gradient, gradient))
-    )
-    upper_triangle = ca.Sparsity.upper(p)
-    hessian = ca.triu2symm(
-        _chosen(taken, ca.project(new_hessian, upper_triangle), ca.project(hessian, upper_triangle))
-    )
+    next_radius = _next_radius(radius, ca.norm_2(step), promised, modeled, decrease, accepted)
+    # The first evaluation at another level is not a step.
+    radius = ca.if_else(switched, radius, next_radius)
+    accepted = ca.logic_or(accepted, switched)
+    z = ca.if_else(accepted, trial, z)
+    cost = ca.if_else(accepted, new, old)
+    gradient = ca.if_else(accepted, new_gradient, gradient)
+    triangle = ca.Sparsity.upper(p)
+    hessian = ca.if_else(accepted, ca.project(new_hessian, triangle), ca.project(hessian, triangle))
+    hessian = ca.triu2symm(hessian)
 
+    # Whether the search ends, or goes to the next level.
     slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
     is_minimum = ca.logic_and(level >= last, slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0))
-    end = _chosen(is_minimum, 1.0, -(radius < LEAST_RADIUS))
+    # A radius below 1e-15 cannot change the cost by more than rounding.
+    end = ca.if_else(is_minimum, 1.0, -(radius < 1e-15))
     switched = ca.logic_and(level < last, slope <= loose)
+
+    # The next trial, if Newton's step stays within the radius.
     free = _free(z, gradient, lower, upper)
     hessian_of_free = hessian * (free @ free.T) + ca.diag(1 - free)
     newton, pivots = _eliminated(hessian_of_free, free * gradient)
-    is_newton = ca.logic_and(
-        ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), _is_within(newton, radius)
-    )
+    within_radius = ca.sumsqr(newton) <= (CLOSE_TO_RADIUS * radius) ** 2
+    is_newton = ca.logic_and(ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), within_radius)
     moved = _moved(z, newton, free, level < last, lower, upper)
-    trial = _chosen(ca.logic_and(is_newton, ca.logic_not(switched)), moved, z)
-    single = [
+    trial = ca.if_else(ca.logic_and(is_newton, ca.logic_not(switched)), moved, z)
+    scalars = [
         cost,
         radius,
         level,
@@ -163,34 +131,26 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
         end,
         numbers[ITERATIONS] + 1,
     ]
-    after = ca.vertcat(*single, z, trial, gradient, ca.vec(hessian), lower, upper)
-    return ca.Function("advanced", inputs, [after, ca.densify(ca.vec(hessian_of_free))])
+    result = ca.vertcat(*scalars, z, trial, gradient, ca.vec(hessian), lower, upper)
+    return ca.Function("advanced", inputs, [result, ca.densify(ca.vec(hessian_of_free))])
 
 
 def bounded(p: int, last: int) -> ca.Function:
-    """Return (numbers, eigenvalues, eigenvectors (p * p,)) -> the trial (p,) that is least within the radius.
+    """Return (numbers, eigenvalues, eigenvectors (p * p,)) -> the trial (p,) that minimizes the model within the radius.
 
     The eigenvalues are made positive.
     """
-    rows, numbers = Vectors(p), ca.SX.sym("numbers", Vectors(p).size)
+    rows = layout(p)
+    numbers = ca.SX.sym("numbers", rows.size)
     curvature, directions = ca.SX.sym("curvature", p), ca.SX.sym("directions", p * p)
     lower, upper = numbers[rows.lower], numbers[rows.upper]
     z, gradient, radius = numbers[rows.z], numbers[rows.gradient], numbers[RADIUS]
-    free, each = _free(z, gradient, lower, upper), ca.reshape(directions, p, p).T
+    free, eigenvectors = _free(z, gradient, lower, upper), ca.reshape(directions, p, p).T
     positive = ca.fabs(curvature)
     positive = ca.fmax(positive, FLATTEST * ca.fmax(ca.mmax(positive), TINY))
-    along = _within(radius, each.T @ (free * gradient), positive)
-    trial = _moved(z, each @ along, free, numbers[LEVEL] < last, lower, upper)
+    along = _within(radius, eigenvectors.T @ (free * gradient), positive)
+    trial = _moved(z, eigenvectors @ along, free, numbers[LEVEL] < last, lower, upper)
     return ca.Function("bounded", [numbers, curvature, directions], [trial])
-
-
-def _chosen(condition: Any, one: Any, other: Any) -> Any:
-    """Return one of two; the other may be no number."""
-    return ca.if_else(condition, one, other)
-
-
-def _is_within(step: ca.SX, radius: ca.SX) -> ca.SX:
-    return ca.sumsqr(step) <= (CLOSE_TO_RADIUS * radius) ** 2
 
 
 def _free(z: ca.SX, gradient: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:
@@ -203,48 +163,50 @@ def _moved(
     z: ca.SX, step: ca.SX, free: ca.SX, has_barrier: ca.SX, lower: ca.SX, upper: ca.SX
 ) -> ca.SX:
     """Return where a step of the free variables leads within the bounds."""
-    share = _chosen(has_barrier, TO_BOUND, 1.0)
+    # With a barrier a step takes 99 % of the distance to a bound at most, as in IPOPT.
+    share = ca.if_else(has_barrier, 0.99, 1.0)
     lowest, highest = z - share * (z - lower), z + share * (upper - z)
     return ca.fmin(ca.fmax(z + free * step, lowest), highest)
 
 
 def _eliminated(hessian: ca.SX, gradient: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return Newton's step (p,), and the pivots (p,): all positive where the Hessian is definite."""
-    left, step, p = ca.SX(hessian), -gradient, gradient.numel()
+    """Return Newton's step (p,), and the pivots (p,): all are positive if the Hessian is definite."""
+    matrix, step, p = ca.SX(hessian), -gradient, gradient.numel()
     for k in range(p - 1):
-        factor = left[k, k + 1 :].T / left[k, k]
-        left[k + 1 :, k + 1 :] -= ca.triu(factor @ left[k, k + 1 :])
+        factor = matrix[k, k + 1 :].T / matrix[k, k]
+        matrix[k + 1 :, k + 1 :] -= ca.triu(factor @ matrix[k, k + 1 :])
         step[k + 1 :] -= factor * step[k]
-    pivots = ca.diag(left)
-    for k in range(p - 1, -1, -1):
-        step[k] = (
-            (step[k] - left[k, k + 1 :] @ step[k + 1 :]) / pivots[k]
-            if k < p - 1
-            else step[k] / pivots[k]
-        )
+    pivots = ca.diag(matrix)
+    step[p - 1] = step[p - 1] / pivots[p - 1]
+    for k in range(p - 2, -1, -1):
+        step[k] = (step[k] - matrix[k, k + 1 :] @ step[k + 1 :]) / pivots[k]
     return step, pivots
 
 
 def _within(radius: ca.SX, gradient: ca.SX, curvature: ca.SX) -> ca.SX:
-    """Return the step (p,) along eigenvectors that minimizes the model no farther than the radius."""
+    """Return the step (p,) along eigenvectors that minimizes the model within the radius."""
     multiplier = ca.SX(0)
-    for _ in range(SECULAR_STEPS):
+    # Newton's method for the multiplier of the radius: three or four steps reach a twentieth of it.
+    for _ in range(8):
         step = gradient / (curvature + multiplier)
         length = ca.norm_2(step)
         slope = ca.sum1(step**2 / (curvature + multiplier)) / length
         more = (length / radius - 1) * length / slope
-        multiplier += _chosen(length > CLOSE_TO_RADIUS * radius, more, 0.0)
+        multiplier += ca.if_else(length > CLOSE_TO_RADIUS * radius, more, 0.0)
     return -gradient / (curvature + multiplier)
 
 
 def _next_radius(
-    radius: ca.SX, length: ca.SX, promised: ca.SX, modeled: ca.SX, decrease: ca.SX, accepted: ca.SX
+    radius: ca.SX, length: ca.SX, promised: ca.SX, modeled: ca.SX, decrease: ca.SX, accepted: Any
 ) -> ca.SX:
     """Return the radius of the next trust region."""
-    # Of the parabola through both costs with the slope at the first, the minimum.
+    # After a refused step: the minimum of the parabola through both costs with the slope at the
+    # first, between a tenth and half of the step.
     fall = ca.fmax(promised - decrease, TINY)
-    shorter = ca.fmin(ca.fmax(0.5 * promised / fall, SHORTEST), LONGEST) * length
-    ratio = _chosen(modeled > 0, decrease / modeled, 0.0)
-    wider = ca.fmin(ca.fmax(WIDER * length, radius), LARGEST_RADIUS)
-    longest = _chosen(ratio > GOOD, wider, _chosen(ratio < POOR, LONGEST * length, radius))
-    return _chosen(accepted, longest, shorter)
+    shorter = ca.fmin(ca.fmax(0.5 * promised / fall, 0.1), 0.5) * length
+
+    # After an accepted step: by the ratio of the real to the modeled decrease.
+    ratio = ca.if_else(modeled > 0, decrease / modeled, 0.0)
+    wider = ca.fmin(ca.fmax(3.0 * length, radius), 10.0)
+    longest = ca.if_else(ratio > 0.5, wider, ca.if_else(ratio < 0.1, 0.5 * length, radius))
+    return ca.if_else(accepted, longest, shorter)

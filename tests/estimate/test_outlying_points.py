@@ -7,6 +7,7 @@ from scipy.stats import f as fisher
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, deletion_ratios, largest_deviation
 from greybox.problems import pitch_hover
 
@@ -116,7 +117,9 @@ def test_clean_data_have_outliers_no_more_often_than_stated(criterion):
     for _ in range(400):
         noise = 0.05 * (random.normal(size=20) + 1j * random.normal(size=20))
         data = gb.FrequencyResponse(OMEGA, exact * (1 + noise), variance=variance)
-        part = nlp.parts[0].with_problem(problem.with_(data=data))
+        compiled = nlp.parts[0]
+        functions = compiled.objective, compiled.model_response, compiled.scaled_response
+        part = ResponsePart(problem.with_(data=data), *functions)
         probabilities.append(20 * largest_deviation(part, values, 2).probability)
     shares = [np.mean(np.array(probabilities) < level) for level in (SIZE, 0.05)]
     assert shares[0] < 0.03

@@ -14,7 +14,7 @@ from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import BatchedSolver
-from greybox.solve.newton_iteration import RADIUS, Vectors, bounded
+from greybox.solve.newton_iteration import RADIUS, bounded, layout
 from greybox.solve.waves import probability_of_no_other
 
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
@@ -195,7 +195,7 @@ def test_searches_keep_to_bounds_of_their_own():
 def test_a_step_within_the_radius_is_the_best_of_many():
     """Of a convex model; brute force over the sphere."""
     p, rng = 3, np.random.default_rng(2)
-    rows = Vectors(p)
+    rows = layout(p)
     half = rng.normal(size=(p, p))
     hessian, gradient = half @ half.T + 0.1 * np.eye(p), 10 * rng.normal(size=p)
     numbers = np.zeros(rows.size)

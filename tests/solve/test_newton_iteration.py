@@ -14,13 +14,13 @@ from greybox.solve.newton_iteration import (
     LEVEL,
     RADIUS,
     SWITCHED,
-    Vectors,
     advanced,
     bounded,
+    layout,
 )
 
 P, LAST, LOOSE = 2, 3, 1e-3
-ROWS = Vectors(P)
+ROWS = layout(P)
 HESSIAN = np.array([[4.0, 1.0], [1.0, 3.0]])
 BEST = np.array([0.5, -0.25])
 INF = np.full(P, np.inf)
@@ -257,7 +257,7 @@ def test_steps_of_three_variables(seed):
     random = np.random.default_rng(seed)
     half, gradient = random.normal(size=(3, 3)), random.normal(size=3)
     hessian = half @ half.T + 0.1 * np.eye(3)
-    rows = Vectors(3)
+    rows = layout(3)
     numbers = np.zeros(rows.size)
     numbers[rows.z] = numbers[rows.trial] = random.normal(size=3)
     numbers[rows.lower], numbers[rows.upper] = -99, 99
@@ -335,7 +335,7 @@ def test_a_step_that_eigenvalues_tell_stops_at_the_bounds_too(has_barrier):
 
 
 def test_a_step_of_one_variable():
-    rows = Vectors(1)
+    rows = layout(1)
     numbers = np.zeros(rows.size)
     numbers[[RADIUS, LEVEL, SWITCHED]] = 5, LAST - 1, 1
     numbers[rows.z] = numbers[rows.trial] = 0.7
