@@ -21,10 +21,6 @@ Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, sta
 | `greybox.plotting` | figures |
 """
 
-from greybox.cli.startup import guard_imports as _guard_imports
-
-_guard_imports()
-
 import ast as _ast
 from importlib import import_module as _import_module
 from pathlib import Path as _Path

@@ -37,8 +37,8 @@ NAMESPACES = {
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
-    "plotting": "bode contour demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
-    "sensitivity spectrogram spectrum starts time_history traces vibration",
+    "plotting": "bode contour nyquist plot profiles recording residuals sensitivity spectrum starts time_history "
+    "traces",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",

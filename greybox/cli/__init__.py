@@ -4,8 +4,8 @@
 | --- | --- |
 | `main` | the commands, and the parser of their options |
 | `execution` | runs a command; errors become sentences |
-| `list_command`, `new_command`, `completion_command` | models and problems: included ones, new ones |
-| `inspect_command`, `plot_command`, `response_command`, `identify_command` | logs |
+| `list_command`, `new_command` | models and problems: included ones, new ones |
+| `inspect_command`, `response_command`, `identify_command` | logs |
 | `orders_command`, `identifiability_command` | structures |
 | `fit_command`, `profile_command`, `bootstrap_command` | fits and their errors |
 | `reduce_command`, `stepwise_command`, `compare_command`, `report_command` | several fits |
@@ -19,6 +19,5 @@
 | `saved_fits` | reads and writes results |
 | `study_file` | the members of a batch |
 | `starting_files` | what `greybox new` writes |
-| `startup` | Ctrl-C during the imports |
-| `terminal` | colors, and standard output that is not UTF-8, closed, or on a full disk |
+| `terminal` | colors, and standard output that is closed or on a full disk |
 """

@@ -10,8 +10,7 @@ from greybox.cli.options import (
     add_time_options,
     positive,
 )
-from greybox.cli.output import FAILED, USABLE, Answer
-from greybox.cli.startup import INTERRUPTED
+from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
 from greybox.cli.study_file import (
     INCLUDED,
     find_study,

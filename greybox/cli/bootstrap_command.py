@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import get_args
 
 from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
-from greybox.cli.output import FAILED, USABLE, Answer
+from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
-from greybox.cli.startup import INTERRUPTED
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.bootstrap import Resampling, bootstrap

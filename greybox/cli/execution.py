@@ -12,12 +12,12 @@ from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import (
     BAD_INPUT,
     FAILED,
+    INTERRUPTED,
     NO_WORKING_DIRECTORY,
     Answer,
     has_working_directory,
     write_answer,
 )
-from greybox.cli.startup import INTERRUPTED
 from greybox.cli.terminal import no_terminal
 from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, listening, responding, take_interrupt

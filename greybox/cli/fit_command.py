@@ -15,9 +15,8 @@ from greybox.cli.options import (
     positive,
     probability,
 )
-from greybox.cli.output import FAILED, USABLE, Answer, require_figure, save_figure
+from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_out_option, require_fit_file
-from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.estimate.fit import Interrupted, SolverChoice, fit_keeping

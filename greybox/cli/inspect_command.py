@@ -4,7 +4,6 @@ import argparse
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
@@ -22,7 +21,6 @@ from greybox.spectral.vibration import vibration, vibration_table
 EXAMPLES = (
     "flight.BIN",
     "flight.BIN --setpoint ATT.DesPitch --plot tests.png",
-    "flight.BIN --vibration spectra.png",
 )
 
 BURSTS = 0.05  # of the samples that a gap precedes, above which a message comes in bursts: a lossy log drops 1 % or less
@@ -32,16 +30,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
     add_test_options(parser)
-    parser.add_argument(
-        "--vibration", type=Path, metavar="FILE", help="draw spectra of gyros and accelerometers"
-    )
     add_common_options(parser, "setpoints, angles and tests")
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Return what a log holds, and draw it where asked to."""
     require_figure(options.plot, options.force)
-    require_figure(options.vibration, options.force)
     recording = read_log(options)
     segments = segments_of(recording, options)
 
@@ -59,7 +53,6 @@ def run(options: argparse.Namespace) -> Answer:
     found += f"\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else ""
     findings = [f"  {finding}" for finding in recording.findings]
     notes = save_figure(options.plot, lambda: _figure(recording, (*segments, *manoeuvres)))
-    notes += save_figure(options.vibration, lambda: _vibration(recording))
     shaking = [
         one
         for name, record in recording.items()
@@ -131,12 +124,6 @@ def _figure(recording: Recording, segments: tuple[Segment, ...]) -> Any:
     from greybox.plotting import recording as draw  # noqa: PLC0415  (imports matplotlib)
 
     return draw(recording, segments)[0].figure
-
-
-def _vibration(recording: Recording) -> Any:
-    from greybox.plotting import vibration as draw  # noqa: PLC0415  (imports matplotlib)
-
-    return draw(recording)[0].figure
 
 
 def _about(recording: Recording) -> str:

@@ -13,8 +13,7 @@ from importlib.metadata import version
 from typing import Any, NoReturn
 
 from greybox.cli.options import HelpFormatter, UsageError
-from greybox.cli.output import BAD_INPUT, USABLE, Answer, write_answer
-from greybox.cli.startup import INTERRUPTED, end_guard
+from greybox.cli.output import BAD_INPUT, INTERRUPTED, USABLE, Answer, write_answer
 from greybox.files.text_table import alternatives, nearest
 
 # The command `fit` is the module `greybox.cli.fit_command`.
@@ -26,7 +25,6 @@ COMMANDS = {
     "orders": "choose the orders of a rational transfer function",
     "identifiability": "which parameters the model structure, or a fit, can determine",
     "fit": "fit a problem from many starts",
-    "plot": "draw the tests of a log and their response",
     "profile": "compute intervals that need not be symmetric",
     "bootstrap": "compute errors and intervals from resampled data",
     "reduce": "find the smaller structure that a fit suggests, fit it and compare",
@@ -35,7 +33,6 @@ COMMANDS = {
     "compare": "compare saved fits, or the fits of a study",
     "report": "write a page about results that can be shared",
     "new": "write a commented file to start from",
-    "completion": "print the script with which a shell completes commands and options",
 }
 
 BEGIN = """\
@@ -81,7 +78,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Imports the solvers, which takes half a second.
         from greybox.cli.execution import execute  # noqa: PLC0415
 
-        end_guard()
         return execute(parsed, arguments)
     except KeyboardInterrupt:
         return write_answer({"error": "interrupted."}, "", INTERRUPTED, as_json)
@@ -96,7 +92,6 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
         formatter_class=HelpFormatter,
         allow_abbrev=False,
     )
-    parser.set_defaults(parser_of=parser_of)
     parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
 
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 from greybox.cli.columns import add_columns_option, stated_columns
 from greybox.cli.options import add_common_options, nonnegative, positive
-from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
 from greybox.data.response_file import read_response
 from greybox.estimate.summary import summary
@@ -15,7 +15,7 @@ from greybox.identification.orders import OrderSelection, select_orders
 
 EXAMPLES = (
     "pitch_response.csv",
-    "pitch_response.csv --n 2 3 4 --integrators 1 --delays 0 0.1 --plot orders.png",
+    "pitch_response.csv --n 2 3 4 --integrators 1 --delays 0 0.1 --out chosen.h5",
     "bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg --out chosen.h5",
 )
 
@@ -62,17 +62,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--seed", type=nonnegative, default=0, help="of the starts, 0 by default")
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
-    add_common_options(parser, "BIC over the number of parameters")
+    add_common_options(parser, writes=True)
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the response, fit every structure of the grid, and choose."""
     require_fit_file(options.out, options.force)
-    require_figure(options.plot, options.force)
     data = read_response(options.response, columns=stated_columns(options) or None)
     grid = (options.n, options.m, options.integrators, options.delays)
     found = select_orders(data, *grid, starts=options.starts, seed=options.seed)
-    notes = save_fit(found.fit, options.out) + save_figure(options.plot, lambda: _figure(found))
+    notes = save_fit(found.fit, options.out)
     return _summary(found), "\n".join([str(found), "", str(found.fit), *notes]), USABLE
 
 
@@ -94,9 +93,3 @@ def _summary(found: OrderSelection) -> dict[str, Any]:
         "failed": found.failed,
         "fit": summary(found.fit),
     }
-
-
-def _figure(found: OrderSelection) -> Any:
-    from greybox.plotting.orders import orders  # noqa: PLC0415  (matplotlib takes long to import)
-
-    return orders(found).figure

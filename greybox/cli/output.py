@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.cli.terminal import colored, has_all_characters, write
+from greybox.cli.terminal import colored, write
 from greybox.files.safe_files import replacing
 from greybox.files.text_table import printable
 
@@ -18,6 +18,7 @@ Answer = tuple[dict[str, Any], str, int]
 USABLE = 0  # a usable answer
 FAILED = 1  # a run that failed
 BAD_INPUT = 2  # bad usage or bad input
+INTERRUPTED = 130  # as of a program that a shell saw end by Ctrl-C
 
 FIGURES = (".png", ".pdf", ".svg")
 
@@ -32,7 +33,7 @@ def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) 
     # The text contains names from files, which may hold control characters.
     text = colored(printable(text, keep="\n\t"), sys.stdout)
     if as_json and result:
-        text = json.dumps(result, allow_nan=False, ensure_ascii=not has_all_characters(sys.stdout))
+        text = json.dumps(result, allow_nan=False)
     trouble = write(text, sys.stdout) if text else ""
     if trouble:
         write(f"greybox: cannot write to standard output: {trouble}.", sys.stderr)

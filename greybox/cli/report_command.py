@@ -18,9 +18,6 @@ from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
 
-PAGES = (".html", ".htm")
-
-
 EXAMPLES = (
     "pitch.h5",
     "linear.h5 nonlinear.h5 --out comparison.html",
@@ -54,14 +51,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="records that none of two or more fits has seen: how well each predicts them",
     )
     add(
-        "--bootstrap",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="what greybox bootstrap RESULT --json printed, to stand beside that result",
-    )
-    add(
         "--details",
         nargs="+",
         default=[],
@@ -74,13 +63,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the results and write the page."""
-    from greybox.html_report.report import with_bootstraps, write_page  # noqa: PLC0415  (figures need matplotlib, which takes long)
+    from greybox.html_report.report import write_page  # noqa: PLC0415  (imports matplotlib)
 
     out = options.out or Path(f"{options.results[0].resolve().stem}.html")
-    require_writable(out, options.force)
-    if out.suffix.lower() not in PAGES:
-        raise UsageError(f"--out {out} is not a page: end it in .html.")
-    entries = with_bootstraps(_entries(options), [read_json(path) for path in options.bootstrap])
+    require_writable(out, options.force, (".html", ".htm"), "page")
+    entries = _entries(options)
     write_page(entries, out, _held_out(options.held_out, entries), options.title)
     size = out.stat().st_size
     answer = {"page": str(out), "bytes": size, "results": [entry.label for entry in entries]}
@@ -90,50 +77,41 @@ def run(options: argparse.Namespace) -> Answer:
 def _entries(options: argparse.Namespace) -> list[Any]:
     from greybox.html_report.report import Entry, study_entries  # noqa: PLC0415  (as above)
 
-    loaded = {path: saved_fit(path, options) for path in options.results if not path.is_dir()}
-    labels = dict(zip(loaded, labels_of(list(loaded.values())), strict=True))
+    fits = {path: saved_fit(path, options) for path in options.results if not path.is_dir()}
+    labels = dict(zip(fits, labels_of(list(fits.values())), strict=True))
     entries: list[Any] = []
     for path in options.results:
-        if path.is_dir():
-            command = _batch_command(path)
-            entries += [
-                replace(entry, command=command)
-                for entry in study_entries(read_study(path), options.details)
-            ]
-        else:
-            entries.append(Entry(labels[path], loaded[path], file=str(path)))
+        if path in fits:
+            entries.append(Entry(labels[path], fits[path], file=str(path)))
+            continue
+        command = _batch_command(path)
+        members = study_entries(read_study(path), options.details)
+        entries += [replace(member, command=command) for member in members]
     return entries
 
 
 def _batch_command(study: Path) -> tuple[str, ...]:
-    """Return what made a study, as far as its folder knows."""
-    if not (study / ORIGIN).is_file():
+    """Return the command that made a study, if its folder has it."""
+    origin = read_json(study / ORIGIN) if (study / ORIGIN).is_file() else {}
+    if not isinstance(origin.get("study"), str):
         return ()
-    source, starts = (read_json(study / ORIGIN).get(name) for name in ("study", "starts"))
-    if not isinstance(source, str):
-        return ()
-    return (
-        "batch",
-        source,
-        "--out",
-        str(study),
-        *(("--starts", str(starts)) if isinstance(starts, int) else ()),
-    )
+    command = ("batch", origin["study"], "--out", str(study))
+    starts = origin.get("starts")
+    return (*command, "--starts", str(starts)) if isinstance(starts, int) else command
 
 
 def _held_out(paths: Sequence[Path], entries: Sequence[Any]) -> Comparison | None:
-    """Return how the fits compare on these records; None without records."""
+    """Return how well the fits predict these records; None without records."""
     if not paths:
         return None
-    fits = [entry.fit for entry in entries if entry.fit is not None]
-    if len(fits) < 2:
+    fitted = [entry for entry in entries if entry.fit is not None]
+    if len(fitted) < 2:
         raise UsageError("--held-out compares fits by what they predict: give two or more results.")
-    model = fits[0].model_of()
+    model = fitted[0].fit.model_of()
     records = [data for path in paths if isinstance(data := read_data(path, model), Record)]
     if len(records) < len(paths):
         raise UsageError(
             "--held-out takes records, columns of time and signals: compare responses in Python."
         )
-    return compare(
-        *fits, records=records, labels=[entry.label for entry in entries if entry.fit is not None]
-    )
+    labels = [entry.label for entry in fitted]
+    return compare(*(entry.fit for entry in fitted), records=records, labels=labels)

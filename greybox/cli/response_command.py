@@ -59,12 +59,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="with --manoeuvre: inputs held between samples",
     )
     add("--out", type=Path, metavar="FILE", help="save the response to this .csv or .h5 file")
-    add(
-        "--traces",
-        type=Path,
-        metavar="FILE",
-        help="draw control, output and setpoint of the first test",
-    )
     add_common_options(parser, "Bode diagram and coherence")
 
 
@@ -165,7 +159,6 @@ def run(options: argparse.Namespace) -> Answer:
     """Measure the response; save and draw it where asked to."""
     require_figure(options.plot, options.force)
     require_writable(options.out, options.force, (".csv", *HDF5), "file")
-    require_figure(options.traces, options.force)
     if options.manoeuvre is not None:
         return _run_manoeuvre(options)
     if len(options.input) > 1 or len(options.output) > 1:
@@ -184,9 +177,6 @@ def run(options: argparse.Namespace) -> Answer:
         write_response(response, options.out)
         notes.append(f"saved {options.out}")
     notes += save_figure(options.plot, lambda: _figure("bode", response))
-    notes += save_figure(
-        options.traces, lambda: _figure("traces", measured.record, next(iter(measured.used), None))
-    )
     return answer, "\n".join([_text(recording, measured), *notes]), USABLE
 
 
@@ -209,9 +199,6 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
         write_spectrum(spectrum, options.out)
         notes.append(f"saved {options.out}")
     notes += save_figure(options.plot, lambda: _figure("spectrum", spectrum))
-    notes += save_figure(
-        options.traces, lambda: _figure("traces", measured.record, measured.manoeuvre)
-    )
     answer = {
         **_said(recording, measured),
         "manoeuvre": segment_as_json(measured.manoeuvre),
@@ -267,8 +254,7 @@ def _run_matrix(options: argparse.Namespace) -> Answer:
         notes.append(
             f"  fit one: greybox fit --data {options.out} --prefix {first.output}_{first.input}_ --model MODEL"
         )
-    notes += save_figure(options.plot, lambda: _figure("response_matrix", measured.responses))
-    notes += save_figure(options.traces, lambda: _figure("traces", measured.record))
+    notes += save_figure(options.plot, lambda: _figure("bode", *measured.responses))
     answer = {
         **_said(recording, measured),
         "responses": [

@@ -1,37 +1,12 @@
-"""Standard output and standard error, whatever they are: not UTF-8, closed, or on a full disk."""
+"""Standard output and standard error: colors, other encodings, closed streams, full disks."""
 
-import codecs
 import contextlib
 import os
 import re
 import sys
-import unicodedata
 from typing import Any, TextIO
 
-# What is written for a character that the encoding of a terminal or file does not have. Letters
-# with accents lose them, Greek letters are named, and the rest is written as Python's escapes.
-SPELLED = str.maketrans(
-    {
-        "±": "+-",
-        "·": "*",
-        "×": "x",
-        "−": "-",
-        "–": "-",
-        "→": "->",
-        "≤": "<=",
-        "≥": ">=",
-        "√": "sqrt",
-        "∞": "inf",
-        "°": " deg",
-        "µ": "u",
-    }
-    | {superscript: f"^{digit}" for digit, superscript in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")}
-    | {"⁻": "^-", "ᵀ": "^T"}
-)
-
-
-# What stands out where there are colors: why there is no answer, and what to know before believing
-# one.
+# What is colored: why there is no answer, and what to know before believing one.
 RED, YELLOW, PLAIN = "\033[1;31m", "\033[33m", "\033[0m"
 STANDS_OUT = re.compile(
     r"^(?P<red>greybox:|[ ]*FAILED:)|(?P<yellow>^[ ]*warning:|\bAT BOUND\b)", re.MULTILINE
@@ -39,7 +14,7 @@ STANDS_OUT = re.compile(
 
 
 def colored(text: str, stream: TextIO | None) -> str:
-    """Return the text with colors if the stream is a terminal that has them, and nobody set NO_COLOR.
+    """Return the text with colors if the stream is a terminal with colors and NO_COLOR is not set.
 
     See https://no-color.org.
     """
@@ -53,7 +28,7 @@ def colored(text: str, stream: TextIO | None) -> str:
 
 
 class _NoTerminal:
-    """A stream that is used as one to no terminal, so that nothing draws bars on it."""
+    """A stream that claims not to be a terminal, so that nothing draws progress bars on it."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -66,23 +41,22 @@ class _NoTerminal:
 
 
 def no_terminal(stream: TextIO | None) -> Any:
-    """Return a stream that says to be no terminal."""
+    """Return a stream that claims not to be a terminal."""
     return stream if stream is None else _NoTerminal(stream)
 
 
 def make_writable() -> None:
-    """Let standard output and error accept any text: what their encoding does not have is spelled."""
-    codecs.register_error("spelled", _spelled)
+    """Let standard output and error accept any text, whatever their encoding."""
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
-            reconfigure(errors="spelled")
+            reconfigure(errors="backslashreplace")
 
 
 def write(text: str, stream: TextIO | None) -> str:
-    """Write text and a line end, and return why that was not possible, or nothing.
+    """Write text and a line end; return the reason if that was not possible, else nothing.
 
-    Who reads no further, as `greybox list | head`, has what was wanted: that is no reason.
+    A reader that stops early, as in `greybox list | head`, is not a reason.
     """
     if stream is None:  # closed by the shell, >&-
         return ""
@@ -97,33 +71,7 @@ def write(text: str, stream: TextIO | None) -> str:
     return ""
 
 
-def has_all_characters(stream: TextIO | None) -> bool:
-    """Tell whether a stream's encoding has every character."""
-    return (getattr(stream, "encoding", None) or "").lower().replace("-", "").startswith("utf")
-
-
 def _discard(stream: TextIO) -> None:
-    """Lead what is still to be written nowhere: Python would complain of it once more when it ends."""
+    """Discard what is still to be written: Python would complain about it again when it ends."""
     with contextlib.suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), stream.fileno())
-
-
-def _spelled(error: UnicodeError) -> tuple[str, int]:
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    return "".join(map(_spell, error.object[error.start : error.end])), error.end
-
-
-def _spell(character: str) -> str:
-    spelled = character.translate(SPELLED)
-    if spelled == character:
-        words = unicodedata.name(character, "").lower().split()
-        spelled = (
-            words[-1] if words[:1] == ["greek"] and len(words) == 4 else _without_accent(character)
-        )
-    return spelled
-
-
-def _without_accent(character: str) -> str:
-    plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
-    return plain or character.encode("ascii", "backslashreplace").decode()

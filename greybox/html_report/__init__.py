@@ -8,7 +8,7 @@
 | `fit_section` | everything about one fit |
 | `comparison_section` | several results side by side |
 | `figure` | the figures of `greybox.plotting` as elements of the page |
-| `tables`, `interval_section` | estimates, intervals |
+| `tables` | tables of estimates |
 | `equation`, `mathml` | the equation of the model |
 | `provenance` | where data and result come from |
 | `elements` | HTML elements |

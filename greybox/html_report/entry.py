@@ -25,8 +25,6 @@ class Entry:
         Why there is no result.
     command : tuple of str
         Arguments of the command ``greybox`` that made this result and others.
-    bootstrap : mapping
-        `Bootstrap.summary` of this fit, or empty.
     anchor : str
         Of its section on the page, or empty.
     """
@@ -37,7 +35,6 @@ class Entry:
     file: str = ""
     error: str = ""
     command: tuple[str, ...] = ()
-    bootstrap: Mapping[str, Any] = field(default_factory=dict)
     anchor: str = ""
 
     @cached_property

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
 from greybox.files.text_table import listed
@@ -11,13 +12,13 @@ from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.equation import equations
 from greybox.html_report.figure import figure_grid
-from greybox.html_report.interval_section import interval_section
 from greybox.html_report.provenance import data_summary, provenance
-from greybox.html_report.tables import parameter_table
+from greybox.html_report.tables import Cell, number_cell, parameter_table, table
 from greybox.modeling.model import Model
 from greybox.plotting.bode import bode_figure
 from greybox.plotting.figure import Figure
 from greybox.plotting.nyquist import nyquist_figures
+from greybox.plotting.profile import profile_figures
 from greybox.plotting.residuals import residual_figures
 from greybox.plotting.sensitivity import information_figure, response_sensitivity_figure
 from greybox.plotting.spectrum import spectrum_figure
@@ -39,9 +40,8 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
     assert fit is not None
     yield "Verdict", [tag("p", data_summary(fit)), _verdict_box(fit), *_warnings(fit)]
     yield "Parameters", [parameter_table(fit), *remarks(fit)]
-    intervals = list(interval_section(fit, entry.bootstrap))
-    if intervals:
-        yield "Intervals", intervals
+    if fit.profiles is not None and fit.profiles.profiles:
+        yield "Intervals", list(_profiles(fit.profiles))
     yield "Equation", list(_equations(fit))
     if fit.responses:
         figures = [bode_figure([fit]), *nyquist_figures([fit])]
@@ -95,6 +95,21 @@ def remarks(fit: Fit) -> list[Element]:
     if judged.combinations:
         texts.append(f"Determined in combination: {'; '.join(map(str, judged.combinations))}.")
     return [tag("p", text, class_="soft") for text in texts]
+
+
+def _profiles(profiles: Profiles) -> Iterator[Element]:
+    rows = [[Cell(p.name), number_cell(p.estimate), Cell(str(p))] for p in profiles.profiles]
+    interval = f"{100 * profiles.level:g} % interval by profile likelihood"
+    yield table(["quantity", "estimate", interval], rows)
+    for warning in profiles.warnings:
+        yield tag("p", warning)
+    yield figure_grid(profile_figures(profiles))
+    explanation = (
+        "r is the signed root of the likelihood ratio; all other parameters are fitted again at "
+        "every point. The interval is where |r| stays below the limit. Where the curve leaves the "
+        "dashed cone, the standard error misleads."
+    )
+    yield tag("p", explanation, class_="soft")
 
 
 def _equations(fit: Fit) -> Iterator[Element]:

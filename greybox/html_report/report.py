@@ -1,11 +1,9 @@
 """A page about one or several fits, to look at and to share."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,9 +11,7 @@ from greybox.estimate.result import Fit
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted
 from greybox.html_report.entry import Entry
-from greybox.html_report.interval_section import bootstrap_table
 from greybox.html_report.page import page
-from greybox.study.bootstrap import Bootstrap
 from greybox.study.study import Study, StudyMember
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
@@ -28,7 +24,6 @@ def report(
     path: str | Path,
     *,
     comparison: Comparison | None = None,
-    bootstraps: Sequence[Bootstrap] = (),
     details: Collection[str] = (),
     title: str = "",
 ) -> None:
@@ -44,8 +39,6 @@ def report(
     comparison : Comparison, optional
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
-    bootstraps : sequence of Bootstrap
-        Of some of the fits, matched by name. Profiles are shown if a fit contains them.
     details : collection of str
         Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default up
         to twelve: for each data set and criterion the member of the lowest cost, then the next.
@@ -76,8 +69,7 @@ def report(
             entries.append(Entry(next(labels), result))
         else:
             entries += study_entries(result, details)
-    summaries = [bootstrap.summary() for bootstrap in bootstraps]
-    write_page(with_bootstraps(entries, summaries), Path(path), comparison, title)
+    write_page(entries, Path(path), comparison, title)
 
 
 def write_page(
@@ -98,37 +90,6 @@ def write_page(
     with np.errstate(all="ignore"):  # a loaded file may contain any numbers
         text = page(entries, comparison, title or default)
     write_text(path, text)
-
-
-def with_bootstraps(
-    entries: Sequence[Entry], summaries: Sequence[Mapping[str, Any]]
-) -> list[Entry]:
-    """Return the entries, each with the bootstrap of its fit, matched by name.
-
-    Raises
-    ------
-    ValueError
-        For an object that is not such a summary, or has another name than all fits.
-    """
-    names = {entry.fit.name for entry in entries if entry.fit is not None}
-    by_name = {}
-    for summary in summaries:
-        try:
-            bootstrap_table(summary)
-            name = summary["problem"]
-        except (LookupError, TypeError, ValueError, AttributeError):
-            raise ValueError(
-                "a bootstrap is not understood: give what greybox bootstrap --json printed."
-            ) from None
-        if name not in names:
-            raise ValueError(
-                f"there is a bootstrap of {name!r:.60}, and no fit of that name on this page."
-            )
-        by_name[name] = summary
-    return [
-        replace(entry, bootstrap=by_name.get(entry.fit.name, {})) if entry.fit else entry
-        for entry in entries
-    ]
 
 
 def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:

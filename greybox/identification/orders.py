@@ -71,7 +71,7 @@ class OrderCandidate:
 
 @dataclass(frozen=True, eq=False)
 class OrderSelection:
-    """All structures of the grid. Printing it gives the table and the verdict; `gb.plotting.orders` draws it.
+    """All structures of the grid. Printing it gives the table and the verdict.
 
     Attributes
     ----------

@@ -12,14 +12,14 @@ and returns the Figure.
 | --- | --- |
 | `figure` | a figure as a value: panels with series; every diagram below returns one |
 | `matplotlib_figure` | draws such a value; the page of a report draws the same values |
-| `bode`, `nyquist`, `response_matrix` | diagrams of frequency responses |
+| `bode`, `nyquist` | diagrams of frequency responses |
 | `responses` | the curves and points in them: names, colors, bands |
 | `point_numbers` | frequencies beside points, where there is room |
 | `starts` | the cost that each start reached |
 | `time_history`, `residuals` | fitted and predicted records |
 | `spectrum` | transforms of manoeuvres |
-| `profile`, `sensitivity`, `orders` | profiles of the likelihood, information on parameters, order selection |
-| `flight_log`, `measured_test`, `vibration` | logs, what was measured from them, spectra of the IMU |
+| `profile`, `sensitivity` | profiles of the likelihood, information on parameters |
+| `flight_log` | logs and their tests |
 | `signals` | units, symbols and shaded tests |
 | `long_lines` | draws no more points than can be seen |
 | `overview` | one figure of a whole fit |
@@ -28,18 +28,12 @@ and returns the Figure.
 from greybox.plotting.bode import bode as bode
 from greybox.plotting.flight_log import recording as recording
 from greybox.plotting.flight_log import traces as traces
-from greybox.plotting.measured_test import demodulated as demodulated
-from greybox.plotting.measured_test import measurement as measurement
-from greybox.plotting.measured_test import spectrogram as spectrogram
 from greybox.plotting.nyquist import nyquist as nyquist
-from greybox.plotting.orders import orders as orders
 from greybox.plotting.overview import plot as plot
 from greybox.plotting.profile import contour as contour
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
-from greybox.plotting.response_matrix import response_matrix as response_matrix
 from greybox.plotting.sensitivity import sensitivity as sensitivity
 from greybox.plotting.spectrum import spectrum as spectrum
 from greybox.plotting.starts import starts as starts
 from greybox.plotting.time_history import time_history as time_history
-from greybox.plotting.vibration import vibration as vibration

@@ -50,7 +50,7 @@ def response_matrix(
     -------
     tuple of FrequencyResponse
         By output, then by input. `greybox.data.write_responses` writes them to one file,
-        `greybox.plotting.response_matrix` draws them.
+        `greybox.plotting.bode` draws them.
 
     Raises
     ------

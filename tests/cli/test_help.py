@@ -1,13 +1,10 @@
-"""What a new user types first: help, completion; and what is shown on a terminal only."""
+"""What a new user types first: help; and what is shown on a terminal only."""
 
 import argparse
 import io
 import json
 import re
 import shlex
-import shutil
-import subprocess
-import sys
 
 import pytest
 from command_line import OWN, refused, run
@@ -80,39 +77,6 @@ def test_colors_stand_on_terminals_only(monkeypatch):
     monkeypatch.delenv("NO_COLOR")
     monkeypatch.setenv("TERM", "dumb")
     assert colored(TEXT, Terminal()) == TEXT
-
-
-# --- completion
-
-
-@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
-def test_bash_completes_commands_options_and_problems(capsys, tmp_path):
-    pytest.importorskip("shtab")
-    status, script, _ = run(capsys, "completion", "bash")
-    assert status == 0
-    (tmp_path / "mine.py").touch()
-    (tmp_path / "fit.h5").touch()
-    ask = f"""{script}
-ask() {{ COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); _shtab_greybox; echo "${{COMPREPLY[@]}}"; }}
-ask greybox f; ask greybox fit --starts-b; ask greybox fit pitch_h; ask greybox fit mi; ask greybox profile fit
-"""
-    out = subprocess.run(
-        ["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True, check=True
-    ).stdout
-    assert out.splitlines()[:4] == [
-        "fit",
-        "--starts-box",
-        "pitch_hover pitch_hover_ls pitch_hover_sines",
-        "mine.py",
-    ]
-    assert "fit.h5" in out.splitlines()[4]
-
-
-def test_without_shtab_the_sentence_names_the_extra(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    assert "needs shtab: pip install 'greybox-id[completion]'." in refused(
-        capsys, "completion", "zsh"
-    )
 
 
 def test_the_orders_that_are_tried_are_those_that_are_told():

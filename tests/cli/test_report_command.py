@@ -91,24 +91,14 @@ def test_of_a_large_study_the_best_or_chosen_members_are_read_and_drawn(
     )
 
 
-def test_profiles_and_a_bootstrap_stand_beside_the_fit(capsys, results, tmp_path):
+def test_profiles_are_in_the_page(capsys, results, tmp_path):
     fit = gb.load(results / "roll.h5")
     gb.save(replace(fit, profiles=gb.profile(fit, ["a1"])), tmp_path / "roll.h5")
-    status, out, _ = run(capsys, "bootstrap", results / "roll.h5", "--replicates", "20", "--json")
-    assert status == 0
-    (tmp_path / "bootstrap.json").write_text(out, encoding="utf-8")
-    page = "report", tmp_path / "roll.h5", "--out", tmp_path / "roll.html", "--force", "--bootstrap"
-    assert run(capsys, *page, tmp_path / "bootstrap.json")[0] == 0
-    text = (tmp_path / "roll.html").read_text(encoding="utf-8")
+    page = tmp_path / "roll.html"
+    assert run(capsys, "report", tmp_path / "roll.h5", "--out", page)[0] == 0
+    text = page.read_text(encoding="utf-8")
     assert str(gb.load(tmp_path / "roll.h5").profiles["a1"]) in text
     assert "Profile of a1" in text
-    assert f"{json.loads(out)['quantities']['a2']['standard_error']:.3g}" in text
-    (tmp_path / "other.json").write_text(
-        out.replace('"problem": "', '"problem": "not '), encoding="utf-8"
-    )
-    assert "no fit of that name" in refused(capsys, *page, tmp_path / "other.json")
-    (tmp_path / "bad.json").write_text('{"failed": 3}', encoding="utf-8")
-    assert "is not understood" in refused(capsys, *page, tmp_path / "bad.json")
 
 
 def test_a_model_of_ones_own_is_drawn_where_its_file_is_given(capsys, own, tmp_path):

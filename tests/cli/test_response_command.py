@@ -36,12 +36,6 @@ def test_log_to_response_to_fit(capsys, tmp_path, suffix):
     assert json.loads(text)["estimate"]["K_phi"] == pytest.approx(91.0, rel=0.01)
 
 
-def test_the_traces_of_a_chosen_test_are_drawn(capsys, tmp_path):
-    options = ["--tests", "2,9", "--setpoint", "ATT.DesPitch", "--traces", tmp_path / "traces.png"]
-    assert run(capsys, "response", LOG, *PITCH, *options)[0] == 0
-    assert (tmp_path / "traces.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_single_tests_can_be_chosen(capsys):
     answer = json.loads(run(capsys, "response", LOG, *PITCH, "--tests", "1,4-6", "--json")[1])
     assert sorted(answer["omega"]) == pytest.approx([4.0, 5.34, 8.0, 20.11], rel=1e-3)

@@ -12,7 +12,7 @@ import greybox as gb
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import fit_section, remarks
 from greybox.html_report.page import BYTES, COLUMNS, FEWEST, LARGEST, LINES, columns_of, page
-from greybox.html_report.report import with_bootstraps, write_page
+from greybox.html_report.report import write_page
 from greybox.models.polynomial import Polynomial
 
 
@@ -71,27 +71,6 @@ def test_what_cannot_be_reported_is_told(fit, tmp_path):
         gb.report([fit, 3], tmp_path / "x.html")
     with pytest.raises(TypeError, match=r"comparison is 3: give what gb\.compare returns"):
         gb.report(fit, tmp_path / "x.html", comparison=3)
-    with pytest.raises(
-        ValueError, match="a bootstrap is not understood: give what greybox bootstrap"
-    ):
-        with_bootstraps([Entry("lag", fit)], [{"problem": "lag"}])
-    said = {
-        "about": "x",
-        "replicates": 9,
-        "failed": 0,
-        "seed": 5,
-        "level": 0.9,
-        "warnings": [],
-        "quantities": {},
-    }
-    with pytest.raises(
-        ValueError, match="there is a bootstrap of 'lead', and no fit of that name on this page"
-    ):
-        with_bootstraps([Entry("lag", fit)], [{**said, "problem": "lead"}])
-    first, second = with_bootstraps(
-        [Entry("lag", fit), Entry("none", None)], [{**said, "problem": fit.name}]
-    )
-    assert (first.bootstrap["seed"], second.bootstrap) == (5, {})
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,7 +12,6 @@ from greybox.files.text_table import number, with_error
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import remarks
-from greybox.html_report.interval_section import bootstrap_table
 from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.tables import Cell, number_cell, parameter_table, table
 
@@ -214,31 +213,6 @@ def test_estimates_of_several_fits_stand_with_their_errors(fit):
     ] == [heading.text]
     many = [Entry(str(k), fit) for k in range(7)]
     assert [part.tag for part in comparison_section(many, None, 200)] == ["h3", "div"]
-
-
-def test_a_bootstrap_is_a_sentence_and_a_table():
-    q = {
-        "estimate": 2.0,
-        "standard_error": 0.1234,
-        "fit_standard_error": 0.11,
-        "bias": -0.01,
-        "unit": "s",
-    }
-    said = {
-        "about": "residuals resampled", "replicates": 1, "failed": 2, "seed": 5, "level": 0.9, "warnings": ["few."],
-        "quantities": {"T": {**q, "interval": [1.5, 2.5]}},
-    }  # fmt: skip
-    sentence, found, warning = bootstrap_table(said)
-    assert sentence.text == "Bootstrap: residuals resampled; 1 replicate, 2 failed; seed 5."
-    header, row = texts(found)
-    assert header[-1] == "90 % interval"
-    assert row[:6] == ["T", "2", "0.123", "0.11", "−0.01", "s"]
-    assert [cell.get("data-value") for cell in found.iter("td")][-1:] == ["1.5"]
-    assert warning.text == "few."
-    assert (
-        bootstrap_table({**said, "failed": 0})[0].text
-        == "Bootstrap: residuals resampled; 1 replicate; seed 5."
-    )
 
 
 def entry(label, **known):

@@ -12,7 +12,6 @@ import greybox as gb
 from greybox.files.text_table import number
 from greybox.identification.orders import _linear_starts
 from greybox.models.polynomial import Polynomial
-from greybox.plotting.orders import orders
 from greybox.regression.poles_and_zeros import near_pairs
 
 
@@ -89,14 +88,6 @@ def test_the_table_has_every_structure_that_was_fitted(found):
         == f"<OrderSelection {len(found.candidates)} structures, n = 2, m = 0, 1 integrator, delay>"
     )
     assert str(replace(found, failed=2)).endswith("2 structures had no fit.")
-
-
-def test_the_figure_shows_all_structures(found):
-    ax = orders(found)
-    drawn = sum(len(line.get_xdata()) for line in ax.lines if line.get_linestyle() == "None")
-    assert drawn == len(found.candidates) + 1  # and the ring around the chosen one
-    assert "2, 0" in [text.get_text() for text in ax.texts]
-    assert orders(found, ax=ax, legend=False) is ax
 
 
 def test_polynomials_have_several_integrators_and_a_delay():

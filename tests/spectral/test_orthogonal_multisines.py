@@ -90,34 +90,6 @@ def test_one_file_holds_all(tmp_path):
         np.testing.assert_array_equal(read.variance, response.variance)
 
 
-def test_the_matrix_is_drawn():
-    """A Bode diagram for each pair, outputs below one another."""
-    found = estimated(record(0.05))
-    axes = gb.plotting.response_matrix(found)
-    assert len(axes) == 8
-    assert [ax.get_ylabel() for ax in axes] == ["|.|, dB", "", "∠, °", ""] * 2
-    for response, k in zip(found, (0, 1, 4, 5), strict=True):
-        drawn = np.column_stack([response.omega, 20 * np.log10(np.abs(response.response))])
-        lines = [line.get_xydata() for line in axes[k].get_lines()]
-        assert any(line.shape == drawn.shape and np.allclose(line, drawn) for line in lines)
-    low, high = axes[0].get_xlim()
-    assert low < min(r.omega[0] for r in found) < max(r.omega[-1] for r in found) < high
-    some = gb.plotting.response_matrix(
-        [found[0], found[3]]
-    )  # without the cross-coupling its places are empty
-    assert [ax.axison for ax in some] == [True, False, True, False, False, True, False, True]
-    with pytest.raises(ValueError, match="there is no response to draw: give at least one"):
-        gb.plotting.response_matrix([])
-    with pytest.raises(TypeError, match="cannot draw 3: give FrequencyResponses"):
-        gb.plotting.response_matrix([found[0], 3])
-    assert [axes[k].get_title() for k in (0, 1, 4, 5)] == [
-        "da to p",
-        "dr to p",
-        "da to r",
-        "dr to r",
-    ]
-
-
 def test_excitations_may_be_of_any_unit():
     data = record(0.01)
     scaled = data.with_signals(e_a=1e3 * data["e_a"], e_r=1e-3 * data["e_r"])

@@ -18,8 +18,6 @@ from scipy.stats import t as student
 import greybox as gb
 from greybox.cli.main import main
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.html_report.elements import html
-from greybox.html_report.interval_section import bootstrap_table
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
 from greybox.study.response_replicates import response_draws
@@ -204,14 +202,6 @@ def test_what_cannot_be_drawn_is_refused(lag):
     )
     with pytest.raises(ValueError, match="fitted exactly"):
         gb.bootstrap(exact)
-
-
-def test_the_page_shows_the_interval(lag):
-    found = gb.bootstrap(lag, replicates=10, progress=False)
-    low, high = found.interval()["K"]
-    summary = found.summary()
-    assert summary["quantities"]["K"]["interval"] == [low, high]
-    assert f"{low:.5g} to {high:.5g}" in "".join(map(html, bootstrap_table(summary)))
 
 
 def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):

@@ -7,8 +7,6 @@ import pytest
 from command_line import run
 from synthetic_logs import BATCH, BATCH_RATE, Log, imu_batches
 
-import greybox as gb
-from greybox.data.record import Recording
 from greybox.logs.readers import read
 from greybox.logs.readers.imu_batches import with_batches
 from greybox.logs.readers.messages import Messages
@@ -83,29 +81,6 @@ def test_vibration_is_found_and_inspected(saved, capsys):
     status, out, _ = run(capsys, "inspect", path, "--json")
     assert status == 0
     assert [one["signal"] for one in json.loads(out)["vibration"]] == ["x", "y", "z"] * 2
-
-
-def test_spectra_are_drawn_with_their_peaks(saved, capsys, tmp_path):
-    """Two panels, gyro and accelerometer; the lines have the power of the sines, 0.2²/2 in x."""
-    path = saved(imu_batches())
-    gyro, accelerometer = gb.plotting.vibration(read(path))
-    assert [gyro.get_title(), accelerometer.get_title()] == ["ISBD[gyro0]", "ISBD[accel0]"]
-    x, y, z = gyro.get_lines()
-    hz, density = x.get_xdata(), x.get_ydata() ** 2
-    assert np.sum(density[hz > 10]) * (hz[1] - hz[0]) == pytest.approx(0.2**2 / 2, rel=0.05)
-    assert hz[np.argmax(density)] == pytest.approx(87, abs=hz[1] - hz[0])
-    assert {text.get_text()[:2] for text in gyro.texts} == {"88", "17"}  # the lines are 2 Hz apart
-    assert np.median(z.get_ydata()) < 0.1 * y.get_ydata().max()
-    assert run(capsys, "inspect", path, "--vibration", tmp_path / "spectra.png")[0] == 0
-    assert (tmp_path / "spectra.png").read_bytes().startswith(b"\x89PNG")
-    imu = gb.Record(np.arange(400) / 100, {"GyrX": np.sin(np.arange(400.0) ** 2)}, name="IMU")
-    first, *_, last = gb.plotting.vibration(
-        Recording({"ISBD[gyro0]": read(path)["ISBD[gyro0]"], "IMU": imu})
-    )
-    assert first.get_xlim() == last.get_xlim() == (0, hz[-1])
-    slow = gb.Record(np.arange(400) / 25, {"GyrX": np.zeros(400)}, name="IMU")
-    with pytest.raises(ValueError, match="log raw batches"):
-        gb.plotting.vibration(Recording({"IMU": slow}))
 
 
 @pytest.mark.parametrize(
