@@ -38,6 +38,17 @@ class GivenModel:
     at: Mapping[str, float]
     name: str = ""
 
+    def converted(
+        self, kind: str | None, pade: int | None, input: str, output: str
+    ) -> tuple[Array, Array] | LinearSystem:
+        """Return the polynomials of a "transfer-function", or the matrices of a "state-space"."""
+        default = "state-space" if isinstance(self.model, StateSpace) else "transfer-function"
+        if kind not in (None, "transfer-function", "state-space"):
+            raise ValueError(f"kind is {kind!r:.40}: give 'transfer-function' or 'state-space'.")
+        if (kind or default) == "state-space":
+            return self.matrices(pade)
+        return self.polynomials(pade, input, output)
+
     def polynomials(self, pade: int | None, input: str, output: str) -> tuple[Array, Array]:
         """Return numerator and denominator, highest power of s first."""
         input, output = pick_signals(self.model, input, output)

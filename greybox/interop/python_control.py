@@ -2,26 +2,22 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.optional_package import required
-from greybox.interop.linear_systems import GivenModel, given_model
+from greybox.interop.linear_systems import given_model
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import pick_signals
-from greybox.modeling.transfer_function import TransferFunction
-
-Kind = Literal["transfer-function", "state-space", "nonlinear"]
 
 
 def to_control(
     thing: Any,
     values: Mapping[str, float] | None = None,
     *,
-    kind: Kind | None = None,
+    kind: Literal["transfer-function", "state-space"] | None = None,
     pade: int | None = None,
     at: Mapping[str, float] | None = None,
     input: str = "",
@@ -36,11 +32,9 @@ def to_control(
         A response becomes a `control.FrequencyResponseData`.
     values : mapping of name to float, optional
         Of a model: values of its parameters, by default the declared starts.
-    kind : "transfer-function", "state-space" or "nonlinear"
-        The `control.TransferFunction` of one input-output pair, the `control.StateSpace` of the
-        linearization, or the `control.NonlinearIOSystem` of the ODE, whose parameters ``params``
-        can be changed. By default the first for a `TransferFunction`, the second for a
-        `StateSpace`.
+    kind : "transfer-function" or "state-space"
+        The `control.TransferFunction` of one input-output pair, or the `control.StateSpace` of the
+        linearization; by default as the model is declared.
     pade : int, optional
         Order of the Padé approximation of delays, which none of these can hold; 0 leaves delays
         out.
@@ -73,28 +67,14 @@ def to_control(
             response, thing.omega[order], **names, **_named(thing.name)
         )
     given = given_model(thing, values, at, part)
-    kind = kind or (
-        "transfer-function" if isinstance(given.model, TransferFunction) else "state-space"
-    )
+    linear = given.converted(kind, pade, input, output)
     name = _named(given.name or given.model.label)
-    if kind == "transfer-function":
-        numerator, denominator = given.polynomials(pade, input, output)
+    if isinstance(linear, tuple):
         u, y = pick_signals(given.model, input, output)
-        return control.TransferFunction(numerator, denominator, inputs=[u], outputs=[y], **name)
-    if kind == "state-space":
-        system = given.matrices(pade)
-        labels = {"states": system.states, "inputs": system.inputs, "outputs": system.outputs}
-        return control.StateSpace(
-            system.A,
-            system.B,
-            system.C,
-            system.D,
-            **{k: list(v) for k, v in labels.items()},
-            **name,
-        )
-    if kind == "nonlinear":
-        return _nonlinear(control, given, pade, name)
-    raise ValueError(f"kind is {kind!r:.40}: give one of {', '.join(map(repr, get_args(Kind)))}.")
+        return control.TransferFunction(*linear, inputs=[u], outputs=[y], **name)
+    matrices = (linear.A, linear.B, linear.C, linear.D)
+    labels = {"states": linear.states, "inputs": linear.inputs, "outputs": linear.outputs}
+    return control.StateSpace(*matrices, **{k: list(v) for k, v in labels.items()}, **name)
 
 
 def from_control(
@@ -130,27 +110,22 @@ def from_control(
         For several inputs or outputs, discrete time, or what is none of these.
     """
     control = required("control", "control", "from_control()")
+    linear = (control.TransferFunction, control.StateSpace)
+    if not isinstance(system, (control.FrequencyResponseData, *linear)):
+        kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
+        raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
+    u = _signal_names(inputs, system.input_labels)
+    y = _signal_names(outputs, system.output_labels)
     if isinstance(system, control.FrequencyResponseData):
         _require_one_pair(system.ninputs, system.noutputs)
-        u, y = (
-            _signal_names(*pair)
-            for pair in ((inputs, system.input_labels), (outputs, system.output_labels))
-        )
         response = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)[0, 0]
         return FrequencyResponse(
             system.omega, response, input=u[0], output=y[0], name=name or (system.name or "")
         )
-    if not isinstance(system, control.TransferFunction | control.StateSpace):
-        kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
-        raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
     if system.isdtime(strict=True):
         raise ValueError(
             f"the system has a sampling time of {system.dt} s, and models here are continuous in time."
         )
-    u, y = (
-        _signal_names(*pair)
-        for pair in ((inputs, system.input_labels), (outputs, system.output_labels))
-    )
     if isinstance(system, control.TransferFunction):
         _require_one_pair(system.ninputs, system.noutputs)
         numerator, denominator = (
@@ -160,36 +135,6 @@ def from_control(
     x = _signal_names((), system.state_labels)
     return KnownStateSpace(
         system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y, prefix=prefix
-    )
-
-
-def _nonlinear(control: Any, given: GivenModel, pade: int | None, name: Mapping[str, str]) -> Any:
-    system, p = given.ode(pade)
-    x, u, q = (
-        ca.SX.sym(letter, len(names))
-        for letter, names in zip("xup", (system.states, system.inputs, p), strict=True)
-    )
-    functions = [
-        ca.Function("f", [x, u, q], [one(x, u, q)]) for one in (system.derivative, system.output)
-    ]
-
-    def values(params: Mapping[str, float]) -> list[float]:
-        return [params[one] for one in system.parameters]
-
-    def update(_: float, state: Any, input: Any, params: Mapping[str, float]) -> Any:
-        return functions[0](state, input, values(params)).full().ravel()
-
-    def output(_: float, state: Any, input: Any, params: Mapping[str, float]) -> Any:
-        return functions[1](state, input, values(params)).full().ravel()
-
-    return control.NonlinearIOSystem(
-        update,
-        output,
-        params=dict(zip(system.parameters, p.tolist(), strict=True)),
-        states=list(system.states),
-        inputs=list(system.inputs),
-        outputs=list(system.outputs),
-        **name,
     )
 
 

@@ -5,7 +5,6 @@ from typing import Any, Literal
 
 from greybox.interop.linear_systems import given_model
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
-from greybox.modeling.transfer_function import TransferFunction
 
 
 def to_scipy(
@@ -34,16 +33,10 @@ def to_scipy(
     """
     from scipy import signal  # noqa: PLC0415  (takes a third of a second to import)
 
-    given = given_model(thing, values, at, part)
-    kind = kind or (
-        "transfer-function" if isinstance(given.model, TransferFunction) else "state-space"
-    )
-    if kind == "transfer-function":
-        return signal.TransferFunction(*given.polynomials(pade, input, output))
-    if kind == "state-space":
-        linear = given.matrices(pade)
-        return signal.StateSpace(linear.A, linear.B, linear.C, linear.D)
-    raise ValueError(f"kind is {kind!r:.40}: give 'transfer-function' or 'state-space'.")
+    linear = given_model(thing, values, at, part).converted(kind, pade, input, output)
+    if isinstance(linear, tuple):
+        return signal.TransferFunction(*linear)
+    return signal.StateSpace(linear.A, linear.B, linear.C, linear.D)
 
 
 def from_scipy(
@@ -73,17 +66,17 @@ def from_scipy(
         )
     if not isinstance(system, signal.lti):
         raise TypeError(f"system is {system!r:.60}: give a scipy.signal.lti.")
-    found: Any = system  # whose attributes scipy does not declare
+    linear: Any = system  # scipy does not declare its attributes
     if isinstance(system, signal.StateSpace):
-        outputs, inputs = found.D.shape
+        outputs, inputs = linear.D.shape
         u, y = [
             [name] if count == 1 else [f"{name}{k + 1}" for k in range(count)]
             for name, count in ((input, inputs), (output, outputs))
         ]
         return KnownStateSpace(
-            found.A, found.B, found.C, found.D, inputs=u, outputs=y, prefix=prefix
+            linear.A, linear.B, linear.C, linear.D, inputs=u, outputs=y, prefix=prefix
         )
-    rational = found.to_tf()
+    rational = linear.to_tf()
     if rational.num.ndim > 1:
         raise ValueError(
             f"the system has {rational.num.shape[0]} outputs: give a system of one, or a StateSpace."

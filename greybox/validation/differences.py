@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Quantity
 from greybox.files.text_table import counted, listed, one_line, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT, p_text
@@ -40,7 +40,7 @@ class Difference:
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """All parameters that two fits share. Printing it gives the table and one sentence."""
+    """All parameters that two fits share. Printing it gives the verdict and the table."""
 
     labels: tuple[str, str]
     quantities: tuple[Difference, ...]
@@ -48,51 +48,37 @@ class Differences:
     @property
     def verdict(self) -> str:
         """Which parameters differ, in one sentence."""
-        told = [q for q in self.quantities if not math.isnan(q.p_value)]
-        differ = [q.name for q in told if q.differs]
-        alike = [q.name for q in told if not q.differs]
+        tested = [q for q in self.quantities if not math.isnan(q.p_value)]
+        differ = [q.name for q in tested if q.differs]
+        alike = [q.name for q in tested if not q.differs]
         unknown = [q.name for q in self.quantities if math.isnan(q.p_value)]
-        texts = (
-            [f"{listed(differ)} {'differs' if len(differ) == 1 else 'differ'} beyond the errors"]
-            if differ
-            else []
-        )
+        verb = "differs" if len(differ) == 1 else "differ"
+        texts = [f"{listed(differ)} {verb} beyond the errors"] if differ else []
         texts += [f"no difference of {listed(alike)} is beyond the errors"] if alike else []
-        texts += (
-            [f"of {listed(unknown)} nothing can be told without standard errors"] if unknown else []
-        )
-        return f"{'; '.join(texts)} (5 % for all {counted(len(told), 'test')} together, Holm)."
+        texts += [f"{listed(unknown)} cannot be tested without standard errors"] if unknown else []
+        return f"{'; '.join(texts)} (5 % for all {counted(len(tested), 'test')} together, Holm)."
 
     def __getitem__(self, name: str) -> Difference:
-        for quantity in self.quantities:
-            if quantity.name == name:
-                return quantity
-        raise KeyError(
-            f"there is no {name!r}; there are {', '.join(q.name for q in self.quantities)}."
-        )
+        by_name = {quantity.name: quantity for quantity in self.quantities}
+        if name not in by_name:
+            raise KeyError(f"there is no {name!r}; there are {', '.join(by_name)}.")
+        return by_name[name]
 
     def __repr__(self) -> str:
-        return one_line(
-            self,
-            " and ".join(self.labels),
-            counted(sum(q.differs for q in self.quantities), "difference"),
-        )
+        count = counted(sum(q.differs for q in self.quantities), "difference")
+        return one_line(self, " and ".join(self.labels), count)
 
     def __str__(self) -> str:
         rows = []
         for q in self.quantities:
-            columns = [
-                " ± ".join(with_error(v, e)) for v, e in zip(q.values, q.errors, strict=True)
-            ]
-            difference = " ± ".join(with_error(q.values[1] - q.values[0], math.hypot(*q.errors)))
-            p = (
-                "-"
-                if math.isnan(q.p_of_all)
-                else p_text(q.p_of_all).removeprefix("p = ").removeprefix("p ")
-            )
-            rows.append([q.name, *columns, difference, q.unit, p, "differs" if q.differs else ""])
+            pairs = [*zip(q.values, q.errors, strict=True)]
+            pairs.append((q.values[1] - q.values[0], math.hypot(*q.errors)))
+            p = p_text(q.p_of_all).removeprefix("p = ").removeprefix("p ")
+            cells = [" ± ".join(with_error(*pair)) for pair in pairs]
+            p = "-" if math.isnan(q.p_of_all) else p
+            rows.append([q.name, *cells, q.unit, p, "differs" if q.differs else ""])
         header = ["parameter", *self.labels, "difference", "unit", "p", ""]
-        return "\n".join([text_table(header, rows, left=(0, 4, 6)), "", self.verdict])
+        return "\n".join([self.verdict, "", text_table(header, rows, left=(0, 4, 6))])
 
 
 def differences(
@@ -129,53 +115,45 @@ def differences(
     titles = tuple(labels) or (first.name, second.name)
     if len(titles) != 2 or titles[0] == titles[1]:
         titles = labels_of((first, second))
-    one, other = ({q.name: q for q in fit.quantities} for fit in (first, second))
+    tables = [{q.name: q for q in fit.quantities} for fit in (first, second)]
     wanted = [name for name in first.free if name in second.free] if names is None else list(names)
-    for known, title in ((one, titles[0]), (other, titles[1])):
-        require_known(wanted, known, "parameter", title)
+    for table, title in zip(tables, titles, strict=True):
+        require_known(wanted, table, "parameter", title)
     if not wanted:
         raise ValueError(f"{titles[0]} and {titles[1]} have no free parameter in common.")
 
-    p_values = [
-        _welch(*((q.value - q.bias, q.standard_error, q.dof) for q in (one[name], other[name])))
-        for name in wanted
+    pairs = [(tables[0][name], tables[1][name]) for name in wanted]
+    p_values = [_welch(*pair) for pair in pairs]
+    quantities = [
+        Difference(
+            a.name, a.unit, (a.value, b.value), (a.standard_error, b.standard_error), p, of_all
+        )
+        for (a, b), p, of_all in zip(pairs, p_values, _holm(p_values), strict=True)
     ]
-    return Differences(
-        (titles[0], titles[1]),
-        tuple(
-            Difference(
-                name,
-                one[name].unit,
-                (one[name].value, other[name].value),
-                (one[name].standard_error, other[name].standard_error),
-                p,
-                of_all,
-            )
-            for name, p, of_all in zip(wanted, p_values, _holm(p_values), strict=True)
-        ),
-    )
+    return Differences((titles[0], titles[1]), tuple(quantities))
 
 
-def _welch(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
-    """Return the probability of as large a difference of two (value, standard error, degrees of freedom)."""
+def _welch(a: Quantity, b: Quantity) -> float:
+    """Return the probability of as large a difference by chance."""
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    variances = [error**2 for _, error, _ in (one, other)]
-    if not 0 < sum(variances) < math.inf:
+    variances = [q.standard_error**2 for q in (a, b)]
+    total = sum(variances)
+    if not 0 < total < math.inf:
         return math.nan
-    shares = sum(v**2 / dof for v, (_, _, dof) in zip(variances, (one, other), strict=True))
-    dof = (
-        sum(variances) ** 2 / shares if shares > 0 else 1e9
-    )  # there Student's t is normal to all digits
-    return float(2 * stdtr(min(dof, 1e9), -abs(one[0] - other[0]) / math.sqrt(sum(variances))))
+    shares = sum(v**2 / q.dof for v, q in zip(variances, (a, b), strict=True))
+    dof = min(total**2 / shares if shares > 0 else math.inf, 1e9)  # then normal to all digits
+    difference = a.value - a.bias - (b.value - b.bias)
+    return float(2 * stdtr(dof, -abs(difference) / math.sqrt(total)))
 
 
 def _holm(p_values: Sequence[float]) -> list[float]:
     """Return the p-values for all tests together; NaN where there is none."""
+    adjusted = [math.nan] * len(p_values)
     order = sorted(
         (k for k, p in enumerate(p_values) if not math.isnan(p)), key=lambda k: p_values[k]
     )
-    adjusted, largest = [math.nan] * len(p_values), 0.0
+    largest = 0.0
     for rank, k in enumerate(order):
         largest = max(largest, min(1.0, (len(order) - rank) * p_values[k]))
         adjusted[k] = largest

@@ -10,7 +10,7 @@ from scipy import signal
 import greybox as gb
 from greybox.interop.linear_systems import _with_delay_states, given_model
 from greybox.modeling.linearization import LinearSystem
-from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.tilt import LinearTilt, Tilt
 
 VALUES = {**TILT, "T_rotor": 0.05, "T_delay": 0.02}
 DATA = measured(
@@ -114,20 +114,6 @@ def test_linear_systems_there_and_back(control):
     )
 
 
-def test_the_nonlinear_ode_flies_there_as_here(control):
-    values = {**VALUES, "a1": 14.0, "C_x": 0.3}
-    time = np.arange(0, 0.5, 0.01)
-    u = 0.1 * np.sin(9 * time)
-    here = gb.simulate(NonlinearTilt(), {**values, "T_delay": 0.0}, gb.Record(time, {"u": u}))
-    system = gb.interop.to_control(NonlinearTilt(), values, kind="nonlinear", pade=0)
-    there = control.input_output_response(
-        system, time, u, solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-10}
-    )
-    np.testing.assert_allclose(there.outputs[0], here["theta"], atol=1e-5)
-    np.testing.assert_allclose(there.outputs[1], here["v"], atol=1e-5)
-    assert system.params["C_x"] == 0.3
-
-
 @pytest.mark.parametrize(
     ("convert", "kind", "words"),
     [
@@ -156,7 +142,7 @@ def test_the_nonlinear_ode_flies_there_as_here(control):
         (
             lambda c: gb.interop.to_control(Tilt(), VALUES, kind="lpv"),
             ValueError,
-            "kind is 'lpv': give one of",
+            "kind is 'lpv': give 'transfer",
         ),
         (lambda c: gb.interop.to_scipy(3), TypeError, "3 cannot be converted: give a Fit, a model"),
         (lambda c: gb.interop.to_scipy(FIT, {"K": 1}), TypeError, "values were given beside a Fit"),

@@ -309,7 +309,7 @@ def test_intervals_cover_for_colored_residuals():
     random, time, errors = np.random.default_rng(2), np.arange(1000) * 0.01, []
     u = force(time)
     y = np.concatenate([[0], np.cumsum((u[1:] + u[:-1]) / 2 * 0.01)]) * 2.0
-    for _ in range(30):
+    for _ in range(40):
         result = gb.regression.equation_error(
             Integrator(), gb.Record(time, {"u": u, "y": y + 0.05 * random.normal(size=1000)})
         )
