@@ -73,7 +73,8 @@ def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> A
     bounded = lsq_linear(
         matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000
     )
-    return np.clip(bounded.x / sizes, low, high)
+    at_low, at_high = bounded.active_mask < 0, bounded.active_mask > 0
+    return np.where(at_low, low, np.where(at_high, high, np.clip(bounded.x / sizes, low, high)))
 
 
 def residuals(blocks: Sequence[Block], unknowns: Array) -> list[Array]:

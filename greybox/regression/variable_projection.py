@@ -21,15 +21,8 @@ from greybox.regression.least_squares import (
 from greybox.regression.regressors import Regressors
 from greybox.regression.smoothing import reach, stretches
 
-# Points in the box of the nonlinear unknowns, of which there are one to three, a delay or a lag
-# each: with two, four along each.
-TRIED = 16
-SEARCHES = 2  # of these points, the best, from which a search runs besides the start
-SEARCHED = 6000  # samples on which the search begins: a minute at 100 Hz determines where, the whole record how well
-PASSES = 3  # times that the equations are weighted by their residuals: each changes the weights to second order only
-TOUCHING = 1e-6  # of the interval between bounds: closer is at the bound
-DIFFERENCE = 1e-4  # of a nonlinear unknown: central differences err by its square, 1e-8, and rounding by 1e-12
-WORST = 1e3  # weighted residual where the model has none (an unstable simulated state): larger than any that has
+# Of the interval between bounds: closer is at the bound.
+TOUCHING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +134,8 @@ class _Search:
         slopes: list[list[Array]] = []
         widths = _widths(*self.bounds(self.nonlinear), point)
         for k, width in enumerate(widths):
-            size = DIFFERENCE * min(width, max(abs(point[k]), 1e-3 * width))
+            # Central differences err by the square of 1e-4, and rounding by 1e-12.
+            size = 1e-4 * min(width, max(abs(point[k]), 1e-3 * width))
             ends = [
                 self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)
             ]
@@ -176,7 +170,8 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
     blocks = search.blocks(point)
     weights = _weights(blocks, [b.target for b in blocks])
     weights = _weights(blocks, residuals(blocks, _inner(search, blocks, weights)))
-    for _ in range(PASSES if len(weights) > 1 else 1):
+    # Each pass changes the weights of several equations to second order only.
+    for _ in range(3 if len(weights) > 1 else 1):
         point = _refine(search, point, weights)
         blocks = search.blocks(point)
         unknowns = _inner(search, blocks, weights)
@@ -218,68 +213,56 @@ def _errors(search: _Search, point: Array, weights: Array) -> Array | None:
 
 
 def _located(search: _Search) -> Array:
-    """Return where the nonlinear unknowns begin: the best end of searches from the start and from good points.
-
-    Of a long record the part with the most excitation decides.
-    """
-    point = np.array([search.parameters[n].start for n in search.nonlinear])
-    if not point.size:
-        return point
-    part = search.on(search.data.busiest(SEARCHED))
-    blocks = part.blocks(point)
-    if not blocks:
-        part = search
-        blocks = search.blocks(point)
+    """Return where the nonlinear unknowns begin: the best end of searches from the start and good points."""
+    start = np.array([search.parameters[n].start for n in search.nonlinear])
+    if not start.size:
+        return start
+    # A minute at 100 Hz, where the inputs move most, shows where the minimum is; the whole record
+    # then shows it exactly.
+    part = search.on(search.data.busiest(6000))
+    part = part if part.blocks(start) else search
+    blocks = part.blocks(start)
     weights = _weights(blocks, [b.target for b in blocks])
-    boxes = {n: search.parameters[n] for n in search.nonlinear}
-    tried = (
-        list(Sobol(TRIED).draw(boxes))
-        if all(np.all(np.isfinite(p.box)) for p in boxes.values())
-        else []
-    )
     size = sum(b.target.size for b in blocks)
 
-    def cost(candidate: Array) -> float:
-        return _mean_square(_errors(part, candidate, weights), size)
+    def cost(point: Array) -> float:
+        errors = _errors(part, point, weights)
+        # Rows are lost where a simulated state is unstable.
+        return math.inf if errors is None or errors.size != size else float(np.mean(errors**2))
 
-    starts = [point, *sorted(tried, key=cost)[:SEARCHES]]
-    ends = [_refine(part, start, weights) for start in starts if math.isfinite(cost(start))]
+    # There are one to three nonlinear unknowns, a delay or a lag each: with two, four points along
+    # each.
+    boxes = {n: search.parameters[n] for n in search.nonlinear}
+    is_bounded = all(np.all(np.isfinite(p.box)) for p in boxes.values())
+    points = sorted(Sobol(16).draw(boxes), key=cost)[:2] if is_bounded else []
+    ends = [
+        _refine(part, point, weights) for point in [start, *points] if math.isfinite(cost(point))
+    ]
     return min(ends, key=cost)
 
 
-def _mean_square(errors: Array | None, size: int) -> float:
-    return math.inf if errors is None or errors.size != size else float(np.mean(errors**2))
-
-
 def _refine(search: _Search, point: Array, weights: Array) -> Array:
-    """Minimize over the nonlinear unknowns within their bounds, in the logarithm where a parameter asks for it."""
+    """Minimize over the nonlinear unknowns within their bounds."""
     from scipy.optimize import least_squares  # noqa: PLC0415  (import of greybox stays free of scipy)
 
     if not point.size:
         return point
-    log = np.array([search.parameters[n].scale == "log" for n in search.nonlinear])
     low, high = search.bounds(search.nonlinear)
-    low, high = (np.where(log, np.log(np.where(log, end, 1)), end) for end in (low, high))
     width = _widths(low, high, point)
-    here = np.where(log, np.log(np.where(log, point, 1)), point) / width
-
-    def back(z: Array) -> Array:
-        return np.where(log, np.exp(np.where(log, z * width, 0)), z * width)
-
     begin = _errors(search, point, weights)
     assert begin is not None
 
-    def errors(z: Array) -> Array:
-        values = _errors(search, back(z), weights)
-        return (
-            WORST * np.ones(begin.size) if values is None or values.size != begin.size else values
-        )
+    def errors(values: Array) -> Array:
+        residual = _errors(search, values, weights)
+        if residual is None or residual.size != begin.size:
+            return np.full(begin.size, 1e3)  # worse than any that exist
+        return residual
 
-    inside = np.clip(here, (low + TOUCHING * width) / width, (high - TOUCHING * width) / width)
-    end = least_squares(errors, inside, bounds=(low / width, high / width), xtol=1e-8, ftol=1e-10)
-    z = np.where(end.x - low / width < 2 * TOUCHING, low / width, end.x)
-    z = np.where(high / width - z < 2 * TOUCHING, high / width, z)
-    return back(z if 2 * end.cost <= begin @ begin else here)
+    inside = np.clip(point, low + TOUCHING * width, high - TOUCHING * width)
+    end = least_squares(errors, inside, bounds=(low, high), x_scale=width, xtol=1e-8, ftol=1e-10)
+    values = np.where(end.x - low < 2 * TOUCHING * width, low, end.x)
+    values = np.where(high - values < 2 * TOUCHING * width, high, values)
+    return values if 2 * end.cost <= begin @ begin else point
 
 
 def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> Projection:

@@ -123,17 +123,17 @@ def differences(
         raise ValueError(f"{titles[0]} and {titles[1]} have no free parameter in common.")
 
     pairs = [(tables[0][name], tables[1][name]) for name in wanted]
-    p_values = [_welch(*pair) for pair in pairs]
+    p_values = [welch(*pair) for pair in pairs]
     quantities = [
         Difference(
             a.name, a.unit, (a.value, b.value), (a.standard_error, b.standard_error), p, of_all
         )
-        for (a, b), p, of_all in zip(pairs, p_values, _holm(p_values), strict=True)
+        for (a, b), p, of_all in zip(pairs, p_values, holm(p_values), strict=True)
     ]
     return Differences((titles[0], titles[1]), tuple(quantities))
 
 
-def _welch(a: Quantity, b: Quantity) -> float:
+def welch(a: Quantity, b: Quantity) -> float:
     """Return the probability of as large a difference by chance."""
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
@@ -147,7 +147,7 @@ def _welch(a: Quantity, b: Quantity) -> float:
     return float(2 * stdtr(dof, -abs(difference) / math.sqrt(total)))
 
 
-def _holm(p_values: Sequence[float]) -> list[float]:
+def holm(p_values: Sequence[float]) -> list[float]:
     """Return the p-values for all tests together; NaN where there is none."""
     adjusted = [math.nan] * len(p_values)
     order = sorted(
