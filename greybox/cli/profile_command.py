@@ -3,10 +3,9 @@
 import argparse
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, nonnegative
+from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
-from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.estimate.profile import contour, profile
 from greybox.estimate.profiles import Contour, Profiles
 from greybox.files.json_numbers import finite
@@ -33,13 +32,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--level", type=float, default=0.95, help="of the intervals, 0.95 by default"
     )
-    parser.add_argument(
-        "--fresh-starts",
-        type=nonnegative,
-        metavar="N",
-        help="of every point, beside its neighbors; 2 by default, 0 of records",
-    )
-    add_worker_options(parser)
     add_common_options(parser, figure="the profiles")
 
 
@@ -48,41 +40,33 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     fit, problem = stated_fit(options)
     if options.contour:
-        if options.names or options.workers or options.scheduler:
-            raise UsageError(
-                "--contour takes two parameters, in this process: leave out other names and workers."
-            )
-        found = contour(fit, *options.contour, problem=problem, level=options.level)
-        answer = _region(found)
+        if options.names:
+            raise UsageError("--contour takes two parameters: leave out other names.")
+        result = contour(fit, *options.contour, problem=problem, level=options.level)
+        answer = _region(result)
     else:
-        settings = {"level": options.level, "fresh_starts": options.fresh_starts}
-        with stated_executor(options) as executor:
-            found = profile(
-                fit, options.names or None, problem=problem, executor=executor, **settings
-            )
-        answer = found.summary()
-    lines = save_figure(options.plot, lambda: _figure(found))
-    return answer, "\n".join([str(found), *lines]), USABLE
+        result = profile(fit, options.names or None, problem=problem, level=options.level)
+        answer = result.summary()
+    lines = save_figure(options.plot, lambda: _figure(result))
+    return answer, "\n".join([str(result), *lines]), USABLE
 
 
-def _region(found: Contour) -> dict[str, Any]:
+def _region(contour: Contour) -> dict[str, Any]:
     return {
-        "names": list(found.names),
-        "units": list(found.units),
-        "level": found.level,
-        "limit": finite(found.limit),
-        "estimate": found.estimate.tolist(),
-        "points": [[finite(value) for value in point] for point in found.points.tolist()],
-        "ends": list(found.ends),
-        "text": str(found),
+        "names": list(contour.names),
+        "units": list(contour.units),
+        "level": contour.level,
+        "limit": finite(contour.limit),
+        "estimate": contour.estimate.tolist(),
+        "points": [[finite(value) for value in point] for point in contour.points.tolist()],
+        "ends": list(contour.ends),
+        "text": str(contour),
     }
 
 
-def _figure(found: Profiles | Contour) -> Any:
-    from greybox.plotting import profile as drawn  # noqa: PLC0415  (matplotlib takes long to import)
+def _figure(result: Profiles | Contour) -> Any:
+    from greybox.plotting import profile as figures  # noqa: PLC0415  (matplotlib takes long to import)
 
-    return (
-        drawn.contour(found).figure
-        if isinstance(found, Contour)
-        else drawn.profiles(found)[0].figure
-    )
+    if isinstance(result, Contour):
+        return figures.contour(result).figure
+    return figures.profiles(result)[0].figure

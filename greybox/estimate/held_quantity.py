@@ -83,10 +83,7 @@ class _Programs:
 
 
 class HeldResponses(HeldQuantity):
-    """A problem of frequency responses; a point is the solver's variables z (p,).
-
-    Pickled, it is the problem and what is held; the solvers are built again where it arrives.
-    """
+    """A problem of frequency responses; a point is the solver's variables z (p,)."""
 
     def __init__(
         self,
@@ -99,9 +96,6 @@ class HeldResponses(HeldQuantity):
         self._places = list(places)
         self._quantity = quantity
         self._programs = programs or _Programs(nlp, quantity)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return HeldResponses, (self._nlp, self._places, self._quantity)
 
     def of(self, *places: int) -> "HeldResponses":
         """Hold the parameters at these places."""
@@ -153,8 +147,7 @@ class HeldRecords(HeldQuantity):
     """A problem with records.
 
     A point is the solver's variables (p,), alone or followed by the states at the nodes of all
-    parts: from those of a neighbor a solution takes a few iterations. Pickled, it is the problem
-    and what is held.
+    parts: from those of a neighbor a solution takes a few iterations.
 
     Parameters
     ----------
@@ -180,9 +173,6 @@ class HeldRecords(HeldQuantity):
         self._places = list(places)
         self._quantity = quantity
         self._solver = solver or GaussNewton(nlp)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return HeldRecords, (self._nlp, self._shapes, self._places, self._quantity)
 
     def of(self, *places: int) -> "HeldRecords":
         """Hold the parameters at these places."""

@@ -20,7 +20,6 @@ of the standard error, about the value less b.
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -47,7 +46,6 @@ from greybox.files.text_table import alternatives, number
 from greybox.formulation.starts import Sobol
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.batched_solver import BatchedSolver
-from greybox.solve.executors import call_all, require_executor
 
 STEP = (
     0.35  # share of the limit of |r| from point to point: three points to a crossing show a curve
@@ -55,7 +53,6 @@ STEP = (
 BEYOND = 1.2  # multiple of the limit up to which a profile is computed: it encloses the crossing
 GROWTH = 3.0  # largest change of a step
 FAR = 1e6  # multiple of a quantity's size up to which a cost that does not change is followed
-LOWER = 1e-4  # relative difference of costs that counts: the smoothing moves costs by up to 6e-5
 
 
 def profile(
@@ -64,8 +61,6 @@ def profile(
     *,
     problem: AnyProblem | None = None,
     level: float = 0.95,
-    fresh_starts: int | None = None,
-    executor: Executor | None = None,
 ) -> Profiles:
     """Profile the likelihood along parameters and derived quantities of a fit.
 
@@ -90,13 +85,6 @@ def profile(
         fit.
     level : float
         Confidence level of the intervals.
-    fresh_starts : int, optional
-        Number of Sobol points from which every point of a profile is solved in addition to its
-        neighbors. By default two; none for records, where the states of a neighbor lead to the
-        minimum.
-    executor : concurrent.futures.Executor, optional
-        Computes the profiles, one a task, as in `greybox.fit`; by default this process. The result
-        is the same.
 
     Raises
     ------
@@ -105,10 +93,7 @@ def profile(
         that of the fit.
     LookupError
         If a loaded fit does not know its model.
-    RuntimeError
-        If the executor has lost its workers.
     """
-    require_executor(executor)
     nlp = _compiled(fit, problem, level)
     # A quantity that follows from constants alone has the standard error zero and no profile.
     lines = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
@@ -120,8 +105,10 @@ def profile(
             raise ValueError(
                 f"there is no {name!r} to profile; there are {alternatives(name, list(lines))}."
             )
-    fresh = (0 if fit.records else 2) if fresh_starts is None else fresh_starts
-    return _profiles(nlp, fit, [lines[name] for name in chosen], level, fresh, executor)
+    # Every point of a response is solved from two fresh starts too. The states of a neighbor lead
+    # records to the minimum.
+    fresh = 0 if fit.records else 2
+    return _profiles(nlp, fit, [lines[name] for name in chosen], level, fresh)
 
 
 def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledProblem:
@@ -386,12 +373,7 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
 
 
 def _profiles(
-    nlp: CompiledProblem,
-    fit: Fit,
-    lines: Sequence[Quantity],
-    level: float,
-    fresh: int,
-    executor: Executor | None = None,
+    nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
     from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
@@ -401,19 +383,18 @@ def _profiles(
     if fresh:
         starts = Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free})
     starts = nlp.scaling.to_solver(starts)
-    searches = []
+    profiles = []
     limits = {}
-    for line in lines:
+    for line in counted_off(lines, "profiles", "profile"):
         dof = line.dof if math.isfinite(line.dof) else estimate.accuracy.dof
         limits[line.name] = float(stdtrit(min(dof, 1e9), 0.5 + level / 2))
-        searches.append((nlp, _search(nlp, estimate, line, limits[line.name], starts), line))
+        search = _search(nlp, estimate, line, limits[line.name], starts)
+        profiles.append(_profile_of(nlp, search, line))
 
-    profiles = call_all(
-        _profile_of, searches, executor, lambda each: counted_off(each, "profiles", "profile")
-    )
-    lowest = min((float(one.costs.min()) for one in profiles), default=math.inf)
+    lowest = min((float(profile.costs.min()) for profile in profiles), default=math.inf)
     warnings = ()
-    if lowest < estimate.cost - LOWER * max(abs(estimate.cost), 1.0):
+    # The smoothing moves costs by up to 6e-5.
+    if lowest < estimate.cost - 1e-4 * max(abs(estimate.cost), 1.0):
         warnings = (
             f"a profile found the cost {number(lowest)} below the fit's {number(estimate.cost)}: fit from more starts.",
         )

