@@ -1,9 +1,9 @@
-"""Programs of responses whose trims are found by Newton's method: with the roots given, their formulas are explicit.
+"""Programs of responses at operating points that Newton's method finds, with these roots as inputs.
 
-A root finder is no SX function, and CasADi's second derivatives through one take twenty times as
-long as the cost. With the roots given, cost and constraints are an SX function whose derivatives
-hold the roots, see `modeling.trim.Trimmed`: it is evaluated for many points at once, and IPOPT's
-derivatives are its own behind the root finder.
+A root finder is not an SX function, and CasADi's second derivatives through one take twenty times as
+long as the cost. With the roots as inputs, cost and constraints are an SX function whose derivatives
+hold the roots, see `modeling.trim.Trimmed`. It is evaluated for many points at once, and IPOPT's
+derivatives call it after the root finder.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,13 +20,13 @@ def roots_of(
     parts: Sequence[Problem], formulas: Sequence[Trimmed], named: Mapping[str, Any]
 ) -> ca.MX:
     """Return the roots of all responses, stacked, as expressions of the `named` values."""
-    found = [
+    roots = [
         ca.MX(0, 1)
         if formula.root is None
         else formula.root(ca.vertcat(*part.local_values(named).values()))
         for part, formula in zip(parts, formulas, strict=True)
     ]
-    return ca.vertcat(*found)
+    return ca.vertcat(*roots)
 
 
 def explicit_program(
@@ -43,11 +43,10 @@ def explicit_program(
     responses of all parts and of the smoothing.
     """
     roots = [ca.SX.sym("w", formula.function.numel_in(1)) for formula in formulas]
-    each = [
-        formula.function(ca.vertcat(*part.local_values(named).values()), root)
+    responses = [
+        Complex(*formula.function(ca.vertcat(*part.local_values(named).values()), root))
         for part, formula, root in zip(parts, formulas, roots, strict=True)
     ]
-    responses = [Complex(re, im) for re, im in each]
     smoothing = ca.SX.sym("smoothing")
     return ca.Function(
         "explicit", [z, smoothing, ca.vertcat(*roots)], [ca.SX(cost(responses, smoothing)), limits]
@@ -68,14 +67,14 @@ def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Fu
         "curvature", [z, smoothing, factor, multipliers, w], upper, {"cse": True}
     )
     x, p, f, m = (ca.MX.sym("v", count) for count in (z.numel(), 1, 1, limits.numel()))
-    given: Any = curvature(x, p, f, m, roots(x))
-    both: Any = slope(x, p, roots(x))
+    hessian_at_root: Any = curvature(x, p, f, m, roots(x))
+    slope_at_root: Any = slope(x, p, roots(x))
     return {
-        "grad_f": ca.Function("nlp_grad_f", [x, p], both, ["x", "p"], ["f", "grad_f_x"]),
+        "grad_f": ca.Function("nlp_grad_f", [x, p], slope_at_root, ["x", "p"], ["f", "grad_f_x"]),
         "hess_lag": ca.Function(
             "nlp_hess_l",
             [x, p, f, m],
-            [given],
+            [hessian_at_root],
             ["x", "p", "lam_f", "lam_g"],
             ["triu_hess_gamma_x_x"],
         ),

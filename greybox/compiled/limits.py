@@ -1,4 +1,4 @@
-"""What must be >= 0: the constraints of a problem, and the bounds of the parameters that it ties."""
+"""The constraints of a problem, and the bounds of its tied parameters, as functions that must be >= 0."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +14,7 @@ from greybox.modeling.model import Names
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """What must be >= 0, a function of the values of a part: a constraint, or a bound of a parameter that it ties."""
+    """A function of the values of a part that must be >= 0: a constraint, or a bound of a tied parameter."""
 
     label: str
     part: Problem
@@ -22,8 +22,8 @@ class Limit:
 
 
 def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
-    """Return all limits; one that parts of one name state alike counts once. `kind` of symbols is what they take."""
-    found: dict[Any, Limit] = {}
+    """Return all limits for this `kind` of symbols. A constraint that several parts share counts once."""
+    limits: dict[Any, Limit] = {}
     parameters = problem.parameters
     x = kind.sym("x", len(parameters))
     named = dict(zip(parameters, ca.vertsplit(x), strict=True))
@@ -31,21 +31,21 @@ def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
         for k, constraint in enumerate(part.constraints):
             label = f"constraints[{k}] of {part.name!r}"
             value = ca.Function("value", [x], [kind(constraint(part.local_values(named)))])
-            found.setdefault((label, value.serialize()), Limit(label, part, constraint))
+            limits.setdefault((label, value.serialize()), Limit(label, part, constraint))
         for name in part.tied:
             low, high = part.declared[name].bounds
             tied = f"of the tied {part.outside(name)}"
             if math.isfinite(low):
                 label = f"the lower bound {low:g} {tied}"
-                found.setdefault(
+                limits.setdefault(
                     label, Limit(label, part, lambda p, name=name, low=low: p[name] - low)
                 )
             if math.isfinite(high):
                 label = f"the upper bound {high:g} {tied}"
-                found.setdefault(
+                limits.setdefault(
                     label, Limit(label, part, lambda p, name=name, high=high: high - p[name])
                 )
-    return list(found.values())
+    return list(limits.values())
 
 
 def stacked(limits: Sequence[Limit], named: Mapping[str, Any], kind: Any) -> Any:

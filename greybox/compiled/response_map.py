@@ -19,13 +19,10 @@ import casadi as ca
 from greybox.files.arrays import Array
 from greybox.modeling.complex_arithmetic import Complex
 
-# Instructions of the formula, times frequencies, times parameters, from which responses are mapped:
-# below, one expression is built in half a second at most, and it is evaluated faster.
+# Instructions of the formula, times frequencies, times parameters, from which responses are mapped.
+# Below, one expression is built in half a second at most, and is evaluated faster. The switch is
+# silent: both forms have the same values and derivatives.
 LARGE = 300_000
-
-# Rows of φ'' in the column of one number: two where a cost is a sum over the frequencies, real and
-# imaginary part of one; all where it is a function of such sums, as a logarithm.
-SPARSE = 4
 
 
 class Mapped(NamedTuple):
@@ -36,7 +33,7 @@ class Mapped(NamedTuple):
 
     @property
     def work(self) -> float:
-        """What a Hessian costs, about."""
+        """The approximate number of instructions of a Hessian."""
         return (
             float(self.formula.n_instructions()) * self.omega.size * (self.formula.numel_in(0) + 1)
         )
@@ -103,11 +100,11 @@ def lagrangian_hessian(
     of_limits = ca.Function(
         "limits", [z, multipliers], [ca.hessian(ca.dot(multipliers, limits), z)[0]]
     )
-    factor, given = ca.MX.sym("factor"), ca.MX.sym("multipliers", limits.numel())
+    factor, symbols = ca.MX.sym("factor"), ca.MX.sym("multipliers", limits.numel())
     return ca.Function(
         "nlp_hess_l",
-        [point, smoothing, factor, given],
-        [ca.triu(ca.densify(factor * total + of_limits(point, given)))],
+        [point, smoothing, factor, symbols],
+        [ca.triu(ca.densify(factor * total + of_limits(point, symbols)))],
         ["x", "p", "lam_f", "lam_g"],
         ["triu_hess_gamma_x_x"],
     )
@@ -137,19 +134,21 @@ def _curvature(rows: ca.Function) -> ca.Function:
 
 
 def _over(function: ca.Function, omega: Array) -> ca.Function:
-    """Return the function of all frequencies, results side by side."""
+    """Return the function mapped over all frequencies, its results side by side."""
     return function.map(function.name(), "serial", omega.size, [0], [])
 
 
 def _criterion_derivatives(
     cost: Callable[[Complex, Any], Any], size: int, columns: int
 ) -> tuple[ca.Function, Callable[[Any, Any, Any], Any]]:
-    """Return (r, smoothing) -> φ' and (r, smoothing, X) -> φ'' X, r and `columns` of X the parts in turn (2 size,)."""
+    """Return (r, smoothing) -> φ' and (r, smoothing, X) -> φ'' X, for alternating real and imaginary parts (2 size,)."""
     r, smoothing = ca.SX.sym("r", 2 * size), ca.SX.sym("smoothing")
     value = ca.SX(cost(Complex(r[0::2], r[1::2]), smoothing))
     gradient = ca.densify(ca.gradient(value, r))
     slope = ca.Function("slope", [r, smoothing], [gradient])
-    if ca.jacobian(gradient, r[0]).nnz() <= SPARSE:
+    # A cost that is a sum over the frequencies has two rows of φ'' in each column, for real and
+    # imaginary part; a function of such sums, as a logarithm, has all rows.
+    if ca.jacobian(gradient, r[0]).nnz() <= 4:
         second = ca.Function("second", [r, smoothing], [ca.jacobian(gradient, r)])
         return slope, lambda r, smoothing, x: ca.mtimes(second(r, smoothing), x)
 

@@ -53,10 +53,9 @@ def scaling_of(parameters: Sequence[Parameter]) -> Scaling:
 
 
 def _size(parameter: Parameter) -> float:
-    """Return the larger end of the start box: IPOPT then needs about half the time that it takes unscaled.
+    """Return the larger end of the start box: IPOPT takes half the time that it takes unscaled.
 
-    Not that of wider bounds, from which IPOPT would push the starts away by a share of their
-    distance.
+    Wider bounds would not do: IPOPT pushes starts away from bounds by a share of their distance.
     """
     for pair in (parameter.box, parameter.bounds, (parameter.start, parameter.start)):
         finite = [abs(v) for v in pair if math.isfinite(v) and v != 0]

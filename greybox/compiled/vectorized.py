@@ -1,10 +1,11 @@
-"""A CasADi function evaluated in numpy over many columns at once: one ufunc call per operation, not one per column.
+"""A CasADi function evaluated in numpy for many columns at once: one ufunc call per operation.
 
 CasADi's own interpreter takes about 1.5 to 4 ns per operation and column; over some thousand
-columns a ufunc takes a fifth of that. Operations on what is the same in all columns (the
-parameters) are done once.
+columns a ufunc takes a fifth of that. Operations on inputs that all columns share (the parameters)
+are done once.
 """
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -15,8 +16,7 @@ import numpy as np
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 
-CHUNK = 4096  # columns at once: what fits into the cache
-FEW = 128  # columns: a ufunc takes 0.2 µs whatever their number, an operation of CasADi's 1.6 ns for each
+CHUNK = 4096  # columns at once: so many fit into the cache
 
 
 def _if_else_zero(condition: Array, value: Array, out: Array) -> None:
@@ -84,9 +84,9 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 class Columns:
     """A function of dense inputs, evaluated for many columns; `shared` inputs (by position) are the same in all.
 
-    Fewer columns than `fewest` are left to CasADi: registers for another number of columns take
-    some milliseconds. Without an entry for one of its operations, or where it is no SX function
-    (compiled, say), CasADi evaluates it.
+    CasADi evaluates fewer columns than `fewest`, since the layout of registers for another number of
+    columns takes some milliseconds, and functions that are not SX or contain an operation without a
+    ufunc.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Columns:
         self._mapped: dict[int, _Mapped] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what builds the same: memory that CasADi writes to does not travel."""
+        """Return what builds the same evaluation: the memory that CasADi writes to cannot be pickled."""
         return Columns, (self._function, self._shared, self._fewest)
 
     @cached_property
@@ -110,19 +110,19 @@ class Columns:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
         outputs = [np.empty((size, m)) for size in self._sizes]
-        size = (
-            -(-m // -(-m // CHUNK)) if m else 1
-        )  # equal shares, so that one layout of the registers serves
-        for at in range(0, m, size):
-            some = slice(at, min(at + size, m))
-            part = [v if k in self._shared else v[:, some] for k, v in enumerate(inputs)]
-            count = some.stop - at
-            if count < self._fewest or count <= FEW or self._program is None:
+        # In equal shares, so that all need one layout of the registers.
+        size = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
+        for begin in range(0, m, size):
+            columns = slice(begin, min(begin + size, m))
+            part = [v if k in self._shared else v[:, columns] for k, v in enumerate(inputs)]
+            count = columns.stop - begin
+            # A ufunc takes 0.2 µs whatever the number of columns, CasADi's operation 1.6 ns for each.
+            if count < self._fewest or count <= 128 or self._program is None:
                 for out, value in zip(outputs, self._evaluated(part, count), strict=True):
-                    out[:, some] = value
+                    out[:, columns] = value
             else:
-                bound = self._bound.get(count) or self._bind(count)
-                bound.run(part, [out[:, some] for out in outputs])
+                layout = self._bound.get(count) or self._bind(count)
+                layout.run(part, [out[:, columns] for out in outputs])
         return outputs
 
     def _evaluated(self, inputs: list[Array], m: int) -> list[Array]:
@@ -141,7 +141,7 @@ class Columns:
 
 @one_thread_at_a_time
 def _dense(function: ca.Function) -> ca.Function:
-    """Return the function with zeros in place of what inputs and outputs leave out."""
+    """Return the function with dense inputs and outputs."""
     is_dense = all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
     if is_dense and all(
         function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())
@@ -155,7 +155,7 @@ def _dense(function: ca.Function) -> ca.Function:
 
 
 class _Mapped:
-    """A function of dense inputs and outputs mapped over m columns, with memory of its own for both."""
+    """A function of dense inputs and outputs mapped over m columns, with its own memory for both."""
 
     @one_thread_at_a_time
     def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
@@ -170,28 +170,22 @@ class _Mapped:
             buffer.set_arg(k, value.data)
         for k, value in enumerate(self._outputs):
             buffer.set_res(k, value.data)
-        self._kept_alive = mapped, buffer
+        self._references = mapped, buffer  # CasADi does not keep them alive
 
     def run(self, inputs: list[Array]) -> list[Array]:
-        """Return the outputs, (numel, m) each, in memory that the next call uses again."""
-        for own, value in zip(self._inputs, inputs, strict=True):
-            own[...] = value.T
+        """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
+        for memory, value in zip(self._inputs, inputs, strict=True):
+            memory[...] = value.T
         self._call()
         return [value.T for value in self._outputs]
 
 
 def _read(function: ca.Function) -> list[tuple[int, list[int], list[int], float]] | None:
-    """Return operation, inputs, outputs and constant of every instruction; None if one is not known here."""
+    """Return operation, inputs, outputs and constant of every instruction; None if one has no ufunc."""
     program = []
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
-        known = operation in _OPERATIONS or operation in (
-            ca.OP_INPUT,
-            ca.OP_OUTPUT,
-            ca.OP_CONST,
-            ca.OP_PARAMETER,
-        )
-        if not known:
+        if operation not in _OPERATIONS and operation not in _READING:
             return None
         value = function.instruction_constant(k) if operation == ca.OP_CONST else 0.0
         program.append(
@@ -215,10 +209,10 @@ class _Bound:
         now: dict[int, Array] = {}
         for operation, sources, targets, constant in program:
             if operation == ca.OP_OUTPUT:
-                # The register may be used again: what leaves is kept apart.
-                kept = np.empty(m)
-                self._calls.append((_assign, (now[sources[0]], kept)))
-                self._writes.append((targets[0], targets[1], kept))
+                # A copy, because the register may be used again.
+                copy = np.empty(m)
+                self._calls.append((_assign, (now[sources[0]], copy)))
+                self._writes.append((targets[0], targets[1], copy))
                 continue
             target = targets[0]
             if operation == ca.OP_CONST:
@@ -233,8 +227,7 @@ class _Bound:
             if operation not in _TAKING_FLAGS:
                 arguments = tuple(self._number(argument) for argument in arguments)
             if all(a.ndim == 0 for a in arguments):
-                # Kept apart from the registers of columns, and from one another: results may be
-                # read much later.
+                # A register of its own, because the result may be read much later.
                 out = narrow.setdefault(len(narrow), np.empty(()))
             elif operation in _GIVING_FLAGS:
                 out = flags.setdefault(target, np.empty(m, bool))
@@ -244,7 +237,7 @@ class _Bound:
             now[target] = out
 
     def _number(self, value: Array) -> Array:
-        """Return what has flags as numbers."""
+        """Return flags as numbers."""
         if value.dtype != bool:
             return value
         number = np.empty(value.shape)
@@ -288,7 +281,8 @@ _BINARY = {
     ca.OP_HYPOT,
 }
 
-# What is true or false is kept as such: as numbers, comparisons of many columns take three times as
-# long.
+_READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER}
+
+# Comparisons return boolean arrays: as numbers, they take three times as long for many columns.
 _GIVING_FLAGS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
 _TAKING_FLAGS = {ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO}

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.compiled.alike_terms import SecondOrder, _alike, _terms
+from greybox.compiled.alike_terms import SecondOrder, grouped, summands
 
 OMEGA = np.array(
     [0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0]
@@ -43,7 +43,7 @@ def test_derivatives_are_those_of_the_sum(m, large, monkeypatch):
 
 def test_terms_of_one_form_differ_in_their_constants():
     z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
-    [alike], rest = _alike([z, smoothing], cost(z, smoothing))
+    [alike], rest = grouped([z, smoothing], cost(z, smoothing))
     assert alike.constants.shape == (
         3,
         6,
@@ -70,7 +70,7 @@ def test_terms_and_factors_of_sums_differences_multiples_and_shares():
     x = ca.SX.sym("x", 5)
     a, b, c, d, e = (ca.sin(x[k]) for k in range(5))
     whole = -(a - (b / 4 + 2 * (c - 3 * d))) / 5 + e / b
-    found = [(factor, ca.Function("term", [x], [term])) for factor, term in _terms(whole)]
+    found = [(factor, ca.Function("term", [x], [term])) for factor, term in summands(whole)]
     point = np.array([0.3, 0.7, 1.1, 1.9, 2.3])
     s = np.sin(point)
     wanted = {s[0]: -1 / 5, s[1]: 1 / 20, s[2]: 2 / 5, s[3]: -6 / 5, s[4] / s[1]: 1.0}

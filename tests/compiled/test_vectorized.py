@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.compiled.vectorized import CHUNK, FEW, Columns
+from greybox.compiled.vectorized import CHUNK, Columns
 
 UNARY = {
     "minus": lambda a: -a,
@@ -40,7 +40,7 @@ BINARY = {
     },
 }
 GRID = np.array([-2.5, -1.0, -0.4, 0.0, 0.3, 1.0, 1.7])
-MANY = np.tile(GRID, FEW)  # of few columns CasADi takes care
+MANY = np.tile(GRID, 128)  # of few columns CasADi takes care
 FIRST, SECOND = (v.ravel() for v in np.meshgrid(np.tile(GRID, 4), GRID))
 
 
@@ -57,7 +57,7 @@ def test_every_operation_of_one_number(name):
     x = ca.SX.sym("x")
     f = function(UNARY[name](x), x)
     found = Columns(f)(MANY[None])[0]
-    assert_allclose(found, np.tile(by_casadi(f, GRID), FEW), rtol=1e-14, equal_nan=True)
+    assert_allclose(found, np.tile(by_casadi(f, GRID), 128), rtol=1e-14, equal_nan=True)
 
 
 @pytest.mark.parametrize("name", BINARY)
@@ -119,7 +119,7 @@ def test_calls_do_not_disturb_one_another():
 def test_what_is_not_finite_gives_no_warning():
     x = ca.SX.sym("x")
     found = Columns(function(ca.vertcat(ca.log(x), 1 / x, ca.exp(1e4 * x)), x))(
-        np.tile([[0.0, 1.0]], FEW)
+        np.tile([[0.0, 1.0]], 128)
     )[0]
     assert_allclose(found[:, 0], [-np.inf, np.inf, 1])
     assert np.isinf(found[2, 1])
