@@ -24,7 +24,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--resampling",
         choices=get_args(Resampling),
-        help="what is drawn: parametric errors (default), residuals or points of responses; residuals in time, "
+        help="what is drawn: parametric errors (default) or residuals of responses; residuals in time, "
         "blocks of them with --block (default), or parametric errors of records; parts: whole records or responses",
     )
     add("--replicates", type=positive, default=1000, metavar="N", help="1000 by default")

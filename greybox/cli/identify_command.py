@@ -191,9 +191,6 @@ def _json(found: Identification, lines: list[str]) -> dict[str, Any]:
         "structures": steps,
         "comparison": found.comparison.table if found.comparison else [],
         "reason": found.reason,
-        "fit_without_filters": summary(found.unfiltered.fit)
-        if found.unfiltered is not None
-        else None,
         "fit": summary(found.fit) if found.fit is not None else None,
         "next": list(found.next),
         "commands": lines,

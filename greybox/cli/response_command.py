@@ -3,7 +3,7 @@
 import argparse
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_w
 from greybox.data.record import Recording
 from greybox.data.response_file import HDF5, write_response, write_responses
 from greybox.data.transient_file import write_spectrum
-from greybox.files.json_numbers import finite
 from greybox.identification.manoeuvre import ManoeuvreMeasurement, measure_manoeuvre
 from greybox.identification.matrix import MatrixMeasurement, measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
@@ -299,9 +298,6 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
         columns = dict.fromkeys(("coherence", "variance", "dof")) | {
             name: x.tolist() for name, x in known.items()
         }
-    difference = measured.difference and {
-        name: finite(x) for name, x in asdict(measured.difference).items()
-    }
     return {
         **_said(recording, measured),
         "input": response.input if response else None,
@@ -311,7 +307,6 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
         "about": dict(response.about) if response else {},
         "closed_loop": bool(measured.controller),
         "instrument": measured.signals.get(INSTRUMENT),
-        "direct_difference": difference,
         "segments": [segment_as_json(segment) for segment in measured.tests],
         "usable": quality.usable,
         "findings": [

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.text_table import number, one_line, text_table, with_error
+from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
@@ -23,7 +23,6 @@ from greybox.logs.known_filters import KnownFilter
 from greybox.logs.readers import read
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.solve.minima import best_unfinished
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
 
@@ -58,9 +57,6 @@ class Identification:
         None if fewer than two structures converged.
     chosen : FittedStep or None
         The smallest structure that the data support, see `gb.compare`; None if none converged.
-    unfiltered : FittedStep or None
-        The chosen structure without the filters of the log, so that their lag adds to its own lag
-        and delay.
     starts, seed : int
     """
 
@@ -70,7 +66,6 @@ class Identification:
     steps: tuple[FittedStep, ...] = ()
     comparison: Comparison | None = None
     chosen: FittedStep | None = None
-    unfiltered: FittedStep | None = None
     starts: int = STARTS
     seed: int = 0
     reason: str = field(default="", repr=False)
@@ -100,7 +95,7 @@ class Identification:
         if self.steps:
             parts += [_ladder(self), self.reason]
         if self.fit is not None:
-            parts += [str(self.fit), _with_and_without(self)]
+            parts += [str(self.fit)]
         parts += ["\n".join(["Next:", *(f"  {text}" for text in self.next)])]
         return "\n\n".join(part for part in parts if part)
 
@@ -165,17 +160,7 @@ def identify(
         labels = [str(1 + steps.index(step)) for step in converged]
         comparison = compare(*(step.fit for step in converged), labels=labels)
     chosen, reason = choose_structure(steps, comparison)
-    unfiltered = None
-    if filters and chosen:
-        unfiltered = _fitted(measurement, chosen[:3], models, {}, starts, seed)
-    return replace(
-        result,
-        steps=steps,
-        comparison=comparison,
-        chosen=chosen,
-        unfiltered=unfiltered,
-        reason=" ".join([reason, *close_failures(steps, chosen)]),
-    )
+    return replace(result, steps=steps, comparison=comparison, chosen=chosen, reason=reason)
 
 
 def filter_model(known: KnownFilter) -> TransferFunction:
@@ -243,24 +228,6 @@ def choose_structure(
     ], f"Structure {comparison.verdict}"
 
 
-def close_failures(steps: Sequence[FittedStep], chosen: FittedStep | None) -> list[str]:
-    """Name the structures that did not converge, although a run came as close as the chosen one, by AIC."""
-    if chosen is None:
-        return []
-    failed = [
-        (k, step, best_unfinished(step.fit.runs))
-        for k, step in enumerate(steps, 1)
-        if not step.fit.converged
-    ]
-    limit = chosen.fit.cost + len(chosen.fit.free)
-    return [
-        f"Structure {k} did not converge, but reached a cost of {number(run.cost, 4)} where the chosen one has "
-        f"{number(chosen.fit.cost, 4)}: fit {step.model} by itself from more starts."
-        for k, step, run in failed
-        if run is not None and run.cost + len(step.fit.free) < limit
-    ]
-
-
 def _ladder(result: Identification) -> str:
     header = ("", "structure", "free", "cost", "BIC", "less the least", "what it is")
     rows = []
@@ -283,28 +250,6 @@ def _ladder(result: Identification) -> str:
         else "Structures:"
     )
     return "\n".join([title, text_table(header, rows, left=(1, 6))])
-
-
-def _with_and_without(result: Identification) -> str:
-    """Return lags and delays beside those of the same structure without the filters, which take up their lag."""
-    with_, without = result.chosen, result.unfiltered
-    if with_ is None or without is None or not without.fit.converged:
-        return ""
-    times = [q.name for q in with_.fit.quantities if q.kind == "free" and q.unit == "s"]
-    rows = [
-        (f"{name}, s", *(_with_error(step.fit, name) for step in (with_, without)))
-        for name in times
-    ]
-    if not rows:
-        return ""
-    names = " and ".join(with_.through)
-    return f"Lag and delay with and without the {names}:\n" + text_table(
-        ("", "with", "without"), rows
-    )
-
-
-def _with_error(fit: Fit, name: str) -> str:
-    return " ± ".join(with_error(fit.estimate[name], fit.standard_error[name]))
 
 
 def _next_steps(result: Identification) -> list[str]:

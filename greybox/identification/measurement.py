@@ -12,7 +12,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import to_si
 from greybox.files.text_table import alternatives, counted, number, one_line
-from greybox.identification.loop import DirectDifference, controller_in, direct_difference
+from greybox.identification.loop import controller_in
 from greybox.identification.systematic_errors import (
     motor_saturation,
     systematic_errors,
@@ -157,8 +157,6 @@ class Measurement:
         Those of the flight controller whose parameters the log holds, by name.
     controller : str
         The signal that shows a closed loop; empty where nothing does.
-    difference : DirectDifference or None
-        By how much a direct estimate would differ, where that is another one.
     detail : str
         The response in words, of sines as a table.
     """
@@ -173,7 +171,6 @@ class Measurement:
     choices: tuple[str, ...] = ()
     filters: Mapping[str, tuple[KnownFilter, ...]] = field(default_factory=dict, repr=False)
     controller: str = ""
-    difference: DirectDifference | None = None
     detail: str = field(default="", repr=False)
 
     def __repr__(self) -> str:
@@ -239,7 +236,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         quality = check(record, response, judged, input=u, output=y)
         return Quality((*quality.findings, *jitter(during)), quality.bands)
 
-    quality, response, detail, difference, points = quality_of(None), None, "", None, None
+    quality, response, detail, points = quality_of(None), None, "", None
     pieces = [record.between(s.start, s.end) for s in used] or [record]
     if quality.usable:
         try:
@@ -260,12 +257,10 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = Quality((refused, *quality.findings))
     if response is not None:
-        if instrument and not sines and not settings.period:
-            difference = direct_difference(response, pieces, u, y)
         response = replace(
             response, about=_about(recording, record, response, signals, used, settings)
         )
-    choices = _choices(recording, settings, used, controller, signals, response, difference)
+    choices = _choices(recording, settings, used, controller, signals, response)
     return Measurement(
         settings,
         tests,
@@ -277,7 +272,6 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         choices,
         named_filters(recording, axis_of(control)),
         controller,
-        difference,
         detail,
     )
 
@@ -494,7 +488,6 @@ def _choices(
     controller: str,
     signals: Mapping[str, str],
     response: FrequencyResponse | None,
-    difference: DirectDifference | None,
 ) -> tuple[str, ...]:
     said = []
     sines = bool(used) and used[0].kind == "sine"
@@ -513,7 +506,6 @@ def _choices(
             f"{loop}: averages over whole periods, whose ratio feedback biases less, the more periods there are."
         )
     elif INSTRUMENT in signals:
-        why = f" {FEEDBACK}; here {difference}." if difference else f" {FEEDBACK}."
         chosen = (
             ""
             if settings.instrument
@@ -522,7 +514,7 @@ def _choices(
             else ""
         )
         said.append(
-            f"{loop}: joint input-output estimate with the instrument {signals[INSTRUMENT]}{chosen}.{why}"
+            f"{loop}: joint input-output estimate with the instrument {signals[INSTRUMENT]}{chosen}. {FEEDBACK}."
         )
     else:
         said.append(

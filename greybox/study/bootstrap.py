@@ -46,13 +46,12 @@ from greybox.study.response_replicates import (
 )
 from greybox.study.store import StoredRuns, locked
 
-Resampling = Literal["residuals", "points", "parametric", "parts", "blocks"]
+Resampling = Literal["residuals", "parametric", "parts", "blocks"]
 
 FEWEST_PARTS = 3  # two parts would leave half of the replicates with one of them alone
 
 WORDS = {
     "residuals": "residuals drawn over the frequencies, turned at random in the complex plane",
-    "points": "points drawn with replacement",
     "parametric": "normal errors of the fitted size",
     "parts": "whole parts drawn with replacement",
     "blocks": "residuals drawn",
@@ -292,8 +291,6 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     ``"residuals"``   Responses: the fitted response with errors of the magnitudes of the residuals,
                       at any frequency and any angle. The errors are taken as isotropic in the
                       complex plane, in proportion to what the criterion assumes.
-    ``"points"``      Responses: as many of the measured points, drawn with replacement. It assumes
-                      nothing of the errors but their independence.
     ``"blocks"``      Records: the fitted outputs with errors that are correlated in time as the
                       residuals are, and from output to output. Residuals are whitened by the
                       spectrum that the standard errors use, drawn, and colored again.
@@ -306,10 +303,10 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     shows the spread of this minimum, not a choice among several.
 
     Widened percentile intervals of 5 to 24 points covered 92 to 95 % with ``"parametric"``, 90 to
-    95 % with ``"residuals"`` and ``"points"``, 91 to 93 % for a pole that the data bound on one
-    side alone, and 92 % in time with errors of correlation 0.8 (± 2 %, by
-    ``benchmarks/bootstrap_coverage.py``). Bias-corrected (BCa) intervals covered up to 6 % less and
-    are not offered.
+    95 % with ``"residuals"``, 91 to 93 % for a pole that the data bound on one side alone, and 92 %
+    in time with errors of correlation 0.8 (± 2 %, by ``benchmarks/bootstrap_coverage.py``).
+    Bias-corrected (BCa) intervals covered up to 6 % less, and points drawn with replacement no
+    more: neither is offered.
 
     Parameters
     ----------
@@ -401,11 +398,7 @@ def _resampling(fit: Fit, asked: str | None) -> Any:
             f"the fit {fit.name!r} has records and responses, which are drawn in no common way: use one."
         )
     in_time = bool(fit.records)
-    allowed = (
-        ("blocks", "parametric", "parts")
-        if in_time
-        else ("parametric", "residuals", "points", "parts")
-    )
+    allowed = ("blocks", "parametric", "parts") if in_time else ("parametric", "residuals", "parts")
     if asked is None:
         return allowed[0]
     if asked not in get_args(Resampling):

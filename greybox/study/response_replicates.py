@@ -24,18 +24,13 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import IMPROVED, Outcome
-from greybox.study.open_data import data_table, formulas_of_frequency, open_program, program_input
+from greybox.study.open_data import open_program, program_input
 
-Drawn = Literal["residuals", "points", "parametric", "parts"]
+Drawn = Literal["residuals", "parametric", "parts"]
 
 # Share of the variance of an error that is left in its residual, at least: a fit that nearly passes
 # through a point shows nothing of the error there, and must not make it infinite.
 LEAST_LEFT = 0.1
-
-# Status of a replicate whose points cannot determine the parameters.
-FEW = "too few distinct points"
-
-OMEGA, RE, IM = 0, 1, 2  # rows of a table
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +39,9 @@ class DrawnPart:
 
     Attributes
     ----------
-    table : (rows, n) array
-        The measured data, see `greybox.study.open_data`.
-    response : (n,) complex array
-        The fitted response.
+    omega : (n,) array, rad/s
+    measured, response : (n,) complex arrays
+        The measured and the fitted response.
     size : (n,) array
         To which the errors are proportional.
     errors : (n,) complex array
@@ -63,7 +57,8 @@ class DrawnPart:
         over that of `deviation`.
     """
 
-    table: Array
+    omega: Array
+    measured: ComplexArray
     response: ComplexArray
     size: Array
     errors: ComplexArray
@@ -72,16 +67,13 @@ class DrawnPart:
     common: ComplexArray | None = None
     neighbors: tuple[float, float] | None = None
 
-    def drawn_table(self, random: np.random.Generator, *, from_residuals: bool) -> Array:
-        """Return the table with the fitted response and errors that are drawn."""
+    def drawn(self, random: np.random.Generator, *, from_residuals: bool) -> ComplexArray:
+        """Return the fitted response with errors that are drawn."""
         draw = self._drawn_residuals if from_residuals else self._normal_errors
         measured = self.response + self.size * draw(random)
         if self.common is not None:
             measured = measured + random.standard_normal(len(self.common)) @ self.common
-        table = self.table.copy()
-        table[RE] = measured.real
-        table[IM] = measured.imag
-        return table
+        return measured
 
     def _drawn_residuals(self, random: np.random.Generator) -> ComplexArray:
         """Return errors with the magnitudes of the residuals, at any angle."""
@@ -102,7 +94,7 @@ class DrawnPart:
         """Return errors that are correlated from neighbor to neighbor, along and across the response."""
         from scipy.signal import lfilter  # noqa: PLC0415 - takes a third of a second to import
 
-        order = np.argsort(self.table[OMEGA], kind="stable")
+        order = np.argsort(self.omega, kind="stable")
         normal = math.sqrt(scale) * normal[order]
         normal[1:] *= math.sqrt(1 - correlation**2)
         normal = lfilter([1.0], [1.0, -correlation], normal)
@@ -115,15 +107,13 @@ class ResponseDraws:
 
     Attributes
     ----------
-    drawn : "residuals", "points", "parametric" or "parts"
+    drawn : "residuals", "parametric" or "parts"
     seed : int
     parts : tuple of DrawnPart
     constants : (c,) array
         Constants of the problem.
     root : (c, r) array
         A square root of their covariance.
-    unknowns : int
-        Number of free parameters.
     """
 
     drawn: Drawn
@@ -131,29 +121,18 @@ class ResponseDraws:
     parts: tuple[DrawnPart, ...]
     constants: Array
     root: Array
-    unknowns: int
 
-    def replicate(self, number: int) -> Array | None:
-        """Return the data of a replicate as input (g,) of the program; None if its points are too few."""
+    def replicate(self, number: int) -> Array:
+        """Return the data of a replicate as input (g,) of the program."""
         random = np.random.default_rng([self.seed, number])
         constants = self._constants(random)
-        counts = np.ones(len(self.parts))
-        tables = [part.table for part in self.parts]
-        if self.drawn == "points":
-            places = [random.integers(0, table.shape[1], table.shape[1]) for table in tables]
-            distinct = sum(np.unique(place).size for place in places)
-            if 2 * distinct <= self.unknowns:
-                return None
-            tables = [table[:, place] for table, place in zip(tables, places, strict=True)]
-        elif self.drawn == "parts":
-            chosen = random.integers(0, len(tables), len(tables))
-            counts = np.bincount(chosen, minlength=len(tables)).astype(float)
-        else:
-            from_residuals = self.drawn == "residuals"
-            tables = [
-                part.drawn_table(random, from_residuals=from_residuals) for part in self.parts
-            ]
-        return program_input(constants, counts, tables)
+        count = len(self.parts)
+        if self.drawn == "parts":
+            counts = np.bincount(random.integers(0, count, count), minlength=count).astype(float)
+            return program_input(constants, counts, [part.measured for part in self.parts])
+        from_residuals = self.drawn == "residuals"
+        drawn = [part.drawn(random, from_residuals=from_residuals) for part in self.parts]
+        return program_input(constants, np.ones(count), drawn)
 
     def constants_of(self, number: int) -> Array:
         """Return the constants (c,) of a replicate."""
@@ -217,7 +196,6 @@ def response_draws(
         ),
         constants=nlp.constant_values,
         root=root,
-        unknowns=len(x),
     )
 
 
@@ -232,8 +210,9 @@ def _fitted(part: ResponsePart, values: Array) -> DrawnPart:
     if not spread > math.sqrt(np.finfo(float).eps):
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
     dof = part.data.dof if part.criterion.known_noise else None
+    data = part.data
     return DrawnPart(
-        data_table(part.data), response, size, residuals, spread, dof, part.data.common_errors
+        data.omega, data.response, response, size, residuals, spread, dof, data.common_errors
     )
 
 
@@ -266,19 +245,11 @@ def response_replicates(
     Raises
     ------
     ValueError
-        If a criterion accepts numbers alone, or if points are drawn of a response that is compiled
-        at the measured frequencies alone.
+        If a criterion accepts numbers alone.
     """
-    formulas = formulas_of_frequency(nlp)
-    if formulas is None and draws.drawn == "points":
-        raise ValueError(
-            f"the response of {nlp.problem.name!r} is compiled at its own frequencies alone (sines of finite "
-            "amplitude, or a trim by Newton's method), so that no points can be drawn: use resampling='residuals'."
-        )
-    program = open_program(nlp, formulas, [part.table.shape[1] for part in draws.parts])
-    return ResponseReplicates(
-        draws, program, nlp.scaling.to_solver(x), nlp.lower, nlp.upper, nlp.scaling
-    )
+    start = nlp.scaling.to_solver(x)
+    program = open_program(nlp)
+    return ResponseReplicates(draws, program, start, nlp.lower, nlp.upper, nlp.scaling)
 
 
 class ResponseReplicates(Runner):
@@ -331,15 +302,10 @@ class ResponseReplicates(Runner):
     def run_together(self, starts: Array) -> list[Outcome]:
         """Make the runs of all numbers (r, 1)."""
         began = time.perf_counter()
-        drawn = [self._draws.replicate(number) for number in starts[:, 0].astype(int).tolist()]
-        solvable = [numbers for numbers in drawn if numbers is not None]
-        outcomes = iter(self._solved(np.array(solvable).T) if solvable else [])
-        too_few = Outcome(np.full(len(self._start), np.nan), FEW, 0, 0.0, converged=False)
-        each = (time.perf_counter() - began) / len(starts)
-        return [
-            replace(too_few if numbers is None else next(outcomes), seconds=each)
-            for numbers in drawn
-        ]
+        numbers = starts[:, 0].astype(int).tolist()
+        outcomes = self._solved(np.array([self._draws.replicate(number) for number in numbers]).T)
+        seconds = (time.perf_counter() - began) / len(starts)
+        return [replace(outcome, seconds=seconds) for outcome in outcomes]
 
     def _solved(self, numbers: Array) -> list[Outcome]:
         """Solve for the data in the columns of `numbers` (g, m)."""

@@ -189,7 +189,6 @@ def test_in_closed_loop_the_excitation_is_the_instrument(capsys, tmp_path):
     assert (
         np.abs(biased[at] + 0.25).mean() < np.abs(lag(np.array(direct["omega"])[at]) + 0.25).mean()
     )
-    assert answer["direct_difference"]["largest"] > 0.05
 
 
 def test_a_closed_loop_without_an_excitation_is_refused(capsys, tmp_path):

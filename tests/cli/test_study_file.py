@@ -87,32 +87,21 @@ def test_every_key_reaches_the_member(folder):
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
-        (
-            "bounds = {T = [1]}",
-            "bounds = {'T': [1]} is not understood: give a table {name = [low, high]}.",
-        ),
-        ("bounds = {T = [true, 2]}", "is not understood: give a table {name = [low, high]}."),
-        (
-            "prior = {T = 1.0}",
-            "prior = {'T': 1.0} is not understood: give a table {name = [mean, sigma]}.",
-        ),
-        ("starts_box = 3", "starts_box = 3 is not understood: give a table {name = [low, high]}."),
-        (
-            "start = {T = true}",
-            "start = {'T': True} is not understood: give a table {name = number}.",
-        ),
-        ("input = 3", "input = 3 is not understood: give text."),
-        ("method = 'magic'", "method 'magic' is not known; use"),
-        ("seed = true", "seed = True is not understood: give a whole number, or a list of such."),
-        ("starts = true", "starts = True is not understood: give a whole number."),
-        ("free = ['c', 3]", "free = ['c', 3] is not understood: give a list of names."),
+        ("bounds = {T = [1]}", "T=1"),
+        ("bounds = {T = [true, 2]}", "T=True:2"),
+        ("prior = {T = 1.0}", "T=1.0"),
+        ("starts_box = 3", "3"),
+        ("start = {T = true}", "T=True"),
+        ("method = 'magic'", "magic"),
+        ("seed = true", "True"),
+        ("starts = 'many'", "many"),
         ("data2 = 'own.csv'", "has 'data2', which is not known; use"),
     ],
 )
-def test_what_is_not_understood_is_told(folder, line, said):
-    with pytest.raises(UsageError, match=re.escape(said)):
+def test_an_invalid_value_is_named(folder, line, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
         members(folder, f'[[member]]\nmodel = "lag_of_study.py:Lag"\ndata = "own.csv"\n{line}\n')
 
 

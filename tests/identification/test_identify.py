@@ -11,7 +11,7 @@ import greybox as gb
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.identification.choices import choose, motion
-from greybox.identification.identify import FittedStep, choose_structure, close_failures
+from greybox.identification.identify import FittedStep, choose_structure
 from greybox.identification.ladder import ladder_for
 from greybox.problems import sitl_pitch
 
@@ -262,17 +262,11 @@ def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
         assert abs(found.fit.estimate[name] - value) < 3 * found.fit.standard_error[name] + 1e-4, (
             name
         )
-    # What the filters delay at low frequencies, 2 ζ / ω_c and (1 - 0.01) / (Q ω_0), is in the other
-    # lag and delay.
-    lag = 2**0.5 / (2 * np.pi * 20) + 0.99 * 7 / 12 / (2 * np.pi * 60)
-    without = found.unfiltered.fit.estimate
-    assert without["T_delay"] + without["T_rotor"] == pytest.approx(0.05 + lag, abs=0.003)
-    assert "Lag and delay with and without the gyro-notch and gyro-filter" in str(found)
     about = found.measurement.response.about
     assert about["gyro-filter"] == "LowPass(20.0, 0.7071067811865476)"
 
     as_logged = gb.identify(filtered_rate_log, ladder=ladder, through=(), **stated)
-    assert (as_logged.chosen.through, as_logged.unfiltered) == ((), None)
+    assert as_logged.chosen.through == ()
     with pytest.raises(ValueError, match="states gyro-filter, gyro-notch"):
         gb.identify(filtered_rate_log, ladder=ladder, through=("d-term-filter",), **stated)
 
@@ -295,22 +289,6 @@ def test_the_signals_of_px4_are_known():
         "theta=vehicle_attitude.pitch",
     )
     assert "axis pitch: vehicle_attitude_setpoint.pitch moves" in str(choices[0])
-
-
-def test_a_structure_that_fails_close_to_the_data_is_named():
-    """It may be the right one: of data without noise, the last digits of a minimum are not reached by every search."""
-    unfinished = SimpleNamespace(converged=False, status="stagnated", cost=0.42, stage="")
-    failed = SimpleNamespace(converged=False, runs=[unfinished], free=("K", "a"))
-    found = SimpleNamespace(converged=True, runs=[], free=("K", "a", "b"), cost=0.41)
-    steps = [
-        FittedStep(name, (), "", (), "", fit)
-        for name, fit in (("rate:A", failed), ("tilt:B", found))
-    ]
-    (said,) = close_failures(steps, steps[1])
-    assert said.startswith(
-        "Structure 1 did not converge, but reached a cost of 0.42 where the chosen one has 0.41: fit"
-    )
-    assert close_failures(steps[1:], steps[1]) == []
 
 
 def test_the_motion_of_a_setpoint_is_that_during_the_tests():
