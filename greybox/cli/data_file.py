@@ -7,7 +7,7 @@ from pathlib import Path
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
-from greybox.data.response_file import HDF5, read_response
+from greybox.data.response_file import read_response
 from greybox.data.transient_file import claims_spectrum, read_spectrum
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import to_si
@@ -62,8 +62,6 @@ def read_data(
 def _is_response(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(4096)
-    if path.suffix.lower() in HDF5:
-        return head.startswith(b"greybox ")
     if b"\0" in head:
         return False
     names = read_delimited(path, head).header

@@ -14,13 +14,13 @@ from greybox.cli.options import (
 )
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_model_option, saved_fit
-from greybox.data.response_file import HDF5
 from greybox.estimate.identifiability import Identifiability
 from greybox.estimate.structural_identifiability import (
     StructuralIdentifiability,
     structural_identifiability,
 )
 from greybox.files.json_numbers import finite
+from greybox.files.safe_files import HDF5
 
 EXAMPLES = (
     "yaw:YawRate",

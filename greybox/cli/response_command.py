@@ -11,7 +11,7 @@ from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, s
 from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.data.record import Recording
-from greybox.data.response_file import HDF5, write_response, write_responses
+from greybox.data.response_file import write_response, write_responses
 from greybox.data.transient_file import write_spectrum
 from greybox.identification.manoeuvre import ManoeuvreMeasurement, measure_manoeuvre
 from greybox.identification.matrix import MatrixMeasurement, measure_matrix
@@ -57,7 +57,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="with --manoeuvre: inputs held between samples",
     )
-    add("--out", type=Path, metavar="FILE", help="save the response to this .csv or .h5 file")
+    add("--out", type=Path, metavar="FILE", help="save the response to this .csv file")
     add_common_options(parser, "Bode diagram and coherence")
 
 
@@ -157,7 +157,7 @@ def stated_band(words: list[str]) -> tuple[float, float] | None:
 def run(options: argparse.Namespace) -> Answer:
     """Measure the response; save and draw it where asked to."""
     require_figure(options.plot, options.force)
-    require_writable(options.out, options.force, (".csv", *HDF5), "file")
+    require_writable(options.out, options.force, (".csv",), "table")
     if options.manoeuvre is not None:
         return _run_manoeuvre(options)
     if len(options.input) > 1 or len(options.output) > 1:
@@ -229,10 +229,6 @@ def _run_matrix(options: argparse.Namespace) -> Answer:
         raise UsageError(
             f"{said} are several signals: give one, or the --period of the multisines that excite all inputs at once, "
             "or a --manoeuvre."
-        )
-    if options.out is not None and options.out.suffix.lower() != ".csv":
-        raise UsageError(
-            f"--out {options.out} is not a table: a matrix of responses is kept in one .csv file."
         )
     recording = read_log(options)
     measured = measure_matrix(

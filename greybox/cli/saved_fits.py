@@ -6,8 +6,8 @@ from pathlib import Path
 from greybox.cli.catalog import find_problem
 from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.data.response_file import HDF5
 from greybox.estimate.result import Fit
+from greybox.files.safe_files import HDF5
 
 
 def add_fit_argument(parser: argparse.ArgumentParser) -> None:

@@ -1,8 +1,7 @@
-"""Writes and reads frequency responses as CSV and HDF5 files."""
+"""Writes and reads frequency responses as CSV files, and in groups of HDF5 files."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,6 @@ from greybox.data.response_columns import (
 from greybox.files.delimited_text import read_delimited, write_delimited
 from greybox.files.safe_files import require_file
 
-KIND = "frequency response"
-HDF5 = (".h5", ".hdf5")
 UNIT = "unit of "  # begins the key of a unit
 STRETCH = "stretch "  # begins the key of a stretch
 NAMES = ("input", "output", "name", "source")
@@ -36,9 +33,9 @@ def read_response(
     *,
     columns: Mapping[str, str] | None = None,
 ) -> FrequencyResponse:
-    """Read a `FrequencyResponse` from a CSV file, or from an HDF5 file that `write_response` wrote.
+    """Read a `FrequencyResponse` from a CSV file.
 
-    The columns of a CSV file are ``omega_rad_s`` and those of `FrequencyResponse.columns`; their
+    The columns are ``omega_rad_s`` and those of `FrequencyResponse.columns`; their
     order and further columns do not matter. A table of several responses names them
     ``<prefix>alpha`` and so on, with one common ``omega_rad_s``; rows in which the chosen response
     is blank are left out. `input` and `output` choose one of a matrix that `write_responses` wrote.
@@ -51,17 +48,13 @@ def read_response(
     Raises
     ------
     ValueError
-        If the HDF5 file is damaged or something else; or a column of the CSV file is missing, a
-        line has more cells than the header, or a cell is not a number, or might be two. The
-        sentence names file, line and cell.
+        If a column is missing, a line has more cells than the header, or a cell is not a number,
+        or might be two. The sentence names file, line and cell.
     FileNotFoundError
         If there is no such file.
     """
     path = Path(path)
     require_file(path)
-    if path.suffix.lower() in HDF5:
-        return _read_hdf5(path, input, output, name)
-
     table = read_delimited(path, path.read_bytes())
     if f"{output}_{input}_alpha" in table.header and "alpha" not in table.header:
         prefix = prefix or f"{output}_{input}_"
@@ -80,20 +73,13 @@ def read_response(
 
 
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
-    """Write `response` to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_response` reads back exactly.
+    """Write `response` to a CSV file that `read_response` reads back exactly.
 
-    CSV has the numbers; before them, in comments ``# key: value``, the names and units of the
-    signals, what the response says about itself, and the stretches of records that it comes from.
-    HDF5 also has the names of response and source, and a checksum (see
-    `greybox.files.sealed_files`): attributes ``input, output, name, source``, and datasets
-    ``omega``, those of `FrequencyResponse.columns`, and ``facts`` (texts ``key: value``).
+    Before the numbers, comments ``# key: value`` hold the names and units of the signals, what the
+    response says about itself, and the stretches of records that it comes from.
     """
     path = Path(path)
-    if path.suffix.lower() in HDF5:
-        from greybox.files.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
-
-        write_sealed(path, KIND, lambda file: write_group(file, response))
-        return
+    require_csv(path)
     names = {key: text for key in NAMES[:2] if (text := getattr(response, key))}
     columns = {key: x.tolist() for key, x in {OMEGA: response.omega, **response.columns}.items()}
     write_delimited(path, names | facts_of(response), columns)
@@ -111,10 +97,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
         If the file is not CSV, or two responses are of one pair.
     """
     path = Path(path)
-    if path.suffix.lower() != ".csv":
-        raise ValueError(
-            f"{path} is not a table: several responses are kept in one file that ends in .csv."
-        )
+    require_csv(path)
     omega = sorted({w for response in responses for w in response.omega.tolist()})
     columns: dict[str, list[object]] = {OMEGA: [*omega]}
     for response in responses:
@@ -154,17 +137,10 @@ def read_group(group: Node) -> FrequencyResponse:
     return FrequencyResponse(group["omega"][()], response, **about, **extras(columns))
 
 
-def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyResponse:
-    from greybox.files.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
-
-    with open_sealed(path, KIND) as file:
-        response = read_group(file)
-    return replace(
-        response,
-        input=input or response.input,
-        output=output or response.output,
-        name=name or response.name,
-    )
+def require_csv(path: Path) -> None:
+    """Refuse a name that does not end in .csv: the numbers would be taken for something else."""
+    if path.suffix.lower() != ".csv":
+        raise ValueError(f"{path} is not the name of a table: give one that ends in .csv.")
 
 
 def facts_of(response: FrequencyResponse) -> dict[str, str]:

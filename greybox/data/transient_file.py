@@ -1,4 +1,4 @@
-"""Writes and reads the spectra of manoeuvres as CSV and HDF5 files."""
+"""Writes and reads the spectra of manoeuvres as CSV files, and in groups of HDF5 files."""
 
 import json
 from pathlib import Path
@@ -9,9 +9,9 @@ import numpy as np
 from greybox.data.record_file import escaped, unescaped
 from greybox.data.response_columns import OMEGA
 from greybox.data.response_file import (
-    HDF5,
     STRETCH,
     UNIT,
+    require_csv,
     stretch_from,
     stretch_text,
     stretches_in,
@@ -28,7 +28,7 @@ Node = Any
 
 
 def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
-    """Write a spectrum to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_spectrum` reads back exactly.
+    """Write a spectrum to a CSV file that `read_spectrum` reads back exactly.
 
     CSV has the column ``omega_rad_s`` and for every signal ``<signal>_alpha, <signal>_beta``, the
     real and imaginary parts of its integral; before them, in comments ``# key: value``, what else
@@ -40,11 +40,7 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
         If the folder cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() in HDF5:
-        from greybox.files.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
-
-        write_sealed(path, KIND, lambda file: write_group(file, spectrum))
-        return
+    require_csv(path)
     facts = {
         "kind": KIND,
         "name": spectrum.name,
@@ -77,11 +73,6 @@ def read_spectrum(path: str | Path) -> TransientSpectrum:
     """
     path = Path(path)
     require_file(path)
-    if path.suffix.lower() in HDF5:
-        from greybox.files.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
-
-        with open_sealed(path, KIND) as file:
-            return read_group(file)
     table = read_delimited(path, path.read_bytes())
     if table.facts.get("kind") != KIND:
         raise ValueError(f"{path} is no {KIND}: give a file that gb.data.write_spectrum wrote.")
@@ -95,8 +86,6 @@ def claims_spectrum(path: Path) -> bool:
     """Return whether a file claims to contain a spectrum."""
     with path.open("rb") as file:
         head = file.read(4096)
-    if head.startswith(f"greybox {KIND},".encode()):
-        return True
     return b"\0" not in head and read_delimited(path, head).facts.get("kind") == KIND
 
 

@@ -61,13 +61,6 @@ def horizontal_velocity(
     raise ValueError(f"axis {axis!r} is not known: use 'pitch', 'roll', 'forward' or 'right'.")
 
 
-def negative(of: str | Derived) -> Derived:
-    """Return the negative of a signal, for `prepare`."""
-    if isinstance(of, Derived):
-        return Derived(of.inputs, lambda *x: -of.compute(*x), of.unit)
-    return Derived((of,), np.negative, "")
-
-
 def prepare(
     recording: Recording | Record,
     signals: Mapping[str, str | Derived],
@@ -75,8 +68,6 @@ def prepare(
     *,
     start: float = -math.inf,
     end: float = math.inf,
-    detrend: Literal["none", "mean", "linear"] = "none",
-    interpolation: Literal["cubic", "linear"] = "cubic",
     held: Sequence[str] = (),
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
@@ -104,10 +95,6 @@ def prepare(
         By default that of the slowest signal.
     start, end : float, s
         Cut to this stretch of the log's clock.
-    detrend : "none", "mean" or "linear"
-        Remove this from every signal of every piece.
-    interpolation : "cubic" or "linear"
-        Between samples of signals that are not held.
     held : sequence of str
         New names of the signals that are held until their next sample, where the log does not say
         so itself.
@@ -131,11 +118,6 @@ def prepare(
     if not signals:
         raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
 
-    if interpolation not in ("cubic", "linear"):
-        raise ValueError(
-            f"interpolation {interpolation!r} is not known: use 'cubic' or 'linear', and name signals that are held "
-            "between samples in held=(...)."
-        )
     held = (held,) if isinstance(held, str) else held
     unknown = [name for name in held if name not in signals]
     if unknown:
@@ -153,7 +135,7 @@ def prepare(
     for name in {source for signal in held for source in needed[signal]}:
         sources[name] = replace(sources[name], hold=HELD)
     grid = _grid(sources, rate, start, end)
-    sampled = {name: _on_grid(source, grid, interpolation) for name, source in sources.items()}
+    sampled = {name: _on_grid(source, grid) for name, source in sources.items()}
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
         raise ValueError(
@@ -169,7 +151,7 @@ def prepare(
         units[name] = (item.unit if isinstance(item, Derived) else "") or sources[
             needed[name][0]
         ].unit
-    record = Record(
+    return Record(
         grid[keep],
         values,
         units,
@@ -187,7 +169,6 @@ def prepare(
             dict.fromkeys(text for source in sources.values() for text in source.findings)
         ),
     )
-    return record if detrend == "none" else _detrended(record, detrend)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +251,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
     return first + np.arange(count) / rate
 
 
-def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
+def _on_grid(source: _Source, grid: Array) -> Array:
     """Return the signal on `grid`, NaN in its gaps and outside."""
     result = np.full(grid.size, np.nan)
     rate = _rate(grid)
@@ -290,7 +271,7 @@ def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
             if source.is_filtered(rate)
             else (time, values)
         )
-        result[inside] = _interpolated(*smooth, times, interpolation)
+        result[inside] = _interpolated(*smooth, times)
     return result
 
 
@@ -312,8 +293,8 @@ def _known_hold(sources: Sequence[_Source], grid: Array) -> float | None:
     return holds.pop() if len(holds) == 1 else None
 
 
-def _interpolated(time: Array, values: Array, grid: Array, how: str) -> Array:
-    if how == "linear" or time.size < 4:
+def _interpolated(time: Array, values: Array, grid: Array) -> Array:
+    if time.size < 4:
         return np.interp(grid, time, values)
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
 
@@ -336,20 +317,6 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     half = taps // 2
     padded = np.pad(samples, half, mode="reflect", reflect_type="odd")
     return uniform, oaconvolve(padded, kernel, mode="valid")
-
-
-def _detrended(record: Record, how: str) -> Record:
-    if how not in ("mean", "linear"):
-        raise ValueError(f"detrend {how!r} is not known: use 'none', 'mean' or 'linear'.")
-    columns: dict[str, list[Array]] = {name: [] for name in record.signals}
-    for piece in record.pieces:
-        for name, values in piece.signals.items():
-            line = np.polyfit(
-                piece.time - piece.time[0], values, 0 if how == "mean" or len(piece) < 3 else 1
-            )
-            columns[name].append(values - np.polyval(line, piece.time - piece.time[0]))
-    signals = {name: np.concatenate(parts) for name, parts in columns.items()}
-    return replace(record, signals=signals)
 
 
 def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:

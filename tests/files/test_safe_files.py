@@ -68,53 +68,18 @@ def test_threads_that_write_to_one_path_leave_one_whole_file(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
 
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from safe_files import replacing
-with replacing(Path(sys.argv[1])) as temporary:
-    temporary.write_text("half of")
-    print("writing", flush=True)
-    if sys.argv[2] == "dies":
-        os.kill(os.getpid(), signal.SIGKILL)
-    sys.stdin.read()
-"""
-
-
-@pytest.fixture
-def run_of():
-    def start(path, fate):
-        command = [sys.executable, "-c", KILLED, str(path), fate]
-        process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ALONE
-        )
-        assert process.stdout.readline() == b"writing\n"
-        started.append(process)
-        return process
-
-    started = []
-    yield start
-    for process in started:
-        process.communicate()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no locks that end with a process")
-def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path, run_of):
+def test_what_a_killed_run_left_a_day_ago_is_removed_and_nothing_else(tmp_path):
     path = tmp_path / "a.csv"
-    run_of(path, "dies").wait()
-    (tmp_path / ".a.csv.123.part").write_text("of an earlier version")
-    assert len(list(tmp_path.glob(".a.csv.*.part"))) == 2
-    others = {".b.csv.1-00000000.part", ".a.csv.backup.part", "a.csv.1.part"}
-    for name in others:
-        (tmp_path / name).write_text("kept")
-    alive = run_of(path, "lives")
+    abandoned = tmp_path / ".a.csv.123-0123abcd.part"
+    alive = tmp_path / ".a.csv.124-0123abcd.part"
+    others = [tmp_path / name for name in (".b.csv.1-00000000.part", ".a.csv.backup.part")]
+    for file in (abandoned, alive, *others):
+        file.write_text("half of")
+    for file in (abandoned, *others):
+        os.utime(file, (0, 0))
 
     write_text(path, "whole")
-    (left,) = {p.name for p in tmp_path.iterdir()} - others - {"a.csv"}
-    assert f".{alive.pid}-" in left
-    alive.communicate()
-    assert path.read_text() == "half of"
-    assert {p.name for p in tmp_path.iterdir()} == others | {"a.csv"}
+    assert {*tmp_path.iterdir()} == {path, alive, *others}
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no limit of file sizes")

@@ -74,10 +74,9 @@ def test_derived_responses_keep_their_origin():
         assert derived.stretches == response.stretches
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".h5"])
-def test_files_keep_the_origin(tmp_path, suffix):
+def test_files_keep_the_origin(tmp_path):
     response = gb.spectral.spectral_response([EARLY, LATE], "u", "y")
-    path = tmp_path / f"response{suffix}"
+    path = tmp_path / "response.csv"
     gb.data.write_response(response, path)
     back = gb.read_response(path)
     assert back.stretches == response.stretches

@@ -9,7 +9,7 @@ from scipy import constants as c
 import greybox as gb
 from greybox.data.record import Record, Recording
 from greybox.logs.known_filters import LowPass as KnownLowPass
-from greybox.logs.prepare import Derived, negative
+from greybox.logs.prepare import Derived
 
 RANDOM = np.random.default_rng(0)
 
@@ -80,7 +80,6 @@ def test_units_become_si_and_angles_are_unwrapped():
         log,
         {"psi": "ATT.Yaw", "theta": "ATT.Pitch", "q": "RATE.P"},
         rate=100,
-        interpolation="linear",
     )
     assert record.units == {"psi": "rad", "theta": "rad", "q": "rad/s"}
     assert record["psi"] == pytest.approx(1.5 * record.time, abs=1e-9)
@@ -167,26 +166,21 @@ def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
         "v": gb.logs.horizontal_velocity(axis="forward"),
         "w": gb.logs.horizontal_velocity(axis="right"),
     }
-    names |= {"paper": gb.logs.horizontal_velocity(), "back": negative("XKF1.VN")}
+    names |= {"paper": gb.logs.horizontal_velocity()}
     record = gb.prepare(log, names, rate=50)
     assert record["v"] == pytest.approx(forward, abs=1e-9)
     assert record["w"] == pytest.approx(right, abs=1e-9)
-    assert record["back"] == pytest.approx(-north, abs=1e-9)
     assert record["paper"] == pytest.approx(
         -forward, abs=1e-9
     )  # a positive pitch accelerates backward
     assert set(record.units.values()) == {"m/s"}
 
 
-def test_cut_and_detrend():
+def test_a_stretch_is_cut_out():
     time = stamps(100, 30)
     log = recording(A=(time, {"x": 2 + 0.5 * time}, {}))
-    record = gb.prepare(log, {"x": "A.x"}, rate=20, start=5, end=10, detrend="linear")
+    record = gb.prepare(log, {"x": "A.x"}, rate=20, start=5, end=10)
     assert (record.time[0], record.time[-1]) == pytest.approx((5, 10), abs=0.051)
-    assert record["x"] == pytest.approx(0, abs=1e-6)
-    mean = gb.prepare(log, {"x": "A.x"}, rate=20, start=5, end=10, detrend="mean")
-    assert mean["x"].mean() == pytest.approx(0, abs=1e-9)
-    assert np.ptp(mean["x"]) > 2
 
 
 def test_the_gyro_filter_is_recorded():
@@ -236,14 +230,7 @@ def test_the_digital_filter_model_is_the_digital_filter():
         ({"rate": 0}, ValueError, "rate 0 must be"),
         ({"rate": np.nan}, ValueError, "rate nan must be"),
         ({"start": 100.0}, ValueError, "do not overlap in time"),
-        ({"interpolation": "magic"}, ValueError, "interpolation 'magic'"),
-        (
-            {"interpolation": "hold"},
-            ValueError,
-            "name signals that are held between samples in held",
-        ),
         ({"held": "w"}, ValueError, "held names 'w', which is not among the signals"),
-        ({"detrend": "all"}, ValueError, "detrend 'all'"),
     ],
 )
 def test_bad_input_is_a_sentence(options, error, words):
@@ -335,10 +322,7 @@ def test_a_thinned_log_is_interpolated_and_its_hold_is_kept(rate):
 def test_what_the_log_does_not_say_is_stated_or_unknown():
     log, _ = staircase(50, 10)
     assert gb.prepare(log, {"u": "A.u"}).hold == {}
-    assert gb.prepare(log, {"u": "A.u", "minus": negative("A.u")}, held="u").hold == {
-        "u": np.inf,
-        "minus": np.inf,
-    }
+    assert gb.prepare(log, {"u": "A.u"}, held="u").hold == {"u": np.inf}
 
 
 def test_a_signal_computed_from_several_runs_as_they_all_do():
@@ -363,7 +347,7 @@ def test_a_signal_computed_from_several_runs_as_they_all_do():
 def test_the_first_and_the_last_sample_are_there(rate, start):
     time = start + np.arange(101) / 100
     log = recording(A=(time, {"x": 3 * (time - start)}, {}))
-    record = gb.prepare(log, {"x": "A.x"}, rate=rate, interpolation="linear")
+    record = gb.prepare(log, {"x": "A.x"}, rate=rate)
     assert len(record) == rate + 1
     assert record.time[[0, -1]] == pytest.approx(time[[0, -1]], abs=1e-6)
     assert np.isfinite(record["x"]).all()
@@ -407,7 +391,7 @@ def test_close_to_the_rate_of_the_log_there_is_no_filter(rate, filtered):
     """From 0.95 of it; a sine at 0.47 of the rate of the log is beyond half of the new one."""
     time = stamps(100, 20)
     log = recording(A=(time, {"x": wave(time, 2 * np.pi * 47.2)}, {}))
-    record = gb.prepare(log, {"x": "A.x"}, rate=rate, interpolation="linear")
+    record = gb.prepare(log, {"x": "A.x"}, rate=rate)
     assert (np.abs(record["x"][200:-200]).max() < 0.01) == filtered
 
 
@@ -462,43 +446,9 @@ def test_a_lone_sample_between_gaps_is_no_stretch():
     assert record["x"] == pytest.approx(3 * record.time)
 
 
-def test_each_piece_loses_its_own_trend():
-    """Its mean alone where it has two samples."""
-    time = np.r_[0:2:0.1, 5:7:0.1, 9.0, 9.1]
-    values = np.where(time < 3, 2 + time, np.where(time < 8, 7 - 3 * time + np.sin(time), 4 * time))
-    log = recording(A=(time, {"x": values}, {}))
-    whole = gb.prepare(log, {"x": "A.x"}, rate=10, interpolation="linear")
-    for how, degree in (("mean", 0), ("linear", 1)):
-        record = gb.prepare(log, {"x": "A.x"}, rate=10, interpolation="linear", detrend=how)
-        assert [len(piece) for piece in record.pieces] == [20, 20, 2]
-        for piece, before in zip(record.pieces, whole.pieces, strict=True):
-            line = np.polyfit(before.time, before["x"], degree if len(piece) > 2 else 0)
-            assert piece["x"] == pytest.approx(
-                before["x"] - np.polyval(line, before.time), abs=1e-9
-            )
-
-
 @pytest.mark.parametrize("samples", [3, 4, 30])
 def test_a_parabola_is_interpolated_by_cubics_from_four_samples_on(samples):
     time = np.arange(samples) / 5
     record = gb.prepare(recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20)
     expected = record.time**2 if samples >= 4 else np.interp(record.time, time, time**2)
     assert record["x"] == pytest.approx(expected, abs=1e-12)
-    linear = gb.prepare(
-        recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20, interpolation="linear"
-    )
-    assert linear["x"] == pytest.approx(np.interp(linear.time, time, time**2), abs=1e-12)
-
-
-def test_the_negative_of_a_computed_signal_is_computed_first():
-    time = stamps(50, 2)
-    log = recording(A=(time, {"x": 2 + time, "y": 3 * time}, {"x": "m", "y": "m"}))
-    area = Derived(("A.x", "A.y"), lambda x, y: x * y - x, "m²")
-    record = gb.prepare(log, {"a": area, "b": negative(area), "c": negative("A.x")}, rate=50)
-    assert record["b"] == pytest.approx(-(2 + record.time) * (3 * record.time - 1))
-    assert record["a"] == pytest.approx(-record["b"])
-    assert record.units == {"a": "m²", "b": "m²", "c": "m"}
-    with pytest.raises(
-        ValueError, match="axis 'up' is not known: use 'pitch', 'roll', 'forward' or 'right'"
-    ):
-        gb.logs.horizontal_velocity(axis="up")
