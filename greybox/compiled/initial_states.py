@@ -1,9 +1,9 @@
-"""States to begin with: what the outputs show of them, and elsewhere a point at which the model has finite values.
+"""Initial states at the nodes: as the outputs show them, and elsewhere where the model is finite.
 
-Zero is where most models rest, and a better beginning than noisy measurements around it; what stays
-away from zero begins as measured. A root, a logarithm or a division may exclude zero (the level of
+Most models rest at zero, which is a better start than noisy measurements around it; a state that
+stays away from zero begins as measured. A root, a logarithm or a division may exclude zero (the level of
 a tank, an airspeed, a temperature). Then sizes over many decades are tried for the states that no
-output shows, and the ones kept with which the model comes closest to the measured outputs.
+output shows; the model must come closest to the measured outputs.
 """
 
 from dataclasses import dataclass
@@ -16,15 +16,14 @@ from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.modeling.realization import Dynamics
 
-GOLDEN = (
-    5**0.5 - 1
-) / 2  # whose multiples modulo one are spread more evenly than those of any other number
+# Multiples of the golden ratio modulo one are spread more evenly than those of any other number.
+GOLDEN = (5**0.5 - 1) / 2
 SWEEPS = 2  # over the unmeasured states, each of which tries all sizes
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class Link:
     """A state that an output shows: output = factor · state + offset."""
 
     state: int
@@ -51,32 +50,33 @@ class InitialStates:
         self._model = Columns(
             ca.Function("first", [x, u, p], [f, y, slopes], {"cse": True}), shared=(2,)
         )
-        self._shown = _shown(y, x, ca.vertcat(u, p))
+        self._links = _links(y, x, ca.vertcat(u, p))
 
     def at(self, measured: Array, inputs: Array, p: Array, known: Array) -> Array:
-        """Return states (n, s) for outputs (k, s) without gaps, inputs (m, s) and parameters; `known` (n,), else NaN.
+        """Return states (n, s) for outputs (k, s) without gaps, inputs (m, s) and parameters p.
 
-        What is not finite anywhere is returned as zeros.
+        `known` (n,) are known initial states, else NaN. Zeros where the model is finite nowhere.
         """
-        states, seen = np.zeros((self._n, inputs.shape[1])), np.zeros((self._n, inputs.shape[1]))
+        states = np.zeros((self._n, inputs.shape[1]))
+        measured_states = self.as_measured(states, measured)
         hidden = np.ones(self._n, dtype=bool)
-        seen = self.as_measured(seen, measured)
-        hidden[[shown.state for shown in self._shown]] = False
-        given = hidden & np.isfinite(known)
-        states[given] = seen[given] = known[given, None]
-        away = np.abs(seen.mean(axis=1)) > 0.5 * seen.std(axis=1)
-        states[away] = seen[away]
+        hidden[[link.state for link in self._links]] = False
+        is_known = hidden & np.isfinite(known)
+        states[is_known] = measured_states[is_known] = known[is_known, None]
+        away = np.abs(measured_states.mean(axis=1)) > 0.5 * measured_states.std(axis=1)
+        states[away] = measured_states[away]
         finite, _ = self._judged(states, measured, inputs, p)
         if finite.all() or not self._scanned:
             return states
-        states = self._sized(seen, np.flatnonzero(hidden & ~given), measured, inputs, p)
+        unknown = np.flatnonzero(hidden & ~is_known)
+        states = self._sized(measured_states, unknown, measured, inputs, p)
         return self._mended(states, measured, inputs, p)
 
     def as_measured(self, states: Array, measured: Array) -> Array:
         """Return the states (n, s), those that outputs show as measured."""
         states = states.copy()
-        for shown in self._shown:
-            states[shown.state] = (measured[shown.output] - shown.offset) / shown.factor
+        for link in self._links:
+            states[link.state] = (measured[link.output] - link.offset) / link.factor
         return states
 
     def poles(self, states: Array, inputs: Array, p: Array) -> ComplexArray:
@@ -106,8 +106,8 @@ class InitialStates:
         finite, _ = self._judged(states, measured, inputs, p)
         if not finite.any():
             return np.zeros_like(states)
-        there = np.flatnonzero(finite)
-        nearest = there[np.abs(np.arange(finite.size)[:, None] - there).argmin(axis=1)]
+        usable = np.flatnonzero(finite)
+        nearest = usable[np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)]
         return states[:, nearest]
 
     def _score(self, states: Array, measured: Array, inputs: Array, p: Array) -> tuple[int, float]:
@@ -117,7 +117,7 @@ class InitialStates:
     def _judged(
         self, states: Array, measured: Array, inputs: Array, p: Array
     ) -> tuple[BoolArray, Array]:
-        """Return at which samples the model is finite (s,), and by how much its outputs miss (s,), in their spread."""
+        """Return at which samples the model is finite (s,), and the squared errors of its outputs (s,), in their spread."""
         f, y, slopes = self._model(states, inputs, p)
         finite = np.asarray(np.isfinite(np.vstack([f, y, slopes])).all(axis=0))
         scale = np.abs(measured).max(axis=1, initial=0.0, keepdims=True)
@@ -125,9 +125,9 @@ class InitialStates:
             return finite, (((y - measured) / np.where(scale > 0, scale, 1.0)) ** 2).sum(axis=0)
 
 
-def _shown(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Shown]:
+def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Link]:
     """Return the states that outputs show directly, by the first output that does."""
-    found: dict[int, Shown] = {}
+    links: dict[int, Link] = {}
     slopes = ca.jacobian(y, x)
     mixed = ca.which_depends(y, others, 1, True) if others.numel() else [False] * y.numel()
     for k in range(y.numel()):
@@ -135,15 +135,15 @@ def _shown(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Shown]:
         if (
             mixed[k]
             or len(state) != 1
-            or state[0] in found
+            or state[0] in links
             or not slopes[k, state[0]].is_constant()
         ):
             continue
         factor = float(slopes[k, state[0]])
         offset = ca.simplify(ca.substitute(y[k], x, ca.SX.zeros(x.numel())))
         if factor and offset.is_constant():
-            found[state[0]] = Shown(state[0], k, factor, float(offset))
-    return list(found.values())
+            links[state[0]] = Link(state[0], k, factor, float(offset))
+    return list(links.values())
 
 
 def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[Array, Array]:
@@ -163,8 +163,9 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
         )
         rows = []
         for row, mean in zip(stretch.outputs, means, strict=True):
-            there = np.flatnonzero(np.isfinite(row))
-            rows.append(np.interp(at, there, row[there]) if there.size else np.full(at.size, mean))
+            present = np.flatnonzero(np.isfinite(row))
+            values = np.interp(at, present, row[present]) if present.size else mean
+            rows.append(np.broadcast_to(values, at.size))
         outputs.append(np.array(rows).reshape(len(rows), at.size))
         inputs.append(stretch.inputs[:, at])
     return np.concatenate(outputs, axis=1), np.concatenate(inputs, axis=1)

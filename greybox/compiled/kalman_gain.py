@@ -1,8 +1,8 @@
-"""The Kalman gain of a record in innovations form: its stability, and values to begin with.
+"""The Kalman gain of a record in innovations form: its stability, and initial values.
 
 A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial
-state. It can then be simulated from the first sample of a stretch to the last: an unstable plant
-does not diverge, and no nodes in between have to be found and joined.
+state. It can be simulated from the first sample of a stretch to the last: an unstable plant does not
+diverge, and no nodes are needed in between.
 """
 
 import math
@@ -23,10 +23,6 @@ from greybox.files.arrays import Array, IntArray
 EXCERPTS = 3
 SAMPLES = 3000
 
-# Of the distance between the stability limit and the unit circle: a pole this close has come to the
-# limit. Steps go at most 0.9 of the way to it, and two of them come within 0.01.
-AT_LIMIT = 0.02
-
 
 @dataclass(frozen=True, eq=False)
 class KalmanGain:
@@ -38,10 +34,10 @@ class KalmanGain:
     states, outputs, places : (g,) arrays
         State and output of every entry, and its place among the parameters of a sample.
     unknowns : (u,) array
-        Places of what is estimated: these entries, or the sizes of the noise from which they
-        follow.
+        Places of the estimated parameters: these entries, or the sizes of the noise that determines
+        them.
     names : tuple of str
-        Of what is estimated, as the problem knows it.
+        Names of the estimated parameters in the problem.
     """
 
     part: RecordPart
@@ -53,12 +49,11 @@ class KalmanGain:
 
     @cached_property
     def limit(self) -> float:
-        """The largest magnitude of a pole: what is left of an initial state fades over the longest stretch.
+        """The largest magnitude of a pole: the initial state fades over the longest stretch.
 
-        A predictor beyond would use its free initial states to fit later samples. Where a mode is
-        hardly driven by noise, the likelihood grows toward the unit circle and has no maximum
-        within, as for the unit root of a moving average: Sargan and Bhargava (1983), Econometrica
-        51(3).
+        A predictor beyond would fit later samples by its free initial states. Where noise hardly
+        drives a mode, the likelihood grows toward the unit circle without a maximum, as for the
+        unit root of a moving average: Sargan and Bhargava (1983), Econometrica 51(3).
         """
         # Three time constants of the slowest pole.
         return 1 - 3.0 / max(len(stretch) for stretch in self.part.data.stretches)
@@ -73,7 +68,8 @@ class KalmanGain:
     def is_at_limit(self, trajectory: Trajectory) -> bool:
         """Tell whether a pole has come to the limit, where the likelihood has no maximum."""
         distance = 1 - spectral_radius(self.error_transition(trajectory))
-        return distance < (1 + AT_LIMIT) * (1 - self.limit)
+        # Steps go at most 0.9 of the way to the limit: two of them come within 0.01.
+        return distance < 1.02 * (1 - self.limit)
 
     def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
         """Return the transition over a sample of the errors of those states that innovations reach."""
@@ -101,11 +97,11 @@ class KalmanGain:
 
     def _reached(self, A: Array) -> Array:
         noise = self.part.noise_model
-        found = reached(A, self.states if noise is None else noise.driven)
-        return A[np.ix_(found, found)]
+        rows = reached(A, self.states if noise is None else noise.driven)
+        return A[np.ix_(rows, rows)]
 
     def excerpt_cost(self, nodes: Array, placed: Placed) -> float:
-        """Return about what a simulation costs, by excerpts that begin at their own of the nodes (s, n)."""
+        """Return the approximate cost of a simulation, by excerpts that begin at the nodes (s, n)."""
         part, length = self.part, self.part.data.segment_length
         rows = part.segments.rows(placed.data)
         products = np.zeros((len(part.outputs), len(part.outputs)))
@@ -123,16 +119,15 @@ class KalmanGain:
         ends = np.cumsum(self.part.data.segment_counts)
         size = max(SAMPLES // (EXCERPTS * self.part.data.segment_length), 1)
         firsts = np.unique(np.linspace(0, max(ends[-1] - size, 0), EXCERPTS).astype(int))
-        left = ends[np.searchsorted(ends, firsts, side="right")] - firsts
-        return [
-            (int(first), int(min(size, rest))) for first, rest in zip(firsts, left, strict=True)
-        ]
+        available = ends[np.searchsorted(ends, firsts, side="right")] - firsts
+        counts = np.minimum(available, size)
+        return list(zip(firsts.tolist(), counts.tolist(), strict=True))
 
     def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
         """Return the unknowns (u,) of steady Kalman filters, None where the predictor would not be stable.
 
-        For process noise of variances (n,) a sample in the states that are corrected, or driven,
-        and the residuals of the trajectory as measurement noise.
+        The process noise has variances (n,) per sample in the corrected or driven states; the
+        residuals of the trajectory are the measurement noise.
         """
         placed = trajectory.detail.placed
         q = placed.q.copy()
@@ -163,14 +158,14 @@ class KalmanGain:
         return unknowns if stable else None
 
     def placed(self, trajectory: Trajectory, z: Array, values: Array) -> Array:
-        """Return the point z (p,) with these values (u,) of the unknowns, where a single variable sets them."""
+        """Return the point z (p,) with these values (u,) of the unknowns that a single variable sets."""
         slope, z = trajectory.detail.placed.slope, z.copy()
         active = self.part.model.active.tolist()
         for k, value in zip(self.unknowns.tolist(), values, strict=True):
             row = slope[active.index(k)] if k in active else np.zeros(len(z))
-            (of,) = np.nonzero(row)
-            if len(of) == 1:
-                z[of] = value / row[of]
+            (variables,) = np.nonzero(row)
+            if len(variables) == 1:
+                z[variables] = value / row[variables]
         return z
 
 
@@ -178,7 +173,7 @@ def kalman_gain(part: Part) -> KalmanGain | None:
     """Return the gain of a part; None where its criterion has none."""
     if not part.gains:
         return None
-    part = cast(RecordPart, part)  # whose states the gain corrects
+    part = cast(RecordPart, part)  # no other part has gains
     names = list(part.model.parameters)
     places = np.array(
         [names.index(f"K_{state}_{output}") for state, output in part.gains], dtype=int

@@ -1,9 +1,9 @@
-"""Records of one model, evaluated and condensed together: a solver's arithmetic takes one call for all of them.
+"""Records of one model, evaluated and condensed together: one call for all of them.
 
 A call from Python costs as much as the arithmetic of some hundred samples, so a hundred short
-records one after the other take ten times as long as one record with as many samples. What differs
-between them, parameters of their own, residual covariances, delays, is an axis of arrays. The rest
-of greybox sees parts, one for every problem; `Groups` is between the two.
+records one after the other take ten times as long as one record with as many samples. Parameters,
+residual covariances and delays that differ between them are an axis of arrays. The rest of greybox
+sees parts, one for every problem; `Groups` translates.
 """
 
 import math
@@ -183,7 +183,7 @@ class Groups:
     """The parts of a problem as a solver takes them: records that can be evaluated together are one."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        """Group the parts; a record with a Kalman gain stays alone, since stability is judged of each predictor."""
+        """Group the parts; a record with a Kalman gain stays alone: every predictor must be stable."""
         lots: dict[Any, list[int]] = {}
         for k, part in enumerate(parts):
             lots.setdefault(_kind(part, k), []).append(k)
@@ -195,8 +195,8 @@ class Groups:
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every group, given those of every part."""
-        each = [[nodes[k] for k in members] for members in self._members]
-        return [lot[0] if len(lot) == 1 else np.concatenate(lot) for lot in each]
+        lots = [[nodes[k] for k in members] for members in self._members]
+        return [lot[0] if len(lot) == 1 else np.concatenate(lot) for lot in lots]
 
     def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every part, given those of every group."""
@@ -250,7 +250,7 @@ def excerpts(parts: Sequence[Part], samples: int) -> list[Any]:
 
 
 def _kind(part: Part, number: int) -> Any:
-    """Return what records that can be evaluated together have in common."""
+    """Return a key that records have in common if they can be evaluated together."""
     if not isinstance(part, RecordPart) or part.gains:
         return number
     active = tuple(part.model.active.tolist())

@@ -144,7 +144,7 @@ def record_model(
     assert isinstance(problem.data, Record)
     q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
     expressions = tuple(q[i].element_hash() for i in range(q.numel()))
-    kin = next((other for other in others if _is_of_one_kind(problem, other)), None)
+    kin = next((model for model in others if _is_of_one_kind(problem, model)), None)
     twins = (
         other
         for other in others
@@ -185,13 +185,13 @@ def record_model(
 
 
 def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
-    """Compile what records of one kind share; what depends on z is left empty."""
+    """Compile the functions that records of one kind share; those of z are left empty."""
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)
     criterion, known = problem.criterion, problem.criterion.initial
     system = dynamics(problem.model, delay_order(problem.delay))
     between = between_samples(criterion.inputs, system.inputs, problem.data)
-    system = system.later([one.late for one in between])
+    system = system.later([each.late for each in between])
     outputs = criterion.compared(problem.model, problem.data)
     parameters = _parameters(problem)
     symbol = ca.SX.sym("q", len(parameters))
@@ -230,7 +230,7 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
 
 
 def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
-    """Tell whether a record has the equations, the criterion, the outputs and the kind of inputs of another."""
+    """Tell whether a record has the equations, criterion, outputs and kinds of inputs of another one."""
     if problem.delay != other.problem.delay or not _is_same_model(
         problem.model, other.problem.model
     ):
@@ -256,13 +256,8 @@ def _is_same_model(a: Model, b: Model) -> bool:
     if vars(a) == plain == vars(b):
         return True
     first, second = (dynamics(model) for model in (a, b))
-    same = (first.states, first.inputs, first.outputs) == (
-        second.states,
-        second.inputs,
-        second.outputs,
-    )
-    functions = ("derivative", "output", "delay")
-    return same and all(
+    names, functions = ("states", "inputs", "outputs"), ("derivative", "output", "delay")
+    return all(getattr(first, n) == getattr(second, n) for n in names) and all(
         getattr(first, f).serialize() == getattr(second, f).serialize() for f in functions
     )
 
@@ -295,7 +290,7 @@ def _called(what: str, value: Any, local: Names) -> Any:
 
 
 def longest_delay(problem: Problem, system: Dynamics) -> Array:
-    """Return the longest delay of every input within the bounds (m,), s; what is unbounded counts with its start."""
+    """Return the longest delay of every input within the bounds (m,), s; an unbounded one counts with its start."""
     if not system.delayed:
         return np.zeros(len(system.inputs))
     values: dict[str, float] = {}

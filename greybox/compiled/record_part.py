@@ -268,7 +268,7 @@ class RecordPart(SegmentedPart):
 def compile_records(
     problems: Sequence[Problem], expressions: Mapping[str, Any], z: ca.SX, method: Transcription
 ) -> list[RecordPart]:
-    """Compile records for the point z, of which `expressions` gives every parameter of a problem by outside name.
+    """Compile records for the point z, where `expressions` are the parameters of a problem by outside name.
 
     Records of one model have one compiled sample, and one choice of substeps and segments where
     they are sampled alike.
@@ -298,9 +298,9 @@ def compile_records(
         )
         for model in models
     ]
-    for model, each in zip(models, data, strict=True):
+    for model, sampled in zip(models, data, strict=True):
         if model.criterion.noise == "full":
-            require_independent(model.outputs, each.measured)
+            require_independent(model.outputs, sampled.measured)
     lots: dict[Any, list[int]] = {}
     drawn = [drawn_parameters(problem) for problem in problems]
     for k, (model, points) in enumerate(zip(models, drawn, strict=True)):

@@ -38,14 +38,14 @@ class RecordProgram(Program):
         )
 
     def _known_states(self, q: ca.MX) -> ca.MX:
-        """Return known states at the first sample of the record less what they must be."""
+        """Return the known states at the first sample of the record less their known values."""
         part = self._part
         count = int(part.data.begins_record.sum())
         rows = np.flatnonzero(part.model.known_states).tolist()
         if not rows:
-            return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
-        wanted, _ = part.model.initial(q)
-        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
+            return ca.MX(0, 1)  # CasADi takes no rows of a single column as a row without columns
+        known, _ = part.model.initial(q)
+        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(known[rows], 1, count))
 
     def initial_unknowns(self, trajectory: Trajectory) -> Array:
         """Return the unknowns for the states along a trajectory."""

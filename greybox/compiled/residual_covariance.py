@@ -10,29 +10,17 @@ from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
-# Of a signal's own spread: residuals below are rounding, and their variance is not taken for
-# smaller.
+# Share of a signal's spread below which residuals are rounding.
 ROUNDING = 1e-9
-
-# Of the curvature, added in every direction for the factorization where the data do not see one.
-RIDGE = 1e-10
-
-
-# Of the spread of signals, below which a combination of them is constant: single precision, in
-# which logs are.
-DEPENDENT = 1e-6
-
-# Share of the largest coefficient from which a signal takes part in such a combination.
-PART = 1e-3
 
 
 def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
-    """Check that no measured output (k, samples) follows from the others, so that a full covariance can be inverted.
+    """Check that the measured outputs (k, samples) are independent, so that a full covariance can be inverted.
 
     Raises
     ------
     ValueError
-        If one does: the residuals of any model that fits depend on one another then as well.
+        If one output follows from others: so do the residuals of any model that fits.
     """
     complete = measured[:, np.isfinite(measured).all(axis=0)]
     count = complete.shape[1]
@@ -46,10 +34,10 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
     directions, singular, _ = np.linalg.svd(
         centered[moving] / spread[moving, None], full_matrices=False
     )
-    if singular[-1] > DEPENDENT * math.sqrt(count):
+    if singular[-1] > 1e-6 * math.sqrt(count):  # logs have single precision
         return
     share = np.abs(directions[:, -1])
-    names = [outputs[k] for k, part in zip(moving, share, strict=True) if part > PART * share.max()]
+    names = [outputs[k] for k in moving[share > 1e-3 * share.max()]]
     raise ValueError(
         f"{listed(names)} are exactly dependent in the record, one following from the other"
         f"{'s' if len(names) > 2 else ''}, so that their full covariance is singular: use noise='diagonal', or leave "
@@ -59,7 +47,7 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ResidualCovariance:
-    """How residual products (..., k, k), summed over `counts` (..., k) samples, become a cost and weights.
+    """The covariance that turns residual products (..., k, k), sums over `counts` (..., k) samples, into a cost.
 
     Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood
     of normal errors. With an estimated covariance it is that of the concentrated likelihood, n/2
@@ -74,7 +62,7 @@ class ResidualCovariance:
     predicted: Array | None = None
 
     def covariance(self, products: Array) -> Array:
-        """Return the covariance (k, k) that goes with these products."""
+        """Return the covariance (k, k): given, predicted, or estimated from these products."""
         if self.predicted is not None:
             return self.predicted
         if self.known is not None:
@@ -107,28 +95,28 @@ class ResidualCovariance:
         return np.linalg.inv(np.linalg.cholesky(self.covariance(products))).astype(float)
 
     def curvature_of_covariance(self, moments: Array) -> Array:
-        """Return vectors u (..., v, r) whose squares uuᵀ an estimated covariance takes from the Hessian of a known one.
+        """Return vectors u (..., v, r); an estimated covariance reduces the Hessian of a known one by uuᵀ.
 
         `moments` (..., k, k, v) are sums of e_a · de_b, of weighted residuals e. The covariance
-        follows the parameters: d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), of
-        which Gauss-Newton takes the first term alone.
+        follows the parameters: d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), and
+        Gauss-Newton has only the first term.
         """
         counts = np.maximum(self.counts, 1)
-        own = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)[..., None, :]
+        variances = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)[..., None, :]
         if not self.full:
-            return own
+            return variances
         a, b = np.triu_indices(counts.shape[-1], 1)
-        both = moments[..., a, b, :] + moments[..., b, a, :]
-        shared = np.swapaxes(both, -1, -2) / np.sqrt(counts.max(axis=-1))[..., None, None]
-        return np.concatenate([own, shared], axis=-1)
+        pairs = np.swapaxes(moments[..., a, b, :] + moments[..., b, a, :], -1, -2)
+        covariances = pairs / np.sqrt(counts.max(axis=-1))[..., None, None]
+        return np.concatenate([variances, covariances], axis=-1)
 
     def along(self, measured: Array) -> "ResidualCovariance":
-        """Return that of other measured values (k, samples) of the same outputs."""
+        """Return the covariance for other measured values (k, samples) of the same outputs."""
         counts, spread = _counts_and_spread(measured)
         return replace(self, counts=counts, spread=spread)
 
     def of(self, records: IntArray) -> "ResidualCovariance":
-        """Return that of these records, in this order; the same where there is one for all."""
+        """Return the covariance of these records, in this order; the same where there is one for all."""
         if self.counts.ndim == 1:
             return self
         known = None if self.known is None else self.known[records]
@@ -146,17 +134,17 @@ def of_diagonal(matrices: Array) -> Array:
 
 
 def followed_by_covariance(hessian: Array, right: Array, least: float) -> Array:
-    """Return -H⁻¹ right, with eigenvalues of H no smaller than `least`; H is one where the covariance is known."""
+    """Return -H⁻¹ right, with eigenvalues of H no smaller than `least`."""
     values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
     return -(vectors / np.maximum(values, least)) @ vectors.T @ right
 
 
 def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
-    """Return a Hessian (q, q) less another, of which the share `least` is left in every direction."""
+    """Return a Hessian (q, q) less another one, but at least the share `least` of it in every direction."""
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     unit = 1 / np.where(size > 0, size, 1.0)
     try:
-        root = np.linalg.cholesky(hessian * unit * unit[:, None] + RIDGE * np.eye(len(hessian)))
+        root = np.linalg.cholesky(hessian * unit * unit[:, None] + 1e-10 * np.eye(len(hessian)))
     except np.linalg.LinAlgError:
         return hessian
     inverse = np.linalg.inv(root)
@@ -168,7 +156,7 @@ def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
 def residual_covariance_of(
     criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
 ) -> ResidualCovariance:
-    """Read the criterion's option for the outputs (k, samples) that are compared."""
+    """Return the residual covariance by the criterion's option, for compared outputs (k, samples)."""
     known = None
     if isinstance(criterion.noise, Mapping):
         known = np.array([float(criterion.noise[name]) for name in outputs])
@@ -176,9 +164,9 @@ def residual_covariance_of(
 
 
 def _counts_and_spread(measured: Array) -> tuple[IntArray, Array]:
-    """Return how often each output (k, samples) was measured, and how far it spreads."""
+    """Return the number of measured values and the standard deviation of each output (k, samples)."""
     present = np.isfinite(measured)
-    rows = [row[there] for row, there in zip(measured, present, strict=True)]
-    # What never changes has its size for a scale.
+    rows = [row[finite] for row, finite in zip(measured, present, strict=True)]
+    # The scale of a constant output is its size.
     spread = np.array([(np.std(row) or np.abs(row).max()) if row.size else 0.0 for row in rows])
     return present.sum(axis=1), np.where(spread > 0, spread, 1.0)

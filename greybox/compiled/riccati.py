@@ -1,4 +1,4 @@
-"""The steady Kalman filter of a record whose process noise is estimated: its gain, and how it follows the parameters.
+"""The steady Kalman filter of a record with estimated process noise: its gain and the derivatives of that.
 
 The model is x[k+1] = F x[k] + w, y = C x + v, with w of the covariance Q that noise on the
 derivatives of some states makes over a sample, and v of that of the sensors, V. The prediction
@@ -16,12 +16,6 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.files.arrays import Array, BoolArray, IntArray
-
-# Doublings of the time after which a filter counts as steady: 2^60 samples.
-DOUBLINGS = 60
-
-# Relative change of a covariance from one doubling to the next that is rounding.
-STEADY = 1e-12
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -41,19 +35,19 @@ def steady_covariance(F: Array, C: Array, process: Array) -> Array:
     G = scaled.T @ scaled
     H = process / size / size[:, None]
     eye = np.eye(n)
-    for _ in range(DOUBLINGS):
+    for _ in range(60):  # doublings of the time: 2^60 samples
         if not np.all(np.isfinite(A)) or not np.all(np.isfinite(H)):
             break
         try:
-            both = np.linalg.solve(eye + G @ H, np.hstack([A, G]))
+            solution = np.linalg.solve(eye + G @ H, np.hstack([A, G]))
         except np.linalg.LinAlgError:
             break
-        step, gramian = both[:, :n], both[:, n:]
+        step, gramian = solution[:, :n], solution[:, n:]
         change = A.T @ H @ step
         G = G + A @ gramian @ A.T
         A = A @ step
         H = H + (change + change.T) / 2
-        if np.abs(change).max(initial=0.0) <= STEADY * np.abs(H).max(initial=0.0):
+        if np.abs(change).max(initial=0.0) <= 1e-12 * np.abs(H).max(initial=0.0):
             return H * size * size[:, None]
     return np.full((n, n), np.nan)
 
@@ -76,9 +70,9 @@ class SteadyFilter:
     Attributes
     ----------
     gain, gain_slope : (n, k) and (n, k, q) arrays
-        And its derivatives by the q parameters that are estimated.
+        Gain and its derivatives by the q estimated parameters.
     covariance, covariance_slope : (k, k) and (k, k, q) arrays
-        Of the prediction errors.
+        Covariance of the prediction errors, and its derivatives.
     """
 
     gain: Array
@@ -89,7 +83,7 @@ class SteadyFilter:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """What the steady filter of a record follows from: its linearization over a sample, and where its noise stands.
+    """The linear model of a record over a sample, and the places of its noise among the parameters.
 
     Attributes
     ----------
@@ -131,14 +125,13 @@ class NoiseModel:
                 / 6
                 * (dW + 4 * _congruence(half, dhalf, W, dW) + _congruence(F, dF, W, dW))
             )
-            # Noise does not come to the other states, which may be integrators that no filter
-            # settles.
+            # Noise does not reach the other states, which may be integrators without a steady filter.
             r = np.flatnonzero(reached(F, self.driven))
-            both = np.ix_(r, r)
+            block = np.ix_(r, r)
             K[r], dK[:, r], S, dS = _filter(
-                (F[both], dF[:, r][:, :, r]),
+                (F[block], dF[:, r][:, :, r]),
                 (C[:, r], dC[:, :, r]),
-                (Q[both], dQ[:, r][:, :, r]),
+                (Q[block], dQ[:, r][:, :, r]),
                 (V, dV),
             )
         return SteadyFilter(K, np.moveaxis(dK, 0, -1), S, np.moveaxis(dS, 0, -1))
@@ -163,20 +156,20 @@ def noise_model(
 ) -> NoiseModel:
     """Compile the linearization of a `sample` of `step` s about a `reference`, its state and its data.
 
-    `names` are those of the parameters q, of which the `active` are estimated; gains among them are
-    taken as zero.
+    `names` are those of the parameters q, where the `active` ones are estimated; gains among them are
+    zero here.
     """
     x, q, d = sample.symbols()
-    after, _, y = sample.function(x, q, d)
+    end, _, y = sample.function(x, q, d)
     by_state = ca.Function(
-        "by_state", [x, q, d], [ca.densify(ca.jacobian(value, x)) for value in (after, y)]
+        "by_state", [x, q, d], [ca.densify(ca.jacobian(value, x)) for value in (end, y)]
     )
     gains = [f"K_{state}_{output}" for state in sample.system.states for output in outputs]
     is_gain = np.isin(names, gains)
-    without = ca.vertcat(*[0 if off else q[k] for k, off in enumerate(is_gain)])
+    without_gain = ca.vertcat(*[0 if off else q[k] for k, off in enumerate(is_gain)])
     point, data = reference
-    F, C = by_state(point, without, data)
-    half, _ = by_state(point, without, np.append(data[:-1], step / 2))
+    F, C = by_state(point, without_gain, data)
+    half, _ = by_state(point, without_gain, np.append(data[:-1], step / 2))
 
     columns = np.isin(np.arange(len(names)), active) & ~is_gain
     places = np.flatnonzero(columns).tolist()
@@ -192,12 +185,12 @@ def noise_model(
 
 
 def reached(F: Array, states: IntArray) -> BoolArray:
-    """Return which states (n,) follow some of them, at once or by way of others, over a transition F (n, n)."""
-    found = np.zeros(len(F), dtype=bool)
-    found[states] = True
+    """Return which states (n,) depend on the given ones, directly or through others, by a transition F (n, n)."""
+    dependent = np.zeros(len(F), dtype=bool)
+    dependent[states] = True
     for _ in range(len(F)):
-        found |= (F[:, found] != 0).any(axis=1)
-    return found
+        dependent |= (F[:, dependent] != 0).any(axis=1)
+    return dependent
 
 
 def _filter(
@@ -206,7 +199,7 @@ def _filter(
     process: tuple[Array, Array],
     noise: tuple[Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
-    """Return gain and covariance of the prediction errors, each with derivatives (free, rows, columns) behind it."""
+    """Return gain and covariance of the prediction errors, each followed by its derivatives (free, rows, columns)."""
     (F, dF), (C, dC), (Q, dQ), (V, dV) = transition, output, process, noise
     n = len(F)
     P = steady_covariance(F, C / np.sqrt(np.diag(V))[:, None], Q)
@@ -214,17 +207,17 @@ def _filter(
     if not np.all(np.isfinite(S)):
         return np.full((n, len(C)), np.nan), np.full((len(dF), n, len(C)), np.nan), V, dV
     K = np.linalg.solve(S, C @ P).T.astype(float)
-    rest = np.eye(n) - K @ C
+    error_share = np.eye(n) - K @ C
     updated = P - K @ C @ P
 
-    # Of the update in Joseph's form, (I - K C) P (I - K C)ᵀ + K V Kᵀ, which does not change with K
-    # to first order.
-    mixed = K @ dC @ P @ rest.T
+    # Derivatives of the update in Joseph's form, (I - K C) P (I - K C)ᵀ + K V Kᵀ, which does not
+    # change with K to first order.
+    mixed = K @ dC @ P @ error_share.T
     forced = K @ dV @ K.T - mixed - mixed.transpose(0, 2, 1)
     forced = F @ forced @ F.T + dQ
     mixed = dF @ updated @ F.T
     forced = forced + mixed + mixed.transpose(0, 2, 1)
-    A = F @ rest
+    A = F @ error_share
     try:
         dP = np.linalg.solve(np.eye(n * n) - np.kron(A, A), forced.reshape(len(forced), n * n).T)
     except np.linalg.LinAlgError:

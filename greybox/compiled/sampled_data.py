@@ -1,10 +1,10 @@
-"""A record as the estimators in time see it: gapless stretches of samples, cut into segments of equal length.
+"""A record for estimation in time: gapless stretches of samples, cut into segments of equal length.
 
 Every sample carries its input over the coming step as three neighboring samples (windows) of the
 measured input, from which `input_over_step` makes mean and slope of the delayed input: polynomials
-of the fraction of the delay, so that the cost is continuously differentiable in a delay that is
-estimated, for interpolated inputs. For held inputs it is so between whole samples; where a held
-input reaches an output directly, what is sampled jumps there, and so does the cost.
+of the fraction of the delay. For interpolated inputs the cost is so continuously differentiable in an
+estimated delay. For held inputs it is between whole samples; where a held input reaches an output
+directly, the sampled output jumps at whole samples, and so does the cost.
 """
 
 import math
@@ -20,11 +20,11 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
-# Of a step: how far samples may lie from uniform ones. A quarter keeps every sample nearest to its
-# own place.
+# Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest to
+# its own place.
 JITTER = 0.25
 
-# Of a step, by which a delay may exceed whole samples and be taken as these: the steps of a log are
+# Share of a step by which a delay may exceed whole samples and count as these: the steps of a log are
 # known no better.
 WHOLE = 1e-3
 
@@ -32,27 +32,22 @@ WHOLE = 1e-3
 # between one and two.
 MISSING = 1.5
 
-# Samples of a stretch that says something of a model with states: with two, an initial state and a
-# slope fit anything.
+# Samples of a stretch, at least, for a model with states: with two, an initial state and a slope fit
+# anything.
 SHORTEST = 3
 
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest
 # before it: longer than a command at a quarter of the logging rate is held.
 REST = 5
 
-# An input that returns to where it began after at most so many holds had rested there; and it must
-# hold its first value so many times longer than the median of its later holds where there are more.
-FEW_HOLDS = 3
-LONGER = 2.0
-
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """Uniform samples without a gap: inputs (m, n), outputs (k, n) with NaN where missing, step in s.
 
-    `rows` (n,) are the indices of its samples in the record; the first `masked` samples are not
-    compared, since an input that moves at the beginning reaches them from before it. Of a record
-    without a time all rows that have their inputs are one stretch.
+    `rows` (n,) are the indices of its samples in the record. The first `masked` samples are not
+    compared: inputs from before the stretch reach them. In a record without a time all rows that
+    have their inputs are one stretch.
     """
 
     inputs: Array
@@ -70,8 +65,8 @@ class SampledData:
     """All stretches of a record, samples one after the other, in segments of `segment_length` samples.
 
     The last segment of a stretch is filled up with samples without outputs. `masked` samples of the
-    record with a measured output are not compared, see `Stretch`; `constant_inputs` tells that no
-    input ever changes.
+    record with a measured output are not compared, see `Stretch`; `constant_inputs` is True if no input
+    ever changes.
     """
 
     stretches: tuple[Stretch, ...]
@@ -118,7 +113,7 @@ class SampledData:
         total = sum(len(stretch) for stretch in self.stretches)
         if total <= samples:
             return self
-        kept = []
+        pieces_of_all = []
         for stretch in self.stretches:
             count = math.ceil(pieces * len(stretch) / total)
             length = max(samples // (count * len(self.stretches)), 2 * self.segment_length)
@@ -126,20 +121,20 @@ class SampledData:
             for start in np.linspace(0, len(stretch) - length, count).astype(int):
                 rows = slice(start, start + length)
                 inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
-                kept.append(Stretch(inputs, outputs, stretch.rows[rows], stretch.step))
-        return SampledData(tuple(kept), self.outputs, self.segment_length)
+                pieces_of_all.append(Stretch(inputs, outputs, stretch.rows[rows], stretch.step))
+        return SampledData(tuple(pieces_of_all), self.outputs, self.segment_length)
 
     def padded(self, values: list[Array], fill: float | None) -> Array:
-        """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples).
+        """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).
 
-        None repeats the last value: inputs of zero may lie outside of what a model allows, an
-        airspeed for one.
+        A `fill` of None repeats the last value: zero may be outside of a model's domain, as an
+        airspeed.
         """
         joined = []
         for value, count in zip(values, self.segment_counts, strict=True):
-            rest = count * self.segment_length - value.shape[1]
+            missing = count * self.segment_length - value.shape[1]
             last = value[:, -1:] if fill is None else np.full((len(value), 1), fill)
-            joined.append(np.concatenate([value, np.repeat(last, rest, axis=1)], axis=1))
+            joined.append(np.concatenate([value, np.repeat(last, missing, axis=1)], axis=1))
         return np.concatenate(joined, axis=1)
 
     def unpadded(self, values: Array) -> list[Array]:
@@ -248,21 +243,19 @@ def sampled_data(
             f"{_called(record)} has no {what} with all inputs and an output ({names}; {listed(outputs)})."
         )
     if not usable:
-        longest, taken = (
-            max((len(s) * s.step for s in stretches), default=0.0),
-            float(np.max(lead, initial=0.0)),
-        )
-        taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""
+        longest = max((len(s) * s.step for s in stretches), default=0.0)
+        delay = float(np.max(lead, initial=0.0))
+        reason = f" and the longest delay in the bounds is {delay:.3g} s" if delay else ""
         raise ValueError(
             f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs lasts "
-            f"{longest:.3g} s{taking}; give a longer record{' or a smaller upper bound' if taken else ''}."
+            f"{longest:.3g} s{reason}; give a longer record{' or a smaller upper bound' if delay else ''}."
         )
     if not static and all(_is_constant(record[name]) for name in outputs):
         raise ValueError(
             f"the outputs of the record never change ({', '.join(outputs)}): nothing can be estimated from it."
         )
-    there = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
-    masked = sum(int(there[s.rows[: s.masked]].sum()) for s in stretches)
+    measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
+    masked = sum(int(measured[s.rows[: s.masked]].sum()) for s in stretches)
     return SampledData(usable, outputs, segment_length, masked, constant)
 
 
@@ -275,39 +268,43 @@ def gapless(
     complete: bool = False,
     shortest: int = 2,
 ) -> list[Stretch]:
-    """Return the stretches of a record in which all inputs are there, the first, unexplained outputs left out.
+    """Return the stretches of a record in which all inputs are present, without the first, unexplained outputs.
 
-    Of samples in time, those of at least the `shortest` samples; rows without a time are one,
-    whatever is between them.
+    Stretches of samples in time have at least the `shortest` samples; rows without a time are one
+    stretch, whatever is between them.
 
-    What an input did before a stretch is not known, so outputs of its first seconds, as many as its
-    entry of `lead` (m,), the longest delay that it may have, are left out: unless it rests, exactly
-    constant, over the first 5 samples and clearly longer than it holds its values later. Then it is
-    taken to have rested before.
+    The values of an input before a stretch are unknown, so the outputs of its first seconds are left
+    out, up to the longest delay that it may have, its entry of `lead` (m,). An input that rests, exactly
+    constant, over the first 5 samples and clearly longer than it holds its values later, is taken to
+    have rested before too.
 
     Raises
     ------
     ValueError
         If a stretch is not uniformly sampled.
     """
-    stretches, before = [], 0
+    stretches, first_row = [], 0
     leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
     for piece in record.pieces:
         u = np.array([piece[name] for name in inputs]).reshape(len(inputs), len(piece))
         y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
         y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
-        whole = np.all(np.isfinite(u), axis=0)
+        complete_inputs = np.all(np.isfinite(u), axis=0)
         if not record.has_time:
-            rows = np.flatnonzero(whole)
+            rows = np.flatnonzero(complete_inputs)
             return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
-        ends = (np.diff(whole.astype(int)) != 0) | (np.diff(piece.time) > MISSING * record.step)
+        ends = (np.diff(complete_inputs.astype(int)) != 0) | (
+            np.diff(piece.time) > MISSING * record.step
+        )
         for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
-            if whole[rows[0]] and rows.size >= shortest:
+            if complete_inputs[rows[0]] and rows.size >= shortest:
                 step = record.step if rows.size == 1 else math.nan
                 stretches.append(
-                    _stretch(piece.time[rows], u[:, rows], y[:, rows], before + rows, leads, step)
+                    _stretch(
+                        piece.time[rows], u[:, rows], y[:, rows], first_row + rows, leads, step
+                    )
                 )
-        before += len(piece)
+        first_row += len(piece)
     return stretches
 
 
@@ -316,8 +313,8 @@ def _called(record: Record) -> str:
 
 
 def _is_constant(values: Array) -> bool:
-    there = values[np.isfinite(values)]
-    return there.size == 0 or there.min() == there.max()
+    present = values[np.isfinite(values)]
+    return present.size == 0 or present.min() == present.max()
 
 
 def _stretch(
@@ -340,31 +337,30 @@ def _stretch(
             "nothing was measured."
         )
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
-    masked, compared = (
-        min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size),
-        outputs.copy(),
-    )
+    masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size)
+    compared = outputs.copy()
     compared[:, :masked] = np.nan
     return Stretch(inputs, compared, rows, step, masked)
 
 
 def _rests(values: Array) -> bool:
-    """Tell whether an input rests at the beginning: constant for longer than it usually holds a value after that."""
+    """Tell whether an input rests at the beginning: constant for longer than it usually holds a later value."""
     if values.size < REST or not _is_constant(values[:REST]):
         return False
     runs = np.diff(np.flatnonzero(np.diff(values)), prepend=-1)
     # Commands at a lower rate, or of random length, are constant for some samples in the middle of
-    # their movement too. One that returns to where it began had rested there; of a single step,
-    # nobody can tell.
-    few = runs.size < 2 or (runs.size <= FEW_HOLDS and values[0] == values[-1])
-    return few or bool(runs[0] > LONGER * sorted(runs[1:])[len(runs) // 2 - 1])
+    # their movement too. An input that returns to its first value after at most three holds had
+    # rested there; for a single step nobody can tell. Otherwise the first hold must be twice as long
+    # as the median of the later ones.
+    few = runs.size < 2 or (runs.size <= 3 and values[0] == values[-1])
+    return few or bool(runs[0] > 2 * sorted(runs[1:])[len(runs) // 2 - 1])
 
 
 def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, Any]:
     """Return mean and change over the coming step, and the value at the sample, of inputs delayed by a fraction.
 
     `window` (3,) holds the samples before, at and after the delayed sample; `fraction` of a step is
-    what the delay exceeds whole samples by. Mean and change (the slope of the best line) match the
+    the excess of the delay over whole samples. Mean and change (the slope of the best line) match the
     moments of the delayed input over the step.
 
     The value at the sample is exact. A held input changes a fraction of a step later, so it is
@@ -378,10 +374,10 @@ def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, A
         late = f > WHOLE
         return f * a + r * b, 6 * f * r * (b - a), late * a + (1 - late) * b
     now = f * a + r * b
-    before, after = f**2 / 2, r**2 / 2
+    first, last = f**2 / 2, r**2 / 2
     early, late = 2 * f**3 - 3 * f**2, 3 * r**2 - 2 * r**3
     return (
-        before * a + (1 - before - after) * b + after * c,
+        first * a + (1 - first - last) * b + last * c,
         early * a - (early + late) * b + late * c,
         now,
     )

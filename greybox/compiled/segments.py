@@ -27,19 +27,6 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 # 25 MB, and a longer batch is no faster.
 BATCH = 20_000
 
-# Ratio of a segment's samples to the number of segments from which they are simulated one after the
-# other: a call from Python costs 12 µs, which s segments share, and a column in CasADi's own loop
-# 0.9 µs.
-LONG = 10
-
-# Samples that make the mean transition of a record, evenly over it: an evaluation of them costs a
-# twelfth of one of 6000.
-MEAN_SAMPLES = 500
-
-# Relative step of a central difference with as much truncation as rounding: the cube root of the
-# machine's precision.
-DIFFERENCE = float(np.finfo(float).eps) ** (1 / 3)
-
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
@@ -72,7 +59,7 @@ class Segments:
     """So many segments of one length, each simulated from its own state.
 
     Derivatives are by that state and by the parameters that `active` names. Segments of several
-    records follow one another, `records` (s,) tells of which each is; the parameters `own` differ
+    records follow one another; `records` (s,) is the record of each. The parameters `own` differ
     between these records, and q is then (p, s), for every segment, instead of (p,).
     """
 
@@ -102,10 +89,10 @@ class Segments:
         self._last: tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what was evaluated last."""
+        """Leave behind the memory of the last evaluation."""
         return vars(self) | {"_array": None, "_last": None}
 
-    # --- compiled functions, built when they are first asked for
+    # --- compiled functions
 
     @cached_property
     def _advance(self) -> Columns:
@@ -122,8 +109,8 @@ class Segments:
         """Derivatives of the next state and of the residual by x and active parameters, and the residual."""
 
         def results(x: Any, q: Any, d: Any) -> list[Any]:
-            after, e, _ = self._step.function(x, q, d)
-            return [*self._slopes(x, q, after, e), e]
+            end, e, _ = self._step.function(x, q, d)
+            return [*self._slopes(x, q, end, e), e]
 
         return self._columns("derivatives", results)
 
@@ -132,8 +119,8 @@ class Segments:
         """Derivatives of the next state and of the simulated output by x and active parameters."""
 
         def results(x: Any, q: Any, d: Any) -> list[Any]:
-            after, _, y = self._step.function(x, q, d)
-            return self._slopes(x, q, after, y)
+            end, _, y = self._step.function(x, q, d)
+            return self._slopes(x, q, end, y)
 
         return self._columns("output_derivatives", results)
 
@@ -155,8 +142,8 @@ class Segments:
         """Derivatives of the next state and of the residual by x."""
 
         def results(x: Any, q: Any, d: Any) -> list[Any]:
-            after, e, _ = self._step.function(x, q, d)
-            return [ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(e, x))]
+            end, e, _ = self._step.function(x, q, d)
+            return [ca.densify(ca.jacobian(end, x)), ca.densify(ca.jacobian(e, x))]
 
         return self._columns("by_state", results)
 
@@ -187,7 +174,7 @@ class Segments:
         )
 
     def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> list[Array]:
-        """Evaluate for columns of the segments, or of some of them for which q stands."""
+        """Evaluate for columns of the segments that q is given for."""
         if not self._own:
             return columns(states, q, data)
         own = np.tile(q[list(self._own)], data.shape[1] // q.shape[1])
@@ -225,7 +212,9 @@ class Segments:
 
     def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the states at all samples (n, columns), and at the ends of the segments (s, n), from nodes (s, n)."""
-        if self.n and self.length > LONG * self.count:
+        # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
+        # 0.9 µs: few long segments are simulated one after the other.
+        if self.n and self.length > 10 * self.count:
             return self._simulate_one_by_one(nodes, q, data)
         s = self.count
         x = nodes.T
@@ -277,8 +266,8 @@ class Segments:
         """Return the sums of the products of the residuals (k, columns) of two outputs for every record, (r, k, k)."""
         if self.number == 1:
             return (residuals @ residuals.T)[None]
-        each = self.by_segment(residuals)
-        return self.by_record(each.transpose(0, 2, 1) @ each)
+        by_segment = self.by_segment(residuals)
+        return self.by_record(by_segment.transpose(0, 2, 1) @ by_segment)
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums of values (c, ...) of the segments of a batch over those of every record, (r, ...)."""
@@ -356,16 +345,15 @@ class Segments:
     ) -> tuple[Array, Array, Array]:
         """Return derivatives of the ends (n, v, c) and residuals (length, k, v, c), and the residuals (length, k, c).
 
-        Of the c segments of a `batch`, by node and active parameters. The second array is
-        overwritten by the next call. What was found last for all segments is returned again for the
-        same arrays.
+        Of the c segments of a `batch`, by node and active parameters. The next call overwrites the
+        second array. A second call for all segments with the same arrays returns the last result.
         """
         length = self.length
         count = len(range(self.count)[batch])
         if count == self.count and self._last is not None:
-            asked, found = self._last
-            if asked[0] is states and asked[2] is data and np.array_equal(asked[1], q):
-                return found
+            (last_states, last_q, last_data), result = self._last
+            if last_states is states and last_data is data and np.array_equal(last_q, q):
+                return result
 
         def chosen(values: Array) -> Array:
             return values.reshape(len(values), length, self.count)[:, :, batch].reshape(
@@ -375,10 +363,10 @@ class Segments:
         all_parameters, q = q, q[:, batch] if self._own else q
         A, C, e = _finite(self._evaluate(self._derivatives, chosen(states), q, chosen(data)))
         S, J = self._propagated(A, C, count)
-        found = S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
+        result = S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
         if count == self.count:
-            self._last = (states, all_parameters, data), found
-        return found
+            self._last = (states, all_parameters, data), result
+        return result
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not.
@@ -396,11 +384,13 @@ class Segments:
     def _differences(
         self, states: Array, q: Array, data: Array, columns: IntArray
     ) -> tuple[Array, Array]:
-        """Return what `_output_derivatives` gives of some columns, by central differences.
+        """Return the results of `_output_derivatives` for some columns, by central differences.
 
-        Of a guarded root, sqrt(max(h, 0)), below zero the chain rule multiplies zero by infinity,
-        though the step is smooth there.
+        Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity,
+        though the step is smooth there. The relative step, the cube root of the machine's precision,
+        has as much truncation as rounding.
         """
+        relative_step = float(np.finfo(float).eps) ** (1 / 3)
         size = np.max(np.abs(states), axis=1, initial=0.0, where=np.isfinite(states))
         x, d = states[:, columns], data[:, columns]
         q = q[:, columns % self.count] if self._own else q
@@ -408,14 +398,14 @@ class Segments:
         for column in range(self.n + len(self.active)):
             is_state = column < self.n
             row = column if is_state else int(self.active[column - self.n])
-            h = DIFFERENCE * (float(size[row] if is_state else np.max(np.abs(q[row]))) or 1.0)
+            h = relative_step * (float(size[row] if is_state else np.max(np.abs(q[row]))) or 1.0)
             moved = []
             for change in (h, -h):
-                there, values = x.copy(), q.copy()
-                (there if is_state else values)[row] += change
-                after = self._evaluate(self._advance, there, values, d)[0] if self.n else there
-                moved.append([after, self._evaluate(self._output, there, values, d)[1]])
-            slopes.append([(more - less) / (2 * h) for more, less in zip(*moved, strict=True)])
+                states, values = x.copy(), q.copy()
+                (states if is_state else values)[row] += change
+                end = self._evaluate(self._advance, states, values, d)[0] if self.n else states
+                moved.append([end, self._evaluate(self._output, states, values, d)[1]])
+            slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
         A, C = (
             (np.concatenate(parts) for parts in zip(*slopes, strict=True))
             if slopes
@@ -447,8 +437,8 @@ class Segments:
     def _workspace(self, count: int) -> Array:
         """Return an array for the derivatives of so many segments, the same as the last time for as many.
 
-        Memory that is asked for anew at every iteration costs more than the arithmetic in it: its
-        pages are zeroed by the system each time.
+        New memory at every iteration costs more than the arithmetic in it: the system zeroes its
+        pages each time.
         """
         if self._array is None or self._array.shape[-1] != count:
             self._array = np.empty((self.length, self.k, self.n + len(self.active), count))
@@ -456,7 +446,8 @@ class Segments:
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the mean derivatives of the next state (n, n) and of the outputs (k, n) by the state."""
-        sample = slice(None, None, max(states.shape[1] // MEAN_SAMPLES, 1))
+        # 500 samples, evenly over the record, cost a twelfth of 6000.
+        sample = slice(None, None, max(states.shape[1] // 500, 1))
         A, E = _finite(self._by_state(states[:, sample], q, data[:, sample]))
         A = A.reshape(self.n, self.n, -1)
         E = E.reshape(self.n, self.k, -1)
@@ -474,7 +465,7 @@ def _of(q: Array, segment: int) -> Array:
 
 
 def _finite(values: list[Array]) -> list[Array]:
-    """Return derivatives with zeros for what is not finite: that of a guarded root, sqrt(max(h, 0)), is 0 · inf."""
+    """Return derivatives with zeros where they are not finite, as 0 · inf of a guarded root, sqrt(max(h, 0))."""
     return [
         v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0)
         for v in values

@@ -1,8 +1,8 @@
-"""Substeps of a sample and samples of a segment, which a record needs before it is transcribed.
+"""Substeps of a sample and samples of a segment.
 
 The rule for substeps is that of `greybox.modeling.step_size`. Here it is asked with the model along
-the measured data, at the declared parameters and at others drawn from the start boxes, since the
-search will go there.
+the measured data, at the declared parameters and at others drawn from the start boxes, where the
+search will go.
 """
 
 import math
@@ -51,11 +51,10 @@ def substeps_and_segment(
     samples: tuple[Array, Array],
     known_initial: Callable[[Array], Array],
 ) -> tuple[int, int]:
-    """Return substeps a sample and samples a segment: what the method says, or what the model asks for.
+    """Return substeps per sample and samples per segment, those of the method or those that the model needs.
 
-    Substeps are what the poles along the data ask for, the upper quartile over the draws, or what
-    accuracy asks for, the median over some of them, whichever is more; and no less than the
-    declared parameters ask for.
+    The poles along the data need the upper quartile of substeps over the draws, accuracy needs the
+    median over some of them: the larger number, and no less than the declared parameters need.
 
     Parameters
     ----------
@@ -136,11 +135,11 @@ class AccuracyJudge:
         p = kind.sym("p", len(system.parameters))
         h = kind.sym("h")
         held = kind(len(system.inputs), 1)
-        after = integrator.advance(system, x, u, held, p, h)
+        end = integrator.advance(system, x, u, held, p, h)
         constants = kind.sym("constants", len(system.parameters) + 1)
         named = [x, u, constants[:-1], constants[-1]]
         step = ca.Function(
-            "advance", [x, u, constants], [ca.Function("one", [x, u, p, h], [after])(*named)]
+            "advance", [x, u, constants], [ca.Function("one", [x, u, p, h], [end])(*named)]
         )
         return cls(
             Columns(step, shared=(2,)),
@@ -148,7 +147,7 @@ class AccuracyJudge:
         )
 
     def substeps(self, count: int, states: Array, inputs: Array, p: Array, step: float) -> int:
-        """Return the substeps that make the error over a longest segment small, from `count` that are stable."""
+        """Return the substeps, at least `count`, that make the error over a longest segment small."""
         if count >= MOST_SUBSTEPS:
             return count
         with np.errstate(all="ignore"):

@@ -9,10 +9,6 @@ from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.quadratic_program import solve_small_qp
 
-ROUNDING = 1e-9  # of the terms of a constraint: it counts as satisfied
-RESTORATIONS = 20
-ON_BOUND = 1e-12  # of a step, which ends at the bound
-
 
 @dataclass(frozen=True, eq=False)
 class Limits:
@@ -33,12 +29,14 @@ class Limits:
     def with_equation(self, equation: ca.Function) -> "Limits":
         """Return these limits and an equation (z) -> 0, as two constraints."""
         z = ca.SX.sym("z", len(self.low))
-        held = equation(z)
-        slope = ca.densify(ca.jacobian(held, z))
-        both = ca.Function("equation", [z], [ca.vertcat(held, -held), ca.vertcat(slope, -slope)])
+        value = equation(z)
+        slope = ca.densify(ca.jacobian(value, z))
+        values, slopes = ca.vertcat(value, -value), ca.vertcat(slope, -slope)
+        two_sided = ca.Function("equation", [z], [values, slopes])
         point = ca.MX.sym("z", len(self.low))
         stacked = [
-            ca.vertcat(*rows) for rows in zip(self.constraints(point), both(point), strict=True)
+            ca.vertcat(*rows)
+            for rows in zip(self.constraints(point), two_sided(point), strict=True)
         ]
         return replace(self, constraints=ca.Function("constraints", [point], stacked))
 
@@ -47,42 +45,42 @@ class Limits:
         return np.clip(z, self.low, self.high)
 
     def after(self, z: Array, step: Array) -> Array:
-        """Return the point after a step, within the bounds; what rounding leaves of the way to one is gone."""
-        there = self.clipped(z + step)
+        """Return the point after a step, within the bounds; on a bound where only rounding is between."""
+        end = self.clipped(z + step)
         for bound in (self.low, self.high):
-            there = np.where(np.abs(there - bound) <= ON_BOUND * np.abs(step), bound, there)
-        return there
+            end = np.where(np.abs(end - bound) <= 1e-12 * np.abs(step), bound, end)
+        return end
 
     def violation(self, z: Array) -> float:
         """Return by how much all constraints together are violated, beyond rounding."""
         if not self.constraints.numel_out(0):  # a call costs as much as a hundred samples
             return 0.0
-        value, normal = (found.full() for found in self.constraints(z))
-        allowed = ROUNDING * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
+        value, normal = (result.full() for result in self.constraints(z))
+        rounding = 1e-9 * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
         below = -value.ravel()
-        return float(np.where(below > allowed, below, 0.0).sum())
+        return float(np.where(below > rounding, below, 0.0).sum())
 
     def linearized(self, z: Array, held: BoolArray | None = None) -> tuple[Array, Array]:
-        """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits; `held` (p,) do not move.
+        """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits.
 
-        Constraints are linearized, so that a step leads back to one that is violated.
+        Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads
+        back to one that is violated.
         """
-        value, normal = (found.full() for found in self.constraints(z))
+        value, normal = (result.full() for result in self.constraints(z))
         low, high = np.minimum(self.low - z, 0.0), np.minimum(z - self.high, 0.0)
         if held is not None:
             low, high = np.where(held, 0.0, low), np.where(held, 0.0, high)
         eye = np.eye(len(z))
         rows, limits = np.vstack([eye, -eye, normal]), np.concatenate([low, high, -value.ravel()])
-        there = np.isfinite(limits)
-        return rows[there], limits[there]
+        finite = np.isfinite(limits)
+        return rows[finite], limits[finite]
 
     def nearest(self, z: Array) -> Array:
-        """Return the point near z, in the units of the solver, that satisfies all limits, as far as one is found."""
+        """Return a point near z that satisfies all limits, or nearly so where 20 steps do not find one."""
         z = self.clipped(z)
-        for _ in range(RESTORATIONS):
+        for _ in range(20):
             if not self.violation(z) > 0:
                 break
-            z = self.clipped(
-                z + solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.linearized(z))
-            )
+            step = solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.linearized(z))
+            z = self.clipped(z + step)
         return z

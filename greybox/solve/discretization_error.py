@@ -1,10 +1,10 @@
-"""Is the integration accurate enough for the noise? What twice the steps would do to the estimate.
+"""Whether the integration is accurate enough: how far twice the steps would shift the estimate.
 
 A fixed-step integrator with too few steps shifts the parameters without a trace in the residuals:
-it damps and slows oscillations by itself. The shift follows from the gradient that the finer
-integration has at the estimate, in units of the standard errors that white noise gives; what is far
-below them does not matter. The integrator is that of the method which solved the problem: of a
-collocation, the implicit steps that its polynomials are.
+it damps and slows oscillations by itself. The shift follows from the gradient of the finer
+integration at the estimate, in units of the standard errors for white noise; a shift far below them
+does not matter. The integrator is that of the method which solved the problem: for a collocation,
+the implicit steps of its polynomials.
 """
 
 import math
@@ -24,40 +24,26 @@ from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.outcome import TOO_COARSE, Outcome, Run
 from greybox.solve.runs import Runs
 
-# Of states and outputs: what finer steps change below this is rounding.
-EXACT = 1e-7
-
 # Minima that are followed to the finer steps, at least a run each: one within this cost of the best
 # may change places with it.
 RIVALS = 3
 RIVAL_COST = 10.0
 
-# Relative difference of parameters up to which two runs of one minimum have one end, and move
-# together.
-SAME_END = 0.01
-
-# Shift by twice the steps, in standard errors, from which an end is no solution of the differential
-# equations where another end is one: refinement has left the best a tenth of this.
+# Shift by twice the steps, in standard errors, from which an end does not solve the differential
+# equations if another end does: refinement leaves the best a tenth of this.
 ALIAS = 1.0
-
-# Ends that are looked at, at most: one look takes as long as two iterations.
-JUDGED = 10
-
-# Of the largest eigenvalue of the Hessian in units of its diagonal, below which a direction is not
-# determined.
-RANK = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class DiscretizationError:
-    """What half as long steps would change.
+    """The change of the estimate by steps of half the length.
 
     Attributes
     ----------
     shift : (p,) array
-        Of the unknowns, in standard errors; or the relative change of these where that is more: at
-        its stability limit an integrator's outputs depend on fast poles that those of the model do
-        not show.
+        Shift of the unknowns in standard errors, or the relative change of the standard errors
+        where that is more: at its stability limit an integrator's outputs depend on fast poles that
+        the model's do not show.
     order : int
         The shift falls with this power of the number of steps.
     accepted : float
@@ -80,16 +66,16 @@ class DiscretizationError:
 
     @property
     def growth(self) -> int:
-        """How many times as many steps make the shift small, as far as its order tells; at most eight times."""
+        """Factor on the number of steps that makes the shift small, by its order; at most eight."""
         return substep_growth(self.largest, self.accepted, self.order)
 
 
 def discretization_error(
     nlp: CompiledProblem, trajectories: Sequence[Trajectory], fine: Sequence[Part] | None = None
 ) -> DiscretizationError:
-    """Return what twice the steps would do to the estimate that the best `trajectories` belong to, to first order.
+    """Return how twice the steps would shift the estimate of the best `trajectories`, to first order.
 
-    `fine` are the parts, grouped, with twice the steps, if they were built before.
+    `fine` are the grouped parts with twice the steps, if they exist already.
     """
     p = len(nlp.free)
     groups = Groups(nlp.parts)
@@ -98,17 +84,17 @@ def discretization_error(
     finer = [
         refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)
     ]
-    each = list(zip(groups.parts, trajectories, fine, finer, strict=True))
-    same = [part is refined or _is_rounding(t, other) for part, t, refined, other in each]
+    pairs = list(zip(groups.parts, trajectories, fine, finer, strict=True))
+    unchanged = [part is refined or _is_rounding(t, u) for part, t, refined, u in pairs]
     hessian, hessian_fine = np.zeros((p, p)), np.zeros((p, p))
     change = np.zeros(p)
-    if not all(same):
-        for (part, trajectory, refined, other), is_same in zip(each, same, strict=True):
+    if not all(unchanged):
+        for (part, trajectory, refined, u), is_same in zip(pairs, unchanged, strict=True):
             weight = part.residual_weight(trajectory)
             H, g = _quadratic_model(part, trajectory, weight)
             H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
-            if not is_same and other.finite:
-                H_fine, g_fine = _quadratic_model(refined, other, weight)
+            if not is_same and u.finite:
+                H_fine, g_fine = _quadratic_model(refined, u, weight)
             hessian += part.weight * H
             hessian_fine += part.weight * H_fine
             change += part.weight * (g_fine - g)
@@ -120,10 +106,10 @@ def discretization_error(
 def refine_discretization(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver
 ) -> tuple[CompiledProblem, Multistart, LocalSolver, DiscretizationError | None]:
-    """Refine the steps until that does not matter, and follow the best minima; what the method fixes stays.
+    """Refine the steps until the error does not matter, and follow the best minima.
 
-    What is a minimum of the integrator alone is then no minimum any more. Returns the error that is
-    left too, where it was looked at.
+    A number of substeps that the method fixes stays. Minima that only the integrator has are
+    removed. Also returns the error that is left, None where it was not computed.
     """
     error = None
     if not any(part.substeps for part in nlp.parts) or not search.minima:
@@ -147,18 +133,18 @@ def refine_discretization(
 
 
 def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
-    """Return the parts, grouped, with twice the steps, for a look at them."""
+    """Return the grouped parts with twice the steps."""
     return tuple(part.refined(2) for part in Groups(nlp.parts).parts)
 
 
 def _without_aliases(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver, fine: Sequence[Part]
 ) -> tuple[Multistart, bool]:
-    """Return the search without the minima that finer steps move by standard errors, and whether the best is the same.
+    """Return the search without minima that finer steps move by standard errors, and whether the best is the same.
 
-    Too long steps can turn a fast mode into a slow one: such an alias costs no more than the true
-    parameters, or even less, and may have their response. It is left only where there is nothing
-    else.
+    Too long steps can turn a fast mode into a slow one. Such an alias costs no more than the true
+    parameters, or even less, and may have their response. It stays only where nothing else was
+    found.
     """
     limit = search.minima[0].cost + RIVAL_COST
     rivals = [
@@ -168,7 +154,7 @@ def _without_aliases(
     if len(ends) < 2:
         return search, True
     aliases, sound = set(), False
-    for group in ends[:JUDGED]:
+    for group in ends[:10]:  # judging one takes as long as two iterations
         at_end = solver.profile(group[0].estimate)
         is_alias = (
             at_end.converged
@@ -185,15 +171,15 @@ def _without_aliases(
     )
     minima, nodes = [], search.nodes
     for minimum in search.minima:
-        left = tuple(k for k in minimum.runs if k not in aliases)
-        if left:
-            first = runs[left[0]]
-            variants = len(_distinct_ends(nlp, [runs[k] for k in left]))
-            is_first = minimum.runs[0] == left[0]
+        remaining = tuple(k for k in minimum.runs if k not in aliases)
+        if remaining:
+            first = runs[remaining[0]]
+            variants = len(_distinct_ends(nlp, [runs[k] for k in remaining]))
+            is_first = minimum.runs[0] == remaining[0]
             estimate, cost = (
                 (minimum.estimate, minimum.cost) if is_first else (first.estimate, first.cost)
             )
-            minima.append(Minimum(cost, estimate, left, min(minimum.variants, variants)))
+            minima.append(Minimum(cost, estimate, remaining, min(minimum.variants, variants)))
     minima.sort(key=lambda m: m.cost)
     is_same_best = minima[0].runs[0] == search.minima[0].runs[0]
     if not is_same_best:
@@ -202,12 +188,11 @@ def _without_aliases(
 
 
 def _distinct_ends(nlp: CompiledProblem, runs: Sequence[Run]) -> list[list[Run]]:
-    """Return the runs in groups of one end each, in their order."""
+    """Return the runs in groups with one end each, in their order."""
     groups: list[tuple[Array, list[Run]]] = []
     for run in runs:
         z = nlp.scaling.to_solver(run.estimate)
-        near = (group for other, group in groups if _is_same_end(z, other))
-        group = next(near, None)
+        group = next((group for end, group in groups if _is_same_end(z, end)), None)
         if group is None:
             groups.append((z, [run]))
         else:
@@ -216,14 +201,14 @@ def _distinct_ends(nlp: CompiledProblem, runs: Sequence[Run]) -> list[list[Run]]
 
 
 def _is_same_end(a: Array, b: Array) -> bool:
-    return bool(np.all(np.abs(a - b) <= SAME_END * (np.abs(b) + 1e-3)))
+    return bool(np.all(np.abs(a - b) <= 0.01 * (np.abs(b) + 1e-3)))
 
 
 def _followed(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Multistart | None:
-    """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is.
+    """Return the search with its best minima moved to those of `nlp`; None where none of them converges.
 
-    The runs that ended there move with them, so that runs and minima tell the same costs. What is
-    no rival stays.
+    The runs that ended there move with them, so that runs and minima have the same costs. Minima
+    that are no rivals of the best stay.
     """
     limit = search.minima[0].cost + RIVAL_COST
     ends: dict[int, Outcome] = {}
@@ -251,7 +236,7 @@ def _followed(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> 
 
 
 def _ends(nlp: CompiledProblem, solver: LocalSolver, runs: Sequence[Run]) -> dict[int, Outcome]:
-    """Return where the runs of one minimum end with the steps of `nlp`; those of one end move together."""
+    """Return where the runs of one minimum end with the steps of `nlp`; runs with one end move together."""
     ends = {}
     for group in _distinct_ends(nlp, runs):
         outcome = solver.run(group[0].estimate)
@@ -265,7 +250,7 @@ def _moved(run: Run, end: Outcome) -> Run:
 
 
 def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
-    """Return Hessian and gradient by the unknowns along a trajectory with gaps, the residuals times `weight`."""
+    """Return Hessian and gradient by the unknowns along a trajectory, the residuals times `weight`."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory, np.zeros(trajectory.nodes.shape[1]))
     return condensed.hessian, condensed.gradient
@@ -274,7 +259,7 @@ def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple
 def _is_rounding(trajectory: Trajectory, finer: Trajectory) -> bool:
     size = np.abs(trajectory.nodes).max(axis=0, initial=0.0)
     moved = np.abs(finer.ends - trajectory.ends).max(axis=0, initial=0.0)
-    return bool(np.all(moved <= EXACT * size))
+    return bool(np.all(moved <= 1e-7 * size))
 
 
 def _in_standard_errors(hessian: Array, change: Array) -> Array:
@@ -284,14 +269,14 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     unit = 1 / np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(hessian * unit * unit[:, None])
-    determined = values > RANK * values.max(initial=0.0)
+    determined = values > 1e-12 * values.max(initial=0.0)
     inverse = (vectors[:, determined] / values[determined]) @ vectors[:, determined].T
     errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return -(inverse @ (change * unit)) / np.where(errors > 0, errors, 1.0)
 
 
 def _widened(coarse: Array, fine: Array) -> Array:
-    """Return the relative change of the errors of every unknown alone, others known, (p,); 0 where nothing is known."""
+    """Return the relative change of each standard error with the others known, (p,); 0 where undetermined."""
     a, b = (np.maximum(np.diag(H), 0.0) for H in (coarse, fine))
-    known = a > 0
-    return np.where(known, np.abs(np.sqrt(b / np.where(known, a, 1.0)) - 1), 0.0)
+    determined = a > 0
+    return np.where(determined, np.abs(np.sqrt(b / np.where(determined, a, 1.0)) - 1), 0.0)

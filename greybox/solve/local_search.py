@@ -1,8 +1,7 @@
-"""What a search on records tries besides its starts: unfinished runs go on, and the neighborhood of the best is tried.
+"""What a search on records tries besides its starts: more of unfinished runs, and the neighborhood of the best.
 
-All of it is decided as the runs end, in the order of the starts. A search that has more starts, and
-begins with the same ones, therefore tries all that a shorter one does, and never ends at a higher
-cost.
+It decides as the runs end, in the order of the starts. A search with more starts that begins with
+the same ones therefore tries all that a shorter one does, and never ends at a higher cost.
 """
 
 import math
@@ -31,7 +30,7 @@ class LocalSearch:
     Attributes
     ----------
     further_starts, further_outcomes : lists
-        Of the runs that began elsewhere than at the starts.
+        Starts and outcomes of the runs from the neighborhood of the best.
     """
 
     def __init__(
@@ -43,12 +42,12 @@ class LocalSearch:
         *,
         neighbors: bool,
     ) -> None:
-        """Begin a search; with `neighbors` the neighborhood of every new best end is tried, by `shared` runs if any."""
+        """Begin a search; with `neighbors`, the neighborhood of every new best end is tried."""
         self._nlp = nlp
         self._solver = solver
         self._shared = shared
         self._memory = memory
-        self._number = 0  # of the run that was made last, below zero
+        self._number = 0  # of the last run that was made, counted down from zero
         self._tries_more = isinstance(solver, GaussNewton)
         self._neighbors = neighbors and nlp.strategies.scaled_neighbors
         self._best: Outcome | None = None
@@ -56,7 +55,7 @@ class LocalSearch:
         self.further_outcomes: list[Outcome] = []
 
     def improved(self, outcome: Outcome) -> Outcome:
-        """Return what a run left, continued where it is not finished, and try what its end suggests."""
+        """Return an outcome, continued if unfinished, and try its neighborhood if it is the best."""
         if not self._tries_more:
             return outcome
         solver, unfinished = self._solver, outcome
@@ -85,7 +84,7 @@ class LocalSearch:
         return self._best is None or outcome.cost < self._best.cost
 
     def _is_best(self, outcome: Outcome) -> bool:
-        """Tell whether the outcome is better than all before, by more than the same end found again."""
+        """Tell whether the outcome is better than all previous ones, by more than the scatter of one end."""
         if not outcome.converged:
             return False
         return self._best is None or outcome.cost < self._best.cost - same_cost(
@@ -93,7 +92,7 @@ class LocalSearch:
         )
 
     def _try_neighbors(self, solver: GaussNewton) -> None:
-        """Add runs from the neighborhood of the best end, as long as they find a lower cost."""
+        """Add runs from the neighborhood of the best end as long as they find a lower cost."""
         while self._best is not None and not stop_requested():
             best = self._best
             points = _scaled(self._nlp, best.estimate)
@@ -111,7 +110,7 @@ class LocalSearch:
             self.further_outcomes.append(lowest)
 
     def _remembered(self, start: Array, make: Callable[[], Outcome], spent: float = 0.0) -> Outcome:
-        """Return what a run leaves, from the memory if it was made before; `spent` s of its time are gone."""
+        """Return the outcome of a run, from the memory if it is there; `spent` s of its time have passed."""
         self._number -= 1
         outcome = self._memory.recall(self._number, start)
         if outcome is None:

@@ -1,11 +1,8 @@
-"""A small convex quadratic program, as every Gauss-Newton step has one for its parameters."""
+"""A small convex quadratic program: every Gauss-Newton step solves one for its parameters."""
 
 import numpy as np
 
 from greybox.files.arrays import Array
-
-FLOOR = 1e-13  # of the largest eigenvalue of the scaled Hessian: flatter directions move only where a limit needs it
-FLAT = 1e-5  # of its root: what such a move counts
 
 
 def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Array) -> Array:
@@ -22,23 +19,25 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
     largest = max(values.max(), 0.0)
-    seen = values > FLOOR * largest
-    roots = np.sqrt(np.where(seen, values, FLAT**2 * (largest or 1.0)))
+    # Flatter directions move only where a limit needs it, and then count little.
+    curved = values > 1e-13 * largest
+    roots = np.sqrt(np.where(curved, values, 1e-10 * (largest or 1.0)))
     # d = map · (y + free), y the unknown of the least distance problem.
     mapping = scale[:, None] * vectors / roots
-    free = np.where(seen, -(mapping.T @ gradient), 0.0)
+    free = np.where(curved, -(mapping.T @ gradient), 0.0)
     step = mapping @ free
     missed = normals @ step < limits
     if not missed.any():
         return step
     from scipy.optimize import nnls  # noqa: PLC0415  (takes a fifth of a second to import)
 
-    rows, wanted = normals @ mapping, limits - normals @ step
+    rows = normals @ mapping
+    least = limits - normals @ step
     size = np.linalg.norm(rows, axis=1)
     size = np.where(size > 0, size, 1.0)
-    rows, wanted = rows / size[:, None], wanted / size
-    reach = max(float(np.abs(wanted).max()), 1e-300)
-    system = np.vstack([rows.T, wanted / reach])
+    rows, least = rows / size[:, None], least / size
+    reach = max(float(np.abs(least).max()), 1e-300)
+    system = np.vstack([rows.T, least / reach])
     target = np.zeros(p + 1)
     target[p] = 1.0
     weights, _ = nnls(system, target, maxiter=50 * system.shape[1])
@@ -46,8 +45,8 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     if residual[p] > -1e-12:
         return step
     active = weights > 0
-    # The same once more without the loss of digits.
-    nearest = np.linalg.lstsq(rows[active], wanted[active], rcond=None)[0]
-    if np.any(rows @ nearest < wanted - 1e-9 * reach):
+    # Least squares on the active limits has more digits.
+    nearest = np.linalg.lstsq(rows[active], least[active], rcond=None)[0]
+    if np.any(rows @ nearest < least - 1e-9 * reach):
         nearest = -residual[:p] / residual[p] * reach
     return mapping @ (free + nearest)

@@ -1,8 +1,8 @@
-"""Hidden states as unknowns of one sparse program for IPOPT: any transcription, the exact Hessian, a second opinion.
+"""Hidden states as unknowns of one sparse program for IPOPT, for any transcription and the exact Hessian.
 
 Where the residual covariance is estimated, IPOPT minimizes weighted squares and the weights follow
-from the last residuals, until both agree (relaxation); this is the minimum of the likelihood. Whole
-samples of estimated delays are treated alike.
+from the last residuals, until both agree (relaxation): this is the minimum of the likelihood. The
+whole samples of estimated delays follow in the same way.
 """
 
 import math
@@ -27,10 +27,6 @@ from greybox.solve.outcome import NOT_FINITE, Outcome
 # needs far fewer.
 RELAXATIONS = 100
 
-# Relative change of the cost from one relaxation to the next that ends them: a tenth of a standard
-# error changes it by 0.005, and costs are rarely above 1e5.
-SAME = 1e-9
-
 
 class TranscribedProgram(LocalSolver):
     """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
@@ -49,27 +45,25 @@ class TranscribedProgram(LocalSolver):
         z = ca.MX.sym("z", len(nlp.free))
         self._programs = [part.program(z) for part in nlp.parts]
         self._weights = [part.weight for part in nlp.parts]
-        each = list(zip(self._weights, self._programs, strict=True))
+        weighted = list(zip(self._weights, self._programs, strict=True))
 
         unknowns = ca.vertcat(z, *[program.unknowns for program in self._programs])
         parameters = ca.vertcat(*[program.parameters for program in self._programs])
-        error = ca.vertcat(*[math.sqrt(weight) * program.error for weight, program in each])
-        rest = ca.MX(0.0)
-        for weight, program in each:
-            rest += weight * program.cost
+        error = ca.vertcat(*[math.sqrt(weight) * program.error for weight, program in weighted])
+        cost = sum((weight * program.cost for weight, program in weighted), ca.MX(0.0))
         equations = ca.vertcat(*[program.equations for program in self._programs])
         _, limits = nlp.program(z, 0.0)
         constraints = ca.vertcat(equations, limits)
         statement = {
             "x": unknowns,
             "p": parameters,
-            "f": ca.sumsqr(error) / 2 + rest,
+            "f": ca.sumsqr(error) / 2 + cost,
             "g": constraints,
         }
 
         approximate = nlp.method.hessian == "gauss-newton"
         hessian = (
-            _gauss_newton_hessian(unknowns, parameters, error, rest, constraints)
+            _gauss_newton_hessian(unknowns, parameters, error, cost, constraints)
             if approximate
             else {}
         )
@@ -122,15 +116,16 @@ class TranscribedProgram(LocalSolver):
             return Outcome(start, NOT_FINITE, 0, time.perf_counter() - began, False, math.inf)
 
         status, iterations, last, cost = "", 0, math.inf, math.inf
-        each = zip(self._programs, first, strict=True)
-        solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in each]])
+        pairs = zip(self._programs, first, strict=True)
+        solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in pairs]])
         share = self._nlp.strategies.assumed_error
         w = np.concatenate([program.initial_parameters(z, share) for program in self._programs])
         for _ in range(RELAXATIONS):
             solution, status, count = self._ipopt.solve(solution, w, self._bounds)
             iterations += count
             cost, w, same_data = self._outcome(solution, w)
-            settled = abs(cost - last) <= SAME * max(1.0, abs(cost)) and same_data
+            # A tenth of a standard error changes the cost by 0.005, and costs are rarely above 1e5.
+            settled = abs(cost - last) <= 1e-9 * max(1.0, abs(cost)) and same_data
             if settled or status not in CONVERGED or not math.isfinite(cost):
                 break
             last = cost
@@ -147,24 +142,23 @@ class TranscribedProgram(LocalSolver):
         )
 
     def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return the cost of a solution, the parameters that follow, and whether no delay passed a whole sample."""
+        """Return the cost of a solution, the next parameters, and whether no delay passed a whole sample."""
         z = solution[: len(self._nlp.free)]
         unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
-        each = zip(self._programs, unknowns, np.split(w, self._parameter_ends), strict=True)
-        costs, following, same_data = zip(
-            *[program.outcome(z, v, own) for program, v, own in each], strict=True
-        )
-        cost = sum(weight * own for weight, own in zip(self._weights, costs, strict=True))
+        values = zip(self._programs, unknowns, np.split(w, self._parameter_ends), strict=True)
+        outcomes = [program.outcome(z, states, ws) for program, states, ws in values]
+        costs, following, same_data = zip(*outcomes, strict=True)
+        cost = sum(w * c for w, c in zip(self._weights, costs, strict=True))
         return float(cost), np.concatenate(following), all(same_data)
 
 
 def _gauss_newton_hessian(
-    unknowns: ca.MX, parameters: ca.MX, error: ca.MX, rest: ca.MX, constraints: ca.MX
+    unknowns: ca.MX, parameters: ca.MX, error: ca.MX, cost: ca.MX, constraints: ca.MX
 ) -> dict[str, ca.Function]:
-    """Return the Hessian of the Lagrangian without the curvature of residuals and equations, as IPOPT's."""
+    """Return IPOPT's option for a Hessian without the curvature of residuals and equations."""
     jacobian = ca.jacobian(error, unknowns)
     scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("multipliers", constraints.numel())
-    hessian = scale * (jacobian.T @ jacobian + ca.hessian(rest, unknowns)[0])
+    hessian = scale * (jacobian.T @ jacobian + ca.hessian(cost, unknowns)[0])
     function = ca.Function(
         "hessian", [unknowns, parameters, scale, multipliers], [ca.triu(hessian)]
     )

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.sample_step import sample_step
-from greybox.compiled.segments import LONG, Segments
+from greybox.compiled.segments import Segments
 from greybox.modeling.realization import dynamics
 
 COUNT, LENGTH = 3, 7
@@ -63,11 +63,11 @@ def test_each_segment_runs_from_its_own_state(made):
 
 def test_few_long_segments_run_one_after_the_other_to_the_same_states(made):
     step, initial, q, rows = made
-    repeated = np.tile(rows, (1, 4 * LONG))
+    repeated = np.tile(rows, (1, 4 * 10))
     length = repeated.shape[1] // 2
     active = np.zeros(0, dtype=int)
     long = Segments(step, 2, length, active)
-    assert length > LONG * 2
+    assert length > 10 * 2
     states, ends = long.simulate(initial[:2], q, long.columns(repeated))
     x = initial[1]
     for j in range(length):

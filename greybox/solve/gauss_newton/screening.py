@@ -1,15 +1,13 @@
-"""Starts that are improved and compared on short segments, all of them together, before a whole record is touched.
+"""Starts that are improved and compared on short segments, all of them together, before any run.
 
-Some segments of the records are simulated, each from a state of its own that the data give and that
-is free to move: nothing can diverge for long, and what hides the parameters of a long simulation,
-its instability and the many turns of its oscillations, is not there. A few Gauss-Newton steps of
-the parameters and of these states, over a few samples first and over whole segments then, lead from
-nearly everywhere to where a run begins well. What is left of the prediction errors is the order in
-which the starts are tried.
+Some segments of the records are simulated, each from a state of its own that comes from the data and
+is free to move. Nothing can diverge for long, and neither instability nor many turns of an
+oscillation hide the parameters. A few Gauss-Newton steps of the parameters and of these states, over
+a few samples first and then over whole segments, lead from nearly everywhere to a good start of a
+run. The remaining prediction errors give the order in which the starts are tried.
 
-It is a beginning and no estimate: states that are free at every segment leave out what ties the
-segments together. All starts are evaluated by one call, as if each were a record with parameters of
-its own.
+The result is a start and no estimate: free states at every segment leave out what connects the
+segments. All starts are evaluated in one call, as if each were a record with its own parameters.
 """
 
 from collections.abc import Sequence
@@ -24,8 +22,8 @@ from greybox.files.arrays import Array, BoolArray
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
 
-# Segments, evenly over all records: they say enough of a dozen of parameters, and an evaluation
-# takes less than a millisecond a start. Of many records as many stand for the others.
+# Segments, evenly over at most so many records: they are enough for a dozen parameters, and an
+# evaluation takes less than a millisecond a start.
 SEGMENTS = 32
 RECORDS = 8
 
@@ -35,9 +33,6 @@ FIRST_DAMPING, DAMPING_FACTOR = (
     10.0,
 )  # relative to the diagonal of the Hessian; when a step fails or succeeds
 RIDGE = 1e-12  # of the largest diagonal entry, for what short segments do not show
-
-# Difference of the cost, with errors of a tenth of every signal, below which two points are one.
-SAME = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +55,11 @@ class Points:
     by_states: list[tuple[Array, ...]]
 
     def reduced(self, damping: Array) -> tuple[Array, Array, list[Array]]:
-        """Return gradient and Hessian with the states eliminated, and these by 1 and z, (r, m, n, 1 + p)."""
+        """Return gradient and Hessian with the states eliminated, and how these follow, (r, m, n, 1 + p)."""
         gradient, hessian, follow = self.gradient, self.hessian, []
-        for own, cross, slope in self.by_states:
+        for curvature, cross, slope in self.by_states:
             right = np.concatenate([slope[..., None], cross], axis=3)
-            moves = -np.linalg.solve(_damped(own, damping[:, None]), right)
+            moves = -np.linalg.solve(_damped(curvature, damping[:, None]), right)
             eliminated = np.einsum("rmnp,rmnq->rpq", cross, moves)
             gradient, hessian = gradient + eliminated[..., 0], hessian + eliminated[..., 1:]
             follow.append(moves)
@@ -77,9 +72,8 @@ class Screening:
     def __init__(self, nlp: CompiledProblem, limits: Limits) -> None:
         """Choose the segments."""
         parts = [part for part in nlp.parts if isinstance(part, RecordPart)]
-        chosen = [
-            parts[k] for k in np.unique(np.linspace(0, len(parts) - 1, RECORDS).round().astype(int))
-        ]
+        numbers = np.unique(np.linspace(0, len(parts) - 1, RECORDS).round().astype(int))
+        chosen = [parts[k] for k in numbers]
         most = -(-SEGMENTS // len(chosen))
         self._limits = limits
         self._short = [ShortSegments(part, most, _fewest_samples(part)) for part in chosen]
@@ -98,9 +92,9 @@ class Screening:
         with np.errstate(all="ignore"):  # of points that are left where they are
             states = [record.states_from_data(z) for record in self._whole]
             short = self._descended(_evaluated(z, states, self._short), self._short, STEPS[0])
-            before = _evaluated(z, states, self._whole)
-            after = _evaluated(short.z, short.states, self._whole)
-            return self._descended(_lower(before, after), self._whole, STEPS[1])
+            drawn = _evaluated(z, states, self._whole)
+            moved = _evaluated(short.z, short.states, self._whole)
+            return self._descended(_lower(drawn, moved), self._whole, STEPS[1])
 
     def _descended(self, points: Points, records: Sequence["ShortSegments"], steps: int) -> Points:
         damping = np.full(len(points.z), FIRST_DAMPING)
@@ -112,8 +106,8 @@ class Screening:
             z = self._limits.clipped(points.z + step)
             along = np.concatenate([np.ones((len(z), 1)), z - points.z], axis=1)
             states = [
-                before + np.einsum("rmnp,rp->rmn", moves, along)
-                for before, moves in zip(points.states, follow, strict=True)
+                previous + np.einsum("rmnp,rp->rmn", moves, along)
+                for previous, moves in zip(points.states, follow, strict=True)
             ]
             trial = _evaluated(z, states, records)
             damping = np.where(
@@ -140,14 +134,13 @@ class ShortSegments:
         part = self._part
         measured, inputs = (values[:, self._chosen] for values in part.at_nodes)
         initial = part.model.initial_states
-        found = []
+        begins = []
         for point in z:
             placed = part.place(point)
-            states = initial.at(
-                measured, inputs, placed.q[: len(part.system.parameters)], placed.initial
-            )
-            found.append(initial.as_measured(states, measured).T)
-        return np.array(found)
+            p = placed.q[: len(part.system.parameters)]
+            states = initial.at(measured, inputs, p, placed.initial)
+            begins.append(initial.as_measured(states, measured).T)
+        return np.array(begins)
 
     def evaluated(self, z: Array, states: Array) -> Points:
         """Return the points z (r, p) with the segments simulated from these states (r, m, n)."""
@@ -157,23 +150,23 @@ class ShortSegments:
         segments = self._segments_of(r)
         shape = (part.data.segment_length, part.data.segments)
         data = np.stack(
-            [own.data.reshape(-1, *shape)[:, : self._length, self._chosen] for own in placed],
+            [at.data.reshape(-1, *shape)[:, : self._length, self._chosen] for at in placed],
             axis=2,
         )
         data = data.reshape(len(data), -1)
-        q = np.repeat(np.array([own.q for own in placed]).T, m, axis=1)
+        q = np.repeat(np.array([at.q for at in placed]).T, m, axis=1)
         along, _ = segments.simulate(states.reshape(-1, n), q, data)
         b = segments.linearize(along, q, self._weight, data)
         errors = (
             self._weight @ segments.products(segments.residuals(along, q, data)) @ self._weight.T
         )
-        slope = np.array([own.slope for own in placed])
+        slope = np.array([at.slope for at in placed])
         hessian = slope.transpose(0, 2, 1) @ b.parameter_hessian @ slope
         gradient = np.einsum("rap,ra->rp", slope, b.parameter_gradient)
-        own = b.node_hessian.reshape(r, m, n, n)
+        curvature = b.node_hessian.reshape(r, m, n, n)
         cross = b.cross_hessian.reshape(r, m, n, -1) @ slope[:, None]
         by_states = (
-            part.weight * own,
+            part.weight * curvature,
             part.weight * cross,
             part.weight * b.node_gradient.reshape(r, m, n),
         )
@@ -192,45 +185,46 @@ class ShortSegments:
         if points not in self._segments:
             copies = np.repeat(np.arange(points), len(self._chosen))
             step, active = self._part.step, self._part.model.active
-            own = tuple(range(step.function.numel_in(1)))
+            every = tuple(range(step.function.numel_in(1)))
             self._segments[points] = Segments(
-                step, len(copies), self._length, active, records=copies, own=own
+                step, len(copies), self._length, active, records=copies, own=every
             )
         return self._segments[points]
 
 
 def distinct(points: Points) -> list[int]:
-    """Return the numbers of the points that are not also those of a lower cost, by their cost, where that is finite."""
+    """Return the numbers of the distinct points with finite costs, the lowest cost of each, in order of cost."""
     _, hessian, _ = points.reduced(np.zeros(len(points.z)))
-    found: list[int] = []
+    numbers: list[int] = []
     for k in np.argsort(points.cost, kind="stable").tolist():
         if not np.isfinite(points.cost[k]):
             break
-        moved = points.z[found] - points.z[k]
-        distance = np.einsum("fp,fpq,fq->f", moved, hessian[found], moved) / 2
-        if not np.any(distance <= SAME):
-            found.append(k)
-    return found
+        moved = points.z[numbers] - points.z[k]
+        distance = np.einsum("fp,fpq,fq->f", moved, hessian[numbers], moved) / 2
+        # Two points are one if the cost, with errors of a tenth of every signal, differs by less.
+        if not np.any(distance <= 1.0):
+            numbers.append(k)
+    return numbers
 
 
 def _fewest_samples(part: RecordPart) -> int:
-    """Return the samples with about twice as many outputs as there are states: half of them are left to predict."""
+    """Return the samples with about twice as many outputs as states: half of them are left to predict."""
     return 1 + -(-2 * part.states // len(part.outputs))
 
 
 def _evaluated(z: Array, states: Sequence[Array], records: Sequence[ShortSegments]) -> Points:
-    """Return the points over all records; what is not finite costs infinitely much and promises nothing."""
+    """Return the points over all records; where anything is not finite, the cost is infinite and flat."""
     r, p = z.shape
     total = Points(z, [], np.zeros(r), np.zeros((r, p)), np.zeros((r, p, p)), [])
-    for record, begun in zip(records, states, strict=True):
-        own = record.evaluated(z, begun)
+    for record, begins in zip(records, states, strict=True):
+        added = record.evaluated(z, begins)
         total = Points(
             z,
-            [*total.states, *own.states],
-            total.cost + own.cost,
-            total.gradient + own.gradient,
-            total.hessian + own.hessian,
-            [*total.by_states, *own.by_states],
+            [*total.states, *added.states],
+            total.cost + added.cost,
+            total.gradient + added.gradient,
+            total.hessian + added.hessian,
+            [*total.by_states, *added.by_states],
         )
     arrays = [
         total.cost,

@@ -1,14 +1,13 @@
-"""Runs from many starts on records that are not short: on excerpts first, and on from there once for all that meet.
+"""Runs from many starts on long records: on excerpts first, and from there once for all that meet.
 
-Nearly all runs end at a few points. What they do alike, the last iterations on the whole record, is
-the most expensive part: a run is therefore brought to a minimum of excerpts first, a quarter of the
-samples and less. Where it ends there is rounded to a small share of a standard error, so that all
-runs that end at this minimum go on from the same digits, and what follows is made once. It is a
-matter of the start alone: the result is the same, bit for bit, whichever run comes first and
-wherever it is made.
+Nearly all runs end at a few points. Their last iterations on the whole record are alike, and the
+most expensive part. A run is therefore brought to a minimum of excerpts first, a quarter of the
+samples and less. Its end is rounded to a small share of a standard error, so that all runs that end
+at this minimum continue from the same digits, and once. The result depends only on the start: it is
+the same, bit for bit, whichever run comes first and wherever it is made.
 
-A run that does not arrive this way is made as if it were alone. So is that of the first start of
-every search, so that not everything depends on the excerpts.
+A run that does not converge this way is made as if it were alone. So is the run from the first
+start of every search, so that not everything depends on the excerpts.
 """
 
 import math
@@ -29,17 +28,7 @@ from greybox.solve.outcome import CUT_SHORT, Outcome
 FACTOR = 4
 FEWER = 2  # times as many samples, at least, for excerpts to be worth a run
 
-# Of a standard error with all other parameters held. Runs end some 1e-4 of one apart, and a grid
-# that is a thousand times as wide hardly ever comes between them; the minimum of the whole record
-# is whole standard errors away.
-ROUNDED_TO = 0.1
-
-# Of the solver's variables, whose size is one: a parameter that the data hardly show stays about
-# where it is.
-COARSEST = 1e-3
-
-# Ends on the whole record, with all their states, that are kept.
-MOST_KEPT = 64
+MOST_STORED = 64  # ends on the whole record, with all their states
 
 
 class SharedRuns(Runner):
@@ -51,10 +40,10 @@ class SharedRuns(Runner):
         self._levels = [solver]
         for size in _sizes(solver):
             excerpts = solver.on_excerpts(size)
-            # Of many records at least some segments each are left, which may be nearly all.
+            # Some segments of each of many records remain, which may be nearly all of them.
             if FEWER * excerpts.samples <= self._levels[-1].samples:
                 self._levels.append(excerpts)
-        self._known: list[dict[bytes, tuple[Outcome, Array | None]]] = [{} for _ in self._levels]
+        self._ends: list[dict[bytes, tuple[Outcome, Array | None]]] = [{} for _ in self._levels]
 
     def __reduce__(self) -> tuple[Callable[..., "SharedRuns"], tuple[Any, ...]]:
         """Return what builds the same."""
@@ -89,29 +78,34 @@ class SharedRuns(Runner):
         return replace(outcome, iterations=first.iterations + outcome.iterations), hessian
 
     def _once(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
-        """Return where a run from z (p,) ends on the records of a level, as it did before if it was made."""
-        known, key = self._known[level], z.tobytes()
+        """Return where a run from z (p,) ends on the records of a level; equal runs are made once."""
+        ends, key = self._ends[level], z.tobytes()
         most = iterations or self._alone.settings.max_iterations
-        if key in known and known[key][0].iterations <= most:
-            return known[key]
-        found = self._levels[level].run_from(z, iterations, near_solution=True)
-        if found[0].converged:
-            if len(known) >= MOST_KEPT:
-                known.clear()
-            known[key] = found
-        return found
+        if key in ends and ends[key][0].iterations <= most:
+            return ends[key]
+        end = self._levels[level].run_from(z, iterations, near_solution=True)
+        if end[0].converged:
+            if len(ends) >= MOST_STORED:
+                ends.clear()
+            ends[key] = end
+        return end
 
     def _rounded(self, estimate: Array, hessian: Array | None) -> Array:
-        """Return z of an estimate (p,) in digits that all runs have which end at the same minimum."""
+        """Return z of an estimate (p,), in the digits that all runs to one minimum have in common.
+
+        A tenth of a standard error with all other parameters held: runs end some 1e-4 of one apart,
+        and a grid a thousand times as wide hardly ever comes between them. The minimum of the whole
+        record is whole standard errors away. A parameter that the data hardly show stays where it
+        is, to a thousandth.
+        """
         z = self._alone.nlp.scaling.to_solver(estimate)
         if hessian is None:
             return z
         with np.errstate(divide="ignore"):
-            width = np.fmin(ROUNDED_TO / np.sqrt(np.maximum(np.diag(hessian), 0.0)), COARSEST)
-        grid = 2.0 ** np.floor(
-            np.log2(width)
-        )  # a power of two, the same for errors that are nearly the same
-        return self._alone.limits.nearest(np.round(z / grid) * grid + 0.0)  # no zero below zero
+            width = np.fmin(0.1 / np.sqrt(np.maximum(np.diag(hessian), 0.0)), 1e-3)
+        # A power of two is the same for standard errors that are nearly the same.
+        grid = 2.0 ** np.floor(np.log2(width))
+        return self._alone.limits.nearest(np.round(z / grid) * grid + 0.0)  # never -0.0
 
 
 def _sizes(solver: GaussNewton) -> list[int]:

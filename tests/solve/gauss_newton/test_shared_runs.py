@@ -79,11 +79,11 @@ def test_runs_that_meet_go_on_once_and_each_is_what_it_is_alone(
 def test_fewer_iterations_than_the_way_took_are_not_taken_from_it(shared, starts, monkeypatch):
     made = counted(shared, monkeypatch)
     shared.run(starts[1])
-    ((_, known),) = shared._known[0].items()
+    ((_, known),) = shared._ends[0].items()
     shared.run(starts[1], 50)
     assert len(made) == 1
-    shared._known[0] = {
-        key: (replace(outcome, iterations=51), h) for key, (outcome, h) in shared._known[0].items()
+    shared._ends[0] = {
+        key: (replace(outcome, iterations=51), h) for key, (outcome, h) in shared._ends[0].items()
     }
     shared.run(starts[1], 50)
     assert [most for _, most in made] == [None, 50]
@@ -103,7 +103,7 @@ def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(
     monkeypatch.setattr(excerpts, "run_from", stalled)
     alone = solver.run(starts[2])
     same(shared.run(starts[2]), replace(alone, iterations=alone.iterations + 7))
-    assert not shared._known[0]
+    assert not shared._ends[0]
 
     monkeypatch.undo()
     whole_run = whole.run_from
@@ -119,7 +119,7 @@ def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(
     assert outcome.converged
     assert outcome.iterations > alone.iterations
     assert outcome.cost == alone.cost
-    assert not shared._known[0]
+    assert not shared._ends[0]
 
 
 def test_what_time_cuts_short_is_no_end_of_others_and_has_no_cost_of_excerpts(
