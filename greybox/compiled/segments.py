@@ -136,17 +136,6 @@ class Segments:
             ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results
         ]
 
-    @cached_property
-    @one_thread_at_a_time
-    def _by_state(self) -> Columns:
-        """Derivatives of the next state and of the residual by x."""
-
-        def results(x: Any, q: Any, d: Any) -> list[Any]:
-            end, e, _ = self._step.function(x, q, d)
-            return [ca.densify(ca.jacobian(end, x)), ca.densify(ca.jacobian(e, x))]
-
-        return self._columns("by_state", results)
-
     @one_thread_at_a_time
     def _columns(self, name: str, results: Callable[[Any, Any, Any], list[Any]]) -> Columns:
         """Return the function of x, q and d with these results, the same for all segments with this step."""
@@ -448,10 +437,10 @@ class Segments:
         """Return the mean derivatives of the next state (n, n) and of the outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(states.shape[1] // 500, 1))
-        A, E = _finite(self._by_state(states[:, sample], q, data[:, sample]))
-        A = A.reshape(self.n, self.n, -1)
-        E = E.reshape(self.n, self.k, -1)
-        return A.mean(axis=2).T, -E.mean(axis=2).T
+        A, C, _ = _finite(self._derivatives(states[:, sample], q, data[:, sample]))
+        A = A.reshape(-1, self.n, A.shape[1])[: self.n]
+        C = C.reshape(-1, self.k, C.shape[1])[: self.n]
+        return A.mean(axis=2).T, -C.mean(axis=2).T
 
     def batches(self, s: int) -> list[slice]:
         """Return slices of s segments whose derivatives fit into memory together."""

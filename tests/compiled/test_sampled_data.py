@@ -260,9 +260,7 @@ def test_bad_records():
         cut(record(u=np.ones(60), y=RANDOM.normal(size=60)))
     assert cut(record(u=np.ones(60))).constant_inputs
     assert not cut(record()).constant_inputs
-    with pytest.raises(
-        ValueError, match="longest delay in the bounds is 5 s"
-    ):
+    with pytest.raises(ValueError, match="longest delay in the bounds is 5 s"):
         cut(record(), lead=5.0)
     with pytest.raises(ValueError, match="no measured value of y"):
         cut(record(y=np.full(60, np.nan)))

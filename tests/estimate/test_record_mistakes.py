@@ -67,7 +67,7 @@ class Wild(gb.StateSpace):
         ),
         (
             lambda: fit(gb.Problem(Lag(), short(), free=("d",))),
-            "of which the longest delay in the bounds takes 0.5 s",
+            "longest delay in the bounds is 0.5 s",
         ),
         (lambda: fit(gb.Problem(Spring(), irregular())), r"not uniform .* gb.prepare"),
         (lambda: fit(gb.Problem(Spring(), DATA.rows(np.arange(1)))), "never change"),

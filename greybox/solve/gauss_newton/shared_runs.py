@@ -32,18 +32,24 @@ MOST_STORED = 64  # ends on the whole record, with all their states
 
 
 class SharedRuns(Runner):
-    """Runs on the records of one problem, of which those that meet on excerpts are made once from there."""
+    """Runs on the records of one problem; those that meet on excerpts continue as one.
+
+    Attributes
+    ----------
+    levels : list of GaussNewton
+        Solvers on the whole records, then on excerpts from the longest to the shortest.
+    """
 
     def __init__(self, solver: GaussNewton) -> None:
         """Build what runs on excerpts, from the longest to the shortest; `solver` runs on the whole records."""
         self._alone = solver
-        self._levels = [solver]
+        self.levels = [solver]
         for size in _sizes(solver):
             excerpts = solver.on_excerpts(size)
             # Some segments of each of many records remain, which may be nearly all of them.
-            if FEWER * excerpts.samples <= self._levels[-1].samples:
-                self._levels.append(excerpts)
-        self._ends: list[dict[bytes, tuple[Outcome, Array | None]]] = [{} for _ in self._levels]
+            if FEWER * excerpts.samples <= self.levels[-1].samples:
+                self.levels.append(excerpts)
+        self._ends: list[dict[bytes, tuple[Outcome, Array | None]]] = [{} for _ in self.levels]
 
     def __reduce__(self) -> tuple[Callable[..., "SharedRuns"], tuple[Any, ...]]:
         """Return what builds the same."""
@@ -55,7 +61,7 @@ class SharedRuns(Runner):
         if not solver.settings.shared_runs or any(part.gains for part in solver.nlp.parts):
             return None
         shared = cls(solver)
-        return shared if len(shared._levels) > 1 else None
+        return shared if len(shared.levels) > 1 else None
 
     def run(self, start: Array, iterations: int | None = None) -> Outcome:
         """Solve from the parameters `start` (p,), on excerpts and on the whole records in so many `iterations` each."""
@@ -69,12 +75,13 @@ class SharedRuns(Runner):
 
     def _end(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
         """Return where a run from z (p,) ends on the records of a level, by way of those that are shorter."""
-        if level == len(self._levels) - 1:
-            return self._levels[level].run_from(z, iterations)
+        if level == len(self.levels) - 1:
+            return self.levels[level].run_from(z, iterations)
         first, hessian = self._end(level + 1, z, iterations)
         if not first.converged:  # its cost is that of the excerpts
             return replace(first, cost=math.inf, signature=None, nodes=None), None
-        outcome, hessian = self._once(level, self._rounded(first.estimate, hessian), iterations)
+        z = rounded(self._alone.nlp.scaling.to_solver(first.estimate), hessian)
+        outcome, hessian = self._once(level, self._alone.limits.nearest(z), iterations)
         return replace(outcome, iterations=first.iterations + outcome.iterations), hessian
 
     def _once(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
@@ -83,29 +90,29 @@ class SharedRuns(Runner):
         most = iterations or self._alone.settings.max_iterations
         if key in ends and ends[key][0].iterations <= most:
             return ends[key]
-        end = self._levels[level].run_from(z, iterations, near_solution=True)
+        end = self.levels[level].run_from(z, iterations, near_solution=True)
         if end[0].converged:
             if len(ends) >= MOST_STORED:
                 ends.clear()
             ends[key] = end
         return end
 
-    def _rounded(self, estimate: Array, hessian: Array | None) -> Array:
-        """Return z of an estimate (p,), in the digits that all runs to one minimum have in common.
 
-        A tenth of a standard error with all other parameters held: runs end some 1e-4 of one apart,
-        and a grid a thousand times as wide hardly ever comes between them. The minimum of the whole
-        record is whole standard errors away. A parameter that the data hardly show stays where it
-        is, to a thousandth.
-        """
-        z = self._alone.nlp.scaling.to_solver(estimate)
-        if hessian is None:
-            return z
-        with np.errstate(divide="ignore"):
-            width = np.fmin(0.1 / np.sqrt(np.maximum(np.diag(hessian), 0.0)), 1e-3)
-        # A power of two is the same for standard errors that are nearly the same.
-        grid = 2.0 ** np.floor(np.log2(width))
-        return self._alone.limits.nearest(np.round(z / grid) * grid + 0.0)  # never -0.0
+def rounded(z: Array, hessian: Array | None) -> Array:
+    """Return z (p,), the end of a run, in the digits that all runs to one minimum have in common.
+
+    These are a tenth of a standard error with all other parameters held: runs end some 1e-4 of one
+    apart, and a grid a thousand times as wide hardly ever comes between them. The minimum of the
+    whole record is whole standard errors away. A parameter that the data hardly show stays where it
+    is, to a thousandth.
+    """
+    if hessian is None:
+        return z
+    with np.errstate(divide="ignore"):
+        width = np.fmin(0.1 / np.sqrt(np.maximum(np.diag(hessian), 0.0)), 1e-3)
+    # A power of two is the same for standard errors that are nearly the same.
+    grid = 2.0 ** np.floor(np.log2(width))
+    return np.round(z / grid) * grid + 0.0  # never -0.0
 
 
 def _sizes(solver: GaussNewton) -> list[int]:

@@ -11,7 +11,7 @@ from sampled_lag import lag_problem
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.shared_runs import SharedRuns
+from greybox.solve.gauss_newton.shared_runs import SharedRuns, rounded
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.multistart import multistart
 from greybox.solve.outcome import RUN_OVER
@@ -44,7 +44,7 @@ def shared(solver):
 
 def counted(shared, monkeypatch):
     """Return the list of runs that are made on the whole record from now on, each with what it may take."""
-    made, whole = [], shared._levels[0]
+    made, whole = [], shared.levels[0]
     run_from = whole.run_from
 
     def counting(z, iterations=None, **near):
@@ -76,24 +76,10 @@ def test_runs_that_meet_go_on_once_and_each_is_what_it_is_alone(
         assert_allclose(outcome.estimate, alone.estimate, rtol=1e-4)
 
 
-def test_fewer_iterations_than_the_way_took_are_not_taken_from_it(shared, starts, monkeypatch):
-    made = counted(shared, monkeypatch)
-    shared.run(starts[1])
-    ((_, known),) = shared._ends[0].items()
-    shared.run(starts[1], 50)
-    assert len(made) == 1
-    shared._ends[0] = {
-        key: (replace(outcome, iterations=51), h) for key, (outcome, h) in shared._ends[0].items()
-    }
-    shared.run(starts[1], 50)
-    assert [most for _, most in made] == [None, 50]
-    assert known[0].converged
-
-
 def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(
     solver, shared, starts, monkeypatch
 ):
-    excerpts, whole = shared._levels[-1], shared._levels[0]
+    excerpts, whole = shared.levels[-1], shared.levels[0]
     run_from = excerpts.run_from
 
     def stalled(z, iterations=None):
@@ -103,7 +89,6 @@ def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(
     monkeypatch.setattr(excerpts, "run_from", stalled)
     alone = solver.run(starts[2])
     same(shared.run(starts[2]), replace(alone, iterations=alone.iterations + 7))
-    assert not shared._ends[0]
 
     monkeypatch.undo()
     whole_run = whole.run_from
@@ -119,13 +104,12 @@ def test_a_run_that_does_not_arrive_is_made_alone_and_counts_all_iterations(
     assert outcome.converged
     assert outcome.iterations > alone.iterations
     assert outcome.cost == alone.cost
-    assert not shared._ends[0]
 
 
 def test_what_time_cuts_short_is_no_end_of_others_and_has_no_cost_of_excerpts(
     shared, starts, monkeypatch
 ):
-    excerpts = shared._levels[-1]
+    excerpts = shared.levels[-1]
     run_from = excerpts.run_from
 
     def cut(z, iterations=None):
@@ -139,32 +123,24 @@ def test_what_time_cuts_short_is_no_end_of_others_and_has_no_cost_of_excerpts(
     assert shared.run(starts[1]).converged
 
 
-def test_ends_are_rounded_to_a_share_of_their_errors_that_what_is_left_of_a_run_does_not_reach(
-    solver, shared
-):
-    z = (
-        solver.nlp.scaling.to_solver(solver.nlp.lower)
-        + np.array([0.123456789, 0.3])[: len(solver.nlp.free)]
-    )
+def test_ends_are_rounded_to_a_share_of_their_errors_that_the_scatter_of_runs_does_not_reach():
+    z = np.array([0.623456789, 1.3])
     errors = np.geomspace(1e-5, 1.0, len(z))
-    rounded = []
+    ends = []
     for off in (0.0, 1e-4, -1e-4):
-        x = solver.nlp.scaling.to_parameters(z + off * errors)
-        rounded.append(shared._rounded(x, np.diag(1 / ((1 + off) * errors) ** 2)))
-        assert np.all(np.abs(rounded[-1] - z) <= 1e-4 * errors + np.minimum(0.051 * errors, 5.1e-4))
-    assert_array_equal(rounded[1], rounded[0])
-    assert_array_equal(rounded[2], rounded[0])
-    low = shared._rounded(
-        solver.nlp.lower, np.zeros((len(z), len(z)))
-    )  # nothing is known: it stays where it is
-    assert_allclose(low, solver.limits.low, atol=1e-3)
-    assert np.all(low >= solver.limits.low)
+        ends.append(rounded(z + off * errors, np.diag(1 / ((1 + off) * errors) ** 2)))
+        assert np.all(np.abs(ends[-1] - z) <= 1e-4 * errors + np.minimum(0.051 * errors, 5.1e-4))
+    assert_array_equal(ends[1], ends[0])
+    assert_array_equal(ends[2], ends[0])
+    unknown = rounded(z, np.zeros((2, 2)))  # the data show nothing: it stays where it is
+    assert_allclose(unknown, z, atol=1e-3)
+    assert rounded(z, None) is z
 
 
 def test_levels_end_where_excerpts_are_short_and_are_left_out_where_they_are_hardly_shorter():
     long = SharedRuns.of(solver_of(lag_problem(samples=2000), long_record=800))
     assert long is not None
-    assert [level.samples for level in long._levels] == [
+    assert [level.samples for level in long.levels] == [
         2000,
         pytest.approx(400, rel=0.1),
         pytest.approx(100, rel=0.1),
@@ -244,7 +220,7 @@ def test_a_search_runs_its_first_start_alone_and_starts_of_ones_own_as_they_are(
 
 def test_a_run_counts_the_iterations_of_its_whole_way(solver, starts, monkeypatch):
     shared, spent = SharedRuns.of(solver), []
-    for level in shared._levels:
+    for level in shared.levels:
 
         def counting(z, iterations=None, run_from=level.run_from, **near):
             outcome, hessian = run_from(z, iterations, **near)
@@ -253,7 +229,7 @@ def test_a_run_counts_the_iterations_of_its_whole_way(solver, starts, monkeypatc
 
         monkeypatch.setattr(level, "run_from", counting)
     outcome = shared.run(starts[1])
-    assert len(spent) == len(shared._levels) == 2
+    assert len(spent) == len(shared.levels) == 2
     assert min(spent) > 0
     assert outcome.iterations == sum(spent)
     assert shared.run(starts[1]).iterations == sum(spent[:2])
