@@ -9,7 +9,7 @@ from scipy import constants as c
 import greybox as gb
 from greybox.data.record import Record, Recording
 from greybox.logs.known_filters import LowPass as KnownLowPass
-from greybox.logs.prepare import Derived
+from greybox.logs.prepare import Derived, negative
 
 RANDOM = np.random.default_rng(0)
 
@@ -452,3 +452,13 @@ def test_a_parabola_is_interpolated_by_cubics_from_four_samples_on(samples):
     record = gb.prepare(recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20)
     expected = record.time**2 if samples >= 4 else np.interp(record.time, time, time**2)
     assert record["x"] == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_negative_of_a_computed_signal_is_computed_first():
+    time = stamps(50, 2)
+    log = recording(A=(time, {"x": 2 + time, "y": 3 * time}, {"x": "m", "y": "m"}))
+    area = Derived(("A.x", "A.y"), lambda x, y: x * y - x, "m²")
+    record = gb.prepare(log, {"a": area, "b": negative(area), "c": negative("A.x")}, rate=50)
+    assert record["b"] == pytest.approx(-(2 + record.time) * (3 * record.time - 1))
+    assert record["a"] == pytest.approx(-record["b"])
+    assert record.units == {"a": "m²", "b": "m²", "c": "m"}
