@@ -20,7 +20,6 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, Names
-from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
@@ -102,20 +101,6 @@ class RecordModel:
     def strategies(self) -> Strategies:
         """The settings of the solver."""
         return self.method.strategies
-
-    @one_thread_at_a_time
-    def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordModel":
-        """Return the model with other inputs between their samples."""
-        later = [new.late - now.late for new, now in zip(between, self.between, strict=True)]
-        z = ca.SX.sym("z", self.locate.numel_in(0))
-        q, slope, delay = self.locate(z)
-        return replace(
-            self,
-            between=between,
-            system=self.system.later(later),
-            locate=ca.Function("locate", [z], [q, slope, delay + ca.DM(later)]),
-            steps={},
-        )
 
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample, or return it where that was done before."""

@@ -27,7 +27,6 @@ from greybox.compiled.segmented_part import Along, Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
-from greybox.data.intersample import Intersample
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -85,10 +84,6 @@ class RecordPart(SegmentedPart):
         part = copy(self)
         part.weight = factor * self.weight
         return part
-
-    def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordPart":
-        """Return the part with other inputs between their samples."""
-        return self._like(self.model.with_inputs(between), self.data, self.substeps)
 
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":

@@ -291,7 +291,7 @@ def _fitted_from(
         search = _with_progress(run, progress, len(points))
         interrupted = stop_requested()
         nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts)
-        search = explained(nlp, search, solver)
+        search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         search = solver.polished(search)
     if not search.runs:
@@ -370,7 +370,7 @@ def assemble(
         costs=_all_costs(parts),
         runs=search.runs,
         minima=search.minima,
-        warnings=warnings(nlp, search, solver, accuracy, parts, trajectories, error),
+        warnings=warnings(nlp, search, accuracy, parts, trajectories, error),
         notes=notes(nlp, accuracy),
         seed=seed,
         starts=starts,

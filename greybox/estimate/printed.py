@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -95,11 +94,12 @@ def parameter_table(fit: Any) -> Table:
         ]
         return ["parameter", "value", *header[3:]], rows, (0, 2, 4, 5)
 
-    groups: dict[Any, list[Any]] = {}
-    own = _own_of_many(fit)
-    for q in fit.quantities:
-        groups.setdefault(own.get(q.name, q.name), []).append(q)
-    rows = [_row(alike[0]) if len(alike) == 1 else _row_of_many(alike) for alike in groups.values()]
+    # The parameters that each of many records has for itself would fill pages.
+    rows = [_row(q) for q in fit.quantities if not _is_of_later_record(q.name, len(fit.records))]
+    if len(rows) < len(fit.quantities):
+        rows.append(
+            [f"... and {len(fit.quantities) - len(rows)} more", *[""] * 5, "fit.quantities"]
+        )
     return header, rows, (0, 3, 5, 6)
 
 
@@ -200,22 +200,17 @@ def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
 
 
 def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
-    """Say how well every output of every record is reproduced; of many records the range and the worst three."""
+    """Say how well every output of every record is reproduced; of many records the range."""
     if len(records) <= MANY:
         return [_output_text(part, output) for part in records for output in part.outputs]
     texts = []
     for output in dict.fromkeys(output for part in records for output in part.outputs):
-        parts = [(k, part) for k, part in enumerate(records, start=1) if output in part.outputs]
-        residuals = [rms(part.residual(output)) for _, part in parts]
-        units = "/".join(dict.fromkeys(part.data.units.get(output, "") for _, part in parts))
-        percents = sorted((part.fit_percent(output), k, part.data.name) for k, part in parts)
-        worst = [
-            f"{percent:.1f} % in record {k}{f' ({name})' if name else ''}"
-            for percent, k, name in percents[:3]
-        ]
+        parts = [part for part in records if output in part.outputs]
+        percents = [part.fit_percent(output) for part in parts]
+        least = parts[percents.index(min(percents))].data.name
         texts.append(
-            f"{output} in {counted(len(parts), 'record')}: residual {_range(residuals)} {units}".rstrip()
-            + f" rms, fit {percents[0][0]:.1f} to {percents[-1][0]:.1f} % (least: {', '.join(worst)})"
+            f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to {max(percents):.1f} % "
+            f"(least in {least!r}), see fit.records"
         )
     return texts
 
@@ -273,37 +268,7 @@ def _bounds_and_note(q: Any) -> tuple[str, str]:
     return f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "AT BOUND" if q.at_bound else ""
 
 
-def _own_of_many(fit: Any) -> dict[str, tuple[str, str]]:
-    """Return name inside and kind of the parameters that more than ten records have each for itself."""
-    kinds = {q.name: q.kind for q in fit.quantities}
-    own = {
-        outside: (inside, kinds[outside])
-        for part in fit.records
-        for inside, outside in part.rename.items()
-        if outside in kinds and re.fullmatch(rf"{re.escape(inside)}_\d+", outside)
-    }
-    counts = Counter(own.values())
-    return {name: inside for name, inside in own.items() if counts[inside] > MANY}
-
-
-def _row_of_many(alike: Sequence[Any]) -> list[str]:
-    """Return one row for one parameter of many records."""
-    first = alike[0]
-    errors = [q.standard_error for q in alike if math.isfinite(q.standard_error)]
-    at_bound = sum(q.at_bound for q in alike)
-    bounds, note = _bounds_and_note(first)
-    return [
-        f"{first.name} ... {alike[-1].name}",
-        _range([q.value for q in alike]),
-        _range(errors) if errors else "-",
-        first.unit,
-        bounds if len({q.bounds for q in alike}) == 1 else "",
-        f"{at_bound} AT BOUND" if at_bound else note,
-        first.about,
-    ]
-
-
-def _range(values: Sequence[float]) -> str:
-    low = number(min(values), 3)
-    high = number(max(values), 3)
-    return low if low == high else f"{low} to {high}"
+def _is_of_later_record(name: str, records: int) -> bool:
+    """Tell whether a name ends with the number of a record beyond the third of many."""
+    number_of_record = re.search(r"_(\d+)$", name)
+    return records > MANY and number_of_record is not None and int(number_of_record[1]) > 3

@@ -180,7 +180,7 @@ class _Relative(Criterion):
         data: FrequencyResponse,
     ) -> Array:
         """Return the derivatives of the relative errors along and across the response, the normalization held."""
-        return _stack(
+        return stacked(
             sensitivity / (self.magnitude(model, data) * np.exp(1j * np.angle(model)))[:, None]
         )
 
@@ -216,7 +216,7 @@ class RelativeError(_Relative):
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ sqrt(|e|² + smoothing)."""
-        return _total(sqrt(_squares(self.errors(model, data)) + smoothing))
+        return total(sqrt(squared_magnitude(self.errors(model, data)) + smoothing))
 
     def size_of(self, errors: ComplexArray, correction: float) -> float:
         """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2) (1 - p/(π n))."""
@@ -256,7 +256,7 @@ class SquaredRelativeError(_Relative):
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ |e|²."""
-        return _total(_squares(self.errors(model, data)))
+        return total(squared_magnitude(self.errors(model, data)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,14 +291,14 @@ class RelativeLikelihood(Criterion):
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return the negative log-likelihood at the best variance, to which `smoothing` is added."""
-        size = _squares(model)
+        size = squared_magnitude(model)
         scale = np.abs(data.response) ** 2 if data.variance is None else data.variance
         variance = (
-            _total(_squares(model - data.response) / size) / len(data)
+            total(squared_magnitude(model - data.response) / size) / len(data)
             + smoothing
             + ROUNDING_VARIANCE
         )
-        return len(data) * (log(variance) + 1) + _total(log(size / scale))
+        return len(data) * (log(variance) + 1) + total(log(size / scale))
 
     def jacobian(
         self,
@@ -307,7 +307,7 @@ class RelativeLikelihood(Criterion):
         data: FrequencyResponse,
     ) -> Array:
         """Return the derivatives of the relative errors along and across the response, the normalization held."""
-        return _stack(sensitivity / model[:, None])
+        return stacked(sensitivity / model[:, None])
 
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
@@ -352,7 +352,7 @@ class MagnitudePhase(Criterion):
         """Return the weighted sum of squares."""
         ratio = (model / data.response).log()
         magnitude, phase = self._weights(data)
-        return _total(magnitude**2 * ratio.re**2 + phase**2 * ratio.im**2)
+        return total(magnitude**2 * ratio.re**2 + phase**2 * ratio.im**2)
 
     def jacobian(
         self,
@@ -445,11 +445,11 @@ class MaximumLikelihood(Criterion):
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return the sum of squared errors over their variances, or its equal where these were estimated."""
-        squares = _squares(model - data.response) / _variance(data)
+        squares = squared_magnitude(model - data.response) / _variance(data)
         if data.dof is None:
-            return _total(squares)
+            return total(squares)
         logarithm = np.log1p if isinstance(squares, np.ndarray) else ca.log1p
-        return _total((data.dof + 2) / 2 * logarithm(2 * squares / data.dof))
+        return total((data.dof + 2) / 2 * logarithm(2 * squares / data.dof))
 
     def jacobian(
         self,
@@ -464,7 +464,7 @@ class MaximumLikelihood(Criterion):
         weight = 1 / _variance(data)
         if data.dof is not None:
             weight = weight * data.dof / (data.dof + 2 * self._squares(model, data))
-        return _stack(sensitivity * (np.sqrt(weight) * np.exp(-1j * np.angle(model)))[:, None])
+        return stacked(sensitivity * (np.sqrt(weight) * np.exp(-1j * np.angle(model)))[:, None])
 
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
@@ -509,13 +509,16 @@ def _variance(data: FrequencyResponse) -> Array:
     return data.variance
 
 
-def _squares(value: Complex) -> Any:
+def squared_magnitude(value: Complex) -> Any:
+    """Return |value|² (n,), in numbers or in CasADi expressions."""
     return value.re**2 + value.im**2
 
 
-def _total(values: Any) -> Any:
+def total(values: Any) -> Any:
+    """Return the sum of values (n,), in numbers or in CasADi expressions."""
     return np.sum(values) if isinstance(values, np.ndarray) else ca.sum1(values)
 
 
-def _stack(values: ComplexArray) -> Array:
+def stacked(values: ComplexArray) -> Array:
+    """Return real parts above imaginary parts, (2n, ...)."""
     return np.vstack([values.real, values.imag])

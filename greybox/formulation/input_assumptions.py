@@ -1,8 +1,7 @@
-"""How the inputs of a record are taken to run between their samples, and what is said of it.
+"""How the inputs of a record run between their samples: held or interpolated.
 
-The samples do not tell whether an input is held or interpolated, so the record says it
-(`Record.hold`), or the user, or it is an assumption, which stands beside every result with its
-size.
+The samples do not show it. The record knows it (`Record.hold`), or the user states it, or it is an
+assumption, which every result states with its size.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,22 +30,22 @@ def between_samples(
     record: Record,
     assumed: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Intersample, ...]:
-    """Return how each of the named inputs of a record is taken to run between its samples.
+    """Return how each of the named inputs of a record runs between its samples.
 
-    Where neither `inputs` nor the record says it, `assumed` does (as `Record.hold`); otherwise it
-    is interpolated. Rows without a time have nothing between them.
+    Where neither `inputs` nor the record states it, `assumed` does (as `Record.hold`); otherwise
+    the input is interpolated. Rows without a time have nothing between them.
     """
     if not record.has_time:
         return tuple(Intersample(False) for _ in names)
-    stated = {"linear": CONTINUOUS, "held": HELD}
+    for_all = {"linear": CONTINUOUS, "held": HELD}
     holds = [
-        stated.get(inputs, record.hold.get(name, assumed.get(name, CONTINUOUS))) for name in names
+        for_all.get(inputs, record.hold.get(name, assumed.get(name, CONTINUOUS))) for name in names
     ]
     return tuple(intersample(hold, record.step) for hold in holds)
 
 
 def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> dict[str, str]:
-    """Say how every input is taken to run between its samples, and who says so; nothing of rows without a time."""
+    """Say how every input runs between its samples, and who states it; nothing for rows without a time."""
     if not record.has_time:
         return {}
     result = {}

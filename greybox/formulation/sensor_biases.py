@@ -14,48 +14,33 @@ from greybox.formulation.summand import Part, Summand
 def with_numbered_biases(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Return the parts with biases of one name numbered by the record, where more than one record has that name.
 
-    Parts of one record share its biases. A bias that a part renames, be it to its own name, or that
-    is fixed at an earlier fit, which knows it by its name, keeps that name, so that it can be
-    shared.
+    Parts of one record share its biases. A bias keeps its name, so that records can share it, where
+    a part renames it (also to its own name) or holds it at an earlier fit, which knows that name.
     """
     records = _record_numbers([part.data for part in parts])
-    new_names = _numbered_names(parts, records)
+    outside = [{part.outside(name) for name in part.declared} for part in parts]
+    taken = set().union(*outside)
+
+    numbered: dict[tuple[str, int], str] = {}
+    for part, record in zip(parts, records, strict=True):
+        for name in _unnamed_biases(part):
+            owners = {r for r, names in zip(records, outside, strict=True) if name in names}
+            if len(owners) > 1 and (name, record) not in numbered:
+                candidates = (f"{name}_{k}" for k in itertools.count(record))
+                new = next(candidate for candidate in candidates if candidate not in taken)
+                numbered[name, record] = new
+                taken.add(new)
 
     result = []
     for part, record in zip(parts, records, strict=True):
-        renamed = {
-            name: new_names[name, record]
-            for name in _unnamed_biases(part)
-            if (name, record) in new_names
-        }
+        names = [name for name in _unnamed_biases(part) if (name, record) in numbered]
+        renamed = {name: numbered[name, record] for name in names}
         result.append(part.with_(rename={**part.rename, **renamed}) if renamed else part)
     return tuple(result)
 
 
-def _numbered_names(parts: Sequence[Summand], records: Sequence[int]) -> dict[tuple[str, int], str]:
-    """Return the new names of biases, by their names and the numbers of the records that they belong to."""
-    unnamed = [_unnamed_biases(part) for part in parts]
-    outside = [{part.outside(name) for name in part.declared} for part in parts]
-    taken = set(itertools.chain(*outside))
-
-    result: dict[tuple[str, int], str] = {}
-    for name in dict.fromkeys(itertools.chain(*unnamed)):
-        holders = {record for record, names in zip(records, outside, strict=True) if name in names}
-        if len(holders) == 1:
-            continue
-        for record in sorted(
-            {record for record, names in zip(records, unnamed, strict=True) if name in names}
-        ):
-            candidates = (f"{name}_{k}" for k in itertools.count(record))
-            result[name, record] = next(
-                candidate for candidate in candidates if candidate not in taken
-            )
-            taken.add(result[name, record])
-    return result
-
-
 def _unnamed_biases(part: Summand) -> list[str]:
-    """Return the biases of a part that it neither renames nor holds at an earlier estimate."""
+    """Return the biases that a part neither renames nor holds at an earlier estimate."""
     biases = [
         name
         for name in part.declared
@@ -69,7 +54,7 @@ def _unnamed_biases(part: Summand) -> list[str]:
 
 
 def _record_numbers(data: Sequence[Any]) -> list[int]:
-    """Return the number of every record among the different ones, from 1; 0 for what is no record."""
+    """Return the number of every record among the different ones, from 1; 0 for other data."""
     different: list[Record] = []
     for item in data:
         if isinstance(item, Record) and not any(_is_same(item, record) for record in different):

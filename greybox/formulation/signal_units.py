@@ -9,85 +9,85 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import Conversion, are_of_one_kind, to_si
 from greybox.modeling.model import Model, pick_signals, require_known
 
-# Relative difference of two factors that is rounding of how they are written.
-ROUNDING = 1e-9
-
 
 def check_units(model: Model, data: Record | TransientSpectrum) -> None:
-    """Check that the signals of a record or a spectrum are in the units of the model, as far as both are known.
+    """Check that the signals of a record or a spectrum have the units of the model, where both are known.
 
     Raises
     ------
     ValueError
-        For the first signal in another unit, with what converts it.
+        For the first signal in another unit, with its conversion.
     """
     signals = (*model.input_names, *model.output_names)
-    require_known(
-        model.units, dict.fromkeys((*signals, *getattr(model, "states", ()))), "signal", model.label
-    )
+    known = dict.fromkeys((*signals, *getattr(model, "states", ())))
+    require_known(model.units, known, "signal", model.label)
+    noun = "record" if isinstance(data, Record) else "spectrum"
     for name in dict.fromkeys(signals):
-        declared, given = model.units.get(name, "").strip(), data.units.get(name, "").strip()
-        if not declared or not given or name not in data.signals:
+        if name not in data.signals:
             continue
-        wanted, found = _known(declared), _known(given)
-        if wanted is None or found is None:
+        place = f"the {noun} {data.name!r}"
+        conversion = _conversion(model, name, data.units.get(name, ""), name, place)
+        if conversion is None:
             continue
-        noun = "record" if isinstance(data, Record) else "spectrum"
-        where = (
-            f"{name} is in {given} in the {noun} {data.name!r} and in {declared} in {model.label}"
+        where, factor, zero = conversion
+        if not isinstance(data, Record):
+            raise ValueError(f"{where}: convert the record that the spectrum was made of.")
+        converted = f"{factor:.10g} * record[{name!r}]" + (f" + {zero:.10g}" if zero else "")
+        unit = model.units[name].strip()
+        raise ValueError(
+            f"{where}: convert it, record.with_signals(units={{{name!r}: {unit!r}}}, {name}={converted})."
         )
-        if not are_of_one_kind(wanted, found):
-            raise ValueError(
-                f"{where}: these are different quantities, correct the unit or give the right signal."
-            )
-        factor = found.factor / wanted.factor
-        zero = (found.zero - wanted.zero) / wanted.factor
-        if not math.isclose(factor, 1.0, rel_tol=ROUNDING) or abs(zero) > ROUNDING:
-            converted = f"{factor:.10g} * record[{name!r}]" + (f" + {zero:.10g}" if zero else "")
-            if not isinstance(data, Record):
-                raise ValueError(f"{where}: convert the record that the spectrum was made of.")
-            raise ValueError(
-                f"{where}: convert it, record.with_signals(units={{{name!r}: {declared!r}}}, {name}={converted})."
-            )
 
 
 def check_response_units(model: Model, response: FrequencyResponse) -> None:
-    """Check that a response is in the units that the model declares for its pair, as far as both are known.
+    """Check that a response has the units of the model for its pair, where both are known.
 
     Raises
     ------
     ValueError
-        For the first signal in another unit, with what converts the response.
+        For the first signal in another unit.
     """
-    names = pick_signals(model, response.input, response.output)
-    for name, given_name, what in zip(
-        names, (response.input, response.output), ("input", "output"), strict=True
-    ):
-        declared, given = (
-            model.units.get(name, "").strip(),
-            response.units.get(given_name, "").strip(),
-        )
-        wanted, found = _known(declared) if declared else None, _known(given) if given else None
-        if wanted is None or found is None:
-            continue
-        where = (
-            f"the {what} {name} is in {given} in the response and in {declared} in {model.label}"
-        )
-        if not are_of_one_kind(wanted, found):
-            rate = found.si != "1" and are_of_one_kind(wanted, to_si(f"{found.si}*s"))
-            cure = (
-                "take the model of the rate, or response.over_s()"
-                if rate
-                else "give the right signal"
-            )
-            raise ValueError(f"{where}: these are different quantities, {cure}.")
-        factor = found.factor / wanted.factor
-        if not math.isclose(factor, 1.0, rel_tol=ROUNDING):
+    pair = pick_signals(model, response.input, response.output)
+    names = {"input": response.input, "output": response.output}
+    for name, (noun, in_response) in zip(pair, names.items(), strict=True):
+        unit = response.units.get(in_response, "")
+        rate_cure = "take the model of the rate, or response.over_s()"
+        conversion = _conversion(model, name, unit, f"the {noun} {name}", "the response", rate_cure)
+        if conversion is not None:
+            where, *_ = conversion
+            declared = model.units[name].strip()
             raise ValueError(f"{where}: measure it in {declared}, as gb.prepare does from logs.")
 
 
+def _conversion(
+    model: Model, name: str, unit: str, label: str, place: str, rate_cure: str = ""
+) -> tuple[str, float, float] | None:
+    """Return where a unit is not that of the model, and factor and zero of the conversion; None where it is.
+
+    Raises
+    ------
+    ValueError
+        If the units are those of different quantities.
+    """
+    declared = model.units.get(name, "").strip()
+    unit = unit.strip()
+    wanted, measured = _known(declared), _known(unit)
+    if wanted is None or measured is None:
+        return None
+    where = f"{label} is in {unit} in {place} and in {declared} in {model.label}"
+    if not are_of_one_kind(wanted, measured):
+        is_rate = measured.si != "1" and are_of_one_kind(wanted, to_si(f"{measured.si}*s"))
+        cure = rate_cure if is_rate and rate_cure else "correct the unit or give the right signal"
+        raise ValueError(f"{where}: these are different quantities, {cure}.")
+    factor = measured.factor / wanted.factor
+    zero = (measured.zero - wanted.zero) / wanted.factor
+    # 1e-9: rounding of how the factors are written.
+    is_same = math.isclose(factor, 1.0, rel_tol=1e-9) and abs(zero) <= 1e-9
+    return None if is_same else (where, factor, zero)
+
+
 def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResponse:
-    """Return the response without names, of the model's only pair, so that fits of other models have the same data.
+    """Return the response of the model's only pair without names, so that fits of other models have the same data.
 
     Raises
     ------
@@ -110,7 +110,9 @@ def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResp
 
 
 def _known(unit: str) -> Conversion | None:
-    """Return what a unit is in SI; None for one that is not known, with which nothing can be compared."""
+    """Return the conversion of a unit to SI; None for no unit or an unknown one."""
+    if not unit:
+        return None
     try:
         return to_si(unit)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Where the runs begin: Sobol points, Latin hypercube, uniform draws, or a list of one's own."""
+"""Where the runs begin: Sobol points, a Latin hypercube, or a list."""
 
 import math
 from abc import ABC, abstractmethod
@@ -117,15 +117,6 @@ class LatinHypercube(RandomStarts):
         from scipy.stats import qmc  # noqa: PLC0415  (scipy.stats takes a third of a second to import)
 
         return qmc.LatinHypercube(size, rng=np.random.default_rng(self.seed)).random(self.number)
-
-
-@dataclass(frozen=True)
-class Uniform(RandomStarts):
-    """Independent uniform draws."""
-
-    def unit_points(self, size: int) -> Array:
-        """Return uniform draws."""
-        return np.random.default_rng(self.seed).random((self.number, size))
 
 
 @dataclass(frozen=True)

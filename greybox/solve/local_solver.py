@@ -105,13 +105,6 @@ class LocalSolver(Runner):
         """Compare the starts (r, p) at low cost; None where they cannot be."""
         return None
 
-    def lost_beyond(self, x: Array, nodes: Sequence[Array]) -> tuple[Trajectory, ...] | None:
-        """Return where the shortest step from an end leads at which the model is not finite; None where there is none.
-
-        `x` (p,) and `nodes` are where a run ended.
-        """
-        return None
-
     def judged(self, estimates: Array) -> tuple[Array, Any] | None:
         """Return costs (r,) and signatures (r, m) at the ends (r, p) of runs; None where the runs leave them."""
         return None

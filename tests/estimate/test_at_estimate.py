@@ -1,4 +1,4 @@
-"""The model of a fit at its estimate, and rows of the table of many records."""
+"""The model of a fit at its estimate: covariance of what follows from it, and the part that is meant."""
 
 from types import SimpleNamespace
 
@@ -8,41 +8,6 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.estimate.at_estimate import part_index, propagated
-from greybox.estimate.printed import parameter_table
-from greybox.estimate.result import Quantity
-
-
-def quantity(name, value=2.0, error=0.1, kind="free", **more):
-    return Quantity(name, value, error, kind, "s", f"of {name}", (0.0, 9.0), **more)
-
-
-def test_rows_of_the_table_and_one_for_what_many_records_have_each_for_itself():
-    lines = [
-        quantity("k"),
-        quantity("c", 9.0, np.nan, at_bound=True),
-        quantity("f", 3.0, 0.0, "fixed"),
-        *(quantity(f"b_{k}", k / 10, 0.01 * k, at_bound=k == 3) for k in range(1, 12)),
-    ]
-    records = [SimpleNamespace(rename={"b": f"b_{k}", "k": "k"}) for k in range(1, 12)]
-    _, rows, _ = parameter_table(SimpleNamespace(quantities=lines, records=records, converged=True))
-    assert rows[0] == ["k", "2.00", "0.10", "s", "[0, 9]", "", "of k"]
-    assert rows[1][0] == "c"
-    assert rows[1][3:] == ["s", "[0, 9]", "AT BOUND", "of c"]
-    assert rows[2][3:] == ["s", "", "fixed", "of f"]
-    assert rows[3] == [
-        "b_1 ... b_11",
-        "0.1 to 1.1",
-        "0.01 to 0.11",
-        "s",
-        "[0, 9]",
-        "1 AT BOUND",
-        "of b_1",
-    ]
-    assert len(rows) == 4
-    _, few, _ = parameter_table(
-        SimpleNamespace(quantities=lines, records=records[:10], converged=True)
-    )
-    assert len(few) == 14
 
 
 def test_what_depends_on_the_unknown_is_unknown():

@@ -123,21 +123,6 @@ def test_an_estimate_leaves_no_best_effort():
     assert fit.best_effort is None
 
 
-def test_runs_that_end_at_the_edge_of_a_root_say_so():
-    fit = gb.fit(
-        gb.Problem(
-            Root(), gb.Record(TIME, {"u": U, "y": NOISE - 1}), gb.OutputError(inputs="held")
-        ),
-        starts=2,
-        progress=False,
-    )
-    assert not fit.converged
-    assert all(run.reason == "next to where the derivative of h is not finite" for run in fit.runs)
-    assert "next to where the derivative of h is not finite" in fit.status
-    assert any("is not finite at" in text and "where h = -" in text for text in fit.warnings)
-    assert fit.best_effort is not None
-
-
 def test_a_saved_failure_keeps_its_best_effort(tmp_path):
     fit = unfinished()
     gb.save(fit, tmp_path / "failed.h5")

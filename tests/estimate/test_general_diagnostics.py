@@ -328,3 +328,31 @@ def test_the_error_of_an_approximate_delay_is_that_of_its_phase():
     problem = gb.Problem(Delay(), gb.FrequencyResponse(omega, np.ones(3)), delay="pade:1")
     assert pade_error(problem, {"T": 0.4}) == pytest.approx(np.degrees(2.0 - 2 * np.arctan(1.0)))
     assert pade_error(problem.with_(delay="exact"), {"T": 0.4}) is None
+
+
+@pytest.mark.parametrize(
+    ("criterion", "columns", "said"),
+    [
+        (
+            None,
+            {"variance": np.full(20, 0.1)},
+            "the variances of 'sines' are not used: MaximumLikelihood()",
+        ),
+        (
+            None,
+            {"coherence": np.full(20, 0.9)},
+            "the coherence of 'sines' is not used: MagnitudePhase()",
+        ),
+        (gb.MagnitudePhase(), {"coherence": np.full(20, 0.9), "variance": np.full(20, 0.1)}, ""),
+        (gb.MaximumLikelihood(), {"variance": np.full(20, 0.1)}, ""),
+        (gb.RelativeLikelihood(), {"coherence": np.full(20, 0.9)}, ""),
+        (None, {}, ""),
+    ],
+)
+def test_what_the_criterion_does_not_use_is_mentioned(criterion, columns, said, tmp_path):
+    data = measured(Lag(), np.geomspace(0.5, 20, 20), noise=0.05, columns=columns, name="sines")
+    fit = gb.fit(gb.Problem(Lag(), data, criterion), starts=1)
+    found = [text for text in fit.notes if "not used" in text]
+    assert [text[: len(said)] for text in found] == ([said] if said else [])
+    gb.save(fit, tmp_path / "fit.h5")
+    assert gb.load(tmp_path / "fit.h5").notes == fit.notes

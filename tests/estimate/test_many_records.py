@@ -48,16 +48,13 @@ def fit():
 
 def test_the_text_of_many_records_is_a_summary(fit):
     text = str(fit)
-    assert len(text.splitlines()) < 20
+    assert len(text.splitlines()) < 25
     (output,) = [line for line in text.splitlines() if line.startswith("  output")]
     percents = [part.fit_percent("x") for part in fit.records]
     assert f"x in {COUNT} records" in output
     assert f"fit {min(percents):.1f} to {max(percents):.1f} %" in output
-    assert f"least: {percents[POOR - 1]:.1f} % in record {POOR} (run {POOR})" in output
-    (row,) = [line for line in text.splitlines() if line.startswith("  c_1 ")]
-    values = [fit.estimate[f"c_{k}"] for k in range(1, COUNT + 1)]
-    assert f"c_1 ... c_{COUNT}" in row
-    assert f"{min(values):.3g} to {max(values):.3g}" in row
+    assert f"least in 'run {POOR}'" in output
+    assert f"... and {COUNT - 3} more" in text
     assert len(fit.quantities) == COUNT + 1  # where each can be looked up
 
 

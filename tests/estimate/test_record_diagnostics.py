@@ -14,7 +14,6 @@ from greybox.estimate.diagnostics.records import (
     colored_predictions,
     hidden_errors,
     successive_correlation,
-    unequal_weights,
     unexplained_outputs,
 )
 from greybox.statistics.metrics import feedback_correlation, whiteness
@@ -251,29 +250,6 @@ def test_an_output_that_is_noise_is_said_to_be_so():
     assert "looks like noise" in text
 
 
-def test_records_of_one_sensor_that_weigh_very_differently_are_told():
-    """One of the records has a disturbance that the model does not know, which its variance hides."""
-    clean, other = driven(300), driven(300, seed=1)
-    disturbed = other.with_signals(y=other["y"] + np.sin(np.arange(300) / 15))
-    disturbed = gb.Record(disturbed.time, disturbed.signals, name="disturbed")
-    found = gb.fit(gb.several(Late(), [clean, disturbed], criterion=HELD), starts=2, progress=False)
-    (text,) = said(found, "fitted standard deviation")
-    sigma = [float(np.sqrt(part.noise[0, 0])) for part in found.records]
-    assert text.startswith(
-        f"the fitted standard deviation of y is {sigma[1]:.2g} in 'disturbed' and {sigma[0]:.2g} in"
-    )
-    assert f"weighs {float(f'{(sigma[1] / sigma[0]) ** 2:.2g}'):g} times as much" in text
-    residuals = np.concatenate([part.residual("y") for part in found.records])
-    common = float(np.sqrt(np.nanmean(residuals**2)))
-    equal = gb.OutputError(inputs="held", noise={"y": common})
-    cured = gb.fit(
-        gb.several(Late(), [clean, disturbed], criterion=equal), starts=2, progress=False
-    )
-    assert not said(cured, "fitted standard deviation")
-    alike = gb.fit(gb.several(Late(), [clean, other], criterion=HELD), starts=2, progress=False)
-    assert not said(alike, "fitted standard deviation")
-
-
 class Limited(gb.StateSpace):
     """A lag whose sensor ends at a limit, and a leak above a level."""
 
@@ -436,32 +412,6 @@ def test_a_record_that_is_too_short_to_exclude_a_drift_says_so(n, hides):
     found = fit(Late(), driven(n), starts=1, fixed={"d": 0.02})
     assert any("hides slow errors" in note for note in found.notes) == hides
     assert not said(found, "slow errors")
-
-
-@pytest.mark.parametrize(
-    ("most", "weighs"), [(0.49, None), (0.51, 26), (0.99e5, 9.8e11), (1.1e5, None)]
-)
-def test_records_weigh_differently_from_five_standard_deviations_to_where_there_is_no_noise(
-    most, weighs
-):
-    records = [
-        SimpleNamespace(
-            outputs=("y",),
-            noise=np.diag([deviation**2]),
-            data=SimpleNamespace(name=name),
-            residual=lambda output, value=value: np.array([value]),
-        )
-        for name, deviation, value in (
-            ("most", most, 1.0),
-            ("least", 0.1, 1.0),
-            ("empty", 0.01, np.nan),
-        )
-    ]
-    texts = [*unequal_weights(records)]
-    assert len(texts) == (weighs is not None)
-    if texts:
-        assert f"{most:.2g} in 'most' and 0.1 in 'least'" in texts[0]
-        assert f"weighs {weighs:g} times as much" in texts[0]
 
 
 def test_the_correlation_of_successive_residuals_is_over_pairs_that_are_both_there():

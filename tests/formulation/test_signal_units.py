@@ -136,8 +136,8 @@ def response(input="F", output="theta", **units):
         ),
         (
             {"theta": "m"},
-            "the output theta is in m in the response and in rad in Gain: these are different quantities, give the "
-            "right signal.",
+            "the output theta is in m in the response and in rad in Gain: these are different quantities, correct "
+            "the unit or give the right signal.",
         ),
     ],
 )

@@ -13,7 +13,7 @@ BOXES = {
     "b": gb.Parameter(1.0, bounds=(-10, 10), starts=(1, 2)),
     "c": gb.Parameter(1.0, bounds=(1e-4, 1e4), scale="log"),
 }
-RULES = [gb.solve.Sobol, gb.solve.LatinHypercube, gb.solve.Uniform]
+RULES = [gb.solve.Sobol, gb.solve.LatinHypercube]
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
 
 
@@ -68,20 +68,20 @@ def test_a_listed_point_outside_its_bounds_is_refused():
 
 def test_a_rule_has_its_own_seed_and_says_so():
     assert (
-        str(as_starts([{"a": 2.0}, gb.solve.Uniform(3, seed=9)]))
-        == "1 listed + 3 by Uniform, seed 9"
+        str(as_starts([{"a": 2.0}, gb.solve.LatinHypercube(3, seed=9)]))
+        == "1 listed + 3 by LatinHypercube, seed 9"
     )
-    assert as_starts([{"a": 2.0}, gb.solve.Uniform(3, seed=9)]).seed == 9
+    assert as_starts([{"a": 2.0}, gb.solve.LatinHypercube(3, seed=9)]).seed == 9
     with pytest.raises(
         ValueError, match=r"seed = 4 goes with a number of starts: give it to the rule"
     ):
-        as_starts(gb.solve.Uniform(3, seed=9), seed=4)
+        as_starts(gb.solve.LatinHypercube(3, seed=9), seed=4)
 
 
 def test_a_list_mixes_points_and_rules_in_its_order():
-    points = as_starts([{"a": 2.0}, gb.solve.Uniform(3, seed=9), {}]).draw(BOXES)
+    points = as_starts([{"a": 2.0}, gb.solve.LatinHypercube(3, seed=9), {}]).draw(BOXES)
     assert_array_equal(points[0], [2, 1, 1])
-    assert_array_equal(points[1:4], gb.solve.Uniform(3, seed=9).draw(BOXES))
+    assert_array_equal(points[1:4], gb.solve.LatinHypercube(3, seed=9).draw(BOXES))
     assert_array_equal(points[4], [0, 1, 1])
 
 
@@ -168,6 +168,6 @@ def test_an_error_is_a_probability(error):
     assert gb.solve.UntilFoundAgain(error=0.5) == gb.solve.UntilFoundAgain(10_000, 0, 0.5)
 
 
-@pytest.mark.parametrize("rule", [gb.solve.Sobol, gb.solve.LatinHypercube, gb.solve.Uniform])
+@pytest.mark.parametrize("rule", [gb.solve.Sobol, gb.solve.LatinHypercube])
 def test_the_seed_is_zero_unless_it_is_given(rule):
     assert_array_equal(rule(8).draw(BOXES), rule(8, seed=0).draw(BOXES))

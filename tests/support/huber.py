@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import casadi as ca
 import numpy as np
 
 import greybox as gb
+from greybox.formulation.frequency_criteria import squared_magnitude, stacked, total
 
 
 @dataclass(frozen=True)
@@ -19,15 +19,14 @@ class Huber(gb.Criterion):
 
     def cost(self, model: Any, data: Any, smoothing: Any = 0.0) -> Any:
         error = (model - data.response) / np.abs(data.response)
-        size = gb.sqrt(error.re**2 + error.im**2 + smoothing)
+        size = gb.sqrt(squared_magnitude(error) + smoothing)
         values = gb.where(
             size <= self.threshold, size**2 / 2, self.threshold * (size - self.threshold / 2)
         )
-        return np.sum(values) if isinstance(values, np.ndarray) else ca.sum1(values)
+        return total(values)
 
     def jacobian(self, model: Any, sensitivity: Any, data: Any) -> Any:
-        relative = sensitivity / np.abs(data.response)[:, None]
-        return np.vstack([relative.real, relative.imag])
+        return stacked(sensitivity / np.abs(data.response)[:, None])
 
     def spread(self, model: Any, data: Any, correction: float) -> Any:
         error = np.abs((model - data.response) / data.response)

@@ -25,7 +25,6 @@ from greybox.estimate.diagnostics.identifiability import (
 )
 from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_noise, unused_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
-from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, hidden_errors, record_warnings
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.solve.discretization_error import DiscretizationError
@@ -38,7 +37,7 @@ def warnings_of_failure(
 ) -> tuple[str, ...]:
     """Return the warnings of a fit of which no run converged."""
     return (
-        *not_finite_warnings(nlp, search, solver),
+        *not_finite_warnings(nlp, search),
         *failure_warnings(nlp, search, solver),
         *finding_warnings(nlp),
     )
@@ -47,7 +46,6 @@ def warnings_of_failure(
 def warnings(
     nlp: CompiledProblem,
     search: Multistart,
-    solver: LocalSolver,
     accuracy: Accuracy,
     parts: Sequence[FittedPart],
     trajectories: Sequence[Trajectory],
@@ -57,7 +55,7 @@ def warnings(
     best = search.minima[0]
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     return (
-        *not_finite_warnings(nlp, search, solver),
+        *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *discretization_warnings(nlp, trajectories, error),
         *record_warnings(nlp, parts, trajectories, accuracy),
@@ -75,7 +73,6 @@ def warnings(
         *unlikely_noise(nlp, trajectories),
         *correlated_frequencies(nlp, best.estimate, accuracy),
         *discontinuous_costs(nlp),
-        *outlying_points(nlp, best.estimate),
     )
 
 

@@ -14,12 +14,9 @@ from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
-from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.outcome import NOT_FINITE, Run
+from greybox.solve.outcome import NOT_FINITE
 from greybox.solve.runs import Runs
-
-EDGE = "next to where"  # begins the reason of a run beyond whose end the model is not finite
 
 
 @dataclass(frozen=True)
@@ -39,31 +36,18 @@ class Trouble:
     cure: str = ""
 
 
-def explained(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Multistart:
+def explained(nlp: CompiledProblem, search: Multistart) -> Multistart:
     """Return the search with a reason for every run that met a value that is not finite."""
     reasons = search.runs.reason.copy()
     for run in _not_finite(search.runs):
         trouble = _trouble(nlp, run.start) or _trouble(nlp, run.estimate)
         reasons[run.index] = run.reason if trouble is None else trouble.what
-    for run in search.runs if search.ends else ():
-        trouble = None if reasons[run.index] else _beyond(nlp, solver, search, run)
-        if trouble is not None:
-            reasons[run.index] = f"{EDGE} {trouble.what.partition(',')[0]} is not finite"
     return replace(search, runs=replace(search.runs, reason=reasons))
 
 
-def not_finite_warnings(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
-) -> Iterator[str]:
-    """Explain the first run that stopped at an edge, and, where most runs failed, the first that could not begin."""
-    runs = search.runs
-    stopped = next((run for run in runs[runs.reason != ""] if run.reason.startswith(EDGE)), None)
-    if stopped is not None:
-        trouble = _beyond(nlp, solver, search, stopped)
-        if trouble is not None and trouble.cure:
-            yield f"run {stopped.index} ended {EDGE} {trouble.why}: {trouble.cure}."
-
-    failed = [run for run in _not_finite(runs) if run.reason]
+def not_finite_warnings(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
+    """Explain the first run that could not begin, where most runs failed."""
+    failed = [run for run in _not_finite(search.runs) if run.reason]
     if failed and search.converged < 0.5 * len(search.brought):
         trouble = _trouble(nlp, failed[0].start)
         if trouble is not None and trouble.cure:
@@ -72,21 +56,6 @@ def not_finite_warnings(
 
 def _not_finite(runs: Runs) -> Runs:
     return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
-
-
-def _beyond(
-    nlp: CompiledProblem, solver: LocalSolver, search: Multistart, run: Run
-) -> Trouble | None:
-    """Return the trouble of the next step of an unfinished run."""
-    nodes = search.ends[run.index]
-    if nodes is None or not np.all(np.isfinite(run.estimate)):
-        return None
-    with np.errstate(all="ignore"):
-        trajectories = solver.lost_beyond(run.estimate, nodes) or ()
-        for part, trajectory in zip(nlp.parts, trajectories, strict=False):
-            if isinstance(part, RecordPart) and not trajectory.finite:
-                return _located(part, trajectory)
-    return None
 
 
 def _values(nlp: CompiledProblem, start: Array) -> str:

@@ -62,7 +62,6 @@ def record_warnings(
         *once(_bounded(nlp, trajectories, alone=alone)),
         *once(finding for part, _ in pairs for finding in _masked(nlp, part)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
-        *unequal_weights([answer for part, answer in pairs if part.covariance.known is None]),
     )
 
 
@@ -261,25 +260,3 @@ def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
         return
     inputs = dict.fromkeys(name for part in parts for name in part.system.inputs)
     yield f"the inputs never change ({', '.join(inputs)}): only the free response is informative."
-
-
-def unequal_weights(records: Sequence[FittedRecord]) -> Iterator[str]:
-    """Warn where the estimated variances of one output differ so much that some records hardly count."""
-    for output in dict.fromkeys(name for part in records for name in part.outputs):
-        deviations = sorted(
-            (float(np.sqrt(part.noise[k, k])), part.data.name or part.name)
-            for part in records
-            if output in part.outputs
-            for k in [part.outputs.index(output)]
-            if np.isfinite(part.residual(output)).any()
-        )
-        if len(deviations) < 2:
-            continue
-        (least, low), (most, high) = deviations[0], deviations[-1]
-        ratio = most / max(least, 1e-300)
-        if 5 < ratio < 1e6:  # beyond, the smaller one is a rounding error: there is no noise
-            yield (
-                f"the fitted standard deviation of {output} is {most:.2g} in {high!r} and {least:.2g} in {low!r}, so "
-                f"that a sample of {low!r} weighs {float(f'{ratio**2:.2g}'):g} times as much. If the sensor is the "
-                f"same, give all records one standard deviation, noise={{{output!r}: ...}}."
-            )

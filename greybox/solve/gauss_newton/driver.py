@@ -21,8 +21,6 @@ from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
 from greybox.solve.gauss_newton.homotopy import EXACT, Progress, relaxed
 from greybox.solve.gauss_newton.iterate import Iterate, Nodes
 from greybox.solve.gauss_newton.iteration import CONVERGED, descend
-from greybox.solve.gauss_newton.line_search import REDUCTION, SHORTEST_STEP
-from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.polishing import polished
 from greybox.solve.gauss_newton.screening import Screening, distinct
 from greybox.solve.gauss_newton.sharpening import is_blurred, sharpened
@@ -323,27 +321,6 @@ class GaussNewton(LocalSolver):
         except np.linalg.LinAlgError:
             return None
         return self._parts.split(end.iterate)
-
-    @DIVERGING
-    def lost_beyond(self, x: Array, nodes: Nodes) -> tuple[Trajectory, ...] | None:
-        """Return where the shortest step from an end leads at which the model is not finite; None without one."""
-        parts, iterate = self._parts, self._at(x, nodes)
-        if not iterate.finite:
-            return parts.split(iterate)
-        try:
-            linearizations = parts.linearize(iterate, parts.residual_weights(iterate))
-            step = gauss_newton_step(parts, iterate, linearizations, EXACT)
-        except np.linalg.LinAlgError:
-            return None
-
-        lost, length = None, 1.0
-        while length > SHORTEST_STEP:
-            trial = parts.moved(iterate, step, length)
-            if trial.finite:
-                break
-            lost = parts.split(trial)
-            length *= REDUCTION
-        return lost
 
     # --- the solver's variables
 
