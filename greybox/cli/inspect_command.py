@@ -3,7 +3,6 @@
 import argparse
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
@@ -16,7 +15,6 @@ from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
 from greybox.logs.segment_detection import announcing
-from greybox.spectral.vibration import vibration, vibration_table
 
 EXAMPLES = (
     "flight.BIN",
@@ -53,18 +51,7 @@ def run(options: argparse.Namespace) -> Answer:
     found += f"\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else ""
     findings = [f"  {finding}" for finding in recording.findings]
     notes = save_figure(options.plot, lambda: _figure(recording, (*segments, *manoeuvres)))
-    shaking = [
-        one
-        for name, record in recording.items()
-        if name.startswith("ISBD[")
-        for one in vibration(name, record)
-    ]
-    parts = [
-        _about(recording),
-        _contents(recording),
-        *([vibration_table(shaking)] if shaking else []),
-        found,
-    ]
+    parts = [_about(recording), _contents(recording), found]
     text = "\n\n".join(parts) + "\n" + "\n".join([*findings])
 
     answer = {
@@ -75,7 +62,6 @@ def run(options: argparse.Namespace) -> Answer:
         "armed": [list(span) for span in recording.metadata.get("armed", ())],
         "messages": [_message(name, record) for name, record in recording.items()],
         "segments": [segment_as_json(segment) for segment in segments],
-        "vibration": [asdict(one) for one in shaking],
         "manoeuvres": [segment_as_json(segment) for segment in manoeuvres],
         "findings": list(recording.findings),
     }

@@ -13,8 +13,6 @@ Sweeps, noise and multisines
     several inputs at once; `uniform_stretches` cuts records at gaps.
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
     `transients` has their Fourier integrals, which are data of a `Problem`.
-Vibration
-    `vibration` finds its size and its frequencies in raw samples of an IMU.
 Before the fit
     `test_quality` judges whether a test is worth one; `saturation` finds samples at a limit.
 """

@@ -123,34 +123,6 @@ def flight(seconds=4.0, rate=100.0, start=10.0, lanes=2, seed=0):
     return log
 
 
-BATCH_RATE, BATCH = 1000.0, 512
-
-
-def imu_batches(batches=4, sequence=None):
-    """Batches of a gyro that shakes at 87 Hz in x, at 87 and 174 Hz in y, and an accelerometer, in turn."""
-    made = Log()
-    made.fmt("ISBH", "QHBBHHQf", "TimeUS,N,type,instance,mul,smp_cnt,SampleUS,smp_rate")
-    made.fmt("ISBD", "QHHaaa", "TimeUS,N,seqno,x,y,z")
-    made.fmt("ATT", "Qcc", "TimeUS,Roll,Pitch")
-    rng = np.random.default_rng(0)
-    for number in range(batches):
-        start = 10.0 + number
-        kind = (1 + number) % 2
-        t = start + np.arange(BATCH) / BATCH_RATE
-        x = 0.2 * np.sin(2 * np.pi * 87 * t)
-        y = 0.1 * np.sin(2 * np.pi * 87 * t) + 0.05 * np.sin(2 * np.pi * 174 * t)
-        values = np.array([x, y, 0 * t]) + 0.005 * rng.normal(size=(3, BATCH))
-        raw = np.round(values * 900).astype("<i2")
-        at = round((start + 0.6) * 1e6)
-        made.add("ISBH", at, number, kind, 0, 900, BATCH, round(start * 1e6), BATCH_RATE)
-        for k in sequence or range(BATCH // 32):
-            made.add(
-                "ISBD", at + k, number, k, *(row[32 * k : 32 * k + 32].tobytes() for row in raw)
-            )
-        made.add("ATT", at + 100, 0.0, 1.0)
-    return made
-
-
 def tlog(packets, first=False):
     """Return a telemetry log of (µs since 1970, system, component, message), in MAVLink 2 or in its first version."""
     out, sequence = io.BytesIO(), 0
@@ -353,7 +325,6 @@ def samples():
             log.binary,
             cut.read_bytes(),
             flight(seconds=0.2).binary,
-            imu_batches(batches=2).binary,
         ],
         ".log": [log.text.encode()],
         ".tlog": [tlog(packets), tlog(packets, first=True)],

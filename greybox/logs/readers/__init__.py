@@ -10,7 +10,6 @@ loads neither pymavlink nor h5py nor scipy.
 | `dataflash_index` | positions of the messages in a binary ArduPilot log |
 | `dataflash_text` | ArduPilot logs, text |
 | `dataflash_units` | unit tables of ArduPilot logs |
-| `imu_batches` | raw samples of the IMU in ArduPilot logs |
 | `ardupilot_metadata` | vehicle, firmware, parameters, modes and arming of ArduPilot logs |
 | `telemetry` | MAVLink telemetry logs |
 | `telemetry_packets` | packets in a telemetry log |

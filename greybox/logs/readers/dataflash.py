@@ -21,13 +21,12 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.imu_batches import HEADER, with_batches
 from greybox.logs.readers.mapped_file import release
 from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
 # About the log or the vehicle: no time histories.
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")
-ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV", HEADER)  # metadata, read whatever is requested
+ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, read whatever is requested
 TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
 ARRAY = 32  # numbers in a field of the letter a
@@ -75,7 +74,6 @@ def recording(
     groups, assumed = with_usual_units(log.groups)
     log.groups.clear()
     groups, conflicts = merged(groups)
-    groups, incomplete = with_batches(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
     metadata = ardupilot_metadata.metadata(groups, span)
     missing = _missing({g.name for g in groups}, messages)
@@ -86,7 +84,7 @@ def recording(
         raise ValueError(
             f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again."
         )
-    findings = (*findings, *conflicts, *incomplete, *restarts, *missing, *problems, *assumed)
+    findings = (*findings, *conflicts, *restarts, *missing, *problems, *assumed)
     return Recording(by_name, path.name, checksum, metadata, findings)
 
 
