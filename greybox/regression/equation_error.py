@@ -30,7 +30,7 @@ from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
-from greybox.regression.smoothing import regular
+from greybox.regression.smoothing import require_uniform
 from greybox.regression.variable_projection import Projection, project
 
 
@@ -167,7 +167,7 @@ def equation_error(
     model : Model
         Met by the names of inputs, states and outputs.
     record : Record
-        Uniform but for gaps; NaN marks missing samples. Every input must be there.
+        Uniform but for gaps, with every input; NaN marks missing samples.
     fixed : mapping of name to value
         Parameters held constant.
     free : sequence of str
@@ -194,7 +194,7 @@ def equation_error(
         raise ValueError(f"{model.label} has no free parameter here: name some with free=(...).")
 
     system = dynamics(model)
-    record = regular(record)
+    require_uniform(record.time)
     _require_motion(model, system, record)
     start = np.array([p.start for p in unknown.values()])
     equations = regressions(system, record.signals, constants, start)

@@ -15,20 +15,18 @@ Splines of order two and three did worse on smooth signals and gained little on 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.record import GAP, Record
-from greybox.files.arrays import Array, IntArray
+from greybox.data.record import GAP
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 
 POWER = 8  # twice the order of the smoothing spline
-SHORTEST = 12  # samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows
-CANDIDATES = 60  # cutoffs tried, evenly in the logarithm: 10 to 20 a decade; the best is refined between its neighbors
-UNEVEN = 0.02  # share of the step by which a sample may be off the uniform base: it moves a slope by as much
-CONSTANT = 1e-24  # share of a signal's power: less is the rounding of a straight line
+# Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
+SHORTEST = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +88,8 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
     if cutoff is None:
-        is_line = float(np.sum(amplitude**2)) <= CONSTANT * float(np.nansum(values**2))
+        # A straight line has nothing but rounding above it.
+        is_line = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))
         cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
     smooth_values = np.full(values.size, np.nan)
@@ -155,32 +154,6 @@ def without_holes(time: Array, values: Array) -> Array:
     return filled
 
 
-def regular(record: Record) -> Record:
-    """Return the record with the rows that are missing inside its pieces put in as NaN, each piece on its uniform base.
-
-    Raises
-    ------
-    ValueError
-        If a sample is off the uniform base by more than 2 % of the step.
-    """
-    if len(record) < SHORTEST:
-        raise ValueError(
-            f"the record has {counted(len(record), 'sample')}: give at least {SHORTEST}."
-        )
-    step = record.step
-    pieces = record.pieces
-    places = [np.rint((piece.time - piece.time[0]) / step).astype(int) for piece in pieces]
-    if all(place[-1] + 1 == len(piece) for place, piece in zip(places, pieces, strict=True)):
-        require_uniform(record.time)
-        return record
-    times = [_base(piece.time, place) for piece, place in zip(pieces, places, strict=True)]
-    signals = {
-        name: np.concatenate([_placed(q[name], k) for q, k in zip(pieces, places, strict=True)])
-        for name in record.signals
-    }
-    return replace(record, time=np.concatenate(times), signals=signals, findings=())
-
-
 def require_uniform(time: Array) -> None:
     """Raise ValueError where a step that is no gap differs from the median step."""
     if time.size < 2:
@@ -189,36 +162,13 @@ def require_uniform(time: Array) -> None:
         )
     steps = np.diff(time)
     step = float(np.median(steps))
-    odd = np.flatnonzero((np.abs(steps - step) > UNEVEN * step) & (steps <= GAP * step))
+    # A slope errs by the share by which a sample is off the uniform base.
+    odd = np.flatnonzero((np.abs(steps - step) > 0.02 * step) & (steps <= GAP * step))
     if odd.size:
-        raise _uneven(float(time[odd[0]]), float(steps[odd[0]]), step)
-
-
-def _base(time: Array, places: IntArray) -> Array:
-    """Return the uniform base through a piece whose samples lie at these places of it."""
-    if places[-1] == 0:
-        return time
-    slope = (time[-1] - time[0]) / places[-1]
-    base = time[0] + slope * np.arange(places[-1] + 1)
-    off = np.flatnonzero(np.abs(base[places] - time) > UNEVEN * slope)
-    doubled = np.flatnonzero(np.diff(places) == 0)
-    if off.size or doubled.size:
-        k = int(min([*off, *doubled]))
-        raise _uneven(float(time[k]), float(np.diff(time)[min(k, len(time) - 2)]), float(slope))
-    return base
-
-
-def _uneven(time: float, step: float, usual: float) -> ValueError:
-    return ValueError(
-        f"sampling is not uniform: the step at {time:.6g} s is {step:.4g} s and otherwise {usual:.4g} s; "
-        "put the signals on one time base with gb.prepare(..., rate=...)."
-    )
-
-
-def _placed(values: Array, places: IntArray) -> Array:
-    column = np.full(places[-1] + 1, np.nan)
-    column[places] = values
-    return column
+        raise ValueError(
+            f"sampling is not uniform: the step at {time[odd[0]]:.6g} s is {steps[odd[0]]:.4g} s and "
+            f"otherwise {step:.4g} s; put the signals on one time base with gb.prepare(..., rate=...)."
+        )
 
 
 def _sines(values: Array, step: float) -> tuple[Array, Array]:
@@ -248,7 +198,7 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
         )
 
     candidates: Sequence[float] = np.linspace(
-        math.log(np.sort(omega)[2]), math.log(omega.max()), CANDIDATES
+        math.log(np.sort(omega)[2]), math.log(omega.max()), 60
     ).tolist()
     best = min(candidates, key=score)
     width = candidates[1] - candidates[0]

@@ -6,12 +6,10 @@ from numpy.testing import assert_allclose
 from scipy.fft import dst
 from scipy.signal import savgol_filter
 
-import greybox as gb
 from greybox.regression.smoothing import (
     differentiate,
     low_pass,
     reach,
-    regular,
     smooth,
     stretches,
     without_holes,
@@ -150,18 +148,6 @@ def test_a_cubic_through_four_samples_fills_a_hole(count, is_filled):
     np.testing.assert_array_equal(without_holes(TIME[:5], np.full(5, np.nan)), np.full(5, np.nan))
 
 
-def test_a_missing_row_is_put_in():
-    rows = np.delete(np.arange(200), [50, 120])
-    gap = np.concatenate([rows, rows + 1000])
-    record = gb.Record(TIME[gap], {"y": truth()[gap]})
-    full = regular(record)
-    assert len(full) == 400
-    assert len(full.pieces) == 2
-    assert_allclose(full.time[:200], TIME[:200], atol=1e-12)
-    assert np.flatnonzero(np.isnan(full["y"])).tolist() == [50, 120, 250, 320]
-    assert regular(full) is full
-
-
 @pytest.mark.parametrize(
     ("time", "values", "cutoff", "sentence"),
     [
@@ -190,14 +176,6 @@ def test_a_missing_row_is_put_in():
 def test_bad_input(time, values, cutoff, sentence):
     with pytest.raises(ValueError, match=sentence):
         smooth(time, values, cutoff)
-
-
-def test_uneven_records_are_refused():
-    time = np.cumsum(np.random.default_rng(0).uniform(0.01, 0.02, 300))
-    with pytest.raises(ValueError, match="sampling is not uniform"):
-        regular(gb.Record(time, {"y": time}))
-    with pytest.raises(ValueError, match="the record has 3 samples"):
-        regular(gb.Record(TIME[:3], {"y": TIME[:3]}))
 
 
 def test_the_last_samples_of_a_stretch_are_filled_as_the_first_are():
@@ -273,45 +251,6 @@ def test_white_noise_alone_is_all_removed():
     third = 3 * np.pi / TIME[399]
     assert third * (1 - 1e-9) <= known.cutoff < 40 * third
     assert np.std(known.values) < 0.5
-
-
-def test_rows_that_are_missing_are_put_in_on_the_base_through_the_ends():
-    """Samples that are off by up to a fiftieth of the step are taken as on it; of two pieces each has its own."""
-    jitter = 0.1 * np.array([0, 0.01, -0.01, 0.015, 0.0, 0.01, 0.0, -0.01, 0.0])
-    piece = steps(1, 1, 2, 1, 2, 1, 1, 1) + jitter
-    record = gb.Record(np.concatenate([piece, piece + 7.03]), {"y": np.arange(18.0)})
-    full = regular(record)
-    assert_allclose(full.time, [*0.1 * np.arange(11), *(7.03 + 0.1 * np.arange(11))], atol=1e-12)
-    put_in = [0, 1, 2, np.nan, 3, 4, np.nan, 5, 6, 7, 8]
-    assert_allclose(full["y"], [*put_in, *np.add(put_in, 9)])
-    off = piece.copy()
-    off[5] += 0.1 * 0.015
-    with pytest.raises(
-        ValueError, match=r"the step at 0\.7025 s is 0\.0975 s and otherwise 0\.1 s"
-    ):
-        regular(gb.Record(np.concatenate([off, piece + 7.03]), {"y": np.arange(18.0)}))
-    double = np.sort(np.append(piece, 0.1004))
-    with pytest.raises(ValueError, match=r"sampling is not uniform: the step at 0\.1004 s"):
-        regular(gb.Record(np.concatenate([double, piece + 7.03]), {"y": np.arange(19.0)}))
-
-
-def test_a_lone_sample_between_gaps_stays_one():
-    time = np.concatenate([0.1 * np.delete(np.arange(14), 5), [9.0], 20 + 0.1 * np.arange(13)])
-    full = regular(gb.Record(time, {"y": time}))
-    assert len(full) == 14 + 1 + 13
-    assert full.time[14] == 9.0
-    assert_allclose(np.delete(full["y"], 5), time)
-    assert np.isnan(full["y"][5])
-
-
-@pytest.mark.parametrize(("count", "served"), [(11, False), (12, True)])
-def test_a_record_has_twelve_samples(count, served):
-    record = gb.Record(0.1 * np.arange(count), {"y": np.arange(count) ** 2.0})
-    if served:
-        assert regular(record) is record
-    else:
-        with pytest.raises(ValueError, match="the record has 11 samples: give at least 12"):
-            regular(record)
 
 
 def test_holes_are_filled_within_stretches_and_not_across_gaps():
