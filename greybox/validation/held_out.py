@@ -19,12 +19,6 @@ from greybox.simulation.windows import cut, default_length
 Predictions = tuple[tuple[Prediction, ...], ...]
 """Of every fit, of every record."""
 
-# s, the shortest defaults: a choice, printed with every comparison. A second is twenty time
-# constants of a rotor, so that the dynamics are seen, and short enough for an unstable plant; half
-# of that is enough to estimate its state.
-SHORTEST_WINDOW = 1.0
-SHORTEST_LEAD = 0.5
-
 
 def window_lengths(
     fits: Sequence[Fit], records: Sequence[Record], window: float | None, lead: float | None
@@ -34,13 +28,15 @@ def window_lengths(
     if not records:
         return math.nan, math.nan
 
+    # A second is twenty time constants of a rotor, so that the dynamics are seen, and short enough
+    # for an unstable plant; half of that is enough to estimate its state.
     if window is None:
-        window = default_length(records, SHORTEST_WINDOW)
+        window = default_length(records, 1.0)
     if lead is None:
         models = [fit.at_estimate() for fit in fits]
         models += [_own_model(fit, k) for fit in fits for k in range(len(fit.records))]
         longest_delay = max(float(np.max(model.delays, initial=0.0)) for model in models)
-        lead = default_length(records, SHORTEST_LEAD, longest_delay)
+        lead = default_length(records, 0.5, longest_delay)
     return window, lead
 
 
@@ -53,12 +49,11 @@ def predict_same_windows(
     fitted: bool,
     own: Sequence[str] | None = None,
 ) -> tuple[Predictions, list[str]]:
-    """Predict the records of `data` (of every fit, in the same order) by all fits over the same windows.
+    """Predict the records of `data`, in the same order for every fit, over the same windows.
 
-    With `fitted` they are the records that each was fitted to, and the k-th is predicted with what
-    that part assumed. On others each estimates values of the record's own, by default those of its
-    fit, else those named `own` that it has, see `greybox.predict`. Returns the predictions, and in
-    words which windows were left out and what was estimated.
+    With `fitted` they are the records that each fit was made with. On others each fit estimates
+    values of the record's own, by default those of its fit, else those named `own`, see
+    `greybox.predict`. Returns the predictions, and notes on windows left out and values estimated.
     """
     window, lead = lengths
     by_record: list[list[Prediction]] = []
@@ -69,21 +64,16 @@ def predict_same_windows(
         inputs = dict.fromkeys(name for model in models for name in model.system.inputs)
         outputs = _shared_outputs(models, record)
         windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
-
-        owns = [() if fitted else _own(model, own) for model in models]
         results = [
-            predict_windows(m, windows, outputs, own=names)
-            for m, names in zip(models, owns, strict=True)
+            predict_windows(m, windows, outputs, own=() if fitted else _own(m, own)) for m in models
         ]
-        predictions, note = _where_all_are_finite(results, labels)
+        predictions, record_notes = _where_all_are_finite(results, labels)
         by_record.append(predictions)
-        notes += note
-        if not fitted:
-            notes += [
-                said if said.startswith("the standard errors") else f"{label}: {said}"
-                for label, made in zip(labels, predictions, strict=True)
-                for said in made.notes
-            ]
+        notes += record_notes
+        for label, prediction in zip(labels, predictions, strict=True):
+            texts = () if fitted else prediction.notes
+            common = "the standard errors"  # which are the same for all fits
+            notes += [text if text.startswith(common) else f"{label}: {text}" for text in texts]
     return tuple(zip(*by_record, strict=True)), notes
 
 
@@ -99,23 +89,24 @@ def _own(model: ModelAtEstimate, names: Sequence[str] | None) -> tuple[str, ...]
 
 
 def require_own(fits: Sequence[Fit], own: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return the names of values that are to be estimated from held-out records, each of which some model must have.
+    """Return the names of values of held-out records, each of which some model must have.
 
     Raises
     ------
     ValueError
-        For a name that none has.
+        For a name that no model has.
     """
     if own is None:
         return None
     names = (own,) if isinstance(own, str) else tuple(own)
     models = [fit.at_estimate() for fit in fits]
-    unknown = [name for name in names if not any(_own(model, (name,)) for model in models)]
-    if unknown:
-        known = dict.fromkeys(name for model in models for name in model.names)
-        raise ValueError(
-            f"own names {unknown[0]!r}, which no fit has; they have {', '.join(known)}, and a bias of any signal."
-        )
+    for name in names:
+        if not any(_own(model, (name,)) for model in models):
+            existing = dict.fromkeys(name for model in models for name in model.names)
+            raise ValueError(
+                f"own names {name!r}, which no fit has; they have {', '.join(existing)}, and a bias "
+                "of any signal."
+            )
     return names
 
 
@@ -137,31 +128,35 @@ def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[
 def _where_all_are_finite(
     results: Sequence[tuple[Prediction, BoolArray, str]], labels: Sequence[str]
 ) -> tuple[list[Prediction], list[str]]:
-    """Return the predictions in the windows in which all are finite, and a note on the windows left out.
+    """Return the predictions in the windows in which all are finite, and a note on the others.
 
-    Of every fit come its prediction, which windows diverged (w,), and why.
+    Each result is a prediction, the windows in which it diverged (w,), and the reason.
     """
+    predictions = [prediction for prediction, _, _ in results]
     diverged = np.any([lost for _, lost, _ in results], axis=0)
     if not diverged.any():
-        return [prediction for prediction, _, _ in results], []
+        return predictions, []
 
-    label, reason = next(
-        (label, why) for label, (_, _, why) in zip(labels, results, strict=True) if why
-    )
-    reason = reason if reason.startswith(label) else f"{label}: {reason}"
-    record = results[0][0].data.name or "the record"
+    reasons = [
+        reason if reason.startswith(label) else f"{label}: {reason}"
+        for label, (_, _, reason) in zip(labels, results, strict=True)
+        if reason
+    ]
+    first = predictions[0]
     count = int(diverged.sum())
-    window = results[0][0].window
+    where = (
+        f"{counted(count, first.window)} of {diverged.size} in {first.data.name or 'the record'}"
+    )
     if 2 * count >= diverged.size:
         raise ValueError(
-            f"no comparison is possible where {counted(count, window)} of {diverged.size} in {record} "
-            f"{'is' if count == 1 else 'are'} not finite ({reason}): {cure('window')}."
+            f"no comparison is possible where {where} {'is' if count == 1 else 'are'} not finite "
+            f"({reasons[0]}): {cure('window')}."
         )
     note = (
-        f"warning: {counted(count, window)} of {diverged.size} in {record} left out for all models, since the "
-        f"prediction of one is not finite ({reason})."
+        f"warning: {where} left out for all models, since the prediction of one is not finite "
+        f"({reasons[0]})."
     )
-    return [prediction.kept(~diverged) for prediction, _, _ in results], [note]
+    return [prediction.kept(~diverged) for prediction in predictions], [note]
 
 
 def _own_model(fit: Fit, record: int) -> ModelAtEstimate:

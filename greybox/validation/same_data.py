@@ -13,7 +13,7 @@ LIKELIHOOD = "negative log-likelihood"
 
 
 def check_fits(fits: Sequence[Fit]) -> None:
-    """Raise TypeError or ValueError for what is no fit, for a single one, and for one without an estimate."""
+    """Raise TypeError or ValueError for other things, a single fit, or one without an estimate."""
     for fit in fits:
         if not isinstance(fit, Fit):
             raise TypeError(
@@ -27,7 +27,7 @@ def check_fits(fits: Sequence[Fit]) -> None:
 
 
 def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
-    """Return the names of the models, with those of the problems or numbers where they do not tell the fits apart."""
+    """Return the names of the models, with those of the problems or numbers where they are alike."""
     models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
     with_problems = [f"{model} ({fit.name})" for model, fit in zip(models, fits, strict=True)]
     for labels in (models, with_problems):
@@ -37,37 +37,39 @@ def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
 
 
 def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how the data of a fit differ from those of the first; empty where they are the same."""
-    first = fits[0]
+    """Return in words how the data of a fit differ from those of the first; empty if they do not."""
+    first = fits[0].parts
     for fit, name in zip(fits[1:], names[1:], strict=True):
-        if len(fit.parts) != len(first.parts):
-            return f"{name} was fitted to {len(fit.parts)} sets of data and {names[0]} to {len(first.parts)}"
-        for a, b in zip(first.parts, fit.parts, strict=True):
+        if len(fit.parts) != len(first):
+            return (
+                f"{name} was fitted to {len(fit.parts)} sets of data and {names[0]} to {len(first)}"
+            )
+        for a, b in zip(first, fit.parts, strict=True):
             if not _same(a, b):
+                titles = [
+                    f"({p.data.name or p.name!r}, checksum {p.data.checksum[:8]})" for p in (b, a)
+                ]
+                return f"{name} was fitted to other data than {names[0]} {' and '.join(titles)}"
+            if isinstance(a, FittedResponse) or isinstance(b, FittedResponse):
+                continue
+            if a.outputs != b.outputs:  # type: ignore[attr-defined]
+                outputs = [", ".join(p.outputs) for p in (b, a)]  # type: ignore[attr-defined]
                 return (
-                    f"{name} was fitted to other data than {names[0]} ({b.data.name or b.name!r}, checksum "
-                    f"{b.data.checksum[:8]}, and {a.data.name or a.name!r}, {a.data.checksum[:8]})"
+                    f"{name} was fitted to the outputs {outputs[0]} and {names[0]} to {outputs[1]}"
                 )
-            if (
-                isinstance(a, FittedRecord | FittedSpectrum)
-                and isinstance(b, FittedRecord | FittedSpectrum)
-                and a.outputs != b.outputs
-            ):
-                return f"{name} was fitted to the outputs {', '.join(b.outputs)} and {names[0]} to {', '.join(a.outputs)}"
     return ""
 
 
 def _same(a: FittedPart, b: FittedPart) -> bool:
-    """Tell whether two parts have the same data: a stretch of a log has the checksum of the whole log."""
-    if a.data.checksum != b.data.checksum:
+    """Tell whether two parts have the same data: a stretch of a log has the checksum of the log."""
+    if a.data.checksum != b.data.checksum or type(a) is not type(b):
         return False
-    if isinstance(a.data, Record) and isinstance(b.data, Record):
-        return np.array_equal(a.data.time, b.data.time) and all(
-            np.array_equal(a.data[n], b.data[n], equal_nan=True)
-            for n in a.data.signals
-            if n in b.data.signals
-        )
-    return type(a) is type(b)
+    if not (isinstance(a.data, Record) and isinstance(b.data, Record)):
+        return True
+    shared = [name for name in a.data.signals if name in b.data.signals]
+    return np.array_equal(a.data.time, b.data.time) and all(
+        np.array_equal(a.data[name], b.data[name], equal_nan=True) for name in shared
+    )
 
 
 def shared_data(fits: Sequence[Fit]) -> str:
