@@ -98,7 +98,7 @@ def from_control(
     inputs, outputs : sequence of str
         Names of the signals, by default those of the system.
     prefix : str
-        Begins the names of the parameters, so that two such models can be connected.
+        Begins the names of the parameters of a transfer function, so that two can be connected.
     name : str
         Of a response.
 
@@ -133,9 +133,7 @@ def from_control(
         )
         return KnownTransferFunction(numerator, denominator, u[0], y[0], prefix)
     x = _signal_names((), system.state_labels)
-    return KnownStateSpace(
-        system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y, prefix=prefix
-    )
+    return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y)
 
 
 def _named(name: str) -> dict[str, str]:

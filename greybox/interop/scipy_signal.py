@@ -51,7 +51,7 @@ def from_scipy(
     input, output : str
         Names of the signals; numbered, ``u1, u2 ...``, where a state space has several.
     prefix : str
-        Begins the names of the parameters, so that two such models can be connected.
+        Begins the names of the parameters of a transfer function, so that two can be connected.
 
     Raises
     ------
@@ -73,9 +73,7 @@ def from_scipy(
             [name] if count == 1 else [f"{name}{k + 1}" for k in range(count)]
             for name, count in ((input, inputs), (output, outputs))
         ]
-        return KnownStateSpace(
-            linear.A, linear.B, linear.C, linear.D, inputs=u, outputs=y, prefix=prefix
-        )
+        return KnownStateSpace(linear.A, linear.B, linear.C, linear.D, inputs=u, outputs=y)
     rational = linear.to_tf()
     if rational.num.ndim > 1:
         raise ValueError(

@@ -1,6 +1,6 @@
 """Linear systems whose numbers are known, such as a filter or an actuator, as models.
 
-Their coefficients are parameters that are fixed, so that a problem may free one of them,
+The coefficients of a transfer function are fixed parameters: a problem may free one of them,
 ``free=["a1"]``.
 """
 
@@ -74,21 +74,19 @@ class KnownTransferFunction(TransferFunction):
 
 
 class KnownStateSpace(StateSpace):
-    """``x' = A x + B u``, ``y = C x + D u`` with given matrices; their entries that are not zero are parameters.
+    """``x' = A x + B u``, ``y = C x + D u`` with given matrices, and without parameters.
 
     Parameters
     ----------
     A, B, C, D : arrays (n, n), (n, m), (k, n), (k, m)
     states, inputs, outputs : sequence of str
         By default ``x1, x2 ...``, ``u`` or ``u1, u2 ...`` and ``y`` or ``y1, y2 ...``.
-    prefix : str
-        Begins the names of the entries, ``<prefix>A_1_2`` and so on.
 
     Raises
     ------
     ValueError
-        For matrices that do not fit together, numbers that are not finite, or names of another
-        number.
+        For matrices that do not fit together, numbers that are not finite, or another number of
+        names.
     """
 
     def __init__(
@@ -101,61 +99,37 @@ class KnownStateSpace(StateSpace):
         states: Sequence[str] = (),
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
-        prefix: str = "",
     ) -> None:
-        given = {
-            name: np.atleast_2d(np.array(value, dtype=float))
-            for name, value in zip("ABCD", (A, B, C, D), strict=True)
-        }
-        k, m = given["D"].shape
-        n = given["A"].shape[0] if given["A"].size else 0
-        for name, shape in zip("ABCD", ((n, n), (n, m), (k, n), (k, m)), strict=True):
-            given[name] = given[name].reshape(shape) if given[name].size == n == 0 else given[name]
-            if given[name].shape != shape:
-                raise ValueError(
-                    f"{name} has shape {given[name].shape} where the others need {shape}."
-                )
-            if not np.all(np.isfinite(given[name])):
+        matrices = [np.atleast_2d(np.array(value, dtype=float)) for value in (A, B, C, D)]
+        k, m = matrices[3].shape
+        n = matrices[0].shape[0] if matrices[0].size else 0
+        self._matrices = []
+        shapes = ((n, n), (n, m), (k, n), (k, m))
+        for name, given, shape in zip("ABCD", matrices, shapes, strict=True):
+            matrix = given.reshape(shape) if given.size == n == 0 else given
+            if matrix.shape != shape:
+                raise ValueError(f"{name} has shape {matrix.shape} where the others need {shape}.")
+            if not np.all(np.isfinite(matrix)):
                 raise ValueError(f"{name} has an entry that is not finite: give finite numbers.")
+            self._matrices.append(matrix.tolist())
         self.states = _signal_names(states, "x", n, numbered=True)
         self.inputs = _signal_names(inputs, "u", m)
         self.outputs = _signal_names(outputs, "y", k)
-        self.matrices = given
-        plain = [given[name].tolist() for name in "ABCD"]
-        names = {
-            "states": self.states,
-            "inputs": self.inputs,
-            "outputs": self.outputs,
-            "prefix": prefix,
-        }
-        self.arguments = (tuple(plain), names)
-        self._names = {
-            name: {
-                (i, j): f"{prefix}{name}_{i + 1}_{j + 1}" for i, j in np.argwhere(matrix).tolist()
-            }
-            for name, matrix in given.items()
-        }
-        self.parameters = {
-            label: Parameter(float(given[name][place]), fixed=True, about=f"entry of {name}")
-            for name, labels in self._names.items()
-            for place, label in labels.items()
-        }
+        names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        self.arguments = (tuple(self._matrices), names)
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return A x + B u."""
-        return self._rows(("A", self.states, x), ("B", self.inputs, u), p)
+        return self._products(self._matrices[0], self._matrices[1], x, u)
 
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return C x + D u."""
-        return self._rows(("C", self.states, x), ("D", self.inputs, u), p)
+        return self._products(self._matrices[2], self._matrices[3], x, u)
 
-    def _rows(self, *terms: Any) -> list[Any]:
-        *products, p = terms
-        rows: list[Any] = [0.0] * self.matrices[products[0][0]].shape[0]
-        for name, signals, values in products:
-            for (i, j), label in self._names[name].items():
-                rows[i] = rows[i] + p[label] * values[signals[j]]
-        return rows
+    def _products(self, by_state: Any, by_input: Any, x: Any, u: Any) -> list[Any]:
+        signals = [*(x[name] for name in self.states), *(u[name] for name in self.inputs)]
+        rows = [[*a, *b] for a, b in zip(by_state, by_input, strict=True)]
+        return [sum((c * v for c, v in zip(row, signals, strict=True) if c), 0.0) for row in rows]
 
 
 def _coefficients(values: Sequence[float], what: str) -> list[float]:

@@ -27,16 +27,7 @@ def test_matrices():
         ("elevator",),
         ("y1", "y2"),
     )
-    assert sorted(model.parameters) == [
-        "A_1_2",
-        "A_2_1",
-        "A_2_2",
-        "B_2_1",
-        "C_1_1",
-        "C_1_2",
-        "C_2_2",
-        "D_2_1",
-    ]
+    assert model.parameters == {}
     for k, name in enumerate(model.outputs):
         expected = [(C @ np.linalg.solve(s * np.eye(2) - A, B) + D)[k, 0] for s in S]
         found = gb.frequency_response(model, {}, TWO_LAGS_OMEGA, output=name)
@@ -94,16 +85,8 @@ def test_numbers_that_are_no_system_are_refused(make, words):
 
 
 def test_signals_without_names_are_numbered_where_there_are_several_and_states_always():
-    model = KnownStateSpace([[-1]], [[1]], [[1]], [[0]], prefix="f_")
+    model = KnownStateSpace([[-1]], [[1]], [[1]], [[0]])
     assert (model.states, model.inputs, model.outputs) == (("x1",), ("u",), ("y",))
-    assert list(model.parameters) == ["f_A_1_1", "f_B_1_1", "f_C_1_1"]
-    entry = model.parameters["f_A_1_1"]
-    assert (entry.start, entry.fixed, entry.about, entry.bounds) == (
-        -1.0,
-        True,
-        "entry of A",
-        (-np.inf, np.inf),
-    )
     named = KnownStateSpace([[-1]], [[1]], [[1]], [[0]], states=["q"], inputs=["F"], outputs=["v"])
     assert (named.states, named.inputs, named.outputs) == (("q",), ("F",), ("v",))
     ratio = KnownTransferFunction([3, 1], [1, 2])
