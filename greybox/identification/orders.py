@@ -20,18 +20,6 @@ from greybox.regression.poles_and_zeros import NearPair, near_pairs
 from greybox.validation.parsimony import parsimony, smallest_supported
 from greybox.validation.same_data import count_numbers, count_unknowns
 
-# Poles and zeros may lie this many times above the highest frequency: beyond it they are constants
-# there.
-REACH = 10.0
-
-# Shares of the largest delay that are taken out of the data before a start is found by linear least
-# squares.
-DELAYS = (0.0, 0.2, 0.5)
-
-# Reweightings of that start, after which it minimizes nearly the error of the response (Sanathanan
-# and Koerner 1963).
-ITERATIONS = 5
-
 
 @dataclass(frozen=True)
 class OrderCandidate:
@@ -193,57 +181,51 @@ def select_orders(
 def _fitted(
     data: FrequencyResponse, n: int, m: int, integrators: int, delay: float, starts: int, seed: int
 ) -> OrderCandidate:
-    radius = REACH * float(data.omega.max())
     polynomial: Any = included_model("greybox.models.polynomial", "Polynomial")
-    model = polynomial(n, m, integrators, radius, radius / REACH, data.output or "y", delay)
+    # Poles and zeros more than ten times above the highest frequency are constants there.
+    highest = float(data.omega.max())
+    model = polynomial(n, m, integrators, 10 * highest, highest, data.output or "y", delay)
     # The model's bounds are those of poles and zeros, for a gain of one.
     gain = float(np.max(np.abs(data.response)))
     scaled = {name: p for name, p in model.parameters.items() if name.startswith("b")}
-    criterion = MaximumLikelihood() if data.variance is not None else RelativeLikelihood()
     problem = Problem(
         model,
         data,
-        criterion,
-        bounds={name: _times(p.bounds, REACH * gain) for name, p in scaled.items()},
-        starts={name: _times(p.box, gain) for name, p in scaled.items()},
+        MaximumLikelihood() if data.variance is not None else RelativeLikelihood(),
+        bounds={n: (10 * gain * p.bounds[0], 10 * gain * p.bounds[1]) for n, p in scaled.items()},
+        starts={n: (gain * p.box[0], gain * p.box[1]) for n, p in scaled.items()},
     )
-    listed = [_inside(start, problem) for start in _linear_starts(data, n, m, integrators, delay)]
-    found = fit(problem, [*listed, Sobol(starts, seed)], profiles=False, progress=False)
-    if not found.converged:
+    points = []
+    for start in _linear_starts(data, n, m, integrators, delay):
+        bounds = {name: problem.parameters[name].bounds for name in start}
+        points.append({name: float(np.clip(v, *bounds[name])) for name, v in start.items()})
+    result = fit(problem, [*points, Sobol(starts, seed)], profiles=False, progress=False)
+    if not result.converged:
         return OrderCandidate(n, m, integrators, delay > 0, None, math.nan)
-    bic = count_unknowns(found) * math.log(sum(map(count_numbers, found.parts))) + 2 * found.cost
-    zeros = np.roots([found.estimate[f"b{k}"] for k in range(m, -1, -1)])
-    poles = np.roots([1.0, *(found.estimate[f"a{k}"] for k in range(n - 1, integrators - 1, -1))])
-    return OrderCandidate(n, m, integrators, delay > 0, found, bic, near_pairs(zeros, poles))
+    numbers = sum(map(count_numbers, result.parts))
+    bic = count_unknowns(result) * math.log(numbers) + 2 * result.cost
+    zeros = np.roots([result.estimate[f"b{k}"] for k in range(m, -1, -1)])
+    poles = np.roots([1.0, *(result.estimate[f"a{k}"] for k in range(n - 1, integrators - 1, -1))])
+    return OrderCandidate(n, m, integrators, delay > 0, result, bic, near_pairs(zeros, poles))
 
 
 def _linear_starts(
     data: FrequencyResponse, n: int, m: int, integrators: int, delay: float
 ) -> Iterator[dict[str, float]]:
-    """Yield estimates by linear least squares, of the response without its integrators and a share of the delay."""
+    """Yield estimates by linear least squares, without the integrators and a share of the delay."""
     s = 1j * data.omega
     order = n - integrators
     if m >= order:  # as many zeros as poles beside the integrators, which Levy's form has not
         return
-    for share in DELAYS if delay else DELAYS[:1]:
+    for share in (0.0, 0.2, 0.5) if delay else (0.0,):
         response = data.response * s**integrators * np.exp(s * share * delay)
         bare = FrequencyResponse(data.omega, response)
         try:
-            found = levy(bare, order, m, weight=1 / np.abs(response), iterations=ITERATIONS)
+            # After five reweightings it nearly minimizes the error of the response.
+            rational = levy(bare, order, m, weight=1 / np.abs(response), iterations=5)
         except ValueError:  # as many unknowns as equations
             continue
-        start = {f"b{k}": float(v) for k, v in enumerate(found.numerator[::-1])}
-        start |= {f"a{k + integrators}": float(v) for k, v in enumerate(found.denominator[:0:-1])}
+        start = {f"b{k}": float(v) for k, v in enumerate(rational.numerator[::-1])}
+        denominator = rational.denominator[:0:-1]
+        start |= {f"a{k + integrators}": float(v) for k, v in enumerate(denominator)}
         yield start | ({"T_delay": share * delay} if delay else {})
-
-
-def _inside(start: dict[str, float], problem: Problem) -> dict[str, float]:
-    return {
-        name: float(np.clip(start[name], *p.bounds))
-        for name, p in problem.parameters.items()
-        if name in start
-    }
-
-
-def _times(interval: tuple[float, float], factor: float) -> tuple[float, float]:
-    return interval[0] * factor, interval[1] * factor

@@ -26,8 +26,7 @@ from greybox.formulation.starts import Sobol
 from greybox.modeling.limit import Limit, invariant_name
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.validation.compare import compare
-from greybox.validation.comparison import SIGNIFICANT, Comparison, p_text
+from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nested_models import NestedTest, ratio_test
 
 
@@ -84,14 +83,12 @@ class Reduction:
         The limits that were fitted, in this order.
     test : NestedTest or None
         The test of the smaller structure against the large one.
-    comparison : Comparison or None
     """
 
     large: Fit
     fit: Fit
     tried: tuple[Tried, ...]
     test: NestedTest | None
-    comparison: Comparison | None
 
     @property
     def taken(self) -> tuple[Candidate, ...]:
@@ -102,13 +99,9 @@ class Reduction:
     def verdict(self) -> str:
         """The smaller structure, or why there is none, in one sentence."""
         if not self.tried:
-            return (
-                f"{self.large.name}: not reduced; no parameter with an error above "
-                f"{100 * ERROR_GUIDELINE:.0f} % has a limit at which the response has one."
-            )
+            return f"{self.large.name}: not reduced; no parameter that the data leave open has a limit."
         if not self.taken:
-            size = 100 * SIGNIFICANT
-            return f"{self.large.name}: not reduced; the data reject every limit at {size:.0f} %."
+            return f"{self.large.name}: not reduced; the data reject every limit at 5 %."
         return (
             f"{self.large.name}: {counted(len(self.fit.free), 'parameter')} instead of "
             f"{len(self.large.free)}, cost {number(self.fit.cost, 4)} against "
@@ -126,13 +119,10 @@ class Reduction:
                 outcome = "taken" if trial.taken else "" if trial.is_supported else "rejected"
                 cells = [number(trial.fit.cost), p_text(trial.test.p_value), outcome]
             rows.append([str(trial.candidate), *cells])
-        lines = [self.verdict, ""]
-        if rows:
-            table = text_table(["limit", "cost", "test", ""], rows, left=(0, 3))
-            lines += [*("  " + line for line in table.splitlines()), ""]
-        if self.comparison is not None:
-            lines += [f"  {self.test}", f"  {self.comparison.verdict}", "", str(self.fit)]
-        return "\n".join(lines).rstrip()
+        table = text_table(["limit", "cost", "test", ""], rows, left=(0, 3))
+        lines = [self.verdict, *(["", table] if rows else [])]
+        lines += ["", str(self.test), "", str(self.fit)] if self.test else []
+        return "\n".join(lines)
 
 
 def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> Reduction:
@@ -184,11 +174,10 @@ def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> R
         reduced = best.fit
         current = stated
     if reduced is fit:
-        return Reduction(fit, fit, tuple(tried), None, None)
+        return Reduction(fit, fit, tuple(tried), None)
     removed = tuple(next(iter(t.candidate.powers)) for t in tried if t.taken)
     test = ratio_test(reduced, fit, removed, ("the reduced structure", "the fit"))
-    comparison = compare(fit, reduced, labels=("the fit", "the reduced one"))
-    return Reduction(fit, reduced, tuple(tried), test, comparison)
+    return Reduction(fit, reduced, tuple(tried), test)
 
 
 def _trials(fit: Fit, problem: AnyProblem, starts: int) -> list[tuple[Tried, AnyProblem]]:
@@ -237,32 +226,22 @@ def _candidates(fit: Fit) -> Iterator[Candidate]:
 
 
 def directions(products: Sequence[Mapping[str, int]]) -> Iterator[dict[str, int]]:
-    """Yield whole powers by which members of products move together and keep all products.
-
-    The first of a direction moves by the power one; all others are whole powers of it.
-    """
-    groups: list[list[Mapping[str, int]]] = []  # products that share members, directly or not
-    for product in products:
-        touching = [g for g in groups if any(product.keys() & row.keys() for row in g)]
-        groups = [g for g in groups if g not in touching]
-        groups.append([product, *(row for g in touching for row in g)])
-    for group in groups:
-        # The member of most products reads best as what the others are divided by.
-        members = sorted(
-            dict.fromkeys(name for row in group for name in row),
-            key=lambda name: -sum(name in row for row in group),
-        )
-        matrix = np.array([[row.get(name, 0) for name in members] for row in group])
-        _, singular, right = np.linalg.svd(matrix)
-        if np.sum(singular > 1e-9) != len(members) - 1:
-            continue  # no direction, or several that are not told apart
-        vector = np.where(np.abs(right[-1]) > 1e-9, right[-1], 0.0)
-        moving = [k for k, v in enumerate(vector) if v]
-        pivot = min(moving, key=lambda k: round(abs(vector[k]), 9))
-        powers = vector / vector[pivot]
-        if np.allclose(powers, np.round(powers), atol=1e-6):
-            order = [pivot, *(k for k in moving if k != pivot)]
-            yield {members[k]: round(powers[k]) for k in order}
+    """Yield the whole powers of the first one by which members of products move and keep them all."""
+    # The member of most products reads best as what the others are divided by.
+    members = sorted(
+        dict.fromkeys(name for product in products for name in product),
+        key=lambda name: -sum(name in product for product in products),
+    )
+    matrix = np.array([[product.get(name, 0) for name in members] for product in products])
+    if not members or np.linalg.matrix_rank(matrix) != len(members) - 1:
+        return  # no direction, or several that are not told apart
+    vector = np.linalg.svd(matrix)[2][-1].round(9)
+    moving = [k for k, v in enumerate(vector) if v]
+    pivot = min(moving, key=lambda k: abs(vector[k]))
+    powers = vector / vector[pivot]
+    if np.allclose(powers, np.round(powers), atol=1e-6):
+        order = [pivot, *(k for k in moving if k != pivot)]
+        yield {members[k]: round(powers[k]) for k in order}
 
 
 def _at_limit(problem: AnyProblem, candidate: Candidate, fit: Fit) -> AnyProblem | None:
