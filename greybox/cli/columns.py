@@ -1,17 +1,17 @@
-"""The option `--columns`: what the columns of somebody's table are, and in which units."""
+"""The option `--columns`: which columns of a table are the signals, and their units."""
 
 import argparse
 
 from greybox.cli.options import UsageError
 
-# What the option is for, in its help.
 RESPONSE_OR_RECORD = (
-    "with --data: the columns of a table that names them otherwise. A response: frequency=f:Hz magnitude=mag:dB "
-    "phase=ph:deg coherence=coh, or alpha and beta; a record: time=t:ms and the model's signals, theta=pitch:deg"
+    "with --data: the columns of a table with other names. For a response frequency=f:Hz "
+    "magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and the "
+    "model's signals, theta=pitch:deg"
 )
 RECORD = (
-    "the columns of a table that names them otherwise, time=t:ms theta=pitch:deg, or that has no header line, and of a "
-    "MATLAB file with one matrix, by their numbers: time=1 u=2 theta=3:deg"
+    "the columns of a table with other names, time=t:ms theta=pitch:deg; or, without a header line "
+    "and for a MATLAB file with one matrix, their numbers: time=1 u=2 theta=3:deg"
 )
 
 
@@ -27,19 +27,20 @@ def add_columns_option(parser: argparse.ArgumentParser, about: str = RESPONSE_OR
 
 
 def stated_columns(options: argparse.Namespace) -> dict[str, str]:
-    """Return what the option says: by name the column, with its unit behind a colon.
+    """Return the column of each name, with its unit behind a colon.
 
     Raises
     ------
     UsageError
-        For a word of another form, or a name that is there twice.
+        For a word of another form, or a repeated name.
     """
     columns: dict[str, str] = {}
     for word in options.columns:
         name, _, column = word.partition("=")
         if not (name and column):
             raise UsageError(
-                f"--columns {word!r} is not understood: write NAME=COLUMN:UNIT, e.g. frequency=f:Hz."
+                f"--columns {word!r} is not understood: write NAME=COLUMN:UNIT, e.g. "
+                "frequency=f:Hz."
             )
         if name in columns:
             raise UsageError(f"--columns names {name} twice: {columns[name]} and {column}.")

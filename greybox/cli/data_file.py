@@ -29,16 +29,15 @@ def read_data(
     output: str = "",
     columns: Mapping[str, str] | None = None,
 ) -> FrequencyResponse | Record | TransientSpectrum:
-    """Return a response, the spectrum of a manoeuvre, or else the one record of the file with the model's signals.
+    """Return a response, the spectrum of a manoeuvre, or the only record with the model's signals.
 
-    `columns` are as `--columns` states them: those of a response if one is its frequency or
+    `columns` come from `--columns`. They are those of a response if they contain its frequency or
     magnitude.
 
     Raises
     ------
     ValueError, FileNotFoundError
-        If there is no such file, or it has neither or several such records, or its units are not
-        SI.
+        If the file does not exist, has no or several such records, or units other than SI.
     """
     path = Path(path)
     require_file(path)
@@ -67,45 +66,50 @@ def _is_response(path: Path) -> bool:
     names = read_delimited(path, head).header
     if OMEGA in names or not names:
         return True
-    timed = any(
-        seconds(*heading(name)) for name in names
-    )  # alpha and beta are also angles of a flight
-    return not timed and any(
+    has_time = any(seconds(*heading(name)) for name in names)
+    # Alpha and beta are also angles of a flight.
+    return not has_time and any(
         name.endswith(column) for name in names for column in (OMEGA, *RECTANGULAR)
     )
 
 
 def _record_of(log: Recording, path: Path, model: Model) -> Record:
+    """Return the only record with the signals of the model, in SI units."""
     inputs, outputs = model.input_names, model.output_names
-    fitting = [
+    names = (*inputs, *outputs)
+    records = [
         r for r in log.values() if set(inputs) <= set(r.signals) and set(outputs) & set(r.signals)
     ]
-    if len(fitting) != 1:
-        there = "; ".join(f"{name}: {', '.join(record.signals)}" for name, record in log.items())
-        raise ValueError(
-            f"{path} has {len(fitting) or 'no'} {'messages' if fitting else 'message'} with the signals of "
-            f"{model.label} ({', '.join((*inputs, ' or '.join(outputs)))}); it has {there:.{LONG}}: "
-            f"{_naming(inputs, outputs) if len(log) == 1 else _preparation(path, (*inputs, *outputs))}."
+    is_table = len(log) == 1
+    if len(records) != 1:
+        signals = f"{model.label} ({', '.join((*inputs, ' or '.join(outputs)))})"
+        available = "; ".join(f"{key}: {', '.join(r.signals)}" for key, r in log.items())
+        columns = " ".join(f"{name}=COLUMN" for name in names)
+        cure = (
+            f"name its columns, with units, --columns time=COLUMN:ms {columns}; for a frequency "
+            "response --columns frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
         )
-    (record,) = fitting
+        raise ValueError(
+            f"{path} has {len(records) or 'no'} {'messages' if records else 'message'} with the "
+            f"signals of {signals}; it has {available:.{LONG}}: "
+            f"{cure if is_table else _preparation(path, names)}."
+        )
+    (record,) = records
     findings = list(record.findings)
-    names = (*inputs, *outputs)
     for name in names:
+        unit = record.units.get(name, "")
         try:
-            conversion = to_si(record.units.get(name, ""))
+            conversion = to_si(unit)
         except ValueError as error:
-            findings.append(f"{name} was taken as it is, in {record.units[name]!r}: {error}.")
+            findings.append(f"{name} was taken as it is, in {unit!r}: {error}.")
             continue
         if conversion.changes:
+            columns = " ".join(f"{n}={n}" for n in names if n in record.signals)
+            cure = f"--columns {columns} converts it" if is_table else _preparation(path, names)
             raise ValueError(
-                f"{path} has {name} in {record.units[name]}, but a fit needs {conversion.si}: "
-                + (
-                    f"{_converting(record, names)}."
-                    if len(log) == 1
-                    else f"{_preparation(path, names)}."
-                )
+                f"{path} has {name} in {unit}, but a fit needs {conversion.si}: {cure}."
             )
-    # What the log says of other messages is left out.
+    # Findings about other messages are left out.
     findings += [
         text
         for text in log.findings
@@ -114,21 +118,9 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
     return replace(record, findings=tuple(findings))
 
 
-def _naming(inputs: Sequence[str], outputs: Sequence[str]) -> str:
-    signals = " ".join(f"{name}=COLUMN" for name in (*inputs, *outputs))
-    return (
-        f"say which columns they are, with units that become SI, --columns time=COLUMN:ms {signals}; of a frequency "
-        "response --columns frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
-    )
-
-
-def _converting(record: Record, names: Sequence[str]) -> str:
-    return f"--columns {' '.join(f'{name}={name}' for name in names if name in record.signals)} converts it"
-
-
 def _preparation(path: Path, names: Sequence[str]) -> str:
     fields = ", ".join(f"{name!r}: 'MESSAGE.Field'" for name in names)
     return (
-        f"make the record with gb.prepare(gb.read({str(path)!r}), {{{fields}}}); for the command line do so in a file "
-        "my.py with a function problem() that returns gb.Problem(model, record)"
+        f"prepare the record with gb.prepare(gb.read({str(path)!r}), {{{fields}}}) in a file my.py "
+        "whose function problem() returns gb.Problem(model, record)"
     )

@@ -9,9 +9,10 @@ from typing import Any
 
 from greybox.cli.catalog import find_model
 from greybox.cli.log_tests import read_log
+from greybox.cli.measurement_options import add_measurement_options, stated_choices
 from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
-from greybox.cli.response_command import add_measurement_options, response_json, stated_choices
+from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary

@@ -1,4 +1,4 @@
-"""The command `greybox inspect`: what a log holds, its test segments, its defects."""
+"""The command `greybox inspect`: the contents of a log, its test segments and its defects."""
 
 import argparse
 import shlex
@@ -21,8 +21,6 @@ EXAMPLES = (
     "flight.BIN --setpoint ATT.DesPitch --plot tests.png",
 )
 
-BURSTS = 0.05  # of the samples that a gap precedes, above which a message comes in bursts: a lossy log drops 1 % or less
-
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -32,28 +30,30 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Return what a log holds, and draw it where asked to."""
+    """Return the contents of a log, and draw it."""
     require_figure(options.plot, options.force)
     recording = read_log(options)
     segments = segments_of(recording, options)
+    # A controller that makes tests makes setpoints that are not manoeuvres.
+    manoeuvres: Sequence[Segment] = ()
+    if options.setpoint or not segments:
+        manoeuvres = find_manoeuvres(recording, options.setpoint)
 
-    # Controllers that make tests make setpoints that are no manoeuvres.
-    manoeuvres = (
-        () if segments and not options.setpoint else find_manoeuvres(recording, options.setpoint)
-    )
-    in_time = any(record.has_time for record in recording.values())
-    none = (
-        "no test segments found: give --announced or --setpoint."
-        if in_time
-        else "no time column: rows in no order."
-    )
-    found = segment_table(segments) if segments else none
-    found += f"\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else ""
-    findings = [f"  {finding}" for finding in recording.findings]
-    notes = save_figure(options.plot, lambda: _figure(recording, (*segments, *manoeuvres)))
-    parts = [_about(recording), _contents(recording), found]
-    text = "\n\n".join(parts) + "\n" + "\n".join([*findings])
+    def draw() -> Any:
+        from greybox.plotting import recording as plot  # noqa: PLC0415  (imports matplotlib)
 
+        return plot(recording, (*segments, *manoeuvres))[0].figure
+
+    notes = save_figure(options.plot, draw)
+    command = next_command(recording, segments, manoeuvres, options)
+    if command:
+        notes.append(f"next: {command}")
+    parts = [
+        about(recording),
+        contents(recording),
+        _tests(recording, segments, manoeuvres),
+        "\n".join([*(f"  {finding}" for finding in recording.findings), *notes]),
+    ]
     answer = {
         "log": recording.source,
         "checksum": recording.checksum,
@@ -64,105 +64,92 @@ def run(options: argparse.Namespace) -> Answer:
         "segments": [segment_as_json(segment) for segment in segments],
         "manoeuvres": [segment_as_json(segment) for segment in manoeuvres],
         "findings": list(recording.findings),
+        "next": command,
     }
-    following = _following(recording, segments, manoeuvres, options)
-    answer["next"] = following
-    return answer, "\n".join([text, *notes, *([f"next: {following}"] if following else [])]), USABLE
+    return answer, "\n\n".join(part for part in parts if part), USABLE
 
 
-def _following(
+def _tests(recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment]) -> str:
+    text = "no test segments found: give --announced or --setpoint."
+    if segments:
+        text = segment_table(segments)
+    elif not any(record.has_time for record in recording.values()):
+        text = "no time column: rows in no order."
+    return f"{text}\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else text
+
+
+def next_command(
     recording: Recording,
     segments: Sequence[Segment],
     manoeuvres: Sequence[Segment],
     options: argparse.Namespace,
 ) -> str:
-    """Return the command to type next, where there is something to identify.
-
-    A table does not say which of its columns is what.
-    """
+    """Return the command to type next, if there is something to identify."""
     if manoeuvres and not segments:
-        first = next((k for k, s in enumerate(manoeuvres, start=1) if s.kind != "stick input"), 1)
-        words = ["greybox", "response", options.log, "--manoeuvre", str(first)]
+        number = next((k for k, s in enumerate(manoeuvres, 1) if s.kind != "stick input"), 1)
+        words = ["greybox", "response", options.log, "--manoeuvre", str(number)]
         words += ["--setpoint", options.setpoint] if options.setpoint else []
-        return f"{shlex.join(words)} --input {manoeuvres[first - 1].axis} --output SIGNAL --out manoeuvre.csv"
+        control = manoeuvres[number - 1].axis
+        return f"{shlex.join(words)} --input {control} --output SIGNAL --out manoeuvre.csv"
+    if not any(segment.usable for segment in segments) and not announcing(recording):
+        return ""
+
+    words = ["greybox", "identify", options.log]
     signals = [f"{name}.{field}" for name, record in recording.items() for field in record.signals]
-    if any(axis_of(signal) for signal in signals):
-        words = ["greybox", "identify", options.log]
-    else:
-        words = [
-            "greybox",
-            "response",
-            options.log,
-            "--input",
-            "u=SIGNAL",
-            "--output",
-            "theta=SIGNAL",
-        ]
-    for flag, value in (("--announced", options.announced), ("--setpoint", options.setpoint)):
-        words += [flag, value] if value else []
+    if not any(axis_of(signal) for signal in signals):  # a table does not tell input from output
+        words = ["greybox", "response", options.log, "--input", "u=SIGNAL"]
+        words += ["--output", "theta=SIGNAL"]
+    words += ["--announced", options.announced] if options.announced else []
+    words += ["--setpoint", options.setpoint] if options.setpoint else []
     words += ["--fields", *options.fields] if options.fields else []
     words += ["--columns", *options.columns] if options.columns else []
-    usable = any(segment.usable for segment in segments) or announcing(recording)
-    return shlex.join(words) if usable else ""
+    return shlex.join(words)
 
 
-def _figure(recording: Recording, segments: tuple[Segment, ...]) -> Any:
-    from greybox.plotting import recording as draw  # noqa: PLC0415  (imports matplotlib)
-
-    return draw(recording, segments)[0].figure
-
-
-def _about(recording: Recording) -> str:
-    about = recording.metadata
-    words = [recording.source, f"SHA-256 {recording.checksum[:16]}..."]
-    words += [str(about[key]) for key in ("vehicle", "firmware") if about.get(key)]
-    words += [f"{key} {about[key]}" for key in ("frame", "board") if about.get(key)]
-    words += (
-        [f"modes {', '.join(f'{name} from {time:.1f} s' for time, name in about['modes'])}"]
-        if about.get("modes")
-        else []
-    )
-    words += [f"armed {start:.1f} to {end:.1f} s" for start, end in about.get("armed", ())]
-    words += [f"{len(about['parameters'])} parameters"] if about.get("parameters") else []
-    return "\n".join(words)
+def about(recording: Recording) -> str:
+    """Return source, vehicle, modes and armed times, one a line."""
+    metadata = recording.metadata
+    lines = [recording.source, f"SHA-256 {recording.checksum[:16]}..."]
+    lines += [str(metadata[key]) for key in ("vehicle", "firmware") if metadata.get(key)]
+    lines += [f"{key} {metadata[key]}" for key in ("frame", "board") if metadata.get(key)]
+    modes = [f"{name} from {time:.1f} s" for time, name in metadata.get("modes", ())]
+    lines += [f"modes {', '.join(modes)}"] if modes else []
+    lines += [f"armed {start:.1f} to {end:.1f} s" for start, end in metadata.get("armed", ())]
+    parameters = metadata.get("parameters")
+    lines += [f"{len(parameters)} parameters"] if parameters else []
+    return "\n".join(lines)
 
 
-def _contents(recording: Recording) -> str:
-    rows = [
-        [
-            name,
-            str(len(record)),
-            *_times(record),
-            _fields(record),
-        ]
-        for name, record in recording.items()
-    ]
+def contents(recording: Recording) -> str:
+    """Return the table of the messages."""
+    rows = []
+    for name, record in recording.items():
+        times = ["-", "-", "-"]
+        if record.has_time:
+            times = [number(rate(record), 4), f"{record.time[0]:.1f}", f"{record.time[-1]:.1f}"]
+        rows.append([name, str(len(record)), *times, _fields(record)])
     return text_table(["message", "samples", "Hz", "from s", "to s", "signals"], rows, (0, 5))
 
 
-def _times(record: Record) -> tuple[str, str, str]:
-    """Return rate, first and last time; rows have none."""
-    if not record.has_time:
-        return ("-", "-", "-")
-    return (number(_rate(record), 4), f"{record.time[0]:.1f}", f"{record.time[-1]:.1f}")
+def rate(record: Record) -> float:
+    """Return the rate in Hz; for messages that come in bursts, as over a link, the mean rate.
 
-
-def _rate(record: Record) -> float:
-    """Return the rate, Hz: of messages that come in bursts, as over a link, the mean, as their median means nothing."""
-    in_bursts = len(record) > 2 and len(record.pieces) - 1 > BURSTS * len(record)
+    Bursts are gaps before more than 5 % of the samples: a lossy log loses 1 % or less.
+    """
+    in_bursts = len(record) > 2 and len(record.pieces) - 1 > 0.05 * len(record)
     return (len(record) - 1) / record.duration if in_bursts else record.rate
 
 
 def _fields(record: Record) -> str:
-    named = [f"{n} ({record.units[n]})" if record.units.get(n) else n for n in record.signals]
-    return ", ".join(named[:8]) + (f" and {len(named) - 8} more" if len(named) > 8 else "")
+    names = [f"{n} ({record.units[n]})" if record.units.get(n) else n for n in record.signals]
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
 def _message(name: str, record: Record) -> dict[str, Any]:
     return {
         "name": name,
         "samples": len(record),
-        "rate": finite(_rate(record)) if record.has_time else None,
+        "rate": finite(rate(record)) if record.has_time else None,
         "start": float(record.time[0]) if record.has_time else None,
         "end": float(record.time[-1]) if record.has_time else None,
         "signals": {signal: record.units.get(signal, "") for signal in record.signals},

@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """List the included models and problems, or show the details of one."""
+    """List the included models and problems, or show one."""
     if options.name is not None:
         return _show(options.name)
     problems = [(name, _doc(shipped_module("problems", name))) for name in shipped("problems")]
@@ -41,77 +41,63 @@ def run(options: argparse.Namespace) -> Answer:
         for name in shipped("models")
         for model in models_of(shipped_module("models", name))
     ]
-    tables = [
-        text_table([title, "what it is"], [[name, _first(doc)] for name, doc in rows], (0, 1))
-        for title, rows in (("problem", problems), ("model", models))
-    ]
-    titles = dict.fromkeys(
-        re.split(r", (?=[(]|section|below|which)", _source(doc))[0]
-        for _, doc in (*problems, *models)
-        if _source(doc)
-    )
-    sources = "\n".join(f"Source: {title}" for title in titles)
-    last = "`greybox list NAME` shows the details of one, with its equation."
-    answer = {
-        kind: [
-            {"name": name, "summary": _first(doc), "source": _source(doc), "about": doc}
-            for name, doc in rows
+    blocks = []
+    answer = {}
+    for kind, rows in (("problem", problems), ("model", models)):
+        summaries = [(name, doc.partition("\n\n")[0].replace("\n", " ")) for name, doc in rows]
+        blocks.append(text_table([kind, "what it is"], summaries, (0, 1)))
+        answer[f"{kind}s"] = [
+            {"name": name, "summary": summary, "source": _source(doc), "about": doc}
+            for (name, summary), (_, doc) in zip(summaries, rows, strict=True)
         ]
-        for kind, rows in (("problems", problems), ("models", models))
-    }
-    return answer, "\n\n".join([*tables, sources, last]), USABLE
+
+    # Of each source only the title: without equation, section or page.
+    sources = (_source(doc) for _, doc in (*problems, *models))
+    titles = (re.split(r", (?=[(]|section|below|which)", source)[0] for source in sources)
+    blocks.append("\n".join(f"Source: {title}" for title in dict.fromkeys(filter(None, titles))))
+    blocks.append("`greybox list NAME` shows the details of one, with its equation.")
+    return answer, "\n\n".join(blocks), USABLE
 
 
 def _show(name: str) -> Answer:
     if ":" in name or name.endswith(".py"):
         model = find_model(name)
-        return (
-            {"name": name, "about": equation(model), **_parameters(model)},
-            _model_text(model),
-            USABLE,
-        )
-    module = shipped_module("problems", name)
+        answer = {"name": name, "about": equation(model), **_parameters(model)}
+        return answer, _model_text(model), USABLE
+
+    doc = _doc(shipped_module("problems", name))
     problem, _ = find_problem(name)
-    parts = "\n\n".join(dict.fromkeys(_model_text(part.model) for part in problem.parts))
-    models = [{"name": part.model.label, **_parameters(part.model)} for part in problem.parts]
-    return (
-        {"name": name, "about": _doc(module), "models": models},
-        f"{name}\n\n{_doc(module)}\n\n{parts}",
-        USABLE,
-    )
+    models = [part.model for part in problem.parts]
+    answer = {
+        "name": name,
+        "about": doc,
+        "models": [{"name": model.label, **_parameters(model)} for model in models],
+    }
+    return answer, "\n\n".join([name, doc, *dict.fromkeys(map(_model_text, models))]), USABLE
 
 
 def _parameters(model: Model) -> dict[str, Any]:
     rows = [
         {
-            "name": n,
+            "name": name,
             "start": p.start,
             "bounds": [finite(end) for end in p.bounds],
             "unit": p.unit,
             "about": p.about,
+            "fixed": p.fixed,
+            "scale": p.scale,
         }
-        | {"fixed": p.fixed, "scale": p.scale}
-        for n, p in model.parameters.items()
+        for name, p in model.parameters.items()
     ]
-    return {
-        "parameters": rows,
-        "inputs": list(model.input_names),
-        "outputs": list(model.output_names),
-    }
+    names = {"inputs": list(model.input_names), "outputs": list(model.output_names)}
+    return {"parameters": rows, **names}
 
 
 def _model_text(model: Model) -> str:
-    rows = [
-        [
-            name,
-            number(p.start),
-            f"[{p.bounds[0]:g}, {p.bounds[1]:g}]",
-            p.unit,
-            "fixed" if p.fixed else "",
-            p.about,
-        ]
-        for name, p in model.parameters.items()
-    ]
+    rows = []
+    for name, p in model.parameters.items():
+        bounds = f"[{p.bounds[0]:g}, {p.bounds[1]:g}]"
+        rows.append([name, number(p.start), bounds, p.unit, "fixed" if p.fixed else "", p.about])
     table = text_table(["parameter", "start", "bounds", "unit", "", "meaning"], rows, (0, 3, 4, 5))
     signals = f"{', '.join(model.input_names)} -> {', '.join(model.output_names)}"
     return f"{model.label}: {signals}\n\n{equation(model)}\n\n{table}"
@@ -119,10 +105,6 @@ def _model_text(model: Model) -> str:
 
 def _doc(module: ModuleType) -> str:
     return (module.__doc__ or "").strip()
-
-
-def _first(doc: str) -> str:
-    return doc.partition("\n\n")[0].replace("\n", " ")
 
 
 def _source(doc: str) -> str:

@@ -1,9 +1,11 @@
-"""The test segments of a log: the options that tell how to find them, and the segments as JSON."""
+"""The test segments of a log: the options for finding them, and the segments as JSON."""
 
 import argparse
+from dataclasses import asdict
 from typing import Any
 
 from greybox.cli.columns import RECORD, add_columns_option, stated_columns
+from greybox.cli.options import UsageError
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
 from greybox.files.json_numbers import finite
@@ -12,7 +14,7 @@ from greybox.logs.segment_detection import find_segments
 
 
 def add_test_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that tell how to find the tests."""
+    """Declare the options for finding the tests."""
     add = parser.add_argument
     add(
         "--announced",
@@ -37,17 +39,17 @@ def add_test_options(parser: argparse.ArgumentParser) -> None:
 
 
 def read_log(options: argparse.Namespace) -> Recording:
-    """Return the log of a command, with its columns as `--columns` names them."""
+    """Return the log of a command."""
     return read(options.log, columns=stated_columns(options) or None)
 
 
 def segments_of(recording: Recording, options: argparse.Namespace) -> tuple[Segment, ...]:
-    """Return the test segments of a log, as the options tell to find them.
+    """Return the test segments of a log.
 
     Raises
     ------
     ValueError
-        If the options cannot be understood, or name what the log does not have.
+        If the options cannot be understood, or the log does not have what they name.
     """
     return find_segments(
         recording, options.announced, stated_fields(options) or None, options.setpoint
@@ -55,12 +57,12 @@ def segments_of(recording: Recording, options: argparse.Namespace) -> tuple[Segm
 
 
 def stated_fields(options: argparse.Namespace) -> dict[str, str]:
-    """Return the fields of the announcing message that `--fields` names; ValueError for another word."""
+    """Return the fields of the announcing message that `--fields` names."""
     fields = {}
     for word in options.fields:
         what, _, field = word.partition("=")
         if not field:
-            raise ValueError(
+            raise UsageError(
                 f"--fields {word!r} is not understood: write WHAT=FIELD, e.g. omega=W."
             )
         fields[what] = field
@@ -68,20 +70,8 @@ def stated_fields(options: argparse.Namespace) -> dict[str, str]:
 
 
 def segment_as_json(segment: Segment) -> dict[str, Any]:
-    """Return a segment as JSON has it."""
-    fields = (
-        "start",
-        "end",
-        "kind",
-        "axis",
-        "omega",
-        "amplitude",
-        "offset",
-        "unit",
-        "source",
-        "usable",
-    )
-    values = {name: getattr(segment, name) for name in fields}
+    """Return a segment as JSON."""
+    values = asdict(segment)
     numbers = {
         name: finite(value) if isinstance(value, float) else value for name, value in values.items()
     }

@@ -1,4 +1,4 @@
-"""What the options of all commands share: mistakes in them, numbers, assignments, and the common ones."""
+"""What several commands share: common options, numbers, assignments, and mistakes in them."""
 
 import argparse
 import math
@@ -15,7 +15,7 @@ class UsageError(Exception):
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
-    """Help in which names of commands and most options stand beside their meaning, and examples as they are."""
+    """Help with the meaning beside most options, and examples as they are written."""
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, max_help_position=26)
@@ -29,7 +29,7 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
 def add_common_options(
     parser: argparse.ArgumentParser, figure: str = "", *, writes: bool = False
 ) -> None:
-    """Add what every command has, `--plot` where there is a figure to draw, and `--force` where files are written."""
+    """Add the options of every command, `--plot` for a `figure`, `--force` if it `writes` files."""
     if figure:
         parser.add_argument(
             "--plot",
@@ -63,15 +63,17 @@ def as_options(text: str, options: argparse.Namespace) -> str:
 
 def positive(text: str) -> int:
     """Return an integer of at least 1."""
-    if not text.isascii() or not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 1")
-    return int(text)
+    return _integer(text, 1)
 
 
 def nonnegative(text: str) -> int:
     """Return an integer of at least 0."""
-    if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 0")
+    return _integer(text, 0)
+
+
+def _integer(text: str, least: int) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least {least}")
     return int(text)
 
 
@@ -104,9 +106,9 @@ def add_time_options(parser: argparse.ArgumentParser, whole: str) -> None:
         "--seconds",
         type=seconds,
         metavar="S",
-        help=f"time of the {whole}, after which no run goes on",
+        help=f"time limit of the {whole}",
     )
-    add("--start-seconds", type=seconds, metavar="S", help="time of the runs from one start")
+    add("--start-seconds", type=seconds, metavar="S", help="time limit of the runs from one start")
 
 
 def assignments(words: Sequence[str], flag: str) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""What a command gives: the answer as JSON and as text, the exit status, files and figures."""
+"""The answer of a command as JSON and as text, its exit status, files and figures."""
 
 import json
 import os
@@ -20,8 +20,6 @@ FAILED = 1  # a run that failed
 BAD_INPUT = 2  # bad usage or bad input
 INTERRUPTED = 130  # as of a program that a shell saw end by Ctrl-C
 
-FIGURES = (".png", ".pdf", ".svg")
-
 NO_WORKING_DIRECTORY = "the working directory was removed: change to one that exists."
 
 
@@ -41,7 +39,7 @@ def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) 
 
 
 def has_working_directory() -> bool:
-    """Tell whether the folder that relative paths begin in still exists."""
+    """Return whether the folder of relative paths still exists."""
     try:
         os.getcwd()
     except FileNotFoundError:
@@ -52,12 +50,12 @@ def has_working_directory() -> bool:
 def require_writable(
     path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = ""
 ) -> None:
-    """Refuse a file that exists, without `force`, that cannot be written, or that ends otherwise. None is no file.
+    """Check that a file can be written, and has one of these endings; None is no file.
 
     Raises
     ------
     UsageError
-        One sentence with the cure.
+        If the file exists, without `force`, or cannot be written, or ends otherwise.
     """
     if path is None:
         return
@@ -76,20 +74,14 @@ def require_writable(
 
 
 def require_figure(path: Path | None, force: bool) -> None:
-    """Refuse what `require_writable` refuses, and files that are no figures.
-
-    Raises
-    ------
-    UsageError
-        One sentence with the cure.
-    """
-    require_writable(path, force, FIGURES, "figure")
+    """Check that a figure can be written."""
+    require_writable(path, force, (".png", ".pdf", ".svg"), "figure")
 
 
 def save_figure(path: Path | None, draw: Callable[[], Any]) -> list[str]:
-    """Save the figure that `draw` returns, and return a line that says so; without a path, nothing.
+    """Save the figure that `draw` returns, and return a line about it; without a path, nothing.
 
-    Figures are drawn by a function, since matplotlib takes longer to import than everything else.
+    A function draws the figure, so that matplotlib is imported only if there is a path.
     """
     if path is None:
         return []

@@ -1,20 +1,20 @@
-"""The command `greybox response`: from a log to a frequency response, a matrix of them, or a manoeuvre's spectrum."""
+"""The command `greybox response`: measures a response, a matrix of responses, or a manoeuvre's spectrum."""
 
 import argparse
-import math
-from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, stated_fields
+import numpy as np
+
+from greybox.cli.log_tests import read_log, segment_as_json
+from greybox.cli.measurement_options import add_measurement_options, stated_band, stated_choices
 from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
 from greybox.data.transient_file import write_spectrum
-from greybox.identification.manoeuvre import ManoeuvreMeasurement, measure_manoeuvre
-from greybox.identification.matrix import MatrixMeasurement, measure_matrix
+from greybox.identification.manoeuvre import measure_manoeuvre
+from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
 EXAMPLES = (
@@ -29,25 +29,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
-    add(
-        "--input",
-        required=True,
-        nargs="+",
-        metavar="[NAME=]SIGNAL",
-        help="the control, e.g. u=RATE.POut",
-    )
-    add(
-        "--output",
-        required=True,
-        nargs="+",
-        metavar="[NAME=]SIGNAL",
-        help="the output, e.g. theta=ATT.Pitch",
-    )
+    for name, about in (
+        ("--input", "the control, e.g. u=RATE.POut"),
+        ("--output", "the output, e.g. theta=ATT.Pitch"),
+    ):
+        add(name, required=True, nargs="+", metavar="[NAME=]SIGNAL", help=about)
     add(
         "--manoeuvre",
         metavar="NUMBER|KIND",
-        help="the spectrum of a doublet, 2-1-1, step or the like instead, by its number in `greybox inspect` or its "
-        "kind; of any number of inputs and outputs",
+        help="measure the spectrum of a doublet, 2-1-1, step or the like instead, given by its "
+        "number in `greybox inspect` or its kind, with any number of inputs and outputs",
     )
     add_measurement_options(parser)
     add(
@@ -55,132 +46,37 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="NAME",
-        help="with --manoeuvre: inputs held between samples",
+        help="with --manoeuvre: inputs that are held between samples",
     )
     add("--out", type=Path, metavar="FILE", help="save the response to this .csv file")
     add_common_options(parser, "Bode diagram and coherence")
 
 
-def add_measurement_options(parser: argparse.ArgumentParser) -> None:
-    """Declare what `identify` shares: which tests, which samples, which estimate."""
-    add = parser.add_argument
-    add(
-        "--instrument",
-        nargs="+",
-        default=[],
-        metavar="SIGNAL",
-        help="the injected signal, for the joint estimate in closed loop (default: what the log says was injected); of "
-        "several inputs, one for each",
-    )
-    add(
-        "--open-loop",
-        action="store_true",
-        help="direct estimate, whatever controller the log shows",
-    )
-    add(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="common sampling rate (default: that of the slowest signal)",
-    )
-    add(
-        "--band",
-        nargs="+",
-        default=[],
-        metavar="FREQUENCY",
-        help="lowest and highest frequency to use, in rad/s, or with Hz after them (default: what was excited)",
-    )
-    add("--axis", default="", help="use only the tests of this axis")
-    add(
-        "--tests",
-        default="",
-        metavar="1,3-5",
-        help="use only these tests, numbered as `greybox inspect` does",
-    )
-    add(
-        "--settle",
-        type=float,
-        default=2.0,
-        metavar="SECONDS",
-        help="settling time discarded at the beginning of each sine (default: 2)",
-    )
-    add(
-        "--period",
-        type=float,
-        metavar="SECONDS",
-        help="period of a multisine, to evaluate its lines exactly, without windows; with several inputs or outputs, "
-        "of the multisines on all inputs at once, for the matrix of responses",
-    )
-    add("--whole", action="store_true", help="use the whole log if no test is found")
-    add(
-        "--method",
-        default="least-squares",
-        help="for sines: least-squares or quadrature (default: least-squares)",
-    )
-    add(
-        "--points",
-        type=int,
-        default=40,
-        help="number of frequencies of a sweep's estimate (default: 40)",
-    )
-    add_test_options(parser)
-
-
-def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what the options state of a measurement of one input and one output, by the names of `Settings`."""
-    if len(options.instrument) > 1:
-        raise UsageError(
-            f"--instrument {' '.join(options.instrument)} are several signals: give one for each input."
-        )
-    names = {field.name for field in fields(Settings)}
-    values = {name: value for name, value in vars(options).items() if name in names}
-    parsed = {"fields": stated_fields(options), "band": stated_band(options.band)}
-    return values | parsed | {"instrument": "".join(options.instrument)}
-
-
-def stated_band(words: list[str]) -> tuple[float, float] | None:
-    """Return the band in rad/s from ``1 80``, ``0.2 12 Hz`` or ``0.2Hz 12Hz``."""
-    if not words:
-        return None
-    text = " ".join(words)
-    in_hz = text.lower().endswith("hz")
-    plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()
-    try:
-        low, high = (float(word) * (2 * math.pi if in_hz else 1) for word in plain)
-    except ValueError:
-        raise UsageError(
-            f"--band {text} is not understood: write two frequencies, --band 1 80 or --band 0.2 12 Hz."
-        ) from None
-    return low, high
-
-
 def run(options: argparse.Namespace) -> Answer:
-    """Measure the response; save and draw it where asked to."""
+    """Measure, save and draw."""
     require_figure(options.plot, options.force)
     require_writable(options.out, options.force, (".csv",), "table")
     if options.manoeuvre is not None:
-        return _run_manoeuvre(options)
+        return _manoeuvre(options)
     if len(options.input) > 1 or len(options.output) > 1:
-        return _run_matrix(options)
-    stated = stated_choices(options) | {"input": options.input[0], "output": options.output[0]}
-    settings = Settings(**stated)
+        return _matrix(options)
+
+    names = {"input": options.input[0], "output": options.output[0]}
+    settings = Settings(**(stated_choices(options) | names))
     recording = read_log(options)
     measured = measure(recording, settings)
-    answer, response = response_json(recording, measured), measured.response
+    answer = response_json(recording, measured)
+    response = measured.response
     if not measured.quality.usable or response is None:
         answer["error"] = " ".join(measured.quality.refusals)
         return answer, _text(recording, measured), FAILED
 
-    notes = []
     if options.out is not None:
         write_response(response, options.out)
-        notes.append(f"saved {options.out}")
-    notes += save_figure(options.plot, lambda: _figure("bode", response))
-    return answer, "\n".join([_text(recording, measured), *notes]), USABLE
+    return answer, _text(recording, measured, *_notes(options, "bode", response)), USABLE
 
 
-def _run_manoeuvre(options: argparse.Namespace) -> Answer:
-    """Measure a manoeuvre; save and draw its spectrum where asked to."""
+def _manoeuvre(options: argparse.Namespace) -> Answer:
     recording = read_log(options)
     measured = measure_manoeuvre(
         recording,
@@ -193,42 +89,32 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
         held=options.held,
     )
     spectrum = measured.spectrum
-    notes = []
-    if options.out is not None:
-        write_spectrum(spectrum, options.out)
-        notes.append(f"saved {options.out}")
-    notes += save_figure(options.plot, lambda: _figure("spectrum", spectrum))
     answer = {
-        **_said(recording, measured),
+        **_origin(recording, measured),
         "manoeuvre": segment_as_json(measured.manoeuvre),
         "manoeuvres": [segment_as_json(segment) for segment in measured.manoeuvres],
         "omega": spectrum.omega.tolist(),
-        **{
-            kind: {
-                n: {"alpha": x.real.tolist(), "beta": x.imag.tolist()}
-                for n, x in getattr(spectrum, kind).items()
-            }
-            for kind in ("inputs", "outputs")
-        },
+        "inputs": {name: _parts(values) for name, values in spectrum.inputs.items()},
+        "outputs": {name: _parts(values) for name, values in spectrum.outputs.items()},
         "duration": spectrum.duration,
         "step": spectrum.step,
         "units": dict(spectrum.units),
     }
-    return answer, "\n".join([_text(recording, measured), *notes]), USABLE
+    if options.out is not None:
+        write_spectrum(spectrum, options.out)
+    return answer, _text(recording, measured, *_notes(options, "spectrum", spectrum)), USABLE
 
 
-def _run_matrix(options: argparse.Namespace) -> Answer:
-    """Measure all outputs against all inputs; save and draw the matrix where asked to."""
+def _matrix(options: argparse.Namespace) -> Answer:
     if options.period is None:
         several = [
-            (f"--{name}", words)
-            for name in ("input", "output")
-            if len(words := getattr(options, name)) > 1
+            f"--{name} {' '.join(words)}"
+            for name, words in (("input", options.input), ("output", options.output))
+            if len(words) > 1
         ]
-        said = " and ".join(f"{flag} {' '.join(words)}" for flag, words in several)
         raise UsageError(
-            f"{said} are several signals: give one, or the --period of the multisines that excite all inputs at once, "
-            "or a --manoeuvre."
+            f"{' and '.join(several)} are several signals: give one, or the --period of the "
+            "multisines that excite all inputs at once, or a --manoeuvre."
         )
     recording = read_log(options)
     measured = measure_matrix(
@@ -241,36 +127,52 @@ def _run_matrix(options: argparse.Namespace) -> Answer:
         band=stated_band(options.band),
         settle=options.settle,
     )
-    notes = []
-    if options.out is not None:
-        write_responses(measured.responses, options.out)
-        notes.append(f"saved {options.out}")
-        first = measured.responses[0]
-        notes.append(
-            f"  fit one: greybox fit --data {options.out} --prefix {first.output}_{first.input}_ --model MODEL"
-        )
-    notes += save_figure(options.plot, lambda: _figure("bode", *measured.responses))
     answer = {
-        **_said(recording, measured),
+        **_origin(recording, measured),
         "responses": [
-            {name: getattr(r, name) for name in ("input", "output")}
-            | {name: values.tolist() for name, values in {"omega": r.omega, **r.columns}.items()}
-            for r in measured.responses
+            {
+                "input": response.input,
+                "output": response.output,
+                "omega": response.omega.tolist(),
+                **{name: values.tolist() for name, values in response.columns.items()},
+            }
+            for response in measured.responses
         ],
         "units": {name: unit for name, unit in measured.record.units.items() if unit},
     }
-    return answer, "\n".join([_text(recording, measured), *notes]), USABLE
+    notes = _notes(options, "bode", *measured.responses)
+    if options.out is not None:
+        write_responses(measured.responses, options.out)
+        first = measured.responses[0]
+        prefix = f"{first.output}_{first.input}_"
+        notes.append(f"  fit one: greybox fit --data {options.out} --prefix {prefix} --model MODEL")
+    return answer, _text(recording, measured, *notes), USABLE
 
 
-AnyMeasurement = Measurement | ManoeuvreMeasurement | MatrixMeasurement
+def _text(recording: Recording, measured: Any, *notes: str) -> str:
+    findings = "\n".join(recording.findings)
+    text = "\n\n".join(part for part in (str(measured), findings) if part)
+    return "\n".join([text, *notes])
 
 
-def _text(recording: Recording, measured: AnyMeasurement) -> str:
-    return "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)
+def _notes(options: argparse.Namespace, figure: str, *items: Any) -> list[str]:
+    """Draw the figure of this name in `greybox.plotting`, and say which files were written."""
+
+    def draw() -> Any:
+        from greybox import plotting  # noqa: PLC0415  (imports matplotlib)
+
+        return getattr(plotting, figure)(*items)[0].figure
+
+    saved = [] if options.out is None else [f"saved {options.out}"]
+    return saved + save_figure(options.plot, draw)
 
 
-def _said(recording: Recording, measured: AnyMeasurement) -> dict[str, Any]:
-    """Return what the JSON of every measurement says of its log."""
+def _parts(values: np.ndarray) -> dict[str, list[float]]:
+    return {"alpha": values.real.tolist(), "beta": values.imag.tolist()}
+
+
+def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
+    """Return what the JSON of every measurement says about its log."""
     return {
         "log": recording.source,
         "checksum": recording.checksum,
@@ -279,28 +181,15 @@ def _said(recording: Recording, measured: AnyMeasurement) -> dict[str, Any]:
     }
 
 
-def _figure(name: str, *drawn: Any) -> Any:
-    import greybox.plotting  # noqa: PLC0415  (imports matplotlib)
-
-    return getattr(greybox.plotting, name)(*drawn)[0].figure
-
-
 def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
-    """Return a measurement as JSON has it."""
+    """Return a measurement as JSON."""
     response, quality = measured.response, measured.quality
-    columns: Mapping[str, Any] = {}
-    if response is not None:
-        known = {"omega": response.omega, **response.columns}
-        columns = dict.fromkeys(("coherence", "variance", "dof")) | {
-            name: x.tolist() for name, x in known.items()
-        }
-    return {
-        **_said(recording, measured),
-        "input": response.input if response else None,
-        "output": response.output if response else None,
-        **columns,
-        "units": dict(response.units) if response else {},
-        "about": dict(response.about) if response else {},
+    answer: dict[str, Any] = {
+        **_origin(recording, measured),
+        "input": None,
+        "output": None,
+        "units": {},
+        "about": {},
         "closed_loop": bool(measured.controller),
         "instrument": measured.signals.get(INSTRUMENT),
         "segments": [segment_as_json(segment) for segment in measured.tests],
@@ -309,3 +198,10 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
             {"about": f.about, "severity": f.severity, "text": f.text} for f in quality.findings
         ],
     }
+    if response is not None:
+        answer |= {"coherence": None, "variance": None, "dof": None}
+        answer |= {name: values.tolist() for name, values in response.columns.items()}
+        answer |= {"omega": response.omega.tolist()}
+        answer |= {"input": response.input, "output": response.output}
+        answer |= {"units": dict(response.units), "about": dict(response.about)}
+    return answer

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from greybox.cli.inspect_command import _about, _contents, _following, _rate
+from greybox.cli.inspect_command import about, contents, next_command, rate
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 
@@ -98,14 +98,14 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
             "armed": ((10.5, 11.5),), "parameters": {"A": 1.0, "B": 2.0},
         },
     )  # fmt: skip
-    rows = [" ".join(line.split()) for line in _contents(log).splitlines()]
+    rows = [" ".join(line.split()) for line in contents(log).splitlines()]
     assert rows[0] == "message samples Hz from s to s signals"
     assert rows[2:] == [
         "ATT 101 50 10.0 12.0 Roll (deg), Pitch",
         "WIDE 26 12.5 10.0 12.0 s0, s1, s2, s3, s4, s5, s6, s7 and 2 more",
         "ROWS 5 - - - x",
     ]
-    assert _about(log).splitlines() == [
+    assert about(log).splitlines() == [
         "made.bin",
         "SHA-256 0123456789abcdef...",
         "ArduCopter",
@@ -150,14 +150,14 @@ def test_the_next_command_follows_from_what_was_found(message, found, stated, fo
     } | stated
     is_sine = found[:1] == ["sine"]
     parts = (tests, []) if is_sine else ([], tests)
-    assert _following(log, *parts, Namespace(**options)) == following
+    assert next_command(log, *parts, Namespace(**options)) == following
 
 
 def test_bursts_are_gaps_before_more_than_a_twentieth_of_the_samples():
     """A lossy log of 100 samples at 10 Hz has the rate of its samples, one with six gaps its mean."""
-    for gaps, rate in ((5, 10.0), (6, 99 / (9.9 + 6 * 0.4))):
+    for gaps, expected in ((5, 10.0), (6, 99 / (9.9 + 6 * 0.4))):
         intervals = np.full(99, 0.1)
         intervals[10 : 10 + 5 * gaps : 5] += 0.4
         record = Record(np.concatenate([[0.0], np.cumsum(intervals)]), {"x": np.arange(100.0)})
         assert len(record.pieces) == gaps + 1
-        assert _rate(record) == pytest.approx(rate)
+        assert rate(record) == pytest.approx(expected)

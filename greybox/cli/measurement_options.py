@@ -1,0 +1,107 @@
+"""The options of a measurement from a log, which `response` and `identify` share."""
+
+import argparse
+import math
+from dataclasses import fields
+from typing import Any
+
+from greybox.cli.log_tests import add_test_options, stated_fields
+from greybox.cli.options import UsageError
+from greybox.identification.measurement import Settings
+
+
+def add_measurement_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options: which tests, which samples, which estimate."""
+    add = parser.add_argument
+    add(
+        "--instrument",
+        nargs="+",
+        default=[],
+        metavar="SIGNAL",
+        help="the injected signal, for the joint estimate in closed loop (default: the injected "
+        "signal that the log names); one for each of several inputs",
+    )
+    add(
+        "--open-loop",
+        action="store_true",
+        help="direct estimate, although the log shows a controller",
+    )
+    add(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="common sampling rate (default: the rate of the slowest signal)",
+    )
+    add(
+        "--band",
+        nargs="+",
+        default=[],
+        metavar="FREQUENCY",
+        help="lowest and highest frequency to use, in rad/s or followed by Hz (default: the excited "
+        "band)",
+    )
+    add("--axis", default="", help="use only the tests of this axis")
+    add(
+        "--tests",
+        default="",
+        metavar="1,3-5",
+        help="use only these tests, numbered as `greybox inspect` does",
+    )
+    add(
+        "--settle",
+        type=float,
+        default=2.0,
+        metavar="SECONDS",
+        help="settling time discarded at the beginning of each sine (default: 2)",
+    )
+    add(
+        "--period",
+        type=float,
+        metavar="SECONDS",
+        help="period of a multisine, whose lines are then evaluated exactly, without windows; with "
+        "several inputs or outputs, the period of the multisines on all inputs, for the matrix of "
+        "responses",
+    )
+    add("--whole", action="store_true", help="use the whole log if no test is found")
+    add(
+        "--method",
+        default="least-squares",
+        help="for sines: least-squares or quadrature (default: least-squares)",
+    )
+    add(
+        "--points",
+        type=int,
+        default=40,
+        help="number of frequencies of a sweep's estimate (default: 40)",
+    )
+    add_test_options(parser)
+
+
+def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options for one input and one output, by the names of `Settings`."""
+    if len(options.instrument) > 1:
+        raise UsageError(
+            f"--instrument {' '.join(options.instrument)} are several signals: give one for each "
+            "input."
+        )
+    names = {field.name for field in fields(Settings)}
+    values = {name: value for name, value in vars(options).items() if name in names}
+    parsed = {"fields": stated_fields(options), "band": stated_band(options.band)}
+    return values | parsed | {"instrument": "".join(options.instrument)}
+
+
+def stated_band(words: list[str]) -> tuple[float, float] | None:
+    """Return the band in rad/s from ``1 80``, ``0.2 12 Hz`` or ``0.2Hz 12Hz``."""
+    if not words:
+        return None
+    text = " ".join(words)
+    in_hz = text.lower().endswith("hz")
+    plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()
+    try:
+        low, high = (float(word) * (2 * math.pi if in_hz else 1) for word in plain)
+    except ValueError:
+        raise UsageError(
+            f"--band {text} is not understood: write two frequencies, --band 1 80 or "
+            "--band 0.2 12 Hz."
+        ) from None
+    return low, high
