@@ -120,7 +120,7 @@ def test_bounds_and_starts(capsys, own):
         (["--columns", *POLAR, "--bounds", "K=3:0"], "K: bounds (3.0, 0.0) are reversed or empty"),
         (
             [],
-            "say which columns they are, with units that become SI, --columns time=COLUMN:ms u=COLUMN y=COLUMN",
+            "name its columns, with units, --columns time=COLUMN:ms u=COLUMN y=COLUMN",
         ),
     ],
 )
@@ -141,7 +141,7 @@ def test_a_study_states_bounds_too(capsys, own, tmp_path):
     assert status == 0
     assert json.loads(out)["members"][0]["answer"]["at_bound"] == ["K"]
     (tmp_path / "wrong.toml").write_text(f'[[member]]\nproblem = "{name}"\nbounds = {{K = 2}}\n')
-    assert "give a table {name = [low, high]}" in refused(
+    assert "write NAME=LOW:HIGH" in refused(
         capsys, "batch", "wrong.toml", "--out", "other"
     )
 
@@ -163,5 +163,5 @@ starts_box = {{K = [1, 2]}}
     (drag,) = read_study_file(tmp_path / "drag.toml")
     assert drag.method == gb.SingleShooting()
     (tmp_path / "bad.toml").write_text('[[member]]\nproblem = "sitl_drag"\nmethod = "single"\n')
-    with pytest.raises(UsageError, match="use multiple-shooting, single-shooting"):
+    with pytest.raises(UsageError, match="there are multiple-shooting, single-shooting"):
         read_study_file(tmp_path / "bad.toml")
