@@ -69,7 +69,7 @@ class Multistart:
     ends: tuple[tuple[Array, ...] | None, ...] = ()
 
     def __post_init__(self) -> None:
-        """Have the runs in columns."""
+        """Store the runs in columns."""
         object.__setattr__(self, "runs", Runs.of(self.runs))
 
     @property
@@ -79,7 +79,7 @@ class Multistart:
 
     @property
     def brought(self) -> Runs:
-        """The runs that went on from their start, whether they arrived at a minimum or not."""
+        """The runs that were not only screened, whether they arrived at a minimum or not."""
         return self.runs[self.runs.stage != SCREENED]
 
     @property
@@ -102,7 +102,7 @@ class Multistart:
 
 
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
-    """Return the run that ended at the lowest cost without having converged; None where all ended without one."""
+    """Return the run with the lowest cost of those that did not converge; None if none has a finite cost."""
     ended = [
         run
         for run in runs
@@ -115,18 +115,18 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
 def agreeing_runs(
     runs: Sequence[Run], minima: Sequence[Minimum], *, numbers: int, is_likelihood: bool
 ) -> tuple[int, ...]:
-    """Return the runs that ended at a cost which cannot be told from that of the best minimum, by their index.
+    """Return the indices of the runs whose cost the data cannot distinguish from that of the best minimum.
 
-    That is a tenth of a unit of log-likelihood. A cost of `numbers` real numbers whose noise is
-    unknown is proportional to the noise, or to its square: the likelihood is that of n log(cost),
-    of which a unit is cost / n.
+    The costs differ by at most a tenth of a unit of log-likelihood. With unknown noise the cost of
+    `numbers` real numbers is proportional to the noise or its square, and the log-likelihood to
+    n log(cost): a unit of it is cost / n.
     """
     if not minima:
         return ()
     best = minima[0].cost
     limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / max(numbers, 1))
-    every = Runs.of(runs)
-    close = every.indices[every.converged & (every.cost <= limit)]
+    columns = Runs.of(runs)
+    close = columns.indices[columns.converged & (columns.cost <= limit)]
     return tuple(sorted({*close.tolist(), *minima[0].runs}))
 
 
@@ -136,29 +136,28 @@ def find_minima(
     """Group the converged runs by cost and model response, best first.
 
     Two runs are at one minimum when their costs and their responses agree, whatever the parameters.
-    Each run brings the signature of its response (`Part.signature`); `signatures` has those of all
-    starts, in their order.
+    `signatures` are those of the responses of all starts (`Part.signature`), in their order.
     """
-    every = Runs.of(runs)
-    order = np.flatnonzero(every.converged)
-    order = order[np.argsort(every.cost[order], kind="stable")]
-    costs, indices = every.cost[order], every.indices[order]
+    columns = Runs.of(runs)
+    order = np.flatnonzero(columns.converged)
+    order = order[np.argsort(columns.cost[order], kind="stable")]
+    costs, indices = columns.cost[order], columns.indices[order]
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
         cost = float(costs[k])
-        alike = np.flatnonzero(ungrouped & (costs - cost <= same_cost(nlp, cost)))
-        away = _differences(signatures, indices[k], indices[alike])
-        near = alike[(away <= SAME_RESPONSE) | (alike == k)]
+        candidates = np.flatnonzero(ungrouped & (costs - cost <= same_cost(nlp, cost)))
+        distances = _differences(signatures, indices[k], indices[candidates])
+        near = candidates[(distances <= SAME_RESPONSE) | (candidates == k)]
         ungrouped[near] = False
-        near = _best_first(nlp, costs[near], indices[near], every.estimate[order[near]], near)
+        near = _best_first(nlp, costs[near], indices[near], columns.estimate[order[near]], near)
         k = int(near[0])
-        variants = _variants(nlp, every.estimate[order[near]])
+        variants = _variants(nlp, columns.estimate[order[near]])
         minima.append(
             Minimum(
                 float(costs[k]),
-                every.estimate[order[k]].copy(),
+                columns.estimate[order[k]].copy(),
                 tuple(indices[near].tolist()),
                 variants,
             )
@@ -167,20 +166,19 @@ def find_minima(
 
 
 def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:
-    """Return the root mean squares of the differences of some responses from that of one, relative to it."""
+    """Return the root mean square differences of responses from that of one run, relative to it."""
     reference = np.asarray(signatures[of], dtype=float)
     size = np.maximum(np.abs(reference), 1.0)  # signatures come in units of the measured signals
-    found = np.empty(len(indices))
+    differences = np.empty(len(indices))
     for begin in range(0, len(indices), AT_ONCE):
-        some = indices[begin : begin + AT_ONCE]
-        own = (
-            signatures[some]
-            if isinstance(signatures, np.ndarray)
-            else [signatures[index] for index in some]
-        )
-        relative = (np.asarray(own, dtype=float) - reference) / size
-        found[begin : begin + AT_ONCE] = np.sqrt(np.mean(relative**2, axis=1))
-    return found
+        batch = indices[begin : begin + AT_ONCE]
+        if isinstance(signatures, np.ndarray):
+            responses = signatures[batch].astype(float)
+        else:
+            responses = np.array([signatures[index] for index in batch], dtype=float)
+        relative = (responses - reference) / size
+        differences[begin : begin + AT_ONCE] = np.sqrt(np.mean(relative**2, axis=1))
+    return differences
 
 
 def same_cost(nlp: CompiledProblem, cost: float) -> float:

@@ -1,10 +1,10 @@
 """Many runs of one compiled problem."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from itertools import chain
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -31,11 +31,6 @@ from greybox.solve.waves import AllAtOnce, Waves
 ProgressReport = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
-# Shares of the way from a start at which the model is finite to one at which it is not, halved
-# until it is.
-SHARES = 0.5 ** np.arange(1, 7)
-
-
 BATCHED, MULTISTART, GLOBAL_SEARCH = "batched", "multistart", "global-search"
 SEARCHES = (BATCHED, MULTISTART, GLOBAL_SEARCH)
 
@@ -46,9 +41,9 @@ def solver_for(
 ) -> LocalSolver:
     """Return the solver of a problem.
 
-    That is Gauss-Newton steps or IPOPT where parts have hidden unknowns; else IPOPT. Where the
-    search is ``"batched"`` that compares the starts first and is behind Newton's method from many
-    of them at once, if the problem has the form.
+    Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps or IPOPT, others by
+    IPOPT. The search ``"batched"`` compares the starts first, and improves many at once where
+    `BatchedSolver.serves`.
 
     Raises
     ------
@@ -75,21 +70,19 @@ def multistart(
 ) -> Multistart:
     """Run the solver from every row of `starts` (r, p) and group the runs into minima.
 
-    The `waves` say in which order, and when there were enough; by default all are tried. Starts
-    that are `movable` go to where a run can begin. Every run is kept; runs from elsewhere, see
-    `greybox.solve.local_search`, follow those of the starts. A run that fails is a result with its
-    status; it is never ranked before one that converged. When a stop is requested
-    (`greybox.solve.interruption`) the run at hand is the last. With an executor the runs from the
-    starts are made by its workers, see `greybox.solve.executors`. Those that were `kept` are not
-    made again.
+    The `waves` decide the order, and when there were enough; by default all starts are tried. A
+    `movable` start moves to where the model is finite. All runs are stored; those from further
+    starts (`greybox.solve.local_search`) follow. A run that fails is a result with its status, and
+    never ranks before one that converged. When a stop is requested (`greybox.solve.interruption`),
+    the current run is the last. With an executor its workers make the runs
+    (`greybox.solve.executors`). Runs that were `kept` are not made again.
     """
     began = time.perf_counter()
-    points: Iterable[Array] = starts
+    points: Array | FiniteStarts = starts
     if movable and nlp.strategies.moved_starts:
-        points = _moved_to_finite(nlp, solver, starts)
+        points = FiniteStarts(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
-    ended, done = Ended(starts), 0
-    drawn = _Drawn(points, starts)
+    ended, finished = Ended(starts), 0
     waves = waves or AllAtOnce()
     screened = waves.screened(solver, starts) if movable else None
     many = movable and screened is None and len(starts) > 1
@@ -98,19 +91,16 @@ def multistart(
     begins = {} if screened is None else dict(enumerate(screened.begins))
     runs, minima = ended.runs(), ()
     for wave in waves.numbers(len(starts), screened):
-        each = _runners(solver, shared, wave)
-        given = (
-            (runner, ((number, drawn[number]) for number in part), len(part))
-            for runner, part in each
-        )
-        made = (run_all(*some, executor, memory, begins) for some in given)
-        for number, start, outcome in chain.from_iterable(made):
-            ended.put(number, start, search.improved(outcome))
-            done += 1
-            if progress is not None:
-                progress(done, len(starts))
-        elsewhere = zip(search.further_starts, search.further_outcomes, strict=True)
-        for row, (start, outcome) in enumerate(elsewhere, len(starts)):
+        for runner, numbers in _runners(solver, shared, wave):
+            numbered = ((number, points[number]) for number in numbers)
+            runs_made = run_all(runner, numbered, len(numbers), executor, memory, begins)
+            for number, start, outcome in runs_made:
+                ended.put(number, start, search.improved(outcome))
+                finished += 1
+                if progress is not None:
+                    progress(finished, len(starts))
+        further = zip(search.further_starts, search.further_outcomes, strict=True)
+        for row, (start, outcome) in enumerate(further, len(starts)):
             ended.put(row, start, outcome)
         runs, minima = _certified(nlp, solver, ended)
         if stop_requested() or waves.are_enough(nlp, runs, minima):
@@ -119,7 +109,7 @@ def multistart(
     rows = ended.rows
     nodes = ended.nodes[rows[minima[0].runs[0]]] if minima else None
     ends = () if minima else tuple(ended.nodes[row] for row in rows)
-    if screened is not None and done < len(starts) and not stop_requested():
+    if screened is not None and finished < len(starts) and not stop_requested():
         runs = ended.among_screened(runs, screened.costs)
         minima = tuple(replace(m, runs=tuple(rows[np.array(m.runs)].tolist())) for m in minima)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
@@ -128,9 +118,9 @@ def multistart(
 def _runners(
     solver: LocalSolver, shared: SharedRuns | None, wave: Sequence[int]
 ) -> Iterator[tuple[Runner, Sequence[int]]]:
-    """Give what makes the runs of a wave, and their numbers; the first start of all is run alone in any case.
+    """Yield what makes the runs of a wave, with their numbers; the first start of all always runs alone.
 
-    A longer search then tries what one from the first start alone does.
+    So a longer search includes what a search from the first start alone tries.
     """
     if shared is None:
         yield solver, wave
@@ -142,20 +132,6 @@ def _runners(
             return
     if wave:
         yield shared, wave
-
-
-class _Drawn:
-    """Points (r, p) that are made one after the other, as far as they are asked for."""
-
-    def __init__(self, points: Iterable[Array], like: Array) -> None:
-        self._rest = iter(points)
-        self._made, self._count = np.empty_like(like), 0
-
-    def __getitem__(self, number: int) -> Array:
-        while self._count <= number:
-            self._made[self._count] = next(self._rest)
-            self._count += 1
-        return self._made[number]
 
 
 def _certified(
@@ -178,30 +154,38 @@ def _certified(
         runs = ended.runs(runs.cost)
 
 
-def _moved_to_finite(nlp: CompiledProblem, solver: LocalSolver, starts: Array) -> Iterator[Array]:
-    """Give the starts, those at which the model is not finite moved toward the first at which it is.
+class FiniteStarts:
+    """Starts (r, p) by number, where those without a finite model are moved toward the first with one.
 
-    One after the other, as the runs need them: of many starts the first run does not wait for the
-    last.
+    A start is moved when it is asked for, so that the first run does not wait for the last start.
     """
-    first = next(
-        (k for k, start in enumerate(starts) if stop_requested() or solver.is_finite_at(start)),
-        None,
-    )
-    if first is None:
-        yield from starts
-        return
-    home = nlp.scaling.to_solver(starts[first])
-    for k, start in enumerate(starts):
-        is_finite = k == first or (k > first and solver.is_finite_at(start))
-        yield start if is_finite else _toward(nlp, solver, start, home)
 
+    def __init__(self, nlp: CompiledProblem, solver: LocalSolver, starts: Array) -> None:
+        self._nlp, self._solver, self._starts = nlp, solver, starts
 
-def _toward(nlp: CompiledProblem, solver: LocalSolver, start: Array, home: Array) -> Array:
-    """Return the farthest point from `home`, in the solver's variables, toward a start at which the model is finite."""
-    away = nlp.scaling.to_solver(start) - home
-    points = (
-        np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper)
-        for share in SHARES
-    )
-    return next((point for point in points if solver.is_finite_at(point)), start)
+    @cached_property
+    def _first(self) -> int | None:
+        finite = (
+            k
+            for k, start in enumerate(self._starts)
+            if stop_requested() or self._solver.is_finite_at(start)
+        )
+        return next(finite, None)
+
+    def __getitem__(self, number: int) -> Array:
+        start, first = self._starts[number], self._first
+        if first is None or number == first:
+            return start
+        if number > first and self._solver.is_finite_at(start):
+            return start
+
+        # The farthest point on the way, halved up to six times, in the solver's variables.
+        nlp = self._nlp
+        home = nlp.scaling.to_solver(self._starts[first])
+        away = nlp.scaling.to_solver(start) - home
+        for halvings in range(1, 7):
+            z = home + 0.5**halvings * away
+            point = np.clip(nlp.scaling.to_parameters(z), nlp.lower, nlp.upper)
+            if self._solver.is_finite_at(point):
+                return point
+        return start

@@ -1,4 +1,4 @@
-"""The runs of a search in columns: as an object a run takes half a kilobyte, and there may be a hundred thousand."""
+"""The runs of a search in columns: there may be 100 000, and a run as an object takes half a kilobyte."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -13,7 +13,7 @@ from greybox.solve.outcome import SCREENED, Outcome, Run
 
 Texts = NDArray[np.object_]
 
-AT_ONCE = 4096  # runs that are looked at together: what fits into the cache
+AT_ONCE = 4096  # runs that are processed together: so many fit into the cache
 NAMES = tuple(field.name for field in fields(Run))
 COLUMNS = ("indices", *NAMES[1:])
 KINDS = {
@@ -28,7 +28,7 @@ KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class Runs(Sequence[Run]):
-    """Runs in the order of their starts; each is a `Run` where it is asked for.
+    """Runs in the order of their starts; an item is a `Run`.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Runs(Sequence[Run]):
         return Runs(*columns)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of runs."""
         return len(self.indices)
 
     @overload
@@ -74,7 +74,7 @@ class Runs(Sequence[Run]):
     def __getitem__(self, key: "slice | NDArray[Any]") -> "Runs": ...
 
     def __getitem__(self, key: Any) -> "Run | Runs":
-        """Return a run, or those of a slice, of some places, or where an array (r,) is true."""
+        """Return a run, or the runs of a slice, of an array of places or of booleans (r,)."""
         if isinstance(key, slice | np.ndarray):
             return Runs(*(getattr(self, name)[key] for name in COLUMNS))
         if not -len(self) <= key < len(self):
@@ -82,10 +82,10 @@ class Runs(Sequence[Run]):
         return next(iter(self[key : key + 1 or None]))
 
     def __iter__(self) -> Iterator[Run]:
-        """Give one run after the other."""
+        """Yield one run after the other."""
         for begin in range(0, len(self), AT_ONCE):
-            some = self[begin : begin + AT_ONCE]
-            columns = (getattr(some, name) for name in COLUMNS)
+            batch = self[begin : begin + AT_ONCE]
+            columns = (getattr(batch, name) for name in COLUMNS)
             yield from map(
                 Run, *(column if column.ndim > 1 else column.tolist() for column in columns)
             )
@@ -97,16 +97,16 @@ class Runs(Sequence[Run]):
 
 
 class Ended:
-    """What the runs of a search have left so far: a row for each of its starts, then for those from elsewhere.
+    """The results of the runs so far: a row for each start, then rows for further starts.
 
     Attributes
     ----------
     signatures, nodes : lists
-        Of every row, see `Outcome`.
+        Those of every row, see `Outcome`.
     """
 
     def __init__(self, starts: Array) -> None:
-        """Make room for the runs from these starts (r, p)."""
+        """Make room for the runs from starts (r, p)."""
         self._all = _room(0, starts)
         self.signatures: list[Array | None] = [None] * len(starts)
         self.nodes: list[tuple[Array, ...] | None] = [None] * len(starts)
@@ -114,66 +114,57 @@ class Ended:
 
     @staticmethod
     def of(starts: Array, outcomes: Sequence[Outcome]) -> "Ended":
-        """Return what runs from all of the starts (r, p) have left."""
+        """Return the results of runs from all starts (r, p)."""
         ended = Ended(starts)
         for row, (start, outcome) in enumerate(zip(starts, outcomes, strict=True)):
             ended.put(row, start, outcome)
         return ended
 
     def put(self, row: int, start: Array, outcome: Outcome) -> None:
-        """Note what a run has left, in a row that is there or the next one."""
+        """Store the result of a run, in an existing row or the next one."""
         if row == len(self._all):
-            more = _room(row, start[None])
-            self._all = Runs(
-                *(
-                    np.concatenate([getattr(each, name) for each in (self._all, more)])
-                    for name in COLUMNS
-                )
-            )
+            added = _room(row, start[None])
+            pairs = ((getattr(self._all, name), getattr(added, name)) for name in COLUMNS)
+            self._all = Runs(*map(np.concatenate, pairs))
             self.signatures, self.nodes = [*self.signatures, None], [*self.nodes, None]
             self._is_there = np.append(self._is_there, False)
         runs = self._all
-        runs.start[row], runs.estimate[row], runs.cost[row] = start, outcome.estimate, outcome.cost
-        runs.status[row], runs.stage[row], runs.converged[row] = (
-            outcome.status,
-            outcome.stage,
-            outcome.converged,
-        )
-        runs.iterations[row], runs.seconds[row] = outcome.iterations, outcome.seconds
-        self.signatures[row], self.nodes[row], self._is_there[row] = (
-            outcome.signature,
-            outcome.nodes,
-            True,
-        )
+        runs.start[row] = start
+        for name in ("estimate", "cost", "status", "stage", "converged", "iterations", "seconds"):
+            getattr(runs, name)[row] = getattr(outcome, name)
+        self.signatures[row] = outcome.signature
+        self.nodes[row] = outcome.nodes
+        self._is_there[row] = True
 
     @property
     def rows(self) -> IntArray:
-        """Those that runs have filled."""
+        """The rows that runs have filled."""
         return np.flatnonzero(self._is_there)
 
     def runs(self, costs: Array | None = None) -> Runs:
-        """Return the runs that were made, numbered in their order, with their `costs` where these were unknown."""
+        """Return the runs that were made, numbered in their order, with `costs` if given."""
         rows = self.rows
-        made = self._all if len(rows) == len(self._all) else self._all[rows]
-        cost = made.cost if costs is None else costs
+        runs = self._all if len(rows) == len(self._all) else self._all[rows]
+        cost = runs.cost if costs is None else costs
         return replace(
-            made,
+            runs,
             indices=np.arange(len(rows)),
             cost=cost,
-            converged=made.converged & np.isfinite(cost),
+            converged=runs.converged & np.isfinite(cost),
         )
 
-    def among_screened(self, made: Runs, costs: Array) -> Runs:
-        """Return the runs that were made among those that were compared only, at these `costs` (r,)."""
-        every, rest = self._all, np.flatnonzero(~self._is_there)
-        every.status[rest] = every.stage[rest] = SCREENED
-        every.cost[rest], every.cost[self.rows] = costs[rest], made.cost
-        every.converged[self.rows] = made.converged
-        return every
+    def among_screened(self, runs: Runs, costs: Array) -> Runs:
+        """Return the `runs` that were made among the starts that were only screened, at these `costs` (r,)."""
+        merged, screened = self._all, np.flatnonzero(~self._is_there)
+        merged.status[screened] = merged.stage[screened] = SCREENED
+        merged.cost[screened] = costs[screened]
+        merged.cost[self.rows] = runs.cost
+        merged.converged[self.rows] = runs.converged
+        return merged
 
 
 def _room(first: int, starts: Array) -> Runs:
-    """Return runs from these starts (r, p) that were not made."""
+    """Return runs from starts (r, p) that are not made yet."""
     r = len(starts)
     text, number = np.full(r, "", dtype=object), np.zeros(r)
     return Runs(

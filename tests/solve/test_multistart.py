@@ -13,7 +13,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.minima import find_minima
-from greybox.solve.multistart import _Drawn, _moved_to_finite, multistart, solver_for
+from greybox.solve.multistart import FiniteStarts, multistart, solver_for
 from greybox.solve.outcome import Outcome, Run
 
 NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05))
@@ -182,52 +182,22 @@ def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_
     """Half of the way in the solver's variables, a quarter, and so on; what was finite or is hopeless stays."""
     asked = []
     starts = np.array([[100.0], [64.0], [2.0], [1.0], [32.0], [50.0]])
-    moved = np.array(list(_moved_to_finite(of_logarithms(), finite_below(6.0, asked), starts)))
+
+    def moved_to_finite(limit, starts):
+        points = FiniteStarts(of_logarithms(), finite_below(limit, asked), starts)
+        return np.array([points[k] for k in range(len(starts))])
+
+    moved = moved_to_finite(6.0, starts)
     assert asked[:3] == [100.0, 64.0, 2.0]
     # From 2: half of the way to 100 and to 64 is too far, a quarter is not; half of that to 32
     # would be 8.
     assert moved.ravel() == pytest.approx(
         [2 * 50**0.25, 2 * 32**0.25, 2.0, 1.0, 2 * 16**0.25, 50.0]
     )
-    nowhere = np.array(list(_moved_to_finite(of_logarithms(), finite_below(0.0, []), starts[:5])))
-    assert_array_equal(nowhere, starts[:5])
+    assert_array_equal(moved_to_finite(0.0, starts[:5]), starts[:5])
     # Where only home is finite, a start stays after six halvings.
     asked.clear()
-    close = np.array(
-        list(_moved_to_finite(of_logarithms(), finite_below(2.001, asked), starts[2:5:2]))
-    )
-    assert_array_equal(close, starts[2:5:2])
+    assert_array_equal(moved_to_finite(2.001, starts[2:5:2]), starts[2:5:2])
     assert asked[2:] == pytest.approx(
         [2 * 16.0**share for share in (0.5, 0.25, 0.125, 1 / 16, 1 / 32, 1 / 64)]
     )
-
-
-def test_points_are_drawn_as_far_as_they_are_asked_for():
-    given = []
-
-    def points():
-        for k in range(6):
-            given.append(k)
-            yield np.array([float(k), -k])
-
-    drawn = _Drawn(points(), np.zeros((6, 2)))
-    assert drawn[2].tolist() == [2.0, -2.0]
-    assert given == [0, 1, 2]
-    assert drawn[0].tolist() == [0.0, 0.0]
-    assert given == [0, 1, 2]
-    assert drawn[5].tolist() == [5.0, -5.0]
-
-
-@pytest.mark.parametrize(("count", "neighbors"), [(1, False), (2, True)])
-def test_neighborhoods_are_tried_where_there_are_several_starts(monkeypatch, count, neighbors):
-    class Asked(Exception):  # noqa: N818
-        """With what the search was told."""
-
-    def search(*_, neighbors):
-        raise Asked(neighbors)
-
-    monkeypatch.setattr("greybox.solve.multistart.LocalSearch", search)
-    nlp = compile_problem(NOISY)
-    with pytest.raises(Asked) as told:
-        multistart(nlp, IpoptSolver(nlp), np.tile(nlp.lower, (count, 1)), movable=False)
-    assert told.value.args == (neighbors,)
