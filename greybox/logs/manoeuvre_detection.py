@@ -17,7 +17,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
 from greybox.files.text_table import alternatives
-from greybox.logs.segment_detection import SETPOINTS, whole_turn
+from greybox.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.logs.sine_detection import sines_and_sweeps
 
 # Searched when no signal is named.
@@ -84,20 +84,9 @@ def find_manoeuvres(
     names = [signal] if isinstance(signal, str) and signal else signal
     manoeuvres = []
     for name in names or _usual_inputs(data):
-        record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
-        if not record.has_time:
-            continue
-        unit = record.units.get(field, "")
-        turn = whole_turn(unit)
-        for piece in record.pieces:
-            finite = np.isfinite(piece[field])
-            values = piece[field][finite]
-            runs = manoeuvres_in(
-                piece.time[finite], np.unwrap(values, period=turn) if turn else values
-            )
-            manoeuvres += [
-                replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs
-            ]
+        unit, parts = stretches(data, name)
+        runs = [run for time, values in parts for run in manoeuvres_in(time, values)]
+        manoeuvres += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]
     return tuple(sorted(manoeuvres, key=lambda s: (s.start, s.axis)))
 
 
@@ -266,15 +255,9 @@ def _band(
 
 
 def _usual_inputs(data: Recording | Record) -> list[str]:
-    """Return the sticks, or where there are none the setpoints, and the controls of a record."""
-    if isinstance(data, Record):
-        return [name for name in (*SETPOINTS, *CONTROLS) if name in data.signals]
-    fields = {f"{key}.{name}" for key, record in data.items() for name in record.signals}
-    table = (
-        set(next(iter(data.values())).signals) if len(data) == 1 else set()
-    )  # its columns go by their bare names
-    sticks = [name for name in STICKS if name in fields]
-    return sticks or [name for name in (*SETPOINTS, *CONTROLS) if name in fields | table]
+    """Return the sticks, or else the setpoints and the controls of a record."""
+    sticks = present(data, STICKS) if isinstance(data, Recording) else []
+    return sticks or present(data, (*SETPOINTS, *CONTROLS))
 
 
 def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:

@@ -1,7 +1,7 @@
 """The excited parts of a flight: System Identification mode, announced sine tests, or sines seen in a setpoint."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,22 +22,17 @@ SETPOINTS = (  # searched when none is named
     *("r", "setpoint", "reference"),
 )
 
-PAUSE = 1.0  # s without its announcement end a test, or five intervals of a slow message
-EDGE = 0.1  # s: times of start and end, from messages and modes, are logged no more often than ten times a second
+# s without its announcement, or five intervals of a slow message, end a test.
+PAUSE = 1.0
 
-# A test ended early if it has both less than half of the median number of periods and less than 3/4
-# of the median duration: sines of low frequency have fewer periods, those of high frequency less
-# time.
-EARLY_PERIODS = 0.5
-EARLY_DURATION = 0.75
+# s: messages and modes that mark a start or an end are logged ten times a second at most.
+EDGE = 0.1
 
-# Of the travel of a stick, in the unit of its message, peak to peak: a stick at rest wanders by 1
-# to 5 µs, a dead zone is of 20 to 30 µs, and a stick that flies a sine that can be told from gusts
-# moves by more than that.
+# Share of the travel of a stick, peak to peak, above which it moved. A stick at rest wanders by 1 to
+# 5 µs, and a dead zone has 20 to 30 µs. A stick that flies a sine moves more. The travel is in the
+# unit of the message.
 STICK_MOVES = 0.05
 STICK_TRAVEL = {"RCIN": 1000.0, "manual_control_setpoint": 2.0}
-
-BARELY_EXCITED = 0.01  # of the largest amplitude in the same unit
 
 
 def find_segments(
@@ -83,7 +78,9 @@ def find_segments(
         segments += _announced(data, message, fields)
     if not segments:
         names = [setpoint] if isinstance(setpoint, str) and setpoint else setpoint
-        segments = [s for name in names or _usual_setpoints(data) for s in _in_setpoint(data, name)]
+        segments = [
+            s for name in names or present(data, SETPOINTS) for s in _in_setpoint(data, name)
+        ]
     segments = _compared([_checked(s, data) for s in segments])
     return tuple(sorted(segments, key=lambda s: (s.start, s.axis)))
 
@@ -214,29 +211,18 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
 
 
 def _moving_stick(segment: Segment, data: Recording | Record) -> str:
-    """Return the stick of the segment's axis if it moved at its frequencies; empty if it rested, or was not logged."""
+    """Return the stick of the segment's axis that moved during it, or an empty name."""
     axis = axis_of(segment.axis)
-    sticks = AXES[axis].sticks if axis and isinstance(data, Recording) else ()
+    sticks = present(data, AXES[axis].sticks) if axis and isinstance(data, Recording) else ()
     for stick in sticks:
         message, _, field = stick.rpartition(".")
-        if (
-            not isinstance(data, Recording)
-            or message not in data
-            or field not in data[message].signals
-        ):
-            continue
         record = data[message]
-        during = (record.time >= segment.start) & (record.time <= segment.end)
-        reach = (
-            np.ptp(record[field][np.isfinite(record[field])])
-            if np.isfinite(record[field]).any()
-            else 0.0
-        )
-        values = record[field][during & np.isfinite(record[field])]
-        if values.size > 2 and np.ptp(values) > STICK_MOVES * max(
-            float(reach), STICK_TRAVEL.get(message, 1.0)
-        ):
-            return stick
+        finite = np.isfinite(record[field])
+        during = finite & (record.time >= segment.start) & (record.time <= segment.end)
+        if during.sum() > 2:
+            travel = max(float(np.ptp(record[field][finite])), STICK_TRAVEL.get(message, 1.0))
+            if np.ptp(record[field][during]) > STICK_MOVES * travel:
+                return stick
     return ""
 
 
@@ -249,52 +235,63 @@ def _compared(segments: list[Segment]) -> list[Segment]:
     duration = float(np.median([s.duration for s in sines]))
     largest = {s.unit: max(t.amplitude for t in sines if t.unit == s.unit) for s in sines}
 
-    def compared(s: Segment) -> Segment:
-        if s not in sines:
-            return s
+    result = []
+    for s in segments:
         texts = []
-        if s.periods < EARLY_PERIODS * periods and s.duration < EARLY_DURATION * duration:
+        # Sines of low frequency have fewer periods, those of high frequency last less.
+        if s in sines and s.periods < 0.5 * periods and s.duration < 0.75 * duration:
             texts.append(
                 f"ended early, after {s.periods:.1f} periods where others have about {periods:.0f}"
             )
-        if 0 < s.amplitude < BARELY_EXCITED * largest[s.unit]:
+        if s in sines and 0 < s.amplitude < 0.01 * largest[s.unit]:
             texts.append(
                 f"barely excited: amplitude {s.amplitude:.3g} where others reach {largest[s.unit]:.3g}"
             )
-        return s.refused(*texts) if texts else s
+        result.append(s.refused(*texts) if texts else s)
+    return result
 
-    return [compared(s) for s in segments]
 
-
-def _usual_setpoints(data: Recording | Record) -> list[str]:
-    """Return those of the usual setpoints that the data have."""
+def present(data: Recording | Record, names: Iterable[str]) -> list[str]:
+    """Return the names of signals that the data have; the columns of a table have bare names."""
     if isinstance(data, Record):
-        return [name for name in SETPOINTS if name in data.signals]
+        return [name for name in names if name in data.signals]
     fields = {f"{key}.{name}" for key, record in data.items() for name in record.signals}
-    table = (
-        set(next(iter(data.values())).signals) if len(data) == 1 else set()
-    )  # its columns go by their bare names
-    return [name for name in SETPOINTS if name in fields | table]
+    if len(data) == 1:
+        fields.update(*(record.signals for record in data.values()))
+    return [name for name in names if name in fields]
+
+
+def stretches(
+    data: Recording | Record, name: str, longest_gap: float = 0.0
+) -> tuple[str, list[tuple[Array, Array]]]:
+    """Return the unit of a signal, and time and values of every stretch between its gaps.
+
+    Missing samples are left out, angles are unwrapped, and gaps up to `longest_gap`, s, are none.
+    """
+    record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
+    unit = record.units.get(field, "")
+    if not record.has_time:
+        return unit, []
+    finite = np.isfinite(record[field])
+    time = record.time[finite]
+    values = record[field][finite]
+    cuts = np.flatnonzero(np.diff(time) > max(longest_gap, GAP * record.step)) + 1
+    turn = _whole_turn(unit)
+    return unit, [
+        (t, np.unwrap(x, period=turn) if turn else x)
+        for t, x in zip(np.split(time, cuts), np.split(values, cuts), strict=True)
+    ]
 
 
 def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
-    record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
-    segments = []
-    unit = record.units.get(field, "")
-    turn = whole_turn(unit)
-    finite = np.isfinite(record[field])
-    # A shorter gap ends no test: what is sought are crossings in time, and one that is lost ends a
-    # sine by itself.
-    cuts = np.flatnonzero(np.diff(record.time[finite]) > max(PAUSE, GAP * record.step)) + 1
-    for time, values in zip(
-        np.split(record.time[finite], cuts), np.split(record[field][finite], cuts), strict=True
-    ):
-        segments += sines_and_sweeps(time, np.unwrap(values, period=turn) if turn else values)
+    # A gap of a second ends no test: a lost crossing ends a sine by itself.
+    unit, parts = stretches(data, name, PAUSE)
+    segments = [segment for time, values in parts for segment in sines_and_sweeps(time, values)]
     return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in segments]
 
 
-def whole_turn(unit: str) -> float:
-    """Return a whole turn in the unit of an angle, which jumps by it, as a heading does at north; 0 for other units."""
+def _whole_turn(unit: str) -> float:
+    """Return a whole turn in the unit of an angle, which a heading jumps by at north; 0 for other units."""
     try:
         conversion = to_si(unit)
     except ValueError:

@@ -25,11 +25,10 @@ from greybox.logs.readers.mapped_file import release
 from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
 # About the log or the vehicle: no time histories.
-ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")
+ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "ISBH", "ISBD")
 ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, read whatever is requested
 TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
-ARRAY = 32  # numbers in a field of the letter a
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -179,16 +178,13 @@ class _Columns:
         self._filled = 0
         self._order = np.empty(rows, dtype=np.int32 if len(data) < 2**31 else np.int64)
         self._texts: dict[str, list[str]] = {}
-        self._arrays: dict[str, IntArray] = {}
         self._columns: dict[str, Array] = {}
         for name, letter in zip(layout.columns, layout.format, strict=True):
             if name == self._timer or not is_wanted:
                 continue
             if letter in "nNZ":
                 self._texts[name] = []
-            elif letter == "a":
-                self._arrays[name] = np.empty((rows, ARRAY), dtype=np.int16)
-            else:
+            elif letter != "a":  # arrays, of files and of raw samples of the IMU
                 self._columns[name] = np.empty(rows)
 
     def decode(self, offsets: IntArray, order: IntArray, stamps: Array) -> None:
@@ -200,8 +196,6 @@ class _Columns:
                 stamps[order] = field[offsets] / CLOCKS.get(name, 1e3)
             elif name in self._texts:
                 self._texts[name] += [text(value) for value in field[offsets].tolist()]
-            elif name in self._arrays:
-                self._arrays[name][rows] = field[offsets].view("<i2").reshape(-1, ARRAY)
             elif name in self._columns:
                 self._columns[name][rows] = _numbers(field[offsets], self.layout.scale(i))
         if self._is_wanted:
@@ -214,16 +208,11 @@ class _Columns:
             no_order = np.broadcast_to(np.intp(0), (self.count,))
             return Messages(self.layout.name, no_order, None, {}, {}, units.columns)
         time = stamps[self._order] if self.is_timed else None
-        elements = {
-            f"{name}[{k}]": values[:, k].astype(float)
-            for name, values in self._arrays.items()
-            for k in range(ARRAY)
-        }
         return Messages(
             self.layout.name,
             self._order,
             time,
-            self._columns | elements,
+            self._columns,
             self._texts,
             units.columns,
             units.instance,
