@@ -63,14 +63,6 @@ def test_the_names_are_there(page):
         operator.attrgetter(name.rstrip("."))(gb)
 
 
-def test_the_new_names_in_the_changelog_are_there():
-    text = (README.parent / "CHANGELOG.md").read_text(encoding="utf-8")
-    names = re.findall(r"^\| `gb\.[^|]*\| `gb\.([\w.]+)", text, re.MULTILINE)
-    assert len(names) > 40
-    for name in names:
-        operator.attrgetter(name)(gb)
-
-
 def test_the_commands_are_there():
     for command in ("run", "test"):
         assert re.search(rf"<!-- {command} -->\n```bash\n.+\n```", TEXT)
