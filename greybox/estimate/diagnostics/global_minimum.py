@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
-from greybox.estimate.equivalent_minima import equivalent_estimates, said
+from greybox.estimate.equivalent_minima import equivalent_estimates, equivalents_warning
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.outcome import TOO_COARSE
 
@@ -70,7 +70,7 @@ def several_estimates_of_one_response(
     """Warn where clearly different parameters give the best response, as two lags that swap."""
     vectors = equivalent_estimates(nlp, search)
     if len(vectors) > 1 and not accuracy.combinations:
-        yield said(nlp.free, vectors)
+        yield equivalents_warning(nlp.free, vectors)
 
 
 def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
