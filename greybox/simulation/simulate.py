@@ -19,9 +19,6 @@ from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimulations, diverged
 from greybox.simulation.windows import Windows, cut, default_length, require_lengths
 
-# In SI units: a signal that was larger than this before it ceased to be finite diverged; one that
-# was smaller met a formula outside its domain.
-GROWN = 1e6
 # s: shortest default of a horizon and of a lead-in. The roll axis of the paper, whose unstable
 # poles in (3.18) have the real part 1.7 1/s, doubles in 0.4 s.
 SHORTEST = 0.5
@@ -78,9 +75,7 @@ def simulate(
         If an input is missing, the samples are not uniform, the simulation diverges, or a formula
         of the model is not finite.
     """
-    estimated = model_at(model, values, inputs=inputs, part=part, record=_as_record(record))
-    record = _record(record, estimated)
-    _require_inputs(record, estimated)
+    estimated, record = _model_and_record(model, values, record, inputs, part)
     estimated = estimated.driven_by(record)
     outputs = estimated.system.outputs
     static = not (estimated.system.states or estimated.system.delayed)
@@ -88,21 +83,22 @@ def simulate(
     if not stretches:
         what = "sample" if static else "two consecutive samples"
         raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
-    given = None if initial is None else _initial_by_name(initial, estimated, len(stretches))
     fitted_initial = initial is None and _is_fitted_record(record, estimated)
+    states = _initial_states(estimated, initial, len(stretches), fitted_initial)
 
-    columns = {name: np.full(len(record), np.nan) for name in _columns(estimated)}
+    errors = [] if estimated.covariance is None else [name + ERROR for name in outputs]
+    columns = {
+        name: np.full(len(record), np.nan)
+        for name in dict.fromkeys((*outputs, *errors, *estimated.system.states))
+    }
     simulator = Simulator(estimated, estimated.free_running(), outputs, integrator or RungeKutta())
     unknown: dict[str, None] = {}
-    for k, stretch in enumerate(stretches):
-        start = _initial_of_stretch(estimated, given, k, fitted_initial)
-        simulated, without_error = simulator.free_run(stretch, start, fitted_initial)
+    for stretch, start in zip(stretches, states, strict=True):
+        signals, without_error = simulator.free_run(stretch, start, fitted_initial)
         unknown |= dict.fromkeys(without_error)
-        rows = stretch.rows
-        _require_bounded(simulated, record.time[rows], estimated)
-        for name, values_there in simulated.items():
-            if name in columns:
-                columns[name][rows] = values_there
+        _require_bounded(signals, record.time[stretch.rows], estimated)
+        for name in columns.keys() & signals.keys():
+            columns[name][stretch.rows] = signals[name]
 
     units = {
         n: record.units[n.removesuffix(ERROR)]
@@ -161,9 +157,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
         window.
     """
     require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
-    estimated = model_at(model, values, inputs=inputs, part=part, record=_as_record(record))
-    record = _record(record, estimated)
-    _require_inputs(record, estimated)
+    estimated, record = _model_and_record(model, values, record, inputs, part)
     horizon = default_length([record], SHORTEST) if horizon is None else horizon
     delay = float(np.max(estimated.delays, initial=0.0))
     lead = default_length([record], SHORTEST, delay) if lead is None else lead
@@ -233,40 +227,27 @@ def predict_windows(
         notes=notes,
         own=estimated.by_name if estimated else {},
     )
-    return prediction, simulated.not_finite, _trouble(simulated, windows, outputs, model)
+    return prediction, simulated.not_finite, _not_finite(simulated, windows, outputs, model)
 
 
-def _trouble(
+def _not_finite(
     simulated: WindowSimulations, windows: Windows, outputs: tuple[str, ...], model: ModelAtEstimate
 ) -> str:
-    """Say in how many windows something is not finite, and what in the first one, where and after which states."""
+    """Return in how many windows something is not finite, and which signal is the first, when."""
     if not simulated.not_finite.any():
         return ""
     first = int(np.argmax(simulated.not_finite))
-    states = simulated.states[first]
     names = (*model.system.states, *outputs)
-    bad = ~np.isfinite(np.hstack([states, simulated.outputs[first]]))
-    when = int(np.argmax(bad.any(axis=1)))
-    what = names[int(np.argmax(bad[when]))] if bad.any() else "the sensitivity of its outputs"
+    values = np.hstack([simulated.states[first], simulated.outputs[first]])
+    lost = ~np.isfinite(values)
+    when = int(np.argmax(lost.any(axis=1)))
+    name = names[int(np.argmax(lost[when]))] if lost.any() else "the sensitivity of its outputs"
     time = windows.record.time[windows.rows[first, when]]
-    lost = int(simulated.not_finite.sum())
-    if not windows.lead:
-        return f"{model.label} is not finite in {counted(lost, 'row')} of {len(windows)}: {what} in row {time + 1:.0f}"
-    place = "within its lead-in" if when < windows.lead else "beyond its lead-in"
-    count = counted(lost, "window")
-    return (
-        f"{model.label} is not finite in {count} of {len(windows)}: {what} at {time:.6g} s, "
-        f"{place}{_last_states(model, states, when)}"
+    kind, place = (
+        ("window", f"at {time:.6g} s") if windows.lead else ("row", f"in row {time + 1:.0f}")
     )
-
-
-def _last_states(model: ModelAtEstimate, states: Array, when: int) -> str:
-    """Say which states (samples, n) were the last ones before a sample."""
-    last = states[max(when - 1, 0)]
-    text = ", ".join(
-        f"{name} = {value:.4g}" for name, value in zip(model.system.states, last, strict=True)
-    )
-    return f", {'after' if when else 'where'} {text}" if text else ""
+    count = counted(int(simulated.not_finite.sum()), kind)
+    return f"{model.label} is not finite in {count} of {len(windows)}: {name} {place}"
 
 
 def cure(called: str) -> str:
@@ -285,29 +266,27 @@ def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
     )
 
 
-def _as_record(given: Any) -> Record | None:
-    """Return what is a record; anything else is refused later."""
-    return given if isinstance(given, Record) else None
-
-
-def _record(record: Record | None, model: ModelAtEstimate) -> Record:
-    if record is None and model.part is None:
+def _model_and_record(
+    model: Any, values: Any, record: Any, inputs: Inputs | None, part: int | None
+) -> tuple[ModelAtEstimate, Record]:
+    """Bring model, values and record together; the record is by default that of the fit."""
+    own = record if isinstance(record, Record) else None
+    estimated = model_at(model, values, inputs=inputs, part=part, record=own)
+    if record is None and estimated.part is None:
         raise TypeError("record is missing: give the Record whose inputs are to drive the model.")
-    record = model.part.data if record is None and model.part is not None else record
+    if record is None and estimated.part is not None:
+        record = estimated.part.data
     if not isinstance(record, Record):
         raise TypeError(
             f"record is {record!r:.80}: give one Record; for several, call it for each."
         )
-    return record
-
-
-def _require_inputs(record: Record, model: ModelAtEstimate) -> None:
-    missing = [name for name in model.system.inputs if name not in record.signals]
+    missing = [name for name in estimated.system.inputs if name not in record.signals]
     if missing:
         raise ValueError(
-            f"{model.label} needs the input {missing[0]!r}, which the record does not have; "
+            f"{estimated.label} needs the input {missing[0]!r}, which the record does not have; "
             f"it has {', '.join(record.signals) or 'none'}."
         )
+    return estimated, record
 
 
 def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAtEstimate) -> None:
@@ -316,70 +295,54 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
     if not bad.any():
         return
     when = int(np.argmax(bad))
-    before = max(when - 1, 0)
-    states = np.array([simulated[name] for name in model.system.states]).T.reshape(len(time), -1)
-    last = _last_states(model, states, when)
-
-    bad_signals = [values for values in signals.values() if not abs(values[when]) < DIVERGED]
-    if any(abs(values[before]) > GROWN or np.isfinite(values[when]) for values in bad_signals):
+    name = next(name for name, values in signals.items() if not abs(values[when]) < DIVERGED)
+    # In SI units: what was larger than 1e6 before diverged; what was smaller met a formula outside
+    # its domain.
+    if abs(signals[name][max(when - 1, 0)]) > 1e6 or np.isfinite(signals[name][when]):
         raise ValueError(
-            f"the simulation of {model.label} diverges at {time[when]:.6g} s{last}: the model is unstable at this "
+            f"the simulation of {model.label} diverges at {time[when]:.6g} s: the model is unstable at this "
             "estimate; predict it over windows instead, gb.predict(..., horizon=...)."
         )
-    name = next(name for name, values in simulated.items() if not np.isfinite(values[when]))
     raise ValueError(
-        f"the simulation of {model.label} is not finite from {time[when]:.6g} s on, {name} first{last}: keep its "
+        f"the simulation of {model.label} is not finite from {time[when]:.6g} s on, {name} first: keep its "
         "formulas within what they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0)), or give other initial states."
     )
 
 
-def _columns(model: ModelAtEstimate) -> list[str]:
-    outputs = model.system.outputs
-    errors = [] if model.covariance is None else [name + ERROR for name in outputs]
-    return list(dict.fromkeys((*outputs, *errors, *model.system.states)))
-
-
 def _is_fitted_record(record: Record, model: ModelAtEstimate) -> bool:
     """Tell whether the record is the one that the values were fitted to."""
-    return model.part is not None and (
-        record is model.part.data
-        or (
-            record.checksum == model.part.data.checksum
-            and np.array_equal(record.time, model.part.data.time)
-        )
+    return (
+        model.part is not None
+        and record.checksum == model.part.data.checksum
+        and np.array_equal(record.time, model.part.data.time)
     )
 
 
-def _initial_by_name(initial: Any, model: ModelAtEstimate, stretches: int) -> dict[str, Array]:
-    """Return the initial states that a user gives, one value or one for each stretch."""
+def _initial_states(
+    model: ModelAtEstimate, initial: Any, stretches: int, fitted_initial: bool
+) -> Array:
+    """Return the states (stretches, n) at the beginning of every stretch; zero where none are given."""
+    if fitted_initial and model.part is not None:
+        fitted = model.part.initial
+        initial = {name: fitted[name] for name in model.system.states if name in fitted}
+    initial = {} if initial is None else initial
     if not isinstance(initial, Mapping):
         raise TypeError(f"initial is {initial!r:.60}: give {{state: value}}.")
     require_known(initial, model.system.states, "state", model.label)
-    result = {}
+    states = np.zeros((stretches, len(model.system.states)))
     for name, value in initial.items():
         try:
-            values = np.atleast_1d(np.asarray(value, dtype=float))
+            values = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
-            values = np.array([np.nan])
+            values = np.array(np.nan)
         if not np.all(np.isfinite(values)):
             raise ValueError(
                 f"initial gives {name!r} the value {value!r:.60}: give a finite number."
             )
-        if values.ndim != 1 or values.size not in (1, stretches):
+        if values.ndim > 1 or values.size not in (1, stretches):
             raise ValueError(
                 f"initial gives {name!r} {values.size} values and the record has "
                 f"{counted(stretches, 'stretch', 'stretches')} without a gap: give one value, or one for each."
             )
-        result[name] = values
-    return result
-
-
-def _initial_of_stretch(
-    model: ModelAtEstimate, initial: Mapping[str, Array] | None, k: int, fitted_initial: bool
-) -> Array:
-    """Return the states (n,) at the beginning of the k-th stretch."""
-    given: Mapping[str, Array] = (
-        model.part.initial if fitted_initial and model.part is not None else initial or {}
-    )
-    values = [given.get(name, np.zeros(1)) for name in model.system.states]
-    return np.array([value[k] if value.size > 1 else value[0] for value in values], dtype=float)
+        states[:, model.system.states.index(name)] = values
+    return states

@@ -23,23 +23,8 @@ Sensitivities = Callable[
     [Array], Array
 ]  # initial states (w, n) -> outputs' derivatives by them (w, samples, k, n)
 
-ITERATIONS = 30  # of Gauss-Newton: most settle in 5 or 6, tanks that drain within a lead-in took 23
-SETTLED = 1e-3  # of a state's posterior standard deviation: a step that does not matter
-# Iterations in which the prior, and a noise that is not known, are estimated anew. Then they are
-# held, so that the iterations minimize one function and settle.
-ADAPTING = 4
-PRIOR_STEPS = 50  # of expectation and maximization within an iteration, which costs no simulation
-FEWEST_WINDOWS = 10  # below which their states do not determine a spread
-FIRST_NOISE = 0.1  # of an output's spread: noise taken at first where none is known
-ROUNDING = (
-    1e-9  # of an output's spread: noise below is rounding, and would make the information singular
-)
-HALVINGS = 20  # of a step: to a millionth
-# Of the information of the lead-in: the least precision of a prior, which keeps states that no
-# output shows in place.
-LEAST_PRECISION = 1e-12
+ROUNDING = 1e-9  # share of an output's spread: smaller noise would make the information singular
 TINY = 1e-300  # instead of a division by zero
-LEAST_FREEDOM = 0.1  # share of the residuals that estimated states leave free, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,39 +67,74 @@ def estimate_states(
     """
     w, n = guesses[0].shape
     lead_ins = _LeadIns(outputs, sensitivities, measured)
-    R = noise if noise is not None else np.diag((FIRST_NOISE * spread) ** 2)
-    R = R + np.diag((ROUNDING * spread) ** 2)
-    x, e, S, finite = lead_ins.begin(guesses)
+    floor = np.diag((ROUNDING * spread) ** 2)
+    R = np.diag((0.1 * spread) ** 2) + floor if noise is None else noise + floor
+    x = guesses[0]
+    e, S, finite = lead_ins.linearized(x)
+    for guess in guesses[1:]:
+        if finite.all():
+            break
+        x = np.where(finite[:, None], x, guess)
+        e, S, finite = lead_ins.linearized(x)
     if not finite.any():
         unknown = np.full(n, np.nan)
         return StateEstimates(x, np.full((w, n, n), np.nan), R, unknown, unknown, ~finite)
+    if not finite.all():
+        # Begin the other windows where these are on average.
+        x = np.where(finite[:, None], x, x[finite].mean(axis=0))
+        e, S, finite = lead_ins.linearized(x)
 
     mean = x[finite].mean(axis=0)
     precision = np.zeros(n)
     posterior = np.zeros((w, n, n))
-    for iteration in range(ITERATIONS):
-        adapting = iteration < ADAPTING
-        if noise is None and 0 < iteration < ADAPTING:
-            R = _noise_of(e, S, np.isfinite(measured) & finite[:, None, None], posterior, R, spread)
-        H, b = _information(e, S, R)
+    # Most settle in 5 or 6 iterations; tanks that drain within a lead-in took 23.
+    for iteration in range(30):
+        # The prior, and a noise that is not known, are estimated again at first, then held: the
+        # iterations minimize one function and settle.
+        adapting = iteration < 4
+        if noise is None and adapting and iteration:
+            present = np.isfinite(measured) & finite[:, None, None]
+            R = residual_noise(e, S, present, posterior, R) + floor
+        H, b = information_of(e, S, R)
         if adapting:
-            information = np.einsum("wij,wj->wi", H, x) + b
-            mean, precision = _prior(
-                H[finite], information[finite], mean, measured[finite], R, spread
+            states = np.einsum("wij,wj->wi", H, x) + b
+            mean, precision = shared_prior(
+                H[finite], states[finite], mean, measured[finite], R, spread
             )
-
         posterior = _inverse(H, precision)
         step = np.einsum("wij,wj->wi", posterior, b - precision * (x - mean))
-        x, e, taken = _line_search(
-            lead_ins.residual, _Posterior(R, mean, precision), x, e, step, finite
-        )
-        x, e, S, finite = lead_ins.linear(x, e)
+        step = np.where(finite[:, None], step, 0.0)
+        step = _halved(step, x, e, lead_ins, R, mean, precision)
+        x = x + step
+        e, S, finite = lead_ins.linearized(x)
         deviation = np.sqrt(np.maximum(np.diagonal(posterior, axis1=1, axis2=2), TINY))
-        if not adapting and np.all(np.abs(taken) <= SETTLED * deviation):
+        if not adapting and np.all(np.abs(step) <= 1e-3 * deviation):
             break
 
-    H, _ = _information(e, S, R)
+    H, _ = information_of(e, S, R)
     return StateEstimates(x, _inverse(H, precision), R, mean, precision, ~finite)
+
+
+def _halved(
+    step: Array, x: Array, e: Array, lead_ins: "_LeadIns", R: Array, mean: Array, precision: Array
+) -> Array:
+    """Halve the step (w, n) of every window until it does not cost more, by more than rounding."""
+    weight = np.linalg.inv(np.linalg.cholesky(R))
+
+    def cost(e: Array, x: Array) -> Array:
+        with np.errstate(invalid="ignore", over="ignore"):
+            squares = (np.einsum("ij,wtj->wti", weight, e) ** 2).sum(axis=(1, 2))
+        squares = np.where(np.isfinite(squares), squares, np.inf)
+        return squares + (precision * (x - mean) ** 2).sum(axis=1)
+
+    limit = cost(e, x) * (1 + 1e-9) + 1e-9
+    worse = np.any(step != 0, axis=1)
+    for _ in range(20):  # to a millionth
+        worse &= ~(cost(lead_ins.residual(x + step), x + step) <= limit)
+        if not worse.any():
+            break
+        step = np.where(worse[:, None], step / 2, step)
+    return np.where(worse[:, None], 0.0, step)
 
 
 def without_states(errors: Array, noise: Array | None, spread: Array) -> StateEstimates:
@@ -163,7 +183,7 @@ def one_step_errors(
 
 @dataclass(frozen=True, eq=False)
 class _LeadIns:
-    """The lead-ins of all windows as functions of their initial states x (w, n): residuals e, sensitivities S."""
+    """Residuals e and sensitivities S of the lead-ins as functions of the initial states x (w, n)."""
 
     outputs: Outputs
     sensitivities: Sensitivities
@@ -174,47 +194,20 @@ class _LeadIns:
         e = self.measured - self.outputs(x)
         return np.where(np.isfinite(self.measured), np.where(np.isfinite(e), e, np.inf), 0.0)
 
-    def begin(self, guesses: Sequence[Array]) -> tuple[Array, Array, Array, BoolArray]:
-        """Return x, e, S and which windows are finite, from the first guess that makes each of them so."""
-        x = guesses[0]
-        e, S, finite = self._at(x)
-        for guess in guesses[1:]:
-            if finite.all():
-                break
-            x = np.where(finite[:, None], x, guess)
-            e, S, finite = self._at(x)
-        return self._completed(x, e, S, finite)
-
-    def linear(self, x: Array, e: Array) -> tuple[Array, Array, Array, BoolArray]:
-        """Return x, e, S and which windows are finite where the residuals are `e`; x is changed where one is not."""
-        S = self.sensitivities(x)
-        return self._completed(x, e, S, _finite(e, S))
-
-    def _at(self, x: Array) -> tuple[Array, Array, BoolArray]:
+    def linearized(self, x: Array) -> tuple[Array, Array, BoolArray]:
+        """Return e, S and which windows are finite; e and S are zero in the others."""
         e = self.residual(x)
         S = self.sensitivities(x)
-        return e, S, _finite(e, S)
-
-    def _completed(
-        self, x: Array, e: Array, S: Array, finite: BoolArray
-    ) -> tuple[Array, Array, Array, BoolArray]:
-        """Begin windows that are not finite where the others are on average; where that fails they do not count."""
-        if not finite.all() and finite.any():
-            x = np.where(finite[:, None], x, x[finite].mean(axis=0))
-            e, S, finite = self._at(x)
+        finite = np.all(np.isfinite(e), axis=(1, 2)) & np.all(np.isfinite(S), axis=(1, 2, 3))
+        usable = finite[:, None, None]
         return (
-            x,
-            np.where(finite[:, None, None], e, 0.0),
-            np.where(finite[:, None, None, None], S, 0.0),
+            np.where(usable, e, 0.0).astype(float),
+            np.where(usable[..., None], S, 0.0).astype(float),
             finite,
         )
 
 
-def _finite(e: Array, S: Array) -> BoolArray:
-    return np.all(np.isfinite(e), axis=(1, 2)) & np.all(np.isfinite(S), axis=(1, 2, 3))
-
-
-def _information(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
+def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
     """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n) over what was measured; S must be zero elsewhere."""
     weight = np.linalg.inv(np.linalg.cholesky(R))
     w, samples, k, n = S.shape
@@ -227,88 +220,40 @@ def _inverse(H: Array, precision: Array) -> Array:
     return np.asarray(np.linalg.inv(H + np.diag(precision)), dtype=np.float64)
 
 
-def _prior(
+def shared_prior(
     H: Array, information: Array, mean: Array, measured: Array, R: Array, spread: Array
 ) -> tuple[Array, Array]:
     """Return the prior's mean and precision (n,) from H (w, n, n) and H x̂ (w, n) of every window.
 
-    It begins as weak as a state must change to change the outputs by their spread.
+    It begins so weak that a state must change the outputs by their spread. Fewer than ten windows
+    do not determine the spread of their states.
     """
     w = len(H)
     counts = np.isfinite(measured).sum(axis=(0, 1)) / w
     signal = max(float(counts @ (spread**2 / np.diag(R))), TINY)
     seen = np.mean(np.diagonal(H, axis1=1, axis2=2), axis=0)
-    weak = np.where(seen > 0, seen / signal, 1.0)
-    precision = weak.copy()
-    if w < FEWEST_WINDOWS:
+    precision = np.where(seen > 0, seen / signal, 1.0)
+    if w < 10:
         return mean, precision
-    for _ in range(PRIOR_STEPS):
+    # Expectation and maximization, which cost no simulation.
+    for _ in range(50):
         covariance = _inverse(H, precision)
         x = np.einsum("wij,wj->wi", covariance, information + precision * mean)
         mean = x.mean(axis=0)
-        variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0) + ((x - mean) ** 2).sum(
-            axis=0
-        )
-        precision = np.maximum((w - 1) / variance, LEAST_PRECISION * seen + TINY)
+        variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0)
+        variance = variance + ((x - mean) ** 2).sum(axis=0)
+        # A least precision keeps states that no output shows in place.
+        precision = np.maximum((w - 1) / variance, 1e-12 * seen + TINY)
     return mean, precision
 
 
-def _noise_of(
-    e: Array, S: Array, present: BoolArray, posterior: Array, R: Array, spread: Array
-) -> Array:
-    """Return the variances of the residuals, corrected for what the states have fitted away, as a diagonal (k, k).
+def residual_noise(e: Array, S: Array, present: BoolArray, posterior: Array, R: Array) -> Array:
+    """Return the variances of the residuals, corrected for what the states fitted away, as a diagonal (k, k).
 
-    `present` (w, samples, k) says which of them there are.
+    `present` (w, samples, k) tells which residuals there are.
     """
-    H, _ = _information(e, S, R)
+    H, _ = information_of(e, S, R)
     count = np.maximum(present.sum(axis=(0, 1)), 1)
     fitted = float(np.einsum("wij,wji->", H, posterior)) / count.sum()
-    squares = np.where(np.isfinite(e), e**2, 0.0).sum(axis=(0, 1))
-    return np.diag(squares / (count * max(1 - fitted, LEAST_FREEDOM)) + (ROUNDING * spread) ** 2)
-
-
-@dataclass(frozen=True, eq=False)
-class _Posterior:
-    """The posterior density of the initial states, given the noise and the prior."""
-
-    R: Array
-    mean: Array
-    precision: Array
-
-    def cost(self, e: Array, x: Array) -> Array:
-        """Return its negative logarithm for every window (w,), twice and up to a constant."""
-        weight = np.linalg.inv(np.linalg.cholesky(self.R))
-        with np.errstate(invalid="ignore", over="ignore"):
-            squares = (np.einsum("ij,wtj->wti", weight, e) ** 2).sum(axis=(1, 2))
-        return np.where(np.isfinite(squares), squares, np.inf) + (
-            self.precision * (x - self.mean) ** 2
-        ).sum(axis=1)
-
-
-def _line_search(
-    residual: Outputs,
-    posterior: _Posterior,
-    x: Array,
-    e: Array,
-    step: Array,
-    finite: BoolArray,
-) -> tuple[Array, Array, Array]:
-    """Take the step of every window that is finite, halved until it does not cost more.
-
-    Returns states, residuals, and what was taken.
-    """
-    before = posterior.cost(e, x)
-    length = np.where(finite, 1.0, 0.0)
-    worse = finite
-    for _ in range(HALVINGS):
-        moved = x + length[:, None] * step
-        e = residual(moved)
-        worse = finite & ~(
-            posterior.cost(e, moved) <= before * (1 + 1e-9) + 1e-9
-        )  # by more than rounding
-        if not worse.any():
-            return moved, e, length[:, None] * step
-        length = np.where(worse, length / 2, length)
-    length = np.where(worse, 0.0, length)
-    moved = x + length[:, None] * step
-    return moved, residual(moved), length[:, None] * step
+    # Estimated states leave a tenth of the residuals free, at least.
+    return np.diag((e**2).sum(axis=(0, 1)) / (count * max(1 - fitted, 0.1)))

@@ -1,8 +1,6 @@
 """Simulation and prediction, held against scipy's integrator and against truths that the bands must cover."""
 
-import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +11,6 @@ from scipy.integrate import solve_ivp
 import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt, Tilt
-from greybox.simulation.simulate import _require_bounded, _trouble
-from greybox.simulation.simulator import WindowSimulations
-from greybox.simulation.windows import Windows
 
 TRUTH = {
     "a1": -2.0,
@@ -418,93 +413,6 @@ def test_the_record_that_was_fitted_is_known_again_by_its_checksum_and_its_times
     assert again is not record
     assert gb.simulate(fit, record=again)["position"] == pytest.approx(found, abs=1e-9)
     assert np.abs(gb.simulate(fit, record=later)["position"] - found)[:20].max() > 1e-6
-
-
-# --- what is said of simulations that are not finite
-
-
-SAID = SimpleNamespace(label="M", system=SimpleNamespace(states=("p", "q")))
-
-
-def made(not_finite=(), lost=()):
-    """Three windows of five samples, with values lost at places (what, window, sample, number)."""
-    values = {
-        "states": np.arange(30.0).reshape(3, 5, 2),
-        "outputs": np.arange(15.0).reshape(3, 5, 1),
-    }
-    for what, *place in lost:
-        values[what][tuple(place)] = np.nan
-    initial = SimpleNamespace(not_finite=np.isin(np.arange(3), not_finite))
-    return WindowSimulations(initial, values["outputs"], values["states"], None, None, ())
-
-
-@pytest.mark.parametrize(
-    ("simulated", "lead", "told"),
-    [
-        (
-            made([1], [("states", 1, 3, 1)]),
-            2,
-            "1 window of 3: q at 1.8 s, beyond its lead-in, after p = 14, q = 15",
-        ),
-        (
-            made([1], [("states", 1, 2, 0)]),
-            2,
-            "1 window of 3: p at 1.7 s, beyond its lead-in, after p = 12, q = 13",
-        ),
-        (
-            made([], [("outputs", 1, 1, 0), ("outputs", 2, 0, 0)]),
-            2,
-            "2 windows of 3: y at 1.6 s, within its lead-in, after p = 10, q = 11",
-        ),
-        (
-            made([], [("outputs", 0, 0, 0)]),
-            2,
-            "1 window of 3: y at 1 s, within its lead-in, where p = 0, q = 1",
-        ),
-        (
-            made([2]),
-            2,
-            "1 window of 3: the sensitivity of its outputs at 2 s, within its lead-in, where p = 20, q = 21",
-        ),
-        (made([], [("outputs", 1, 0, 0)]), 0, "1 row of 3: y in row 16"),
-    ],
-)
-def test_what_is_not_finite_is_told_with_when_and_what_was_before(simulated, lead, told):
-    time = np.arange(40.0)
-    record = gb.Record(0.1 * time if lead else time, {"y": time}, has_time=bool(lead))
-    windows = Windows(record, 10 + np.arange(15).reshape(3, 5), lead, 3)
-    assert _trouble(simulated, windows, ("y",), SAID) == f"M is not finite in {told}"
-    assert _trouble(made(), windows, ("y",), SAID) == ""
-
-
-@pytest.mark.parametrize(
-    ("q", "sentence"),
-    [
-        ([1.0, 0.9e9, 0.99e9], ""),
-        (
-            [1.0, 0.9e9, 1.01e9],
-            "the simulation of M diverges at 0.2 s, after p = 6, q = 9e+08: the model is unstable",
-        ),
-        ([1.0, 1.1e6, np.nan], "the simulation of M diverges at 0.2 s, after p = 6, q = 1.1e+06: "),
-        ([1.0, -1.1e6, np.nan], "the simulation of M diverges at 0.2 s, after"),
-        (
-            [1.0, 0.9e6, np.nan],
-            "M is not finite from 0.2 s on, q first, after p = 6, q = 9e+05: keep its formulas",
-        ),
-        (
-            [np.nan, 1.0, 2.0],
-            "M is not finite from 0 s on, q first, where p = 5, q = nan: keep its formulas within",
-        ),
-    ],
-)
-def test_a_simulation_diverges_where_it_grew_before(q, sentence):
-    """Beyond 1e9, or not finite after 1e6; errors of outputs do not count."""
-    simulated = {"p": np.array([5.0, 6, 7]), "q": np.array(q), "p_error": np.full(3, np.nan)}
-    if not sentence:
-        _require_bounded(simulated, np.array([0, 0.1, 0.2]), SAID)
-        return
-    with pytest.raises(ValueError, match=re.escape(sentence)):
-        _require_bounded(simulated, np.array([0, 0.1, 0.2]), SAID)
 
 
 def test_two_samples_are_enough_and_one_of_a_static_model():

@@ -58,12 +58,12 @@ def test_what_is_not_finite_is_named_with_its_place():
     record = tanks(SafeTanks(), flow)
     with pytest.raises(
         ValueError,
-        match=r"not finite in \d+ windows of 58: (upper|lower) at 3\d.\d* s, .*after upper = ",
+        match=r"not finite in \d+ windows of 58: (upper|lower) at 3\d.\d* s",
     ):
         gb.predict(Tanks(), {}, record, horizon=1.0, lead=2.0, integrator=gb.RungeKutta(substeps=8))
     with pytest.raises(
         ValueError,
-        match=r"is not finite from 3\d\.?\d* s on, \w+ first, after upper = .*gb.maximum",
+        match=r"is not finite from 3\d\.?\d* s on, \w+ first: .*gb.maximum",
     ):
         gb.simulate(Tanks(), {}, record, initial={"upper": 2.0, "lower": 1.5})
 
@@ -227,7 +227,7 @@ def test_the_prior_of_few_windows_is_as_weak_as_the_spread_of_the_outputs():
     measured[0, :2, 1] = np.nan
     mean = np.array([1.0, 2.0, 3.0])
     R, spread = np.diag([0.5, 0.25]), np.array([2.0, 3.0])
-    same, precision = state_estimation._prior(H, np.zeros((2, 3)), mean, measured, R, spread)
+    same, precision = state_estimation.shared_prior(H, np.zeros((2, 3)), mean, measured, R, spread)
     signal = 4 * 2.0**2 / 0.5 + 3 * 3.0**2 / 0.25
     assert_allclose(precision, [*np.mean(H.diagonal(axis1=1, axis2=2), axis=0)[:2] / signal, 1.0])
     assert_allclose(same, mean)
@@ -240,7 +240,7 @@ def test_the_noise_is_that_of_the_residuals_less_what_the_states_have_fitted_awa
     present[0, :3, 1] = False
     e[~present], S[~present] = 0.0, 0.0
     R, posterior = np.diag([0.5, 2.0]), np.array([np.eye(2) * c for c in (0.05, 0.1, 0.02)])
-    found = state_estimation._noise_of(e, S, present, posterior, R, np.full(2, 1e-3))
+    found = state_estimation.residual_noise(e, S, present, posterior, R)
     fitted = (
         sum(
             (S[w, t, j] @ posterior[w] @ S[w, t, j]) / R[j, j]
@@ -253,73 +253,11 @@ def test_the_noise_is_that_of_the_residuals_less_what_the_states_have_fitted_awa
     assert 0.05 < fitted < 0.9
     assert_allclose(found, np.diag((e**2).sum(axis=(0, 1)) / [15, 12] / (1 - fitted)), rtol=1e-6)
     e[..., 1], S[..., 1, :], present[..., 1] = 0.0, 0.0, False  # an output that was not measured
-    found = state_estimation._noise_of(e, S, present, posterior, R, np.array([1.0, 50.0]))
-    assert found[1, 1] == pytest.approx((50e-9) ** 2)
+    found = state_estimation.residual_noise(e, S, present, posterior, R)
+    assert found[1, 1] == 0
     # What many states fit away leaves a tenth of the freedom at least.
-    found = state_estimation._noise_of(e, S, present, 1e3 * posterior, R, np.ones(2))
+    found = state_estimation.residual_noise(e, S, present, 1e3 * posterior, R)
     assert found[0, 0] == pytest.approx((e[..., 0] ** 2).sum() / (15 * 0.1))
-
-
-def test_a_step_is_halved_in_the_windows_where_it_costs_more():
-    """Of one measured state: a right step, one three times too long, a wrong one, one without a value."""
-    measured = np.array([2.0, 2.0, 2.0, np.nan])
-
-    def residual(x):
-        return (measured[:, None] - x)[..., None]
-
-    posterior = state_estimation._Posterior(np.eye(1), np.zeros(1), np.zeros(1))
-    x = np.zeros((4, 1))
-    step = np.array([[2.0], [6.0], [-1.0], [5.0]])
-    finite = np.isfinite(measured)
-    moved, e, taken = state_estimation._line_search(
-        residual, posterior, x, residual(x), step, finite
-    )
-    assert_allclose(moved[:, 0], [2.0, 3.0, 0.0, 0.0])
-    assert_allclose(taken, moved)
-    assert_allclose(e[:3, 0, 0], [0.0, -1.0, 2.0])
-    # The prior has its part: from the mean at zero, half of the way costs least.
-    held = state_estimation._Posterior(np.eye(1), np.zeros(1), np.array([1.0]))
-    assert held.cost(np.array([[[3.0]]]), np.array([[2.0]])) == pytest.approx([13.0])
-
-
-def test_a_window_begins_with_the_first_guess_that_is_finite_or_where_the_others_are():
-    """Of an output that is the root of its one state, in five windows."""
-    measured = np.array(
-        [[[1.0], [2.0]], [[3.0], [np.nan]], [[1.0], [1.0]], [[2.0], [2.0]], [[0.5], [0.5]]]
-    )
-
-    def root(x, offset=0.0):
-        with np.errstate(invalid="ignore"):
-            return np.sqrt(x - offset)[:, None] * np.ones((1, 2, 1))
-
-    def slope(x, offset=0.0):
-        with np.errstate(invalid="ignore"):
-            return (0.5 / np.sqrt(x - offset))[:, None, :, None] * np.ones((1, 2, 1, 1))
-
-    guesses = [
-        np.array([[4.0], [-1.0], [-1.0], [9.0], [-1.0]]),
-        np.array([[1.0], [16.0], [-1.0], [1.0], [-2.0]]),
-    ]
-    guesses.append(np.array([[2.0], [2.0], [25.0], [2.0], [-3.0]]))
-    lead_ins = state_estimation._LeadIns(root, slope, measured)
-    x, e, S, finite = lead_ins.begin(guesses)
-    begun = np.array([4.0, 16.0, 25.0, 9.0, (4 + 16 + 25 + 9) / 4])
-    assert_allclose(x[:, 0], begun)
-    assert finite.all()
-    assert_allclose(
-        e[..., 0],
-        np.where(np.isfinite(measured[..., 0]), measured[..., 0] - np.sqrt(begun)[:, None], 0.0),
-    )
-    assert_allclose(S[:, 0, 0, 0], 0.5 / np.sqrt(begun))
-    # Where the mean of the others is no place either, the window does not count.
-    far = np.array([[0.0], [0], [0], [0], [50]])
-    lost = state_estimation._LeadIns(lambda x: root(x, far), lambda x: slope(x, far), measured)
-    x, e, S, finite = lost.begin(guesses)
-    assert finite.tolist() == [True] * 4 + [False]
-    assert not e[4].any()
-    assert not S[4].any()
-    assert np.isinf(lost.residual(np.array([[4.0], [-1.0], [1.0], [1.0], [60.0]]))[1, 0, 0])
-    assert lost.residual(np.array([[4.0], [-1.0], [1.0], [1.0], [60.0]]))[1, 1, 0] == 0
 
 
 def test_the_prior_of_many_windows_is_that_of_their_states():
@@ -330,13 +268,13 @@ def test_the_prior_of_many_windows_is_that_of_their_states():
     H = np.broadcast_to(np.diag([1e6, 1e6]), (w, 2, 2))
     measured = np.ones((w, 4, 1))
     information = np.einsum("wij,wj->wi", H, x)
-    mean, precision = state_estimation._prior(
+    mean, precision = state_estimation.shared_prior(
         H, information, np.zeros(2), measured, np.eye(1), np.array([100.0])
     )
     assert_allclose(mean, x.mean(axis=0), rtol=1e-4)
     assert_allclose(precision, (w - 1) / ((x - x.mean(axis=0)) ** 2).sum(axis=0), rtol=1e-3)
     for few, told in ((9, False), (10, True)):  # below ten their states do not determine a spread
-        mean, _ = state_estimation._prior(
+        mean, _ = state_estimation.shared_prior(
             H[:few], information[:few], np.zeros(2), measured[:few], np.eye(1), np.array([100.0])
         )
         assert_allclose(mean, x[:few].mean(axis=0) if told else 0.0, rtol=1e-4)
@@ -346,17 +284,8 @@ def test_information_is_weighted_by_correlated_noise():
     random = np.random.default_rng(4)
     e, S = random.normal(size=(2, 3, 2)), random.normal(size=(2, 3, 2, 4))
     R = np.array([[0.5, 0.3], [0.3, 0.7]])
-    H, b = state_estimation._information(e, S, R)
+    H, b = state_estimation.information_of(e, S, R)
     weight = np.linalg.inv(R)
     for w in range(2):
         assert_allclose(H[w], sum(S[w, t].T @ weight @ S[w, t] for t in range(3)))
         assert_allclose(b[w], sum(S[w, t].T @ weight @ e[w, t] for t in range(3)))
-    x = random.normal(size=(2, 4))
-    precision, mean = np.array([1.0, 2.0, 0.5, 4.0]), random.normal(size=4)
-    cost = state_estimation._Posterior(R, mean, precision).cost(e, x)
-    prior = ((x - mean) ** 2 * precision).sum(axis=1)
-    assert_allclose(
-        cost, [sum(e[w, t] @ weight @ e[w, t] for t in range(3)) + prior[w] for w in range(2)]
-    )
-    e[1, 2, 0] = np.inf
-    assert np.isinf(state_estimation._Posterior(R, mean, precision).cost(e, x)[1])
