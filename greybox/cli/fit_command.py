@@ -79,7 +79,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Fit the stated problem; save and draw the result where asked to."""
+    """Fit the problem of the options; save and draw the result if asked to."""
     goes_on = options.out is not None and folder_beside(options.out).is_dir()
     require_fit_file(options.out, options.force or goes_on)
     require_figure(options.plot, options.force or goes_on)
@@ -89,14 +89,12 @@ def run(options: argparse.Namespace) -> Answer:
         with _kept(options) as kept, stated_executor(options) as executor, limited(limits):
             return _answer(options, kept, *_fitted(partial(make, executor=executor), kept, options))
     except ExecutorLostError as error:
-        resume = (
-            "" if options.out is None else "; the same command goes on with the runs that were kept"
-        )
+        resume = "" if options.out is None else "; the same command continues with the stored runs"
         return {"error": f"{str(error).rstrip('.')}{resume}."}, "", FAILED
 
 
 def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
-    """Return what makes the stated fit, given what keeps its runs and an executor."""
+    """Return a function that fits the problem, given a store of runs and an executor."""
     problem, settings = stated_problem(options)
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
@@ -112,14 +110,14 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
 
 
 def _kept(options: argparse.Namespace) -> AbstractContextManager[StoredRuns | None]:
-    """Return what keeps the runs of a fit that is saved."""
+    """Return the store of runs of a fit that is saved."""
     return nullcontext() if options.out is None else runs_beside(options.out)
 
 
 def _fitted(
     make: Callable[..., Fit], kept: StoredRuns | None, options: argparse.Namespace
 ) -> tuple[Fit, bool]:
-    """Return the fit, or the best so far if it was interrupted, and whether it was."""
+    """Return the fit, or the best one so far after Ctrl-C, and whether it was interrupted."""
     try:
         return make(kept), False
     except Interrupted as stopped:
@@ -129,8 +127,8 @@ def _fitted(
     except KeptRunsError as error:
         if kept is None or not options.force:
             raise UsageError(
-                f"{folder_beside(options.out)} has runs of another fit to {options.out} that did not end: give what that "
-                "was begun with, or --force to begin anew."
+                f"{folder_beside(options.out)} has runs of another, unfinished fit: repeat its command, or give --force to "
+                "begin anew."
             ) from error
         kept.remove()
         return _fitted(make, kept, options)
@@ -139,7 +137,7 @@ def _fitted(
 def _answer(
     options: argparse.Namespace, kept: StoredRuns | None, result: Fit, interrupted: bool
 ) -> Answer:
-    """Save and draw a fit, and return what there is to say; runs are kept until it is complete and saved."""
+    """Save and draw a fit, and return the answer; its runs are stored until it is complete and saved."""
     answer = summary(result)
     status = USABLE if result.converged else FAILED
     if not result.converged:
@@ -156,7 +154,7 @@ def _answer(
             notes.append(f"saved {options.out}")
         interrupted = take_interrupt() or interrupted
         notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
-    except OSError as error:  # a full disk does not take the answer away
+    except OSError as error:  # print the answer although the disk is full
         answer["error"] = str(error)
         status = FAILED
     except KeyboardInterrupt:
@@ -166,9 +164,9 @@ def _answer(
         status = INTERRUPTED
         notes += [f"{options.plot} is not drawn"] if options.plot is not None else []
     if kept is not None and kept.trouble:
-        notes.append(f"the last runs are not kept: {kept.trouble}")
+        notes.append(f"the last runs are not stored: {kept.trouble}")
     if kept is not None and kept.count:
-        notes.append(f"the same command goes on with {counted(kept.count, 'run')}")
+        notes.append(f"the same command continues with {counted(kept.count, 'run')}")
     return answer, "\n".join([str(result), *notes]), status
 
 

@@ -1,17 +1,27 @@
-"""What is estimated from what, by which rule.
+"""What is estimated from what, by which criterion.
 
-Begin with `problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters;
-problems add to a `sum`, which asks of each part what stands in `summand`: `added_criteria` sees to
-it that their costs add, and `data_used_twice` that none of their data are there twice. What all
-rules share is in `criterion`, the rules themselves in `frequency_criteria`, `time_criteria` and
-`spectrum_criteria` (of manoeuvres), the list of them in `included_criteria`; `relative_score` knows
-what noise makes of the relative ones. `several` states one problem for several records,
-`sensor_biases` numbers the biases that each record has for itself, `held_estimate` is what a
-problem asks of an earlier `Fit` whose values it holds fixed, `prior` what is known of parameters
-before the data, `prior_part` that as a part of a sum, `restated_parameter` gives a parameter other
-bounds and starts than its model declares, `input_assumptions` says how inputs run between their
-samples, `signal_units` holds the units of a record against those that the model declares, and
-`starts` are the points from which a search begins, one rule a class.
+Begin with `problem`.
+
+| file | contents |
+| --- | --- |
+| `problem` | `Problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters |
+| `sum` | `Sum`: problems solved at once |
+| `several` | one problem for several records |
+| `summand` | what a sum asks of a problem |
+| `added_criteria` | criteria whose costs add |
+| `data_used_twice` | records and what was estimated from them must not be added |
+| `sensor_biases` | each record of a sum has its own biases |
+| `criterion` | what all criteria share |
+| `frequency_criteria` | the criteria for frequency responses |
+| `time_criteria`, `spectrum_criteria` | the criteria for records and for spectra of manoeuvres |
+| `included_criteria` | the list of them |
+| `relative_score` | bias and spread of relative criteria by noise |
+| `prior`, `prior_part` | a-priori knowledge, and a sum with it |
+| `held_estimate` | an earlier fit whose values a problem holds fixed |
+| `restated_parameter` | a parameter with other bounds or starts |
+| `input_assumptions` | how inputs run between their samples |
+| `signal_units` | units of data against those of the model |
+| `starts` | where the runs of a search begin |
 """
 
 from greybox.formulation.frequency_criteria import Criterion as Criterion

@@ -1,4 +1,4 @@
-"""The criteria of problems that are added: likelihoods add, and so do costs of one and the same criterion."""
+"""Criteria of a sum: likelihoods add, and so do costs of the same criterion."""
 
 from collections.abc import Sequence
 
@@ -9,16 +9,16 @@ from greybox.formulation.summand import Part
 def with_costs_that_add(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Return the parts with criteria whose costs may be added.
 
-    Negative log-likelihoods add, whatever the data. Where one of the criteria is a likelihood, as
-    that of every record is, a response that was given none gets `RelativeLikelihood` in place of
-    `RelativeError`. Costs that are no likelihoods have scales of their own, so they add where the
-    criterion and its settings are the same.
+    Negative log-likelihoods add, whatever the data. If one criterion is a likelihood, as that of
+    every record is, a response without a criterion of its own gets `RelativeLikelihood` in place of
+    `RelativeError`. Other costs have scales of their own: they add only if criterion and settings
+    are the same.
 
     Raises
     ------
     ValueError
-        If a criterion that was asked for is a likelihood and another one is not, or two that are
-        none differ.
+        If one criterion is a likelihood and another one is not, or if two that are no likelihoods
+        differ.
     """
     likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
     if likelihood is None:

@@ -1,4 +1,4 @@
-"""What all criteria share, in the frequency domain and in time: a name, words, and equality by type and settings."""
+"""What all criteria share: a name, a description, and equality by type and settings."""
 
 import dataclasses
 import inspect
@@ -21,25 +21,22 @@ class AnyCriterion(ABC):
     Attributes
     ----------
     rule : str
-        The formula in words, for the reader of a result; `description` completes it with the
-        options. By default the `name`.
+        Formula in words, for the reader of a result; `description` adds the options. By default the
+        `name`.
     condition : str
-        What the errors must be like for the standard errors to hold.
+        Errors for which the standard errors hold.
     smoothed : bool
-        True when the cost has a kink at a zero residual, so that the solver minimizes it with a
-        small smoothing.
+        Whether the cost has a kink at a zero residual, which the solver smooths.
     known_noise : bool
-        True when the size of the errors is given with the data rather than estimated from the
-        residuals.
+        Whether the data give the size of the errors; otherwise the residuals do.
     is_likelihood : bool
-        True when the cost is a negative log-likelihood (up to a constant of the data), so that it
-        can be compared with that of other such criteria, by AIC and BIC too.
+        Whether the cost is a negative log-likelihood (up to a constant of the data), which can be
+        compared with others, by AIC and BIC too.
     nuisances : int
-        How many variances of the errors the cost eliminates, which are estimated along for every
-        response.
+        Number of variances of the errors that are estimated with each response.
     is_prior : bool
-        True where the data are a-priori knowledge of the parameters, whose errors are what they are
-        said to be.
+        Whether the data are a-priori knowledge of the parameters, whose errors are taken as
+        given.
     """
 
     rule: ClassVar[str] = ""
@@ -52,12 +49,12 @@ class AnyCriterion(ABC):
 
     @property
     def variant(self) -> str:
-        """What distinguishes it from the usual form of its rule; empty for the usual form."""
+        """Word for an unusual form of the rule; empty for the usual form."""
         return ""
 
     @property
     def name(self) -> str:
-        """The short name for JSON and the command line: the class in lower case, such as ``relative-error:model``."""
+        """Short name for JSON and the command line: the class in lower case, such as ``relative-error:model``."""
         words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", type(self).__name__.lstrip("_")).lower()
         return f"{words}:{self.variant}" if self.variant else words
 
@@ -71,7 +68,7 @@ class AnyCriterion(ABC):
         return self.condition
 
     def gain_bias(self, noise: float, points: int) -> float:
-        """Return the relative error of the gain by relative noise of this size in each component of so many points."""
+        """Return the relative bias of the gain from relative noise of this size in each component of `points` points."""
         return 0.0
 
     @property
@@ -82,10 +79,10 @@ class AnyCriterion(ABC):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The fields by name in plain values that JSON can hold.
+        """Fields by name as values for JSON.
 
-        A function stands there as its source text with the values that it captures: two functions
-        are the same when these are. (Two lambdas in one line of source have one text.)
+        A function is its source text with the values that it captures: functions with the same text
+        and values are equal. (Two lambdas in one line of source have one text.)
         """
         if dataclasses.is_dataclass(self):
             return {
@@ -121,7 +118,7 @@ def _plain(value: Any) -> Any:
 
 
 def _function_text(function: Callable[..., Any]) -> str:
-    """Return the source of a function, and the values of the variables around it that it uses."""
+    """Return the source of a function and the values that it captures."""
     closure = getattr(function, "__closure__", None) or ()
     captured = [
         *(getattr(function, "__defaults__", None) or ()),

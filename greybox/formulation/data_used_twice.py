@@ -1,4 +1,4 @@
-"""The same measurement must not enter a sum twice: as a record, and as what was estimated from it."""
+"""Refuse data that are in a sum twice: as a record, and as a response or spectrum estimated from it."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from greybox.formulation.summand import Summand
 def require_data_once(parts: Sequence[Summand]) -> None:
     """Refuse a record together with a response or a spectrum that was estimated from a stretch of it.
 
-    Their errors are the same, and adding their likelihoods would count what they tell twice.
+    Their errors are the same, so that adding their likelihoods would count the information twice.
 
     Raises
     ------
@@ -39,6 +39,6 @@ def require_data_once(parts: Sequence[Summand]) -> None:
 
 
 def _holds(record: Record, stretch: Stretch) -> bool:
-    """Tell whether a record has samples of a stretch, more than the one at which two stretches may meet."""
+    """Tell whether a record has samples of a stretch; two stretches may meet at one sample."""
     first, last = np.searchsorted(record.time, [stretch.start, np.nextafter(stretch.end, np.inf)])
     return record.checksum == stretch.checksum and int(last - first) > 1

@@ -1,7 +1,7 @@
-"""Rules that measure the mismatch between a model's frequency response and a measured one.
+"""Criteria for frequency responses: the mismatch between a model's response and a measured one.
 
-A criterion is written once, in the arithmetic of `Complex`, and so is minimized by IPOPT and
-evaluated in numbers from the same lines. It also knows its own statistics: with J the Jacobian of
+A criterion is written once, in the arithmetic of `Complex`, for IPOPT and for numbers. It also has
+its own statistics: with J the Jacobian of
 its 2n real residuals, the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator (Huber 1981,
 Robust Statistics, chapter 6), with B = bread · JᵀJ and M = Jᵀ diag(meat) J.
 """
@@ -25,37 +25,18 @@ _DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magni
 _DEGREES_PER_RADIAN = 180 / math.pi
 
 
-# Relative variance that is added to an estimated one: an exact fit has that of rounding errors, as
-# in time.
-ROUNDING_VARIANCE = 1e-18
-
-# Of the fixed point for the size of the noise, each of which halves what is left, at worst (two
-# degrees of freedom).
-SCALE_ITERATIONS = 40
-
-# Between the size of the noise and the bias of the gain that it makes, at most, and to which share
-# of the size.
-BIAS_ITERATIONS = 6
-ACCURATE = 1e-3
-
-# Of the measured magnitude, the least of a model that measurements are divided by: at a bound it
-# may be zero, and it is not noise that lies between them.
-LEAST_MODEL = 0.01
-
-
 class Criterion(AnyCriterion):
-    """A rule that measures the mismatch of frequency responses; its `cost` is what is minimized.
+    """A criterion for frequency responses; its `cost` is minimized.
 
-    See `AnyCriterion` for what a subclass states about itself.
+    See `AnyCriterion` for the attributes of a subclass.
 
     Attributes
     ----------
     uses : tuple of str or None
-        What it takes of the data beside the response: "variance", "coherence"; None where it does
-        not say.
+        Columns of the data that it needs beside the response: "variance", "coherence"; None if
+        unknown.
     weighs_alike : bool
-        True where it weighs all points as errors of one relative size deserve, whatever `spread`
-        says along and across the response.
+        Whether all points have the weights of errors of one relative size.
     """
 
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
@@ -71,7 +52,7 @@ class Criterion(AnyCriterion):
         )
 
     def check(self, data: FrequencyResponse) -> None:
-        """Raise ValueError when `data` do not hold what the criterion needs."""
+        """Raise ValueError if the data lack what the criterion needs."""
         zero = np.flatnonzero(data.response == 0)
         if zero.size:
             raise ValueError(
@@ -81,7 +62,7 @@ class Criterion(AnyCriterion):
 
     @property
     def locator(self) -> "Criterion | None":
-        """The criterion that is minimized first, where this one alone is prone to local minima."""
+        """Criterion to minimize first, if this one has local minima; None otherwise."""
         return None
 
     @abstractmethod
@@ -97,8 +78,7 @@ class Criterion(AnyCriterion):
     ) -> Array:
         """Return the Jacobian (2n, p) of the real residuals, from the response (n,) and its derivatives (n, p).
 
-        Those along the response stand first, then those across: errors of neighboring points may be
-        correlated there.
+        The first n are along the response, the others across.
         """
 
     @abstractmethod
@@ -108,25 +88,26 @@ class Criterion(AnyCriterion):
         """Return `bread` and `meat` (2n,); `correction` scales the noise size for the parameters estimated."""
 
     def score_correlation(self, correlation: Array) -> Array:
-        """Return how the gradients of two points are correlated whose errors are: as these, for sums of squares."""
+        """Return the correlation of the gradients at two points from that of their errors: equal, for sums of squares."""
         return correlation
 
     def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:
-        """Return what the errors of the points are in proportion to, (n,): by default the model's magnitude."""
+        """Return the relative sizes of the errors of the points (n,): by default the model's magnitude."""
         return np.abs(model)
 
     def noise(self, model: ComplexArray, data: FrequencyResponse, correction: float = 1.0) -> float:
-        """Return the standard deviation of one component of the relative errors, about what noise makes of the gain.
+        """Return the standard deviation of one component of the relative errors, about the biased gain.
 
         `correction` scales it for the parameters estimated.
         """
-        least = LEAST_MODEL * np.abs(data.response)
+        # At a bound a model may be zero, and it is not noise that lies between it and the data.
+        least = 0.01 * np.abs(data.response)
         ratio = data.response / np.where(np.abs(model) < least, least, model)
         size = self.size_of(ratio - 1, correction)
-        for _ in range(BIAS_ITERATIONS):
-            before = size
+        for _ in range(6):
+            previous = size
             size = self.size_of(ratio / (1 - self.gain_bias(size, len(data))) - 1, correction)
-            if abs(size - before) <= ACCURATE * size:
+            if abs(size - previous) <= 1e-3 * size:
                 break
         return size
 
@@ -135,13 +116,13 @@ class Criterion(AnyCriterion):
         return correction * math.sqrt(float(np.mean(np.abs(errors) ** 2)) / 2)
 
     def noise_ratio(self, model: ComplexArray, data: FrequencyResponse) -> float:
-        """Return how many times as large as the given noise the residuals are, in squares; of `known_noise` alone."""
+        """Return the squared residuals over the given variances; only for `known_noise`."""
         return float(self.cost(Complex(model.real, model.imag), data)) / len(data)
 
 
 @dataclass(frozen=True, eq=False)
 class _Relative(Criterion):
-    """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|, of which |e|^`power` is summed."""
+    """Sum of |e|^`power` of the relative errors e = (P - P̂) / |P̂|, or over |P|."""
 
     normalized: Literal["measured", "model"] = "measured"
     power: ClassVar[int]
@@ -150,12 +131,12 @@ class _Relative(Criterion):
 
     @property
     def variant(self) -> str:
-        """Which magnitude the errors are divided by, where it is not the paper's."""
+        """Magnitude that divides the errors, if it is not the measured one."""
         return "" if self.normalized == "measured" else self.normalized
 
     @property
     def description(self) -> str:
-        """The rule, with the magnitude that the errors are divided by where it is not the paper's."""
+        """The rule, with the magnitude that divides the errors if it is not the measured one."""
         return f"{self.rule}, over the {self.variant}'s magnitude" if self.variant else self.rule
 
     def __post_init__(self) -> None:
@@ -194,7 +175,7 @@ class _Relative(Criterion):
         return score.curvature, np.repeat(score.variance, len(data))
 
     def gain_bias(self, noise: float, points: int) -> float:
-        """Low over the measured magnitude, high over the model's: the two bracket the truth."""
+        """Return a negative bias over the measured magnitude, a positive one over the model's."""
         return relative_score(noise, points, self.power, self.normalized).gain_bias
 
 
@@ -233,12 +214,10 @@ class RelativeError(_Relative):
         from scipy.special import ellipe, ellipkm1  # noqa: PLC0415  (takes a tenth of a second to import)
 
         k = np.clip(correlation, 1e-150, 1.0)
-        rest = 1 - k**2
-        found = (
-            ellipe(k**2) - np.where(rest > 0, rest * ellipkm1(np.maximum(rest, 1e-300)), 0.0)
-        ) / k
-        # Below, the difference is rounding.
-        return np.where(k < 1e-4, math.pi / 4 * k, found)
+        m1 = 1 - k**2
+        K_term = np.where(m1 > 0, m1 * ellipkm1(np.maximum(m1, 1e-300)), 0.0)
+        # Below 1e-4, the difference is rounding.
+        return np.where(k < 1e-4, math.pi / 4 * k, (ellipe(k**2) - K_term) / k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,10 +249,10 @@ class RelativeLikelihood(Criterion):
         n (log mean(|P̂ - P|² / |P|²) + 1) + Σ log (|P|² / v),
 
     up to a constant of the data; v are their variances if they have them, so that it can be
-    compared with `MaximumLikelihood`, otherwise |P̂|². The gain has no bias: where errors are over
-    the model's magnitude the term log
-    |P|² balances it. This is what `RelativeError` gives way to in a sum with a record, whose cost is such a likelihood
-    too. The standard errors s² (JᵀJ)⁻¹ are those of errors of one relative size.
+    compared with `MaximumLikelihood`, otherwise |P̂|². The gain has no bias: the term log |P|²
+    balances the model's magnitude in the denominator. In a sum with a record, whose cost is a
+    likelihood too, it replaces `RelativeError`. The standard errors s² (JᵀJ)⁻¹ are those of errors
+    of one relative size.
 
     Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with σ²
     eliminated.
@@ -296,7 +275,7 @@ class RelativeLikelihood(Criterion):
         variance = (
             total(squared_magnitude(model - data.response) / size) / len(data)
             + smoothing
-            + ROUNDING_VARIANCE
+            + 1e-18  # the relative variance of rounding errors, for an exact fit
         )
         return len(data) * (log(variance) + 1) + total(log(size / scale))
 
@@ -469,7 +448,7 @@ class MaximumLikelihood(Criterion):
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
     ) -> tuple[float, Array]:
-        """Each component holds half of the variance, or what the residuals say where that is more."""
+        """Return the weights of errors with half of the variance in each component, or with the residuals' if larger."""
         ratio = max(self.noise_ratio(model, data) * correction**2, 1.0)
         few = np.ones(len(data)) if data.dof is None else (data.dof + 2) / data.dof
         return 2.0, 4 * 0.5 * ratio * np.tile(few, 2)
@@ -479,12 +458,12 @@ class MaximumLikelihood(Criterion):
         return np.sqrt(_variance(data))
 
     def noise_ratio(self, model: ComplexArray, data: FrequencyResponse) -> float:
-        """Return how many times as large as the given variances the squared residuals are, by maximum likelihood."""
+        """Return the squared residuals over the given variances, by maximum likelihood."""
         squares = self._squares(model, data)
         if data.dof is None or not squares.any():
             return float(np.mean(squares))
         scale = 1.0
-        for _ in range(SCALE_ITERATIONS):
+        for _ in range(40):  # of a fixed point; each halves the remaining error, at worst (two dof)
             scale *= float(np.mean((data.dof + 2) * squares / (data.dof * scale + 2 * squares)))
         return scale
 
@@ -493,7 +472,7 @@ class MaximumLikelihood(Criterion):
 
 
 def evaluate(criterion: Criterion, model: ComplexArray, data: FrequencyResponse) -> float:
-    """Return the cost of a response (n,) in numbers; NaN where the data do not hold what the criterion needs."""
+    """Return the cost of a response (n,) in numbers; NaN if the data lack what the criterion needs."""
     try:
         criterion.check(data)
     except ValueError:

@@ -1,4 +1,4 @@
-"""An earlier answer whose values a problem holds fixed; its covariance then widens the standard errors."""
+"""An earlier fit whose values a problem holds fixed; its covariance widens the standard errors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
@@ -8,7 +8,7 @@ from greybox.files.arrays import Array
 
 @runtime_checkable
 class HeldEstimate(Protocol):
-    """What a problem asks of an earlier answer given as `fixed`: values and their covariance, as a `Fit` has them."""
+    """Values and their covariance, as a `Fit` has them."""
 
     @property
     def estimate(self) -> Mapping[str, float]:

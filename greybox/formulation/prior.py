@@ -1,4 +1,4 @@
-"""What is known of parameters before the data: normal distributions, given one by one or by an earlier answer."""
+"""A-priori knowledge of parameters: normal distributions, given one by one or by an earlier fit."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.parameter import Parameter
 
 Knowledge = tuple[float, float] | HeldEstimate
-"""Mean and standard deviation of one parameter, or an earlier answer that has its estimate and covariance."""
+"""Mean and standard deviation of one parameter, or an earlier fit with its estimate and covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class NormalPrior:
         }
 
     def same_as(self, other: "NormalPrior") -> bool:
-        """Tell whether another one says the same."""
+        """Tell whether both are the same density."""
         return (
             self.names == other.names
             and np.array_equal(self.mean, other.mean)
@@ -78,16 +78,15 @@ def normal_priors(
     prior: Any,
     outside: Mapping[str, str],
 ) -> list[NormalPrior]:
-    """Return what a problem states of its free parameters: that of `prior`, else what the parameters declare.
+    """Return the priors of free parameters: those of the option `prior`, else those that the model declares.
 
-    `declared` are the model's parameters as the problem states them, by the names inside, `outside`
-    the others.
+    `declared` are the model's parameters by names inside, `outside` maps these to names outside.
 
     Raises
     ------
     ValueError, TypeError
-        For a parameter that is not free, an answer that has no covariance of a parameter, or values
-        that are none.
+        For a parameter that is not free, a fit without the covariance of a parameter, or values
+        that are not two numbers.
     """
     free = [
         name for name, parameter in declared.items() if not parameter.fixed and name not in tied
@@ -96,17 +95,17 @@ def normal_priors(
         shared = {name: prior for name in free if outside[name] in prior.estimate}
         if not shared:
             raise ValueError(
-                f"the Fit given as prior has {', '.join(prior.estimate)}, of which none is free here; free are "
+                f"the Fit given as prior has {', '.join(prior.estimate)}, none of which is free here; free are "
                 f"{', '.join(free)}."
             )
-        stated: dict[str, Any] = dict(shared)
+        given: dict[str, Any] = dict(shared)
     elif isinstance(prior, Mapping):
-        stated = dict(prior)
+        given = dict(prior)
     else:
         raise TypeError(
             f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit."
         )
-    for name in stated:
+    for name in given:
         if name not in free:
             why = (
                 "tied"
@@ -119,18 +118,18 @@ def normal_priors(
                 f"prior names {name!r}, which is {why}: give it for free parameters, {', '.join(free)}."
             )
 
-    found: list[NormalPrior] = []
+    densities: list[NormalPrior] = []
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
     for name in free:
-        value = stated.get(name, declared[name].prior)
+        value = given.get(name, declared[name].prior)
         if value is None:
             continue
         if isinstance(value, HeldEstimate):
             sources.setdefault(id(value), (value, []))[1].append(outside[name])
             continue
         mean, sigma = as_prior(value, f"the prior of {name}")
-        found.append(NormalPrior((outside[name],), np.array([mean]), np.array([[sigma**2]])))
-    return found + [_of_estimate(source, tuple(names)) for source, names in sources.values()]
+        densities.append(NormalPrior((outside[name],), np.array([mean]), np.array([[sigma**2]])))
+    return densities + [_of_estimate(source, tuple(names)) for source, names in sources.values()]
 
 
 def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
@@ -157,7 +156,7 @@ def as_prior(value: Any, what: str) -> tuple[float, float]:
         For anything else.
     """
     try:
-        mean, sigma = (float(each) for each in value)
+        mean, sigma = map(float, value)
     except (TypeError, ValueError):
         mean = sigma = math.nan
     if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):

@@ -1,4 +1,4 @@
-"""A-priori knowledge as one more part of a sum: a measurement of the parameters themselves, with its own errors."""
+"""A prior as one more part of a sum: a measurement of the parameters themselves, with its own errors."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,45 +17,46 @@ NAME = "a-priori knowledge"
 
 
 def with_priors(problem: Problem | Sum[Problem]) -> Problem | Sum[Problem]:
-    """Return the problem with the a-priori knowledge that its parts state, as a part of its own; itself without any.
+    """Return the problem with the priors of its parts as a part of their own; the problem itself without any.
 
     Raises
     ------
     ValueError
-        If two parts state different knowledge of one parameter.
+        If two parts have different priors of one parameter.
     """
     if any(isinstance(part.criterion, Prior) for part in problem.parts):
         return problem
-    found = stated_priors(problem)
-    if not found:
+    priors = stated_priors(problem)
+    if not priors:
         return problem
     parts = problem.as_added if isinstance(problem, Sum) else (problem,)
-    return Sum((*parts, _part(found, problem.parameters)), problem.name)
+    return Sum((*parts, _part(priors, problem.parameters)), problem.name)
 
 
 def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
-    """Return the a-priori knowledge that the parts of a problem state, each once."""
-    found: list[NormalPrior] = []
+    """Return the priors of the parts of a problem, each once."""
+    priors: list[NormalPrior] = []
     for part in problem.parts:
-        for each in part.priors:
-            if any(each.same_as(other) for other in found):
+        for prior in part.priors:
+            if any(prior.same_as(known_prior) for known_prior in priors):
                 continue
-            twice = [name for other in found for name in each.names if name in other.names]
+            named = {name for known_prior in priors for name in known_prior.names}
+            twice = [name for name in prior.names if name in named]
             if twice:
                 raise ValueError(
-                    f"two parts state different a-priori knowledge of {twice[0]!r}: state it in one of them, or give "
-                    f"one another name, rename={{{twice[0]!r}: ...}}."
+                    f"two parts have different priors of {twice[0]!r}: give it in one of them, or give one parameter "
+                    f"another name, rename={{{twice[0]!r}: ...}}."
                 )
-            found.append(each)
-    return found
+            priors.append(prior)
+    return priors
 
 
-def _part(found: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Problem:
-    """Return the part that measures the parameters, in the directions in which their errors are independent."""
-    roots = [np.linalg.inv(np.linalg.cholesky(each.covariance)) for each in found]
+def _part(priors: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Problem:
+    """Return the part that measures the parameters along directions with independent errors."""
+    roots = [np.linalg.inv(np.linalg.cholesky(prior.covariance)) for prior in priors]
     rows = [
-        (each.names, row, float(row @ each.mean))
-        for each, root in zip(found, roots, strict=True)
+        (prior.names, row, float(row @ prior.mean))
+        for prior, root in zip(priors, roots, strict=True)
         for row in root
     ]
     names = tuple(f"prior_{k + 1}" for k in range(len(rows)))
@@ -66,7 +67,7 @@ def _part(found: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Prob
         )
 
     declared = {
-        name: replace(parameters[name], prior=None) for each in found for name in each.names
+        name: replace(parameters[name], prior=None) for prior in priors for name in prior.names
     }
     body = {
         "__doc__": "A-priori knowledge of the parameters.",

@@ -1,4 +1,4 @@
-"""What is to be fitted: a model, data and a criterion, with fixed, tied and renamed parameters. Problems add."""
+"""A problem: a model, data and a criterion, with fixed, tied and renamed parameters. Problems add."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -40,56 +40,54 @@ class Problem:
         The structure; for a frequency response and a spectrum an ODE is linearized at its operating
         point, for a record a transfer function is realized as states.
     data : FrequencyResponse, Record or TransientSpectrum
-        Meets the model by the names of its inputs and outputs. Outputs that a record or a spectrum
-        does not hold are not compared. Files are read first, by `gb.read_response` or `gb.read`;
-        see `several` for more than one record.
+        Data and model meet by the names of inputs and outputs. Outputs that a record or a spectrum
+        lacks are not compared. Read files first with `gb.read_response` or `gb.read`; see `several`
+        for more than one record.
     criterion : Criterion or TimeCriterion, optional
-        `RelativeError` (4.26) by default for a response, `OutputError` for a record and for a
-        spectrum, which takes `EquationError` as well. In a sum with one of these the default for a
-        response is `RelativeLikelihood`, see `Sum`.
+        By default `RelativeError` (4.26) for a response and `OutputError` for a record or a
+        spectrum; a spectrum takes `EquationError` as well. In a sum with a likelihood the default
+        for a response is `RelativeLikelihood`, see `Sum`.
     fixed : mapping of name to value, or a Fit
-        Parameters held constant. A `Fit`, whole or as the value of a name, gives its estimate and
-        its covariance, which then widens the standard errors here.
+        Parameters held constant. A `Fit`, alone or as the value of a name, gives its estimate; its
+        covariance widens the standard errors here.
     free : sequence of str
-        Parameters that the model declares fixed and that are to be estimated.
+        Parameters to estimate although the model declares them fixed.
     tied : mapping of name to function
         ``{"p7": lambda p: 2 * p.p1}``: the parameter is this expression of the others.
     constraints : sequence of functions
-        ``lambda p: p.T1 - p.T2``, each must be >= 0.
+        ``lambda p: p.T1 - p.T2``: each must be at least 0.
     delay : "exact" or "pade:n"
         How delays are evaluated.
     at : mapping of name to value
         The operating point of an ODE, for a frequency response or a spectrum: some states and
         inputs, the rest follows from ``derivative = 0``.
     rename : mapping of name to name
-        Names under which parameters are known outside, so that added problems share or do not share
-        them.
+        Other names of parameters in the answer. Added problems share parameters of one name.
     weight : float
         Factor on this problem's cost in a sum.
     name : str
         A label; by default that of the data.
     amplitude : ``{signal: amplitude}`` or Sine, optional
-        Compare with the response of an ODE to a sine of this amplitude, see `Sine`, instead of its
+        Fit the response of an ODE to a sine of this amplitude, see `Sine`, instead of that of its
         linearization.
     bounds : mapping of name to (float, float)
-        ``{"a1": (-10, 10)}``: bounds in place of those that the model declares, see `Parameter`.
-        Those of a tied parameter limit its expression.
+        ``{"a1": (-10, 10)}``: bounds in place of the declared ones, see `Parameter`. Those of a
+        tied parameter limit its expression.
     start : mapping of name to float
-        ``{"a1": -5.0}``: where a single run begins, in place of the declared value.
+        ``{"a1": -5.0}``: start of a single run in place of the declared value.
     starts : mapping of name to (float, float)
         ``{"a1": (-8, -2)}``: the box in which starts are drawn, in place of the declared one.
 
     prior : mapping of name to (mean, standard deviation) or Fit, or a Fit
-        What is known of free parameters before the data, normally distributed; of a `Fit` its
-        estimate and covariance. The estimate is then the maximum a posteriori one,
-        `Fit.prior_share` says how much of it is the prior's. It goes before `Parameter(prior=...)`.
-        Criteria must be likelihoods; a response whose criterion was left out is fitted by
-        `RelativeLikelihood`.
+        Normal prior of free parameters; a `Fit` gives its estimate and covariance. It overrides
+        `Parameter(prior=...)`. The estimate is then the maximum a posteriori one, and
+        `Fit.prior_share` is the share of the prior in the information. Criteria must be
+        likelihoods; the default for a response is then `RelativeLikelihood`.
 
     Raises
     ------
     ValueError
-        In one sentence with the value and the cure, for anything that does not fit together.
+        If model, data and options do not fit together; the message has the value and the cure.
     """
 
     model: Model
@@ -143,12 +141,12 @@ class Problem:
         self._check_operating_point()
         self._check_amplitude()
 
-        stated = {
+        parameters = {
             name: self._as_stated(name, p)
             for name, p in self.declared.items()
             if name not in self.tied
         }
-        object.__setattr__(self, "_stated_parameters", stated)
+        object.__setattr__(self, "_stated_parameters", parameters)
         self._check_functions()
         self._check_prior()
 
@@ -163,7 +161,7 @@ class Problem:
             object.__setattr__(self, "name", self.data.name or self.model.label)
 
     def _added_by_criterion(self) -> Mapping[str, Parameter]:
-        """Check that model, data and criterion fit together, and return the unknowns that the criterion adds."""
+        """Check model, data and criterion against one another, and return the parameters that the criterion adds."""
         if isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
             self.criterion.check(self.data)
             check_response_units(self.model, self.data)
@@ -182,16 +180,16 @@ class Problem:
         for name in added:
             if name in self.model.parameters:
                 raise ValueError(
-                    f"{self.model.label} declares {name!r}, which is also the name of an unknown of the criterion: "
+                    f"{self.model.label} declares {name!r}, which is also a parameter of the criterion: "
                     "rename it in the model."
                 )
         return added
 
     def _check_names(self) -> None:
-        """Check that all that names parameters names those of the model, and who is fixed, free or tied only one."""
+        """Require that options name parameters of the model, and that no parameter is two of fixed, free and tied."""
         label = self.model.label
-        known = self.declared
-        stated: dict[str, Iterable[str]] = {
+        declared = self.declared
+        kinds: dict[str, Iterable[str]] = {
             "fixed": self.fixed_values,
             "free": self.free,
             "tied": self.tied,
@@ -207,16 +205,16 @@ class Problem:
                 raise TypeError(
                     f"{what} is {names!r:.60}: give {{name: ...}}, with a name of a parameter."
                 )
-        for what, names in {**stated, **by_name}.items():
+        for what, names in {**kinds, **by_name}.items():
             for name in names:
-                if name not in known:
+                if name not in declared:
                     raise ValueError(
-                        f"{what} names {name!r}, which {label} does not have; its parameters are {', '.join(known)}."
+                        f"{what} names {name!r}, which {label} does not have; its parameters are {', '.join(declared)}."
                     )
 
         for first, second in (("fixed", "free"), ("fixed", "tied"), ("free", "tied")):
-            for name in stated[first]:
-                if name in stated[second]:
+            for name in kinds[first]:
+                if name in kinds[second]:
                     raise ValueError(f"{name!r} is both {first} and {second}: keep one of them.")
 
     def _check_rename(self) -> None:
@@ -261,23 +259,23 @@ class Problem:
 
     def _restated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `bounds`, `start` and `starts` to one declared parameter."""
-        given = {
+        changes = {
             what: getattr(self, what)[name]
             for what in ("bounds", "start", "starts")
             if name in getattr(self, what)
         }
-        if name in self.tied and given.keys() - {"bounds"}:
+        if name in self.tied and changes.keys() - {"bounds"}:
             raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
         if (
-            given
+            changes
             and parameter.fixed
             and not (name in self.fixed_values or name in self.free or name in self.tied)
         ):
             raise ValueError(
-                f"{' and '.join(given)} names {name!r}, which {self.model.label} declares fixed: give free=[{name!r}] "
+                f"{' and '.join(changes)} names {name!r}, which {self.model.label} declares fixed: give free=[{name!r}] "
                 f"to estimate it, or fixed={{{name!r}: ...}} to hold it at another value."
             )
-        return restated(name, parameter, **given)
+        return restated(name, parameter, **changes)
 
     def _as_stated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `fixed` and `free` to one declared parameter."""
@@ -303,61 +301,53 @@ class Problem:
         return replace(parameter, start=float(value), fixed=True)
 
     def _check_prior(self) -> None:
-        """Gather the a-priori knowledge, and require a likelihood where there is any."""
+        """Gather the priors, and require a likelihood where there are any."""
         outside = {name: self.outside(name) for name in self.declared}
-        stated = {
+        of_model = {
             name: p
             for name, p in self.__dict__["_stated_parameters"].items()
             if name in self.model.parameters
         }
-        found = normal_priors(stated, self.tied, self.prior, outside)
-        if found and not (self.criterion.is_likelihood or self.has_default_criterion):
+        priors = normal_priors(of_model, self.tied, self.prior, outside)
+        if priors and not (self.criterion.is_likelihood or self.has_default_criterion):
             raise ValueError(
-                f"{found[0].names[0]!r} has a prior, and the cost of {type(self.criterion).__name__} is no likelihood "
+                f"{priors[0].names[0]!r} has a prior, and the cost of {type(self.criterion).__name__} is no likelihood "
                 "to which it could be added: leave the criterion out, or give RelativeLikelihood(), or "
                 "MaximumLikelihood() where variances are known."
             )
-        object.__setattr__(self, "_priors", tuple(found))
+        object.__setattr__(self, "_priors", tuple(priors))
 
     def _check_functions(self) -> None:
-        """Try ties, constraints and derived quantities in numbers, so that a mistake shows here, not inside CasADi."""
+        """Try ties, constraints and derived quantities with numbers and with expressions.
+
+        A mistake then shows here, not inside CasADi; `if`, `max` and `math.exp` fail with
+        expressions.
+        """
         if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
             raise TypeError(f"constraints is {self.constraints!r:.60}: give a list of functions.")
+        label = self.model.label
+        functions = {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
+        functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
 
-        starts = {name: parameter.start for name, parameter in self.parameters.items()}
-        p = self.local_values(starts)
+        parameters = self.parameters
+        numbers = self.local_values({name: p.start for name, p in parameters.items()})
         for name in self.tied:
-            _require_number(p[name], f"tied[{name!r}]")
-        for k, constraint in enumerate(self.constraints):
-            _require_number(_call(constraint, p, f"constraints[{k}]"), f"constraints[{k}]")
-        for name, function in self.model.derived.items():
-            _require_number(
-                _call(function, p, f"derived[{name!r}] of {self.model.label}"), f"derived[{name!r}]"
-            )
-
-        self._trace_functions(starts)
-
-    def _trace_functions(self, names: Iterable[str]) -> None:
-        """Try the same with expressions, where `if`, `max` and `math.exp` fail."""
-        p = self.local_values({name: ca.SX.sym(name) for name in names})
-        functions = {f"tied[{name!r}]": lambda _, name=name: p[name] for name in self.tied}
-        functions |= {
-            f"constraints[{k}]": constraint for k, constraint in enumerate(self.constraints)
-        }
-        functions |= {
-            f"derived[{name!r}] of {self.model.label}": f for name, f in self.model.derived.items()
-        }
+            _require_number(numbers[name], f"tied[{name!r}]")
+        symbols = self.local_values({name: ca.SX.sym(name) for name in parameters})
+        for name in self.tied:
+            require_no_nan(f"tied[{name!r}]", ca.SX(symbols[name]))
         for what, function in functions.items():
-            require_no_nan(what, ca.SX(traced(what, function, p)))
+            _require_number(_call(function, numbers, what), what)
+            require_no_nan(what, ca.SX(_call(function, symbols, what)))
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
-        """The parameters of the model, then those that the criterion adds, with the bounds and starts stated here."""
+        """Parameters of the model and of the criterion, by names inside, with the bounds and starts given here."""
         return self.__dict__["_declared"]
 
     @property
     def fixed_values(self) -> Mapping[str, float | HeldEstimate]:
-        """What `fixed` gives, by name: numbers and earlier answers."""
+        """Values of `fixed` by name: numbers and earlier fits."""
         if isinstance(self.fixed, Mapping):
             return self.fixed
         if not isinstance(self.fixed, HeldEstimate):
@@ -374,7 +364,7 @@ class Problem:
 
     @property
     def held_estimates(self) -> dict[str, HeldEstimate]:
-        """The earlier answers among the fixed values, by outside name."""
+        """Earlier fits among the fixed values, by outside name."""
         return {
             self.outside(name): v
             for name, v in self.fixed_values.items()
@@ -383,7 +373,7 @@ class Problem:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Parameters by their outside name, as stated here; tied ones are left out."""
+        """Parameters by outside name, as fixed or free here, without tied ones."""
         return {
             self.outside(name): parameter
             for name, parameter in self.__dict__["_stated_parameters"].items()
@@ -391,18 +381,18 @@ class Problem:
 
     @property
     def priors(self) -> tuple[NormalPrior, ...]:
-        """What is known of the parameters before the data, by outside name."""
+        """Priors of the parameters, by outside name."""
         return self.__dict__["_priors"]
 
     @property
     def response(self) -> FrequencyResponse:
-        """The data, which are a frequency response."""
+        """The data, if they are a frequency response."""
         assert isinstance(self.data, FrequencyResponse)
         return self.data
 
     @property
     def numbers(self) -> int:
-        """How many real numbers the data hold that are compared."""
+        """Count of real numbers in the data that are compared."""
         if isinstance(self.data, Record):
             outputs = [name for name in self.model.output_names if name in self.data.signals]
             return sum(int(np.isfinite(self.data[name]).sum()) for name in outputs)
@@ -416,15 +406,15 @@ class Problem:
 
     @property
     def parts(self) -> tuple["Problem", ...]:
-        """The problems in this sum: itself."""
+        """The problem itself, as the only part."""
         return (self,)
 
     def outside(self, name: str) -> str:
-        """Return the name by which a parameter is known outside."""
+        """Return the name of a parameter in the answer."""
         return self.rename.get(name, name)
 
     def local_values(self, values: Mapping[str, Any]) -> Names:
-        """Name the model's parameters, ties evaluated, given numbers or expressions by outside name."""
+        """Return the model's parameters by names inside, ties evaluated, from values by outside name."""
         local = {name: values[self.outside(name)] for name in self.__dict__["_stated_parameters"]}
         for name, tie in self.tied.items():
             local[name] = _call(
@@ -443,17 +433,17 @@ class Problem:
         return self if other == 0 else NotImplemented  # the built-in sum() begins with 0
 
     def with_parts(self, parts: "Sequence[Problem]") -> "Problem":
-        """Return the one problem that stands in place of this one, see `Sum.with_parts`."""
+        """Return the only part, see `Sum.with_parts`."""
         (part,) = parts
         return part
 
     @property
     def has_default_criterion(self) -> bool:
-        """Whether no criterion was asked for."""
+        """Whether the criterion was left out."""
         return self.__dict__["_has_default_criterion"]
 
     def with_(self, **changes: Any) -> Self:
-        """Return the same problem with some fields changed; a criterion that was left out stays so."""
+        """Return the problem with some fields changed; a criterion that was left out remains so."""
         left_out = {"criterion": None} if self.has_default_criterion else {}
         return replace(self, **{**left_out, **changes})
 
@@ -464,7 +454,7 @@ class Problem:
 
 
 def _wrong_data(given: Any) -> str:
-    """Say what stands where data should, and what to do about it."""
+    """Describe data of a wrong kind, with the cure."""
     if isinstance(given, Recording):
         first = next(iter(given), "MESSAGE")
         messages = ", ".join(given)

@@ -310,7 +310,7 @@ def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
     )
     status, out, err = run(capsys, *command(name, "--starts", 30)[3:])
     assert (status, err) == (130, "greybox: interrupted.\n")
-    assert "the same command goes on with 8 runs" in out
+    assert "the same command continues with 8 runs" in out
     assert len(gb.load("own.h5").runs) == kept_runs() == 8
     monkeypatch.setattr(StoredRuns, "add", add)
 
@@ -330,7 +330,7 @@ def test_a_fit_that_its_time_limit_ends_goes_on(capsys, own, clock):
     assert status == 0
     assert 1 <= done < 30
     assert f"the time limit ended the search after {done} of 30 starts" in out
-    assert f"the same command goes on with {done} runs" in out
+    assert f"the same command continues with {done} runs" in out
     status, out, _ = run(capsys, *command(name, "--starts", 30, "--seconds", 10_000)[3:])
     assert status == 0
     assert len(gb.load("own.h5").runs) == 30
@@ -392,7 +392,7 @@ def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeyp
 
 @pytest.mark.parametrize(
     ("out", "more"),
-    [("own.h5", "; the same command goes on with the runs that were kept"), (None, "")],
+    [("own.h5", "; the same command continues with the stored runs"), (None, "")],
 )
 def test_workers_that_are_lost_are_told(capsys, own, monkeypatch, out, more):
     def lost(*arguments, **options):

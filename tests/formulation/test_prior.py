@@ -164,7 +164,7 @@ def test_parts_must_not_contradict_and_parameters_must_be_finite():
         gb.Problem(Lag(), each, prior={"T": (mean, 0.1)})
         for each, mean in zip(data, (0.4, 0.6), strict=True)
     ]
-    with pytest.raises(ValueError, match="different a-priori knowledge of 'T'"):
+    with pytest.raises(ValueError, match="different priors of 'T'"):
         gb.fit(parts[0] + parts[1], **ONE)
     with pytest.raises(ValueError, match="prior"):
         gb.Parameter(1.0, prior=(1.0, -1.0))
@@ -186,7 +186,7 @@ class Known:
         (
             Known({"a": 1.0, "b": 2.0}, None),
             ValueError,
-            "the Fit given as prior has a, b, of which none is free here; free are K, T.",
+            "the Fit given as prior has a, b, none of which is free here; free are K, T.",
         ),
         (3.0, TypeError, "prior is 3.0: give {name: (mean, standard deviation)} or a Fit."),
         (
