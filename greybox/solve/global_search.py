@@ -1,11 +1,11 @@
-"""Scatter search with filters in front of a local solver, as MATLAB's GlobalSearch, by which the paper was made.
+"""Scatter search with filters before a local solver, as in MATLAB's GlobalSearch, which the paper used.
 
 Ugray, Lasdon, Plummer, Glover, Kelly and Martí, Scatter search and local NLP solvers: a multistart
 framework for global optimization, INFORMS J. Comput. 19 (2007) 328-340. Trial points are
-combinations of a reference set of good and of diverse points. Of the first fifth the best is a
-start of the local solver; later each trial point is one, unless it lies near a minimum in a region
-from which that was reached before (distance filter), or its cost is above a threshold (merit
-filter), which is the cost at the last start and rises while points are turned down.
+combinations of a reference set of good and of diverse points. The local solver starts from the best
+of the first fifth. Later it starts from each trial point, unless the point lies in a region from
+which a minimum was reached before (distance filter), or its cost is above a threshold (merit
+filter): the cost at the last start, raised while points are refused.
 """
 
 import itertools
@@ -28,10 +28,9 @@ from greybox.solve.time_limits import one_run
 
 # The values of the reference, section 3 and table 1, and of MATLAB's GlobalSearch.
 TRIAL_POINTS = 1000
-STAGE_ONE = 0.2  # of the trial points
+STAGE_ONE = 0.2  # share of the trial points
 REFERENCES = 10  # points of the reference set, half of them good and half diverse
-DISTANCE_FACTOR = 0.75  # of the largest distance from which a minimum was reached
-WAIT_CYCLE = 20  # trial points that a filter turns down before it gives way
+WAIT_CYCLE = 20  # trial points that a filter refuses before it gives way
 THRESHOLD_FACTOR = 0.2
 
 
@@ -44,9 +43,9 @@ def global_search(
     progress: Callable[[int, int], None] | None = None,
     kept: KeptRuns | None = None,
 ) -> Multistart:
-    """Search from trial points, as many as were `drawn` (r, p); these are the diverse ones.
+    """Search from as many trial points as were `drawn` (r, p), of which some are used as diverse points.
 
-    Every trial point is a run; those that a filter turned down stay at their start.
+    Every trial point is a run; one that a filter refused stays at its start.
     """
     began = time.perf_counter()
     memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
@@ -55,8 +54,8 @@ def global_search(
         return float(merits(nlp, z[:, None])[0])
 
     count, first = len(drawn), max(int(STAGE_ONE * len(drawn)), 1)
-    trials = _ScatterSearch(nlp, drawn, merit, np.random.default_rng(seed))
-    filters = _Filters()
+    trials = ScatterSearch(nlp, drawn, merit, np.random.default_rng(seed))
+    filters = Filters()
     starts: list[Array] = []
     outcomes: list[Outcome] = []
 
@@ -68,9 +67,7 @@ def global_search(
             memory.keep(number, start, outcome)
         judged = solver.judged_run(outcome)
         if judged.converged:
-            filters.reached(
-                nlp.scaling.to_solver(start), nlp.scaling.to_solver(judged.estimate), judged.cost
-            )
+            filters.reached(nlp.scaling.to_solver(start), nlp.scaling.to_solver(judged.estimate))
         return judged
 
     for number, (z, value) in enumerate(itertools.islice(trials.points(), count)):
@@ -97,27 +94,33 @@ def global_search(
 
 
 @dataclass
-class _Filters:
-    """Which trial points become starts.
+class Region:
+    """The region of a minimum: its center z (p,), radius, and the number of trial points refused in it."""
 
-    Attributes
-    ----------
-    minima : list of [z, cost, radius, how many trial points were turned down for it]
-    """
+    center: Array
+    radius: float
+    refused: int = 0
+
+
+@dataclass
+class Filters:
+    """Which trial points become starts."""
 
     threshold: float = np.inf
     refused: int = 0
-    minima: list[list] = field(default_factory=list)
+    regions: list[Region] = field(default_factory=list)
 
     def let_pass(self, z: Array, value: float) -> bool:
         """Tell whether a trial point of this merit is far from the minima and good enough."""
-        near = [m for m in self.minima if np.linalg.norm(z - m[0]) < DISTANCE_FACTOR * m[2]]
-        for minimum in near:
-            minimum[3] += 1
-            if minimum[3] >= WAIT_CYCLE:  # it claims too large a region
-                minimum[2], minimum[3] = minimum[2] * (1 - THRESHOLD_FACTOR), 0
+        near = [r for r in self.regions if np.linalg.norm(z - r.center) < 0.75 * r.radius]
+        for region in near:
+            region.refused += 1
+            if region.refused >= WAIT_CYCLE:  # the region is too large
+                region.radius *= 1 - THRESHOLD_FACTOR
+                region.refused = 0
         if near:
             return False
+
         if value <= self.threshold:
             self.threshold, self.refused = value, 0
             return True
@@ -127,18 +130,18 @@ class _Filters:
             self.refused = 0
         return False
 
-    def reached(self, start: Array, end: Array, cost: float) -> None:
-        """Note that a minimum was reached from a start."""
+    def reached(self, start: Array, end: Array) -> None:
+        """Extend the region of a minimum that was reached from a start."""
         distance = float(np.linalg.norm(end - start))
-        for minimum in self.minima:
-            if np.linalg.norm(minimum[0] - end) <= 1e-3 * (1 + np.linalg.norm(end)):
-                minimum[2] = max(minimum[2], distance)
+        for region in self.regions:
+            if np.linalg.norm(region.center - end) <= 1e-3 * (1 + np.linalg.norm(end)):
+                region.radius = max(region.radius, distance)
                 return
-        self.minima.append([end, cost, distance, 0])
+        self.regions.append(Region(end, distance))
 
 
-class _ScatterSearch:
-    """Trial points: what was drawn, and combinations of a reference set."""
+class ScatterSearch:
+    """Trial points: drawn ones, and combinations of a reference set."""
 
     def __init__(
         self,
@@ -155,64 +158,61 @@ class _ScatterSearch:
         self._references: list[tuple[float, Array]] = []
 
     def points(self) -> Iterator[tuple[Array, float]]:
-        """Give trial points z (p,) and their merits, without end."""
-        found = []
+        """Yield trial points z (p,) and their merits, without end."""
+        points = []
         for z in itertools.islice(self._drawn, self._diverse):
-            found.append((self._merit(z), z))
-            yield z, found[-1][0]
-        self._refer(found)
+            points.append((self._merit(z), z))
+            yield z, points[-1][0]
+        self._references = _reference_set(points)
         while True:
             changed = False
             pairs = list(itertools.combinations([z for _, z in self._references], 2))
-            for one, other in pairs:
-                for z in self._combined(one, other):
+            for first, second in pairs:
+                for z in self._combined(first, second):
                     value = self._merit(z)
                     changed |= self._improved(value, z)
                     yield z, value
             if not changed or not pairs:
                 yield from self._renewed()
 
-    def _combined(self, one: Array, other: Array) -> Iterator[Array]:
-        """Give a point beyond either of two points, and one between them."""
-        half = (other - one) / 2
-        for origin, sign in ((one, -1.0), (one, 1.0), (other, 1.0)):
+    def _combined(self, first: Array, second: Array) -> Iterator[Array]:
+        """Yield a point beyond either of two points, and one between them."""
+        half = (second - first) / 2
+        for origin, sign in ((first, -1.0), (first, 1.0), (second, 1.0)):
             yield np.clip(origin + sign * self._random.random() * half, self._low, self._high)
 
     def _improved(self, value: float, z: Array) -> bool:
-        """Put a point into the place of the worst of the reference set, if it is better and none of them."""
+        """Replace the worst point of the reference set by a better one, unless the set contains it."""
         worst = max(range(len(self._references)), key=lambda k: self._references[k][0])
-        known = any(np.allclose(z, other, rtol=0, atol=1e-6) for _, other in self._references)
-        if known or not value < self._references[worst][0]:
+        is_member = any(np.allclose(z, point, rtol=0, atol=1e-6) for _, point in self._references)
+        if is_member or not value < self._references[worst][0]:
             return False
         self._references[worst] = (value, z)
         return True
 
-    def _refer(self, found: list[tuple[float, Array]]) -> None:
-        """Take the better half of the reference set, then, one by one, what is farthest from all in it."""
-        order = sorted(range(len(found)), key=lambda k: found[k][0])
-        chosen, rest = order[: REFERENCES // 2], order[REFERENCES // 2 :]
-        while rest and len(chosen) < REFERENCES:
-            distances = [
-                min(np.linalg.norm(found[k][1] - found[c][1]) for c in chosen) for k in rest
-            ]
-            chosen.append(rest.pop(int(np.argmax(distances))))
-        self._references = [found[k] for k in chosen]
-
     def _renewed(self) -> Iterator[tuple[Array, float]]:
-        """Give fresh points, and refer to the good half and to the most diverse of them."""
-        fresh = []
-        for z in itertools.islice(self._drawn, 2 * REFERENCES):
-            fresh.append((self._merit(z), z))
-            yield z, fresh[-1][0]
-        if not fresh:  # all that were drawn are used: what lies around the best
-            good = sorted(self._references, key=lambda pair: pair[0])[0][1]
+        """Yield new points, and keep the best ones and the most diverse of the new ones as references."""
+        best = sorted(self._references, key=lambda pair: pair[0])[: REFERENCES // 2]
+        points = list(itertools.islice(self._drawn, 2 * REFERENCES))
+        if not points:  # all drawn points are used: points around the best one follow
             width = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
             for _ in range(2 * REFERENCES):
-                z = np.clip(
-                    good + 0.1 * width * self._random.normal(size=len(good)), self._low, self._high
-                )
-                fresh.append((self._merit(z), z))
-                yield z, fresh[-1][0]
-        self._refer(
-            [*sorted(self._references, key=lambda pair: pair[0])[: REFERENCES // 2], *fresh]
-        )
+                z = best[0][1] + 0.1 * width * self._random.normal(size=len(width))
+                points.append(np.clip(z, self._low, self._high))
+        renewed = []
+        for z in points:
+            renewed.append((self._merit(z), z))
+            yield z, renewed[-1][0]
+        self._references = _reference_set([*best, *renewed])
+
+
+def _reference_set(points: list[tuple[float, Array]]) -> list[tuple[float, Array]]:
+    """Return the best points, then one by one the point that is farthest from all chosen ones."""
+    order = sorted(range(len(points)), key=lambda k: points[k][0])
+    chosen, remaining = order[: REFERENCES // 2], order[REFERENCES // 2 :]
+    while remaining and len(chosen) < REFERENCES:
+        distances = [
+            min(np.linalg.norm(points[k][1] - points[c][1]) for c in chosen) for k in remaining
+        ]
+        chosen.append(remaining.pop(int(np.argmax(distances))))
+    return [points[k] for k in chosen]

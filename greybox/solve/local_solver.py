@@ -1,4 +1,4 @@
-"""What every solver answers: a run from one start, and what a search from many starts asks besides."""
+"""The interface of every solver: a run from one start, and what a search from many starts needs besides."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""What one run of a solver leaves: an outcome for the search, a `Run` for the user."""
+"""The result of one run of a solver: an `Outcome` for the search, a `Run` for the user."""
 
 import math
 from dataclasses import dataclass
@@ -6,24 +6,21 @@ from dataclasses import dataclass
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
 
-NOT_FINITE = "not finite at the start"  # status of a run that could not begin
-TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias
-INTERRUPTED = "interrupted"  # status of the run that was at hand when Ctrl-C was pressed
-SEARCH_OVER = (
-    "time limit of the fit"  # status of the run that was at hand when the time of its search was up
-)
-RUN_OVER = "time limit of a start"  # status of a run that took longer than its start may
+# Statuses of a run besides those of its solver: it could not begin, ended where the integration
+# misleads, was cut short, made no progress without being at a minimum, or ended its process every
+# time it was tried.
+NOT_FINITE = "not finite at the start"
+TOO_COARSE = "integration too coarse"
+INTERRUPTED = "interrupted"
+SEARCH_OVER = "time limit of the fit"
+RUN_OVER = "time limit of a start"
 CUT_SHORT = (INTERRUPTED, SEARCH_OVER, RUN_OVER)
-STAGNATED = (
-    "stagnated"  # status of a run whose cost did not fall any more, without being at a minimum
-)
-# How far a run was taken: its start was compared with others, a batch of runs was brought to minima
-# together, or a solver confirmed that it ended at one, or tried to.
-SCREENED, IMPROVED, POLISHED = "screened", "improved", "polished"
+STAGNATED = "stagnated"
+WORKER_LOST = "worker lost"
 
-WORKER_LOST = (
-    "worker lost"  # status of a run that ended the process it was made in, as often as it was tried
-)
+# Stages of a run: only its start was compared with others, it was improved in a batch, or a solver
+# of single runs had the last word.
+SCREENED, IMPROVED, POLISHED = "screened", "improved", "polished"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,11 +42,11 @@ class Run:
     iterations : int
     seconds : float
     reason : str
-        Why it did not converge, as far as the model tells: where its response is not finite.
+        Why it did not converge, if the model shows it: where its response is not finite.
     stage : "screened", "improved" or "polished"
-        How far it was taken: only its start was evaluated, and others were more promising; it was
-        brought to a minimum together with others; or a solver of single runs had the last word,
-        IPOPT for frequency responses.
+        "screened": only the start was evaluated, and others were more promising. "improved": a
+        batch of runs was brought to minima together. "polished": a solver of single runs had the
+        last word, IPOPT for frequency responses.
     """
 
     index: int
@@ -75,12 +72,12 @@ class Run:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Outcome:
-    """What a solver leaves of one run; see `LocalSolver.judged` for what is evaluated later, for all runs at once.
+    """The result of one run of a solver; `LocalSolver.judged` evaluates cost and signature of all runs later.
 
     Attributes
     ----------
     signature : (m,) array or None
-        By which runs are told apart, see `Part.signature`.
+        Numbers that distinguish runs, see `Part.signature`.
     nodes : tuple of (s, n) arrays, or None
         The states at the beginning of every segment, for each part.
     stage : str

@@ -13,10 +13,8 @@ from sampled_lag import lag_problem
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.problems import pitch_hover
-from greybox.solve import global_search as module
-from greybox.solve.global_search import _Filters, _ScatterSearch, global_search
+from greybox.solve.global_search import Filters, ScatterSearch
 from greybox.solve.ipopt import merits
-from greybox.solve.outcome import SCREENED, Outcome
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 
@@ -56,8 +54,8 @@ def test_constraints_hold():
 
 
 def test_starts_near_a_minimum_that_was_reached_from_farther_are_turned_down():
-    filters = _Filters(threshold=5.0)
-    filters.reached(np.array([2.0, 0]), np.array([0.0, 0]), 1.0)
+    filters = Filters(threshold=5.0)
+    filters.reached(np.array([2.0, 0]), np.array([0.0, 0]))
     assert not filters.let_pass(np.array([1.4, 0]), 0.0)  # within three quarters of the distance
     assert filters.let_pass(np.array([1.6, 0]), 4.0)
     for _ in range(
@@ -75,20 +73,19 @@ def test_what_it_cannot_do_is_refused():
 
 
 def test_a_minimum_that_claims_too_large_a_region_gives_a_fifth_of_it_back():
-    filters = _Filters(threshold=5.0)
+    filters = Filters(threshold=5.0)
     end = np.array([100.0, 0])
-    filters.reached(end + np.array([4.0, 0]), end, 1.0)
-    filters.reached(
-        end + np.array([-2.0, 0]), end + np.array([0.05, 0]), 1.0
-    )  # the same, from nearer
-    assert [minimum[2] for minimum in filters.minima] == [4.0]
-    filters.reached(end, end + np.array([0.2, 0]), 1.0)  # another, more than a thousandth away
-    assert len(filters.minima) == 2
-    filters.minima.pop()
+    filters.reached(end + np.array([4.0, 0]), end)
+    # The same minimum, from nearer; then another one, more than a thousandth away.
+    filters.reached(end + np.array([-2.0, 0]), end + np.array([0.05, 0]))
+    assert [region.radius for region in filters.regions] == [4.0]
+    filters.reached(end, end + np.array([0.2, 0]))
+    assert len(filters.regions) == 2
+    filters.regions.pop()
     for turned_down in range(20):
-        assert filters.minima[0][2] == 4.0, turned_down
+        assert filters.regions[0].radius == 4.0, turned_down
         assert not filters.let_pass(end + np.array([2.9, 0]), 0.0)
-    assert filters.minima[0][2] == pytest.approx(3.2)
+    assert filters.regions[0].radius == pytest.approx(3.2)
     assert filters.let_pass(end + np.array([2.9, 0]), 0.0)
     assert filters.threshold == 0.0  # that of the last start
     assert not filters.let_pass(end + np.array([2.9, 0]), 1e-9)
@@ -98,7 +95,7 @@ def scatter(drawn, low=-10.0, high=10.0):
     """Trial points of a problem whose variables are those of the solver."""
     same = SimpleNamespace(to_solver=np.asarray)
     nlp = SimpleNamespace(scaling=same, lower=np.full(2, low), upper=np.full(2, high))
-    return _ScatterSearch(nlp, np.asarray(drawn), lambda z: float(z @ z), np.random.default_rng(0))
+    return ScatterSearch(nlp, np.asarray(drawn), lambda z: float(z @ z), np.random.default_rng(0))
 
 
 def test_the_reference_set_has_the_best_points_and_those_farthest_from_all_in_it():
@@ -122,92 +119,6 @@ def test_the_reference_set_has_the_best_points_and_those_farthest_from_all_in_it
         assert value == pytest.approx(z @ z)
 
 
-def test_the_worst_of_the_reference_set_makes_room_for_a_better_point_that_is_new():
-    search = scatter(np.zeros((5, 2)))
-    search._references = [
-        (1.0, np.array([1.0, 0])),
-        (4.0, np.array([2.0, 0])),
-        (9.0, np.array([3.0, 0])),
-    ]
-    assert not search._improved(0.0, np.array([1.0, 5e-7]))  # known
-    assert not search._improved(9.0, np.array([0.0, 3.0]))  # no better
-    assert search._improved(0.0, np.array([0.0, 0.0]))
-    assert sorted(value for value, _ in search._references) == [0, 1, 4]
-
-
-def test_when_all_drawn_points_are_used_it_goes_on_around_the_best():
-    search = scatter(np.random.default_rng(1).uniform(2, 10, (30, 2)), low=1.0, high=11.0)
-    search._references = [
-        (9.0, np.array([9.0, 9.0])),
-        (4.0, np.array([4.0, 4.0])),
-        (16.0, np.array([5.0, 5.0])),
-    ]
-    drawn = list(islice(search._renewed(), 20))
-    assert len(drawn) == len({tuple(z) for z, _ in drawn}) == 20
-    list(islice(search._drawn, 10))
-    search._references = [
-        (9.0, np.array([9.0, 9.0])),
-        (4.0, np.array([4.0, 4.0])),
-        (16.0, np.array([5.0, 5.0])),
-    ]
-    around = np.array([z for z, _ in search._renewed()])
-    assert len(around) == 20
-    assert np.median(around, axis=0) == pytest.approx(4.0, abs=1.0)  # a tenth of the box is one
-    assert np.std(around) == pytest.approx(1.0, abs=0.3)
-    assert len(search._references) == 10
-
-
-@pytest.mark.parametrize(("count", "first"), [(50, 10), (4, 1)])
-def test_of_the_first_fifth_the_best_is_run_and_later_what_the_filters_let_pass(
-    monkeypatch, count, first
-):
-    """Of two wells, whose ends are known; the merit is the cost at the start, and 7 more."""
-    wells = np.array([[2.0, 2.0], [-3.0, -1.0]])
-    monkeypatch.setattr(module, "packed", None)
-    monkeypatch.setattr(
-        module, "merits", lambda nlp, z: 7 + ((z.T[:, None] - wells) ** 2).sum(axis=2).min(axis=1)
-    )
-    same = SimpleNamespace(to_solver=np.asarray, to_parameters=np.asarray)
-    nlp = SimpleNamespace(
-        scaling=same,
-        lower=np.full(2, -5.0),
-        upper=np.full(2, 5.0),
-        parts=[SimpleNamespace(is_likelihood=False, numbers=9)],
-    )
-    ran = []
-
-    class Solver:
-        def run(self, start):
-            ran.append(start)
-            well = int(np.argmin(((wells - start) ** 2).sum(axis=1)))
-            return Outcome(wells[well], "there", 5, 0.1, True, 7.0 + well, np.array([float(well)]))
-
-        def judged_run(self, outcome):
-            return outcome
-
-    drawn, seen = np.random.default_rng(3).uniform(-5, 5, (count, 2)), []
-    found = global_search(nlp, Solver(), drawn, seed=2, progress=lambda *now: seen.append(now))
-    assert seen == [(k + 1, count) for k in range(count)]
-    np.testing.assert_array_equal(found.runs.start[:first], drawn[:first])
-    turned_down = found.runs.stage == SCREENED
-    assert (~turned_down).sum() == len(ran)
-    at_start = 7 + ((found.runs.start[:, None] - wells) ** 2).sum(axis=2).min(axis=1)
-    assert found.runs.cost[turned_down] == pytest.approx(at_start[turned_down])
-    np.testing.assert_array_equal(found.runs.estimate[turned_down], found.runs.start[turned_down])
-    assert np.flatnonzero(~turned_down[:first]).tolist() == [np.argmin(at_start[:first])]
-    assert not found.runs.converged[turned_down].any()
-    if count == 50:
-        assert [m.cost for m in found.minima] == [7.0, 8.0]
-        # As the filters say, told of the same runs.
-        filters = _Filters(threshold=at_start[:first].min())
-        filters.reached(ran[0], found.runs.estimate[~turned_down][0], 0.0)
-        for k in range(first, count):
-            passes = filters.let_pass(found.runs.start[k], at_start[k])
-            assert passes == (not turned_down[k]), k
-            if passes:
-                filters.reached(found.runs.start[k], found.runs.estimate[k], 0.0)
-
-
 def test_merits_are_costs_with_a_penalty_on_missed_constraints():
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05)
     problem = gb.Problem(LagLagDelay(), data, constraints=[lambda p: p.K - 4])
@@ -216,3 +127,14 @@ def test_merits_are_costs_with_a_penalty_on_missed_constraints():
     costs = [gb.cost(problem, dict(zip(nlp.free, row, strict=True))) for row in x]
     wanted = [costs[0], costs[1] + 1e3 * 0.5]
     assert merits(nlp, nlp.scaling.to_solver(x).T) == pytest.approx(wanted, rel=1e-3)
+
+
+def test_when_all_drawn_points_are_used_trial_points_come_from_around_the_best():
+    search = scatter(np.random.default_rng(1).uniform(2, 10, (30, 2)), low=1.0, high=11.0)
+    trials = list(islice(search.points(), 2000))
+    z = np.array([z for z, _ in trials])
+    assert z.min() >= 1.0
+    assert z.max() <= 11.0
+    best_drawn = min(value for _, value in trials[:30])
+    assert min(value for _, value in trials[30:]) < 0.9 * best_drawn
+    assert len({tuple(point) for point in z[-300:]}) > 100
