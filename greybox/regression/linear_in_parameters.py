@@ -72,8 +72,6 @@ class Equations:
         (x, u, p) -> the derivative of the simulated states at zero (s,) and their matrix (s, s).
     delay : casadi.Function
         (p) -> delay of every input, s. In all three `p` holds the free parameters.
-    delayed : tuple of str
-        Inputs that have a delay.
     left_out : tuple of str
         What was left out, and why.
     """
@@ -86,7 +84,6 @@ class Equations:
     rows: ca.Function
     simulated: ca.Function
     delay: ca.Function
-    delayed: tuple[str, ...]
     left_out: tuple[str, ...]
 
     @property
@@ -189,9 +186,6 @@ class _Analysis:
             rows=ca.Function("rows", arguments, [ca.densify(base), ca.densify(slopes)]),
             simulated=ca.Function("simulated", arguments, [ca.densify(drive), ca.densify(matrix)]),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
-            delayed=tuple(
-                n for k, n in enumerate(self.model.inputs) if not self.delays[k].is_zero()
-            ),
             left_out=tuple(self.left_out),
         )
 

@@ -1,8 +1,8 @@
 """From a record to the regressions of a model: smoothed states, delayed inputs, one filter for all terms."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -73,34 +73,6 @@ class Regressors:
     def step(self) -> float:
         """Sampling interval, s."""
         return float(np.median(np.diff(self.time)))
-
-    def busiest(self, count: int) -> "Regressors":
-        """Return the `count` samples in a row in which the inputs move most."""
-        if self.time.size <= count:
-            return self
-        moved = np.zeros(self.time.size)
-        for values in self.inputs.values():
-            moved += np.nan_to_num((values - np.nanmean(values)) ** 2) / max(
-                float(np.nanvar(values)), 1e-300
-            )
-        total = np.concatenate([[0.0], np.cumsum(moved)])
-        begin = int(np.argmax(total[count:] - total[:-count]))
-        rows = slice(begin, begin + count)
-
-        def cut(signals: Mapping[str, Array]) -> dict[str, Array]:
-            return {name: values[rows] for name, values in signals.items()}
-
-        time = self.time[rows]
-        inputs = cut(self.inputs)
-        return replace(
-            self,
-            time=time,
-            states=cut(self.states),
-            derivatives=cut(self.derivatives),
-            inputs=inputs,
-            outputs=cut(self.outputs),
-            splines=_splines(time, inputs, self.between, self.splines),
-        )
 
     def blocks(self, p: Array) -> list[Block]:
         """Return every equation over every stretch that is long enough, at the values `p` of the free parameters.
@@ -221,7 +193,6 @@ def regressors(
         name: acting(time, without_holes(time, record[name]), between[name].held)
         for name in names[1]
     }
-    moved = [n for n in names[1] if n in equations.delayed or between[n].late]
     longest = [
         delay + (record.step if between[n].held else between[n].late)
         for n, delay in zip(names[1], latest, strict=True)
@@ -248,7 +219,7 @@ def regressors(
         noise=noise,
         bands=tuple(bands),
         lateness=max(longest, default=0.0) + memory(equations, names, p),
-        splines=_splines(time, inputs, between, moved),
+        splines=_splines(time, inputs, between),
     )
 
 
@@ -276,27 +247,22 @@ def acting(time: Array, values: Array, held: bool) -> Array:
 
 
 def _splines(
-    time: Array,
-    inputs: Mapping[str, Array],
-    between: Mapping[str, Intersample],
-    moved: Iterable[str],
+    time: Array, inputs: Mapping[str, Array], between: Mapping[str, Intersample]
 ) -> dict[str, list[tuple[slice, Callable[[Array], Array]]]]:
-    """Return what interpolates every stretch of the inputs that act later.
+    """Return what interpolates every stretch of the inputs.
 
     That is a cubic spline. A held input whose delay is a fraction of a step changes within a step,
     which the samples of what it drives show as the mean, in shares of this fraction, of what two
     neighboring values do: linear.
     """
-    from scipy.interpolate import CubicSpline, make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
-    def parts(name: str) -> list[tuple[slice, Callable[[Array], Array]]]:
-        values = inputs[name]
-        rows = [s for s in stretches(time, values) if s.stop > s.start + 1]
-        if between[name].held:
-            return [(s, make_interp_spline(time[s], values[s], k=1)) for s in rows]
-        return [(s, CubicSpline(time[s], values[s])) for s in rows]
-
-    return {name: parts(name) for name in moved}
+    splines = {}
+    for name, values in inputs.items():
+        rows = [s for s in stretches(time, values) if s.stop > s.start + 3]
+        order = 1 if between[name].held else 3
+        splines[name] = [(s, make_interp_spline(time[s], values[s], k=order)) for s in rows]
+    return splines
 
 
 def _value(

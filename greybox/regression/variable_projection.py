@@ -217,26 +217,21 @@ def _located(search: _Search) -> Array:
     start = np.array([search.parameters[n].start for n in search.nonlinear])
     if not start.size:
         return start
-    # A minute at 100 Hz, where the inputs move most, shows where the minimum is; the whole record
-    # then shows it exactly.
-    part = search.on(search.data.busiest(6000))
-    part = part if part.blocks(start) else search
-    blocks = part.blocks(start)
+    blocks = search.blocks(start)
     weights = _weights(blocks, [b.target for b in blocks])
     size = sum(b.target.size for b in blocks)
 
     def cost(point: Array) -> float:
-        errors = _errors(part, point, weights)
+        errors = _errors(search, point, weights)
         # Rows are lost where a simulated state is unstable.
         return math.inf if errors is None or errors.size != size else float(np.mean(errors**2))
 
-    # There are one to three nonlinear unknowns, a delay or a lag each: with two, four points along
-    # each.
+    # There are one to three nonlinear unknowns, a delay or a lag each.
     boxes = {n: search.parameters[n] for n in search.nonlinear}
     is_bounded = all(np.all(np.isfinite(p.box)) for p in boxes.values())
-    points = sorted(Sobol(16).draw(boxes), key=cost)[:2] if is_bounded else []
+    points = sorted(Sobol(8).draw(boxes), key=cost)[:1] if is_bounded else []
     ends = [
-        _refine(part, point, weights) for point in [start, *points] if math.isfinite(cost(point))
+        _refine(search, point, weights) for point in [start, *points] if math.isfinite(cost(point))
     ]
     return min(ends, key=cost)
 

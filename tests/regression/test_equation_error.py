@@ -233,17 +233,6 @@ def test_a_free_delay():
     assert wrong.equations[0].r_squared < fixed.equations[0].r_squared
 
 
-def test_the_busy_part_of_a_long_record_gives_the_delay():
-    record = measured(slider(delay=0.083), ("F", "x", "v"), 1e-3)
-    time = np.arange(9000) * 0.01
-    signals = {
-        n: np.concatenate([1e-4 * np.sin(time[:5000]), v]) for n, v in record.signals.items()
-    }
-    late = time + np.where(time >= 50, 1.0, 0.0)
-    result = gb.regression.equation_error(Slider(), gb.Record(late, signals), free="d")
-    assert result.estimate["d"] == pytest.approx(0.083, abs=0.003)
-
-
 def test_several_equations_share_nonlinear_parameters():
     truth = {"J_x": 0.012, "J_y": 0.016, "J_z": 0.025}
     body, time = RigidBody(), np.arange(1500) * 0.01

@@ -89,7 +89,6 @@ def test_a_fixed_parameter_is_a_number_and_a_free_delay_is_not_linear():
     assert found.free == ("L", "T")
     assert found.equations[0].left == "current'"
     assert (found.linear, found.nonlinear) == ((), ("L", "T"))
-    assert found.delayed == ("u",)
     assert float(found.delay([0.5, 0.07])) == 0.07
 
 

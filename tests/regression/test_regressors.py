@@ -92,16 +92,6 @@ def test_a_linear_response_is_that_of_solve_ivp():
     assert_allclose(found, wanted, atol=3e-6)
 
 
-def test_the_busiest_part_is_that_with_the_most_variance():
-    record = flown()
-    u = record["u"] * np.where((record.time > 10) & (record.time < 16), 5.0, 0.1)
-    part = made(record.with_signals(u=u)).busiest(600)
-    assert part.time.size == 600
-    assert part.time[0] == pytest.approx(10, abs=0.3)
-    assert all(values.size == 600 for values in (*part.states.values(), *part.inputs.values()))
-    assert made().busiest(10**6).time.size == TIME.size
-
-
 def test_stretches_that_are_too_short_give_no_block():
     record = flown()
     v = record["v"].copy()
@@ -224,7 +214,6 @@ def test_without_inputs_nothing_is_late():
     assert (data.lateness, data.step) == (0.0, pytest.approx(0.05))
     (block,) = data.blocks(np.array([-1.0]))
     assert_allclose(block.target, -block.slopes[:, 0], rtol=0.05)
-    assert data.busiest(50).time.tolist() == time[:50].tolist()
 
 
 def test_a_stretch_begins_late_by_the_longest_delay_and_the_memory_of_the_slowest_lag():
@@ -300,27 +289,6 @@ def test_a_band_is_half_the_lowest_cutoff_or_less_where_one_is_given():
     assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs).bands == (5.0, 5.0)
     assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs, band=4.0).bands == (4.0, 4.0)
     assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs, band=7.0).bands == (5.0, 5.0)
-
-
-def test_each_input_counts_by_its_own_variance_where_it_moves_most():
-    """One of a thousand moves from row 100 on, one of a thousandth from row 350 on, and twice as long: there it is."""
-    record, rows = driven(), np.arange(600)
-    u = 1e3 * (1 + 0.01 * np.sin(rows) * ((rows >= 100) & (rows < 140)))
-    r = 1e-3 * (5 + np.sin(0.7 * rows) * ((rows >= 350) & (rows < 430)))
-    r[[360, 361]] = np.nan
-    data = two_inputs(record.with_signals(u=u, r=r), CONTINUOUS)
-    share = [(values - np.nanmean(values)) ** 2 / np.nanvar(values) for values in (u, r)]
-    moved = np.nan_to_num(share[0]) + np.nan_to_num(share[1])
-    for count in (40, 90, 599):
-        part = data.busiest(count)
-        begin = int(np.flatnonzero(record.time == part.time[0])[0])
-        sums = [moved[k : k + count].sum() for k in range(601 - count)]
-        assert sums[begin] == pytest.approx(max(sums), rel=1e-9)
-        assert part.time.tolist() == record.time[begin : begin + count].tolist()
-        assert_allclose(part.inputs["r"], data.inputs["r"][begin : begin + count])
-        assert_allclose(part.outputs["y"], data.outputs["y"][begin : begin + count])
-        assert_allclose(part.derivatives["v"], data.derivatives["v"][begin : begin + count])
-    assert data.busiest(600) is data
 
 
 def test_the_slope_of_a_state_is_known_over_four_rows_and_more():

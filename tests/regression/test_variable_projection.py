@@ -155,7 +155,6 @@ class Decay:
     lateness: float = 0.4
     step: float = 0.1
     time: np.ndarray = field(default_factory=lambda: 0.1 * np.arange(5.0))
-    asked: list[int] = field(default_factory=list)
 
     equations = SimpleNamespace(
         linear=("a", "b"),
@@ -171,10 +170,6 @@ class Decay:
             base, slopes = MODELS[equation](t, tau, w)
             made.append(Block(equation, target, base, slopes))
         return made if tau < 30 else []
-
-    def busiest(self, count):
-        self.asked.append(count)
-        return self
 
 
 EQUATIONS = (0, 1, 0)
@@ -266,7 +261,6 @@ def test_the_projection_is_the_likeliest_of_all_unknowns_at_once(options):
     assert_allclose(found.weights, 1 / np.array(found.spread), rtol=1e-6)
     wanted = covariance(by_hand, found.weights, colored) * independent / (independent - 4)
     assert_allclose(found.covariance, wanted, rtol=1e-4)
-    assert data.asked == [6000]
 
 
 def test_a_step_is_that_of_gauss_and_newton():
