@@ -1,5 +1,6 @@
 """One result on a page."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,8 +26,6 @@ class Entry:
         Why there is no result.
     command : tuple of str
         Arguments of the command ``greybox`` that made this result and others.
-    anchor : str
-        Of its section on the page, or empty.
     """
 
     label: str
@@ -35,9 +34,13 @@ class Entry:
     file: str = ""
     error: str = ""
     command: tuple[str, ...] = ()
-    anchor: str = ""
 
     @cached_property
     def answer(self) -> Mapping[str, Any]:
         """`Fit.to_dict` of the result; empty if there is none."""
         return self.numbers if self.fit is None else self.fit.to_dict()
+
+    @property
+    def anchor(self) -> str:
+        """Identifier of the section with details; empty if there is none."""
+        return "" if self.fit is None else "result-" + re.sub(r"\W+", "-", self.label)

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from xml.etree.ElementTree import Element
 
-from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
@@ -20,15 +19,12 @@ from greybox.plotting.figure import Figure
 from greybox.plotting.nyquist import nyquist_figures
 from greybox.plotting.profile import profile_figures
 from greybox.plotting.residuals import residual_figures
-from greybox.plotting.sensitivity import information_figure, response_sensitivity_figure
+from greybox.plotting.sensitivity import information_figure
 from greybox.plotting.spectrum import spectrum_figure
 from greybox.plotting.starts import starts_figure
 from greybox.plotting.time_history import history_figure
 
 MOST = 6  # parts of a fit that are drawn; of records those with the worst fit
-
-# What prevents an equation or a response of a loaded model.
-UNKNOWN = (LookupError, ValueError, TypeError, ArithmeticError)
 
 
 def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]]]:
@@ -45,7 +41,7 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
     yield "Equation", list(_equations(fit))
     if fit.responses:
         figures = [bode_figure([fit]), *nyquist_figures([fit])]
-        yield "Frequency response", [figure_grid(figures), *_sensitivities(fit)]
+        yield "Frequency response", [figure_grid(figures)]
     if fit.records:
         yield "Time history", list(_histories(fit, columns))
     if fit.spectra:
@@ -114,7 +110,8 @@ def _profiles(profiles: Profiles) -> Iterator[Element]:
 
 def _equations(fit: Fit) -> Iterator[Element]:
     """Yield the equation of every model, or why it cannot be written, and its author's words."""
-    for k in _one_of_each_model(fit):
+    first = {part.label: k for k, part in reversed([*enumerate(fit.parts)])}
+    for k in sorted(first.values()):  # one part of each model
         part = fit.parts[k]
         yield tag("h4", part.label)
         is_written = True
@@ -124,20 +121,12 @@ def _equations(fit: Fit) -> Iterator[Element]:
             if fit.converged:
                 yield tag("p", "With the estimate:", class_="soft")
                 yield tag("div", equations(model, _values(fit, k, model)), class_="equations")
-        except UNKNOWN as error:
+        except (LookupError, ValueError, TypeError, ArithmeticError) as error:
             is_written = False
             yield tag("p", f"The equation cannot be written from the formula: {_sentence(error)}")
         if part.equation:
             summary = tag("summary", "Description by the author of the model")
             yield tag("details", summary, tag("pre", part.equation), open=not is_written)
-
-
-def _one_of_each_model(fit: Fit) -> list[int]:
-    """Return the number of the first part with each model."""
-    first: dict[str, int] = {}
-    for k, part in enumerate(fit.parts):
-        first.setdefault(part.label, k)
-    return list(first.values())
 
 
 def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
@@ -151,21 +140,6 @@ def _information(fit: Fit) -> list[Figure]:
         return [information_figure(fit, k) for k in range(min(len(fit.parts), MOST))]
     except ValueError:  # no estimate, or no standard errors
         return []
-
-
-def _sensitivities(fit: Fit) -> Iterator[Element]:
-    """Yield the sensitivity of every model's response, or why it cannot be drawn."""
-    for k in _one_of_each_model(fit):
-        part = fit.parts[k]
-        if not fit.converged or not isinstance(part, FittedResponse):
-            continue
-        try:
-            figure = response_sensitivity_figure(fit, part, fit.model_of(k))
-        except UNKNOWN as error:
-            yield tag("p", f"Confidence band and sensitivity cannot be drawn: {_sentence(error)}")
-            continue
-        if figure is not None:
-            yield figure_grid([figure])
 
 
 def _histories(fit: Fit, columns: int) -> Iterator[Element]:

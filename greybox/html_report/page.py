@@ -4,7 +4,6 @@ import base64
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -18,10 +17,7 @@ from greybox.html_report.fit_section import fit_section
 from greybox.plotting.long_lines import COLUMNS
 from greybox.validation.comparison import Comparison
 
-LARGEST = (
-    2_900_000  # bytes of a page, so that it can be mailed: beyond, results are in the table only
-)
-LINES = 1_200_000  # bytes for the lines of records
+LINES = 1_200_000  # bytes for the lines of records on a page that can be mailed
 FEWEST = 200  # columns of a line
 BYTES = 30  # of one column of a line: two points of two numbers
 LINKS = 13  # sections up to which all are linked at the top: the table and twelve results
@@ -38,52 +34,30 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
         sections = [_section(name, content) for name, content in fit_section(entries[0], columns)]
         return _document(title, sections)
 
-    compared = comparison_section(entries, comparison, columns)
-    size = sum(len(html(element).encode()) for element in compared)
-    sections, entries = _details(entries, columns, size)
-    notes = []
-    omitted = sum(entry.fit is not None and not entry.anchor for entry in entries)
-    if omitted:
-        notes.append(
-            f"The details of {counted(omitted, 'result')} are left out to keep the page below "
-            "3 MB: write a page of each with greybox report RESULT."
-        )
+    content = [overview(entries), *comparison_section(entries, comparison, columns)]
     if any(entry.fit is None and not entry.error for entry in entries):
-        notes.append(
-            f"Below are details of {counted(len(fits), 'result')}, the best of each data set and "
-            "criterion or those that were selected; greybox report STUDY --details NAME shows "
-            "others."
+        text = (
+            f"Below are details of {counted(len(fits), 'result')}; greybox report STUDY --details "
+            "NAME shows others."
         )
-    content = [*(tag("p", text) for text in notes), overview(entries), *compared]
+        content.insert(0, tag("p", text))
+    sections = [
+        _details(entry, columns, is_open=len(entries) <= OPEN)
+        for entry in entries
+        if entry.fit is not None
+    ]
     return _document(title, [_section("Comparison", content), *sections])
 
 
-def _details(
-    entries: Sequence[Entry], columns: int, size: int
-) -> tuple[list[Element], list[Entry]]:
-    """Return the sections of as many results as fit on a page of `size` bytes, and all entries.
-
-    Entries with a section have its anchor.
-    """
-    sections: list[Element] = []
-    anchored: list[Entry] = []
-    for k, entry in enumerate(entries):
-        anchor = ""
-        if entry.fit is not None and size < LARGEST:
-            inside = [
-                element
-                for name, content in fit_section(entry, columns)
-                for element in (tag("h3", name), *content)
-            ]
-            summary = tag("summary", tag("h2", entry.label))
-            details = tag("details", summary, inside, open=len(entries) <= OPEN)
-            section = tag("section", details, id=f"result-{k + 1}")
-            size += len(html(section).encode())
-            if size < LARGEST:
-                sections.append(section)
-                anchor = f"result-{k + 1}"
-        anchored.append(replace(entry, anchor=anchor))
-    return sections, anchored
+def _details(entry: Entry, columns: int, *, is_open: bool) -> Element:
+    """Return the section of one of several results."""
+    inside = [
+        element
+        for name, content in fit_section(entry, columns)
+        for element in (tag("h3", name), *content)
+    ]
+    summary = tag("summary", tag("h2", entry.label))
+    return tag("section", tag("details", summary, inside, open=is_open), id=entry.anchor)
 
 
 def columns_of(fits: Sequence[Fit]) -> int:

@@ -1,6 +1,5 @@
 """A page about one or several fits, to look at and to share."""
 
-import math
 from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -12,7 +11,7 @@ from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted
 from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
-from greybox.study.study import Study, StudyMember
+from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
 
@@ -40,8 +39,8 @@ def report(
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
     details : collection of str
-        Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default up
-        to twelve: for each data set and criterion the member of the lowest cost, then the next.
+        Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default
+        the first twelve.
     title : str
         By default the name of the fit.
 
@@ -101,7 +100,7 @@ def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
         If no member with an answer has one of the names in `details`.
     """
     done = [member for member in study.members if member.status == "done"]
-    detailed = {member.name for member in ranked(done)[:DETAILED]}
+    detailed = {member.name for member in done[:DETAILED]}
     if details:
         detailed = set()
         for pattern in details:
@@ -122,28 +121,3 @@ def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
         )
         for member in study.members
     ]
-
-
-def ranked(members: Sequence[StudyMember]) -> list[StudyMember]:
-    """Sort by rank among the members with the same data and criterion, whose costs can be compared.
-
-    Within a rank, the first criterion of each data set comes first.
-    """
-    criteria: dict[str, list[str]] = {}  # of each data set, in the order of the study
-    for member in members:
-        rules = criteria.setdefault(member.answer["checksum"], [])
-        if member.answer["rule"] not in rules:
-            rules.append(member.answer["rule"])
-    ranks: dict[tuple[str, str], int] = {}
-    keys = {}
-    for k in sorted(range(len(members)), key=lambda k: _cost(members[k])):
-        data = members[k].answer["checksum"]
-        rule = members[k].answer["rule"]
-        ranks[data, rule] = ranks.get((data, rule), 0) + 1
-        keys[k] = (ranks[data, rule], criteria[data].index(rule), k)
-    return [members[k] for k in sorted(keys, key=keys.__getitem__)]
-
-
-def _cost(member: StudyMember) -> float:
-    cost = member.answer["cost"]
-    return math.inf if cost is None else float(cost)

@@ -53,8 +53,8 @@ def bode(
     labels : sequence of str, optional
         One legend entry for each of `fits`, e.g. ``("published", "refitted")``.
     axes : array-like of Axes, optional
-        Two for magnitude and phase, a third for the coherence, two more for the errors of fits.
-        By default a new figure is made.
+        For magnitude and phase, then for the coherence, if it is known, and the errors of fits; two
+        or more. By default a new figure is made.
     legend : bool
         Draw a legend, below a new figure or in the first of the given axes.
     level : float or None
@@ -71,8 +71,8 @@ def bode(
         For items that cannot be drawn, or a wrong number of labels or axes.
     """
     figure = bode_figure(fits, labels, level)
-    if axes is not None:
-        figure = _with_panels(figure, flat_axes(axes).size)
+    if axes is not None:  # the first panels
+        figure = replace(figure, panels=figure.panels[: flat_axes(axes).size])
     return draw(figure, axes, legend=legend)
 
 
@@ -114,15 +114,6 @@ def bode_figure(
         bands="" if level is None else f"{100 * level:g} % band",
         is_logarithmic=True,
     )
-
-
-def _with_panels(figure: Figure, count: int) -> Figure:
-    """Leave out coherence, errors, or both, where that gives `count` panels."""
-    known = [panel for panel in figure.panels if not panel.label.startswith("Error")]
-    errors = figure.panels[len(known) :]
-    choices = [figure.panels, known, [*known[:2], *errors]]
-    panels = next((choice for choice in choices if len(choice) == count), known[:2])
-    return replace(figure, panels=panels)
 
 
 def _error_panels(

@@ -13,7 +13,6 @@ Limits = tuple[float, float]
 GRAY = -1  # colors without a number
 INK = -2
 CROSS = -1  # marker of what failed
-COLORS = 6  # colors that are told apart
 ANGLES = (1, 2, 5, 15, 30, 45, 90, 180, 360, 720)  # natural steps of an axis in degrees
 
 

@@ -31,7 +31,6 @@ MARKER_SIZE = 5.5  # points
 CROWD = 100  # points of one series from which on markers shrink and lie below the curves
 BAND_ALPHA = 0.2
 TITLE_SIZE = 12  # points
-ORIGIN = "origin"  # marks the lines through the origin of a plane
 
 AxesArray = NDArray[np.object_]
 """Matplotlib Axes, in one dimension."""
@@ -192,8 +191,8 @@ def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
         _DRAWERS[series.kind](ax, series)
 
     if figure.is_plane:
-        ax.axhline(0, color="0.6", linewidth=0.8, zorder=1, gid=ORIGIN)
-        ax.axvline(0, color="0.6", linewidth=0.8, zorder=1, gid=ORIGIN)
+        ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+        ax.axvline(0, color="0.6", linewidth=0.8, zorder=1)
         ax.margins(0.12)
         ax.set_aspect("equal", adjustable="datalim")
         _include_regions(ax, panel)

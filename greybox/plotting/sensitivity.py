@@ -1,13 +1,10 @@
-"""The data that inform on each parameter, and the response that each parameter changes."""
+"""The data that inform on each parameter."""
 
 import numpy as np
 
-from greybox.estimate.fitted_part import FittedResponse
-from greybox.estimate.response_band import response_and_slope
 from greybox.estimate.result import Fit
 from greybox.files.text_table import in_greek
-from greybox.modeling.model import Model
-from greybox.plotting.figure import COLORS, GRAY, Figure, Panel, Series
+from greybox.plotting.figure import GRAY, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 
@@ -80,43 +77,4 @@ def information_figure(fit: Fit, part: int) -> Figure:
         caption="Share of the information in all data of the fit, by point or by part of the record.",
         is_logarithmic=is_frequency and bool(at[-1] > 5 * at[0]),
         is_wide=not is_frequency,
-    )
-
-
-def response_sensitivity_figure(fit: Fit, part: FittedResponse, model: Model) -> Figure | None:
-    """Return the change of magnitude and phase where a free parameter grows by 1 %, to first order.
-
-    None if no free parameter has a value other than zero.
-    """
-    curve = part.data if part.sine is not None or part.curve is None else part.curve
-    omega = np.unique(curve.omega)
-    # These curves are smooth, and every point costs an evaluation.
-    rows = np.linspace(0, omega.size - 1, min(omega.size, 120)).round().astype(int)
-    omega = omega[np.unique(rows)]
-    names = {name: part.rename.get(name, name) for name in model.parameters}
-    values = {name: fit.estimate[renamed] for name, renamed in names.items()}
-    signals = {"input": curve.input, "output": curve.output, "at": part.at, "delay": part.delay}
-    response, slope = response_and_slope(
-        model, values, omega, part.sine, part.data.omega, **signals
-    )
-
-    magnitude: list[Series] = []
-    phase: list[Series] = []
-    for k, (name, renamed) in enumerate(names.items()):
-        if renamed not in fit.free or values[name] == 0:
-            continue
-        with np.errstate(divide="ignore", invalid="ignore"):
-            change = 0.01 * values[name] * slope[:, k] / response.response
-        style, color = divmod(len(magnitude), COLORS)
-        decibel = 20 / np.log(10) * np.real(change)
-        magnitude.append(Series(renamed, "line", omega, decibel, color, style))
-        phase.append(Series(renamed, "line", omega, np.degrees(np.imag(change)), color, style))
-    if not magnitude:
-        return None
-    return Figure(
-        "Sensitivity",
-        "ω, rad/s",
-        [Panel("Change of magnitude, dB", magnitude), Panel("Change of phase, °", phase)],
-        caption="Change of the fitted response if one parameter grows by 1 % and the others stay.",
-        is_logarithmic=True,
     )

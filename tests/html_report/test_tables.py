@@ -150,7 +150,7 @@ def test_results_side_by_side_stand_in_one_table(fit):
     failed = Entry("bad", None, error="no log")
     warned = replace(fit, name="warned", warnings=("one", "two"))
     entries = [
-        Entry("lag", fit, anchor="result-1"),
+        Entry("lag", fit),
         Entry("warned", warned),
         failed,
         Entry("none", None),
@@ -183,7 +183,10 @@ def test_results_side_by_side_stand_in_one_table(fit):
     ]
     assert second[6] == "2"
     assert [row[:2] for row in rest] == [["bad", "no log"], ["none", "no result"]]
-    assert [a.get("href") for a in overview(entries).iter("a")] == ["#result-1"]
+    assert [a.get("href") for a in overview(entries).iter("a")] == [
+        "#result-lag",
+        "#result-warned",
+    ]
 
 
 def test_estimates_of_several_fits_stand_with_their_errors(fit):

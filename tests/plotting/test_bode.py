@@ -92,7 +92,7 @@ def test_users_axes_may_leave_out_the_errors(pitch, sweep):
     figure = Figure()
     for count in (2, 4):
         assert len(gb.plotting.bode(pitch, axes=figure.subplots(count, 1))) == count
-    with pytest.raises(ValueError, match="has 2 panels"):
+    with pytest.raises(ValueError, match="has 3 panels"):
         gb.plotting.bode(sweep, axes=figure.subplots(4, 1))
 
 

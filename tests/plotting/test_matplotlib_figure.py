@@ -147,11 +147,8 @@ def test_a_coherence_needs_a_third_panel(user_axes, sweep, pitch):
     assert len(gb.plotting.bode(sweep, axes=user_axes[0])) == 2
     drawn = gb.plotting.bode(sweep, axes=[*user_axes[0], user_axes[1, 0]])
     np.testing.assert_array_equal(points(drawn[2])[0].get_ydata(), sweep.coherence)
-    with pytest.raises(
-        ValueError,
-        match=r"has 2 panels \(Magnitude of θ/u, dB; Phase of θ/u, °\), but `axes` has 3",
-    ):
-        gb.plotting.bode(pitch, axes=[*user_axes[0], user_axes[1, 0]])
+    with pytest.raises(ValueError, match=r"has 4 panels .*, but `axes` has 5"):
+        gb.plotting.bode(pitch, axes=MatplotlibFigure().subplots(5, 1))
 
 
 def test_a_bode_diagram_drawn_over_another_shows_the_frequencies_of_both(user_axes):

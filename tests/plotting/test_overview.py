@@ -19,13 +19,11 @@ def test_a_fit_that_did_not_converge_shows_its_data_and_says_so(failed):
     assert gb.plot(failed).get_suptitle() == "pitch: no start converged"
 
 
-def test_every_figure_can_be_saved(tmp_path, pitch, rotors, failed, sweep):
-    axes = [gb.plotting.starts(failed), gb.plotting.nyquist(pitch, rotors)[0]]
-    axes += [gb.plotting.bode(failed)[0], gb.plotting.bode(pitch, sweep)[0]]
-    for k, figure in enumerate([gb.plot(pitch), *(ax.figure for ax in axes)]):
-        for kind in ("png", "svg", "pdf") if k == 0 else ("svg",):
-            figure.savefig(tmp_path / f"{k}.{kind}")
-            assert (tmp_path / f"{k}.{kind}").stat().st_size > 1000
+def test_figures_can_be_saved(tmp_path, pitch, failed):
+    figures = [gb.plot(pitch), gb.plotting.starts(failed).figure]
+    for figure, kind in zip(figures, ("pdf", "svg"), strict=True):
+        figure.savefig(tmp_path / f"figure.{kind}")
+        assert (tmp_path / f"figure.{kind}").stat().st_size > 1000
 
 
 def test_a_loaded_fit_needs_no_model(pitch):

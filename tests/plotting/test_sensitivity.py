@@ -1,6 +1,5 @@
 """The information on each parameter is drawn with its numbers."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,7 @@ from page_results import lag
 import greybox as gb
 from greybox.estimate.sensitivity import Sensitivity
 from greybox.plotting.figure import GRAY
-from greybox.plotting.sensitivity import information_figure, response_sensitivity_figure
+from greybox.plotting.sensitivity import information_figure
 
 ALONE = np.array([[[0.1, 0.2, 0.3], [0.15, 0.05, 0.1]], [[0.3, 0.1, 0.05], [0.2, 0.25, 0.1]]])
 SHARES = np.array([[[0.4, 0.05, 0.15], [0.1, 0.2, 0.1]], np.full((2, 3), np.nan)])
@@ -64,36 +63,3 @@ def test_a_panel_for_each_parameter(fit):
     assert axes[1].get_lines()[1].get_ydata() == pytest.approx(shares)
     with pytest.raises(TypeError, match="cannot draw 3: give a Fit"):
         gb.plotting.sensitivity(3)
-
-
-def test_sensitivities_are_differences_of_fits_that_differ_by_a_percent(fit):
-    figure = response_sensitivity_figure(fit, fit.responses[0], fit.models[0])
-    for k, name in enumerate(fit.free):
-        magnitude, phase = (panel.series[k] for panel in figure.panels)
-        assert magnitude.name == name
-        step = 1e-4
-        moved = tuple(
-            replace(q, value=q.value * (1 + step)) if q.name == name else q for q in fit.quantities
-        )
-        change = (
-            replace(fit, quantities=moved).response(magnitude.x).response
-            / fit.response(magnitude.x).response
-        )
-        assert magnitude.y == pytest.approx(
-            20 * np.log10(np.abs(change)) * 0.01 / step, rel=1e-3, abs=1e-6
-        )
-        assert phase.y == pytest.approx(
-            np.degrees(np.angle(change)) * 0.01 / step, rel=1e-3, abs=1e-6
-        )
-
-
-def test_what_is_zero_has_no_sensitivity(fit):
-    """One percent does not move it."""
-    at_zero = replace(
-        fit,
-        quantities=tuple(replace(q, value=0.0) if q.name == "a0" else q for q in fit.quantities),
-    )
-    shown = response_sensitivity_figure(at_zero, fit.responses[0], fit.models[0])
-    assert [series.name for series in shown.panels[0].series] == [
-        name for name in fit.free if name != "a0"
-    ]
