@@ -10,8 +10,8 @@ RESPONSE_OR_RECORD = (
     "model's signals, theta=pitch:deg"
 )
 RECORD = (
-    "the columns of a table with other names, time=t:ms theta=pitch:deg; or, without a header line "
-    "and for a MATLAB file with one matrix, their numbers: time=1 u=2 theta=3:deg"
+    "the columns of a table with other names, time=t:ms theta=pitch:deg; or, without a header line, "
+    "their numbers: time=1 u=2 theta=3:deg"
 )
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.io import savemat
 
 import greybox as gb
 
@@ -26,19 +25,6 @@ def test_a_table_without_a_header_goes_by_numbers(tmp_path, separator, comment):
         gb.read(path, columns={"time": "1", "u": "4"})
     with pytest.raises(ValueError, match="has no header line"):
         gb.read(path)
-
-
-def test_the_one_matrix_of_a_matlab_file_goes_by_numbers(tmp_path):
-    path = tmp_path / "flight.mat"
-    savemat(path, {"data": TABLE, "note": "made", "gain": 3.0})
-    record = gb.read(path, columns=COLUMNS)["flight"]
-    np.testing.assert_allclose(record.time, TIME)
-    np.testing.assert_array_equal(record["u"], np.sin(TIME))
-    savemat(path, {"data": TABLE, "other": TABLE})
-    with pytest.raises(
-        ValueError, match=r"has 2 matrices \(data, other\): save the one to read alone"
-    ):
-        gb.read(path, columns=COLUMNS)
 
 
 def test_names_may_be_replaced(tmp_path):

@@ -113,9 +113,9 @@ def read(
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
     columns : mapping of str to str, optional
         Of a table whose own names do not say what is in it, by new name: the column and, behind a
-        colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. Columns without names, in a
-        file without a header line or in the one matrix of a MATLAB file, go by their numbers:
-        ``{"time": "1", "u": "2", "theta": "3:deg"}``.
+        colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. The
+        columns of a file without a header line go by their numbers: ``{"time": "1", "u": "2",
+        "theta": "3:deg"}``.
 
     Returns
     -------

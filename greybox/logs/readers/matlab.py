@@ -7,9 +7,7 @@ from greybox.data.record import Recording
 from greybox.logs.readers import named_arrays
 
 
-def read(
-    path: str | Path, messages: Collection[str] | None = None, numbered: bool = False
-) -> Recording:
+def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
     """Read every struct that has a time vector into a record, and the vectors beside a time vector of the workspace.
 
     The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``); see
@@ -22,9 +20,6 @@ def read(
     path : str or Path
     messages : collection of str, optional
         Structs to read; all by default.
-    numbered : bool
-        Read the one matrix of the file as a table, whose columns are named by their numbers, from
-        1.
 
     Returns
     -------
@@ -39,9 +34,5 @@ def read(
     OSError
         If the file cannot be opened.
     """
-    contents = named_arrays.read_contents("matlab", Path(path))
-    return (
-        named_arrays.numbered(Path(path), contents)
-        if numbered
-        else named_arrays.recording(Path(path), contents, messages)
-    )
+    path = Path(path)
+    return named_arrays.recording(path, named_arrays.read_contents("matlab", path), messages)

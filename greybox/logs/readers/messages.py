@@ -6,8 +6,9 @@ from itertools import chain
 
 import numpy as np
 
-from greybox.data.record import Record
+from greybox.data.record import GAP, Record
 from greybox.files.arrays import Array, IntArray
+from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
 
 
@@ -67,47 +68,19 @@ def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
 
 
 def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Join messages of one name that the log describes twice if their columns agree; otherwise keep the larger lot."""
+    """Keep the larger lot of messages of one name that the log describes in two ways."""
     by_name: dict[str, list[Messages]] = {}
     for group in groups:
         by_name.setdefault(group.name, []).append(group)
 
-    joined = []
-    findings = []
-    for name, lots in by_name.items():
-        largest = max(lots, key=len)
-        alike = [lot for lot in lots if _alike(lot, largest)]
-        lost = sum(map(len, lots)) - sum(map(len, alike))
-        if lost:
-            findings.append(
-                f"{name}: {lost} messages with other fields than the rest were left out."
-            )
-        joined.append(_joined(alike) if len(alike) > 1 else largest)
-    return joined, tuple(findings)
-
-
-def _alike(a: Messages, b: Messages) -> bool:
-    return (
-        a.columns.keys() == b.columns.keys()
-        and a.texts.keys() == b.texts.keys()
-        and (a.time is None) == (b.time is None)
+    largest = {name: max(lots, key=len) for name, lots in by_name.items()}
+    lost = {name: sum(map(len, lots)) - len(largest[name]) for name, lots in by_name.items()}
+    findings = tuple(
+        f"{name}: {count} messages with another layout than the rest were left out."
+        for name, count in lost.items()
+        if count
     )
-
-
-def _joined(lots: Sequence[Messages]) -> Messages:
-    order = np.concatenate([lot.order for lot in lots])
-    texts = {name: [text for lot in lots for text in lot.texts[name]] for name in lots[0].texts}
-    columns = {
-        name: np.concatenate([lot.columns[name] for lot in lots]) for name in lots[0].columns
-    }
-    time = (
-        None
-        if lots[0].time is None
-        else np.concatenate([lot.time for lot in lots if lot.time is not None])
-    )
-    return replace(lots[0], order=order, time=time, columns=columns, texts=texts).rows(
-        np.argsort(order)
-    )
+    return list(largest.values()), findings
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,24 +132,38 @@ def records(
     """
     by_name: dict[str, Record] = {}
     findings: list[str] = []
-    gapped: dict[str, time_stamps.Gaps] = {}
     for name, part in chain.from_iterable(map(_instances, _consumed(groups))):
         if part.time is None:
             findings.append(f"{name}: its {len(part)} messages have no time and were left out.")
             continue
-        record = _record(name, part, source, checksum, gapped)
+        record = _record(name, part, source, checksum)
         if record is None:
             findings.append(
                 f"{name}: none of its {len(part)} messages has a plausible time; it was left out."
             )
             continue
         by_name[name] = record
-        findings += [
-            text
-            for text in record.findings
-            if name not in gapped or text != f"{name}: {gapped[name]}"
-        ]
-    return by_name, (*findings, *time_stamps.all_gaps(gapped))
+        findings += record.findings
+    return by_name, (*findings, *_gaps(by_name))
+
+
+def _gaps(by_name: Mapping[str, Record]) -> list[str]:
+    """Describe the gaps of messages at regular times, many of them in one line: logging stopped."""
+    texts = []
+    longest = []
+    for name, record in by_name.items():
+        steps = np.diff(record.time)
+        wide = np.count_nonzero(steps > GAP * record.step)
+        # 20 steps show the usual one. A message with gaps in 5 % of its steps comes irregularly.
+        if steps.size >= 20 and 0 < wide <= 0.05 * steps.size:
+            start = record.time[steps.argmax()]
+            texts.append(
+                f"{name}: {counted(wide, 'gap')}, the longest {steps.max():.3g} s at {start:.1f} s."
+            )
+            longest.append(steps.max())
+    if len(texts) <= 3:
+        return texts
+    return [f"{len(texts)} messages have gaps. {texts[int(np.argmax(longest))]}"]
 
 
 def _consumed(groups: Iterable[Messages]) -> Iterator[Messages]:
@@ -211,10 +198,7 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
         yield f"{name}[{label}]", replace(without_columns.rows(places), columns=split.pop(value))
 
 
-def _record(
-    name: str, part: Messages, source: str, checksum: str, gapped: dict[str, time_stamps.Gaps]
-) -> Record | None:
-    """Return a record, and put its gaps among those of the others."""
+def _record(name: str, part: Messages, source: str, checksum: str) -> Record | None:
     assert part.time is not None
     rows = time_stamps.increasing(part.time)
     if not rows.size:
@@ -229,10 +213,6 @@ def _record(
     for values in (time, *columns.values()):
         values.setflags(write=False)  # a record keeps, without a copy, what nobody can change
     units = {column: part.units.get(column, "") for column in columns}
-    gaps = time_stamps.gaps(time)
-    if gaps is not None:
-        gapped[name] = gaps
-        findings += (f"{name}: {gaps}",)
     return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)
 
 

@@ -10,7 +10,7 @@ from greybox.files.arrays import Array
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import on_one_clock, records
-from greybox.logs.readers.table_columns import of_rows, table
+from greybox.logs.readers.table_columns import table
 
 
 class Variable(NamedTuple):
@@ -52,35 +52,6 @@ def read_contents(kind: str, path: Path, *wanted: str) -> Contents:
         group, _, name = item["path"].rpartition("/")
         variables.append(Variable(group, name, item["unit"], values))
     return Contents(variables, head["findings"], head["about"])
-
-
-def numbered(path: Path, contents: Contents) -> Recording:
-    """Make a record of rows of the one matrix of a file, with its columns by number; as `recording` without a matrix.
-
-    Raises
-    ------
-    ValueError
-        If there are several matrices.
-    """
-    matrices = [
-        variable
-        for variable in contents.variables
-        if variable.values.ndim == 2 and min(variable.values.shape) > 1
-    ]
-    if not matrices:
-        return recording(path, contents, None)
-    if len(matrices) > 1:
-        names = ", ".join(variable.name for variable in matrices)
-        raise ValueError(
-            f"{path} has {len(matrices)} matrices ({names}): save the one to read alone."
-        )
-    with open(path, "rb") as file:
-        checksum = hashlib.file_digest(file, "sha256").hexdigest()
-    columns = {
-        str(k): values for k, values in enumerate(matrices[0].values.T.astype(float), start=1)
-    }
-    record = of_rows(path.stem, columns, {}, source=path.name, checksum=checksum)
-    return Recording({path.stem: record}, path.name, checksum, {}, tuple(contents.findings))
 
 
 def recording(

@@ -1,13 +1,10 @@
-"""Time stamps of a log: clock restarts, implausible stamps, times that do not increase."""
+"""Cleans the time stamps of a log: clock restarts, implausible stamps, times that do not increase."""
 
 from bisect import bisect_left
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
-from greybox.data.record import GAP
 from greybox.files.arrays import Array, IntArray
 
 BACK = 1.0  # s by which stamps must fall at a clock restart; between messages of one boot they fall by up to 4 ms
@@ -17,12 +14,6 @@ BLOCK = (
 )  # stamps that are looked at together: half a megabyte, against logs of ten million messages
 PAUSE = 10.0  # s between two boots on the common clock: the real pause is not known
 SLACK = 600.0  # s before the first or after the last stamps, beyond which a stamp is damaged or of another clock
-REGULAR = 20  # samples that a message needs for its usual interval to be known
-AROUND = 3  # intervals on either side, against which a long one is held: enough that another gap does not count
-FEW = 3  # messages whose gaps are told one by one
-IRREGULAR = (
-    0.05  # of the intervals: a message with more gaps has no usual interval, such as an event
-)
 
 
 def restarts(stamps: Array) -> tuple[int, ...]:
@@ -126,46 +117,3 @@ def _longest_increase(values: Array) -> IntArray:
     while chain and link[chain[-1]] >= 0:
         chain.append(int(link[chain[-1]]))
     return np.array(chain[::-1], dtype=np.intp)
-
-
-class Gaps(NamedTuple):
-    """The gaps of one message: how many, the longest and when it began, s, and the usual interval, s."""
-
-    number: int
-    longest: float
-    at: float
-    usual: float
-
-    def __str__(self) -> str:
-        number = f"{self.number} gaps, the longest" if self.number > 1 else "a gap"
-        return f"{number} {self.longest:.3g} s at {self.at:.1f} s (its usual interval is {self.usual:.3g} s)."
-
-
-def gaps(time: Array) -> Gaps | None:
-    """Return the gaps of a message that comes at regular times; None without one, and for other messages.
-
-    Each long interval is held against those around it: a stretch that was logged slowly has no
-    gaps.
-    """
-    steps = np.diff(time)
-    if steps.size < REGULAR:
-        return None
-    usual = float(np.median(steps))
-    long = np.flatnonzero(steps > GAP * usual)
-    around = np.clip(long[:, None] + np.arange(-AROUND, AROUND + 1), 0, steps.size - 1)
-    wide = long[steps[long] > GAP * np.median(steps[around], axis=1)] if long.size else long
-    if not wide.size or wide.size > IRREGULAR * steps.size:
-        return None
-    longest = int(wide[steps[wide].argmax()])
-    return Gaps(int(wide.size), float(steps[longest]), float(time[longest]), usual)
-
-
-def all_gaps(found: Mapping[str, Gaps]) -> tuple[str, ...]:
-    """Say which messages have gaps, in one line where they are many: then logging itself stopped."""
-    if len(found) <= FEW:
-        return tuple(f"{name}: {gaps}" for name, gaps in found.items())
-    name, worst = max(found.items(), key=lambda item: item[1].longest)
-    return (
-        f"{len(found)} messages have gaps, up to {max(gaps.number for gaps in found.values())}; the longest lasts "
-        f"{worst.longest:.3g} s, at {worst.at:.1f} s in {name}.",
-    )

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
 
@@ -20,26 +21,12 @@ def test_instances_are_left_out_of_requested_names():
     assert bare(["IMU[0]", "ATT", "IMU[1]"]) == ("IMU", "ATT")
 
 
-def test_two_lots_of_one_name_are_joined_in_the_order_of_the_file():
-    first = messages(order=(0, 4), time=(0.0, 4.0), x=np.array([0.0, 4.0]))
-    second = messages(order=(2, 6), time=(2.0, 6.0), x=np.array([2.0, 6.0]))
-    first, second = (
-        replace(first, texts={"said": ["a", "c"]}),
-        replace(second, texts={"said": ["b", "d"]}),
-    )
-    (joined,), findings = merged([first, second])
-    np.testing.assert_array_equal(joined.columns["x"], [0, 2, 4, 6])
-    assert joined.texts == {"said": ["a", "b", "c", "d"]}
-    np.testing.assert_array_equal(joined.time, joined.order)
-    assert findings == ()
-
-
 def test_of_two_lots_with_other_fields_the_larger_stays():
     large = messages()
     small = messages(order=(5,), time=(5.0,), y=np.array([1.0]))
     (kept,), findings = merged([small, large])
     assert kept is large
-    assert findings == ("ATT: 1 messages with other fields than the rest were left out.",)
+    assert "1 messages" in findings[0]
 
 
 def test_one_clock_for_all_messages_of_a_log():
@@ -120,9 +107,7 @@ def test_gaps_and_dropped_samples_of_a_record_are_said_once():
     time[30:] += 2
     holed = Messages("ATT", np.arange(60), time, {"x": time})
     found, findings = records([holed], "a.bin", "abc")
-    (said,) = findings
-    assert said == "ATT: a gap 2.1 s at 2.9 s (its usual interval is 0.1 s)."
-    assert found["ATT"].findings == (said,)
+    assert findings == ("ATT: 1 gap, the longest 2.1 s at 2.9 s.",)
     back = replace(
         holed, time=np.where(np.arange(60) == 10, np.nan, np.where(np.arange(60) == 20, 0.5, time))
     )
@@ -146,12 +131,16 @@ def test_the_span_of_a_log_is_that_of_all_stamps():
     assert on_one_clock([first], np.array([1.0, 2.0, 3.0, 12.0])).span == (1.0, 12.0)
 
 
-def test_messages_with_and_without_times_or_texts_are_not_joined():
-    large = messages()
-    for other in (
-        messages(order=(5,), time=None, x=np.array([1.0])),
-        replace(messages(order=(5,), time=(5.0,), x=np.array([1.0])), texts={"said": ["a"]}),
-    ):
-        (kept,), findings = merged([large, other])
-        assert kept is large
-        assert findings == ("ATT: 1 messages with other fields than the rest were left out.",)
+@pytest.mark.parametrize(("number", "lines"), [(1, 1), (3, 3), (4, 1)])
+def test_gaps_of_many_messages_are_one_line(number, lines):
+    time = np.r_[0:5:0.1, 8:12:0.1]
+    groups = [Messages(f"M{k}", np.arange(time.size), time, {"x": time}) for k in range(number)]
+    _, findings = records(groups, "a.bin", "abc")
+    assert len(findings) == lines
+    assert "the longest 3.1 s at 4.9 s" in findings[0]
+
+
+def test_a_message_at_irregular_times_has_no_gaps():
+    time = np.cumsum(np.where(np.arange(60) % 10 == 0, 5.0, 0.1))
+    _, findings = records([Messages("EV", np.arange(60), time, {"x": time})], "a.bin", "abc")
+    assert findings == ()
