@@ -106,7 +106,7 @@ def test_gaps_and_dropped_samples_of_a_record_are_said_once():
     time = np.arange(60) / 10
     time[30:] += 2
     holed = Messages("ATT", np.arange(60), time, {"x": time})
-    found, findings = records([holed], "a.bin", "abc")
+    _, findings = records([holed], "a.bin", "abc")
     assert findings == ("ATT: 1 gap, the longest 2.1 s at 2.9 s.",)
     back = replace(
         holed, time=np.where(np.arange(60) == 10, np.nan, np.where(np.arange(60) == 20, 0.5, time))

@@ -133,13 +133,3 @@ def test_groups_that_are_asked_for_are_read_alone(made, tmp_path):
     assert [*recording] == ["a", "c"]
     assert recording.findings == ("there is no group d.",)
     np.testing.assert_array_equal(recording["c"]["x"], T + 2)
-
-
-def test_a_matrix_of_one_row_or_column_is_a_vector(tmp_path):
-    """It does not go by numbers; the one with several of both does."""
-    savemat(
-        tmp_path / "one.mat", {"gain": np.ones((1, 4)), "data": np.stack([T, 2 * T, 3 * T], axis=1)}
-    )
-    recording = read(tmp_path / "one.mat", columns={"time": "1:s", "u": "2", "y": "3"})
-    np.testing.assert_allclose(recording["one"]["y"], 3 * T)
-    np.testing.assert_allclose(recording["one"]["u"], 2 * T)
