@@ -193,6 +193,5 @@ def _json(found: Identification, lines: list[str]) -> dict[str, Any]:
         "comparison": found.comparison.table if found.comparison else [],
         "reason": found.reason,
         "fit": summary(found.fit) if found.fit is not None else None,
-        "next": list(found.next),
         "commands": lines,
     }

@@ -1,4 +1,7 @@
-"""How large the signals of a loop are when a sine is added to one of them."""
+"""The gains from a sine that is added to one signal of a loop to the other signals.
+
+Begin with `loop_gains`.
+"""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -11,11 +14,6 @@ from greybox.experiment.multisine import multisine
 from greybox.experiment.virtual_flight import virtual_flight
 from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling import Model
-
-# Of the lowest frequency: so many of its periods make neighboring candidates distinct lines.
-PERIODS = 4
-SMALL = 1e-3  # of the amplitude to be flown: the loop is linear there, and rounding is far below
-SETTLING = 2  # repetitions before the one that is read
 
 
 def loop_gains(
@@ -31,27 +29,28 @@ def loop_gains(
 ) -> tuple[Array, dict[str, ComplexArray]]:
     """Return frequencies (n,) next to `omega`, and the gains (n,) from the excitation to the signals.
 
-    They are read from a virtual flight with a small sum of sines, so they are those of the sampled
-    controller as it will fly.
+    They are measured in a virtual flight with a small sum of sines, so they include the sampling of
+    the controller.
 
     Raises
     ------
     ValueError
-        When a signal is not in the loop, or the loop diverges.
+        If a signal is not in the loop, or the loop diverges.
     """
-    wanted = np.sort(np.atleast_1d(np.asarray(omega, dtype=float)))
-    samples = round(PERIODS * 2 * math.pi / wanted[0] * rate)
+    frequencies = np.sort(np.atleast_1d(np.asarray(omega, dtype=float)))
+    # Four periods of the lowest frequency make neighboring frequencies distinct lines.
+    samples = round(4 * 2 * math.pi / frequencies[0] * rate)
     line = 2 * math.pi * rate / samples
-    harmonics = np.unique(np.maximum(np.rint(wanted / line).astype(int), 1))
+    harmonics = np.unique(np.maximum(np.rint(frequencies / line).astype(int), 1))
     sines = multisine(
         harmonics[0] * line * 0.999,
         harmonics[-1] * line * 1.001,
         samples / rate,
         rate,
-        amplitude=SMALL * amplitude,
+        amplitude=1e-3 * amplitude,  # the loop is linear there, and rounding is far below
         signals=[excitation],
         points=None if len(harmonics) < 2 else max(len(harmonics), 2),
-        periods=SETTLING + 1,
+        periods=3,  # two to settle
     )
     chosen = np.asarray(sines.settings["harmonics"][excitation])
     measured = {name: 0.0 for name in signals if name not in _known(model, controller, excitation)}
@@ -65,11 +64,11 @@ def loop_gains(
 def _known(
     model: Model, controller: Controller | Sequence[Controller] | None, excitation: str
 ) -> set[str]:
-    """Return what a virtual flight logs without being asked."""
-    several = [controller] if isinstance(controller, Controller) else list(controller or ())
+    """Return the signals that a virtual flight logs by default."""
+    controllers = [controller] if isinstance(controller, Controller) else list(controller or ())
     return {
         *model.input_names,
         *model.output_names,
         excitation,
-        *(name for c in several for name in c.outputs),
+        *(name for c in controllers for name in c.outputs),
     }

@@ -69,16 +69,16 @@ class Controller(ABC):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Collect the parameters of the class body and of the classes above it, and check the names."""
         super().__init_subclass__(**kwargs)
-        found = _collected(cls)
-        cls.parameters = MappingProxyType(found)
+        parameters = _collected(cls)
+        cls.parameters = MappingProxyType(parameters)
         for kind in ("states", "inputs", "setpoints", "outputs"):
             if isinstance(getattr(cls, kind), str):
                 raise ValueError(
                     f"{cls.__name__}.{kind} = {getattr(cls, kind)!r} must be a tuple of names."
                 )
-        for names in ((*cls.inputs, *cls.setpoints), cls.states, cls.outputs, found):
+        for names in ((*cls.inputs, *cls.setpoints), cls.states, cls.outputs, parameters):
             for name in names:
-                if hasattr(Names, name) or (names is found and hasattr(Controller, name)):
+                if hasattr(Names, name) or (names is parameters and hasattr(Controller, name)):
                     raise ValueError(
                         f"{cls.__name__} cannot have a parameter or signal called {name!r}: choose another name."
                     )
@@ -130,7 +130,7 @@ class Controller(ABC):
         """
 
     def outside(self, name: str) -> str:
-        """Return the name that an own signal has outside."""
+        """Return the name of an own signal in the loop."""
         return self.signals.get(name, name)
 
     @property
@@ -177,24 +177,24 @@ def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.
 
 
 def connected(
-    given: Controller | Sequence[Controller] | None,
+    controller: Controller | Sequence[Controller] | None,
     inputs: Sequence[str],
     taken: Collection[str],
     plant: str,
 ) -> tuple[Controller, ...]:
-    """Return the controllers of a loop once they fit a plant's inputs and one another.
+    """Return the controllers of a loop; raise ValueError if they do not fit the plant and one another.
 
     Raises
     ------
     ValueError
-        For controllers that drive nothing, give one signal twice (or a `taken` one), come in the
-        wrong order, or run at different rates.
+        If a controller drives nothing, if a signal is driven twice or has a `taken` name, if the
+        order is wrong, or if the rates differ.
     TypeError
-        For anything that is not a controller.
+        If one is not a controller.
     """
-    several = given if isinstance(given, Sequence) else () if given is None else (given,)
-    controllers: tuple[Controller, ...] = tuple(several)
-    before: set[str] = set()
+    listed = controller if isinstance(controller, Sequence) else (controller,)
+    controllers: tuple[Controller, ...] = () if controller is None else tuple(listed)
+    driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):
             raise TypeError(f"{c!r} is not a Controller: give e.g. AttitudeController().")
@@ -207,41 +207,41 @@ def connected(
 
         provides = {*map(c.outside, c.outputs)}
         commanded = {*map(c.outside, c.setpoints)}
-        setpoints_behind = (
-            other.outside(n) for other in controllers[k + 1 :] for n in other.setpoints
-        )
-        if not provides & {*inputs, *setpoints_behind}:
+        next_setpoints = (d.outside(n) for d in controllers[k + 1 :] for n in d.setpoints)
+        if not provides & {*inputs, *next_setpoints}:
             raise ValueError(
                 f"{label} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes "
                 f"{', '.join(inputs) or 'none'}: connect them, signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
             )
 
-        twice = provides & before | (provides | commanded) & {*taken}
+        twice = provides & driven | (provides | commanded) & {*taken}
         if twice:
             raise ValueError(
                 f"two signals are called {min(twice)!r}: rename that of {label}, signals={{'own': 'other'}}."
             )
 
-        late = commanded & {other.outside(n) for other in controllers[k:] for n in other.outputs}
+        late = commanded & {d.outside(n) for d in controllers[k:] for n in d.outputs}
         if late:
             raise ValueError(
                 f"{label} takes {min(late)!r} from itself or a later controller: list that one first."
             )
-        before |= provides
+        driven |= provides
     return controllers
 
 
 def _collected(cls: type) -> dict[str, Parameter]:
-    found: dict[str, Parameter] = {}
+    parameters: dict[str, Parameter] = {}
     for owner in reversed(cls.__mro__):
         hidden = [
-            n for n, value in vars(owner).items() if n in found and isinstance(value, (int, float))
+            n
+            for n, value in vars(owner).items()
+            if n in parameters and isinstance(value, (int, float))
         ]
         if hidden:
             raise TypeError(
                 f"{cls.__name__}.{hidden[0]} is a number where a Parameter was: use gb.Parameter(...)."
             )
-        found |= {
+        parameters |= {
             name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
         }
-    return found
+    return parameters

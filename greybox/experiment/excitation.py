@@ -1,4 +1,4 @@
-"""A test signal to be flown: its samples, and the maneuvers that it consists of."""
+"""A test signal to be flown: its samples and its maneuvers."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,9 +16,8 @@ from greybox.files.text_table import one_line
 class Maneuver(NamedTuple):
     """One sine, sweep or multisine of an excitation, as planned.
 
-    `start`, `settled` and `end` are times in s, and the part to be analyzed begins at `settled`;
-    `low` and `high` are angular frequencies in rad/s; `amplitude` and `offset` are in the unit of
-    the signal.
+    `start`, `settled` and `end` are times in s; the analysis begins at `settled`. `low` and `high`
+    are angular frequencies in rad/s, `amplitude` and `offset` are in the unit of the signal.
     """
 
     signal: str
@@ -44,7 +43,7 @@ class Excitation:
     rate : float, Hz
     schedule : tuple of Maneuver
     settings : mapping
-        What the signal was made from; for a multisine also its ``harmonics`` (name to multiples of
+        Parameters of the signal; for a multisine also its ``harmonics`` (name to multiples of
         2π / ``period``).
     """
 
@@ -71,7 +70,7 @@ class Excitation:
 
     @property
     def peak_factors(self) -> dict[str, float]:
-        """Peak to peak over 2√2 root mean squares about the mean, 1 for a sine (Morelli's relative peak factor)."""
+        """Peak to peak over 2√2 times the standard deviation, 1 for a sine (Morelli's relative peak factor)."""
         return {
             name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v)))
             for name, v in self.signals.items()
@@ -102,11 +101,10 @@ class Excitation:
 
 
 def checked_band(omega: Sequence[float], rate: float) -> Array:
-    """Return the frequencies, rad/s, once they are known to be above 0 and well below the sampling rate."""
+    """Return the frequencies, rad/s; raise ValueError if they are not above 0 and well below the sampling rate."""
     values = np.asarray(omega, dtype=float)
-    limit = (
-        2 * math.pi * rate / 5
-    )  # five samples per period: a held signal has 94 % of the amplitude
+    # With five samples per period a held signal has 94 % of the amplitude.
+    limit = 2 * math.pi * rate / 5
     bad = values[~((values > 0) & (values <= limit))]
     if values.size == 0 or bad.size:
         raise ValueError(
@@ -117,5 +115,5 @@ def checked_band(omega: Sequence[float], rate: float) -> Array:
 
 
 def round_up(value: float) -> int:
-    """Round up, forgiving rounding errors."""
+    """Round up, except for rounding errors."""
     return math.ceil(value - 1e-9)

@@ -8,14 +8,6 @@ import numpy as np
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band
 from greybox.files.arrays import Array, IntArray
 
-# Half of the exponents of the norms that the phases minimize, one after another. The 64-norm is
-# within 12 % of the peak for a period of 1000 samples, most of which are small: n**(1/64) = 1.11.
-PEAK_NORMS = (2, 4, 8, 16, 32)
-
-SAMPLES = 8  # per period of the highest harmonic: the peak between samples is at most 1/cos(π/8) = 1.08 times higher
-ITERATIONS = 100  # of L-BFGS-B, per norm
-BISECTIONS = 60  # beyond the 53 bits of a double
-
 
 def multisine(  # noqa: PLR0913 - each is one fact of the test card
     low: float,
@@ -44,18 +36,18 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
         A whole number of samples.
     rate : Hz
     amplitude : float
-        Largest magnitude of each signal.
+        Peak of each signal.
     signals : sequence of str
     unit : str
     points : int, optional
-        Harmonics per signal, about log spaced; by default all.
+        Number of harmonics per signal, nearly log spaced; by default all.
     periods : int
-        Number of repetitions. The first serves to settle when there are several.
+        Number of repetitions. If there are several, the first is for settling.
 
     Raises
     ------
     ValueError
-        For a period that is not a whole number of samples or holds too few harmonics in the band.
+        If the period is not a whole number of samples, or has too few harmonics in the band.
     """
     checked_band([low, high], rate)
     count = round(period * rate)
@@ -100,7 +92,7 @@ def _assigned(
 
 
 def _log_spaced(harmonics: IntArray, points: int) -> IntArray:
-    """Choose about log spaced ones, all different."""
+    """Choose distinct harmonics that are nearly log spaced."""
     places = np.searchsorted(harmonics, np.geomspace(harmonics[0], harmonics[-1], points) - 1e-9)
     for k in range(1, points):
         places[k] = max(places[k], places[k - 1] + 1)
@@ -114,7 +106,9 @@ def _phases(harmonics: IntArray) -> Array:
     from scipy.optimize import minimize  # noqa: PLC0415 - takes longer to import than this whole package
 
     n = harmonics.size
-    count = 2 ** math.ceil(math.log2(SAMPLES * harmonics[-1]))
+    # Eight samples per period of the highest harmonic: the peak between samples is at most
+    # 1/cos(π/8) = 1.08 times higher.
+    count = 2 ** math.ceil(math.log2(8 * harmonics[-1]))
 
     def norm(phases: Array, p: int) -> tuple[float, Array]:
         values = _sum(harmonics, phases, count)
@@ -128,28 +122,31 @@ def _phases(harmonics: IntArray) -> Array:
         return float(top * mean ** (1 / (2 * p))), slope * mean ** (1 / (2 * p) - 1)
 
     phases = -math.pi * np.arange(n) * np.arange(1, n + 1) / n  # Schroeder, for equal powers
-    for p in PEAK_NORMS:
-        found = minimize(
-            norm, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS}
+    # The 64-norm is within 12 % of the peak for a period of 1000 samples: n**(1/64) = 1.11.
+    for p in (2, 4, 8, 16, 32):
+        outcome = minimize(
+            norm, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": 100}
         )
-        phases = np.asarray(found.x)
+        phases = np.asarray(outcome.x)
     return _from_zero(harmonics, phases, count)
 
 
 def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
-    """Shift time to the rising zero crossing."""
+    """Shift time to a rising zero crossing."""
+    from scipy.optimize import brentq  # noqa: PLC0415 - as above
+
     values = _sum(harmonics, phases, count)
     k = int(np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0])
-    low, high = k / count, (k + 1) / count
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        below = np.sum(np.sin(2 * math.pi * harmonics * middle + phases)) <= 0
-        low, high = (middle, high) if below else (low, middle)
-    return phases + 2 * math.pi * harmonics * low
+
+    def value(shift: float) -> float:
+        return float(np.sum(np.sin(2 * math.pi * harmonics * shift + phases)))
+
+    crossing = brentq(value, k / count, (k + 1) / count, xtol=1e-16)
+    return phases + 2 * math.pi * harmonics * crossing
 
 
 def _sum(harmonics: IntArray, phases: Array, count: int) -> Array:
-    """One period, (count,), of unit root mean square."""
+    """Return one period (count,) with a root mean square of one."""
     spectrum = np.zeros(count // 2 + 1, dtype=complex)
     spectrum[harmonics] = -0.5j * count * math.sqrt(2 / harmonics.size) * np.exp(1j * phases)
     return np.fft.irfft(spectrum, count)

@@ -21,30 +21,29 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     signal: str = "reference",
     unit: str = "rad",
 ) -> Excitation:
-    """One sine after another about an operating point, (3.14): offset + η_i sin(ω_i (t - t_0)).
+    """Make one sine after another about an operating point, (3.14): offset + η_i sin(ω_i (t - t_0)).
 
     Parameters
     ----------
     omega : (n,) sequence, rad/s
-        In the order in which they are flown.
+        Frequencies in the order of the flight.
     amplitude : float or (n,) sequence
-        η_i, in the signal's unit.
+        η_i, in the unit of the signal.
     offset : float
         The operating point.
     periods, least : int or (n,) sequence, and float, s
         A sine lasts `periods` periods or `least` seconds, whichever is longer, rounded up to whole
         periods.
     lead_in, pause : float, s
-        Of the same sine before that, in whole periods, to settle; and at the operating point before
-        and after each.
+        Time of the same sine to settle before that, in whole periods; and time at the operating
+        point before and after each sine.
     rate : float, Hz
     signal, unit : str
 
     Raises
     ------
     ValueError
-        For frequencies that are not between 0 and a fifth of the sampling rate, or numbers that do
-        not match.
+        If a frequency is not between 0 and a fifth of the sampling rate, or if the lengths differ.
     """
     frequencies = checked_band(omega, rate)
     amplitudes = np.atleast_1d(np.asarray(amplitude, dtype=float))

@@ -1,4 +1,7 @@
-"""Flights in simulation: a plant, a sampled controller and a test signal, logged as a real vehicle logs them."""
+"""Flights in simulation: a plant, a sampled controller and a test signal, logged as on a real vehicle.
+
+Begin with `virtual_flight`.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
+from greybox.data.intersample import CONTINUOUS, HELD, intersample
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, updated
 from greybox.experiment.excitation import Excitation
@@ -23,15 +26,13 @@ from greybox.modeling.step_size import relative_change, state_sizes, substep_gro
 Signals = dict[str, ca.SX]
 NOTHING: Mapping[str, float] = MappingProxyType({})
 
-# Of a state's largest value: what halving the substeps may change in a controller period. A
-# fifteenth of it remains: in a loop of 400 Hz, 3e-6 per second if all errors add up.
+# Relative change of a state, within a controller period, when the substeps are halved. A fifteenth
+# of it remains: in a loop of 400 Hz, 3e-6 per second if all errors add up.
 TOLERANCE = 1e-7
-ORDER = 4  # of the Runge-Kutta steps
-MOST_SUBSTEPS = 256  # in a controller period; a compiled step grows with them
-DIVERGED = 1e9  # no state of a vehicle in SI units is that large
+MOST_SUBSTEPS = 256  # in a controller period; the size of a compiled step grows with them
 
 DOT = "_dot"  # suffix of a time derivative
-ADDED = "_excitation"  # suffix of what was added to a signal
+ADDED = "_excitation"  # suffix of the excitation of a signal
 
 
 def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experiment
@@ -45,17 +46,16 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     process_noise: Mapping[str, float] = NOTHING,
     initial: Mapping[str, float] = NOTHING,
     rate: float | None = None,
-    hold: bool = False,
     seed: int = 0,
     name: str = "",
 ) -> Record:
     """Fly an experiment in simulation: the closed loop of (3.14), or the plant alone, with known true values.
 
     At every sample the controller reads the sensors and sets the control, which is held until the
-    next sample and reaches the plant after its delay, exact to any fraction of a sample. What the
-    controller reads is also what is logged, together with the control commanded at that moment.
-    Because the control is held, a response measured from such a log, or from a flown one, shows
-    half a controller period more delay than the plant has.
+    next sample and reaches the plant after its delay, exact to any fraction of a sample. The log has
+    the sensor values that the controller reads, and the control commanded at that moment. Because
+    the control is held, a response measured from such a log, or from a flown one, shows half a
+    controller period more delay than the plant has.
 
     Between samples the plant is integrated by classical Runge-Kutta steps (RK4), which are halved
     until this changes no state by more than 1e-7 of its largest value in any period; the remaining
@@ -64,11 +64,11 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     Parameters
     ----------
     model : Model
-        With exact delays; a transfer function is flown by its outputs only.
+        Delays are exact; a transfer function is flown by its outputs only.
     values : mapping of parameter name to float, optional
         The true values; by default the declared starts.
     excitation : Excitation, Record or mapping of name to (n,) array
-        Each signal is added where its name says: a setpoint of the controller (``"reference"``,
+        Each signal is added to the signal of its name: a setpoint of the controller (``"reference"``,
         ``"mixer"``), or an input of the plant (``"u"``), downstream of the controller and its
         limits. The arrays of a mapping have one sample per sample of the controller. Other signals
         of a record are ignored.
@@ -93,13 +93,6 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         plant's inputs are logged as their mean until the next logged sample (that mean drives the
         plant; with noise in the loop a single sample represents the following ones poorly),
         everything else as sampled.
-    hold : bool
-        Hold each sample of an excitation that is slower than the controller, instead of
-        interpolating, where the excitation is not a record that knows itself how its signals run
-        between samples. The derivative term of a controller turns the steps into spikes, and a log
-        at their rate samples only the spikes: a response measured from it can be wrong by a third.
-        With interpolation it may be wrong by 1 %; an excitation at the controller's rate has no
-        such error.
     seed : int
         Of the noise; sensors and process noise have random streams of their own.
     name : str
@@ -132,9 +125,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
     if isinstance(excitation, Record):  # its controls are those of the controller of that flight
         places = tuple(n for n in places if n not in _given(controllers))
-    time, commands, units = _commands(
-        excitation, clock, tuple(dict.fromkeys(places)), model.label, hold
-    )
+    time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label)
 
     wanted = (n for c in controllers for n in map(c.outside, c.inputs))
     loop = _Loop(
@@ -163,14 +154,14 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         "seed": seed,
         "schedule": getattr(excitation, "schedule", ()),
     }
-    known_units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
+    all_units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
     return Record(
         time[::thinning],
         {
             n: _averaged(v, thinning) if n in system.inputs else v[::thinning]
             for n, v in log.items()
         },
-        {n: known_units.get(n.removesuffix(ADDED), "") for n in log},
+        {n: all_units.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {model.label}",
         metadata=metadata,
         hold={
@@ -197,7 +188,7 @@ class _Loop:
 
     @property
     def delays(self) -> list[tuple[int, float]]:
-        """Of every input, in whole controller periods and the remaining fraction of one."""
+        """Delay of every input in whole controller periods, and the remaining fraction of one."""
         result = []
         for name, delay in zip(
             self.system.inputs, np.asarray(self.system.delay(self.p)).ravel(), strict=True
@@ -206,13 +197,13 @@ class _Loop:
                 raise ValueError(
                     f"the delay of {name!r} is {delay:g} s: give a value of 0 or more."
                 )
-            whole = math.floor(delay * self.clock + 1e-9)
-            part = delay * self.clock - whole
-            result.append((whole, part if part > 1e-9 else 0.0))
+            periods = math.floor(delay * self.clock + 1e-9)
+            part = delay * self.clock - periods
+            result.append((periods, part if part > 1e-9 else 0.0))
         return result
 
     def start(self) -> Array:
-        """Return what the first step begins with: plant, controllers, past controls."""
+        """Return the initial state of the first step: plant, controllers, past controls."""
         plant = [self.initial.get(n, 0.0) for n in self.system.states]
         past = [
             [self.initial.get(n, 0.0)] * (whole + 1)
@@ -233,16 +224,16 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
     substeps = 1
     while True:
         step, names = _step(loop, substeps)
-        after, log = (
+        states, log = (
             np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns)
         )
         flown = log[: len(names) + n]
         local = log[len(names) + n :]
-        wrong = ~(np.abs(flown) < DIVERGED)
+        wrong = ~(np.abs(flown) < 1e9)  # no state of a vehicle in SI units is that large
         reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
-        error = _largest(local[:, :reached], flown[len(names) :, :reached], after[:n, :reached])
+        error = _largest(local[:, :reached], flown[len(names) :, :reached], states[:n, :reached])
         if error > TOLERANCE and substeps < MOST_SUBSTEPS:
-            substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, ORDER))
+            substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, 4))
             continue
         if wrong.any():
             raise ValueError(
@@ -252,10 +243,10 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
         return dict(zip(names, flown, strict=False)), (rough,) if error > TOLERANCE else ()
 
 
-def _largest(local: Array, before: Array, after: Array) -> float:
-    """Return the largest error of a period relative to the size of its state, infinite where it is not a number."""
+def _largest(local: Array, begins: Array, ends: Array) -> float:
+    """Return the largest error of a period relative to the size of its state, infinite if it is not a number."""
     with np.errstate(invalid="ignore"):
-        error = relative_change(local, state_sizes(before, after))
+        error = relative_change(local, state_sizes(begins, ends))
     return math.inf if math.isnan(error) else error
 
 
@@ -447,7 +438,6 @@ def _commands(
     clock: float,
     places: Sequence[str],
     label: str,
-    hold: bool,
 ) -> tuple[Array, dict[str, Array], dict[str, str]]:
     """Return time, the excitation by name on the clock of the loop, and units."""
     if not isinstance(excitation, Excitation | Record | Mapping):
@@ -476,10 +466,10 @@ def _commands(
     held = np.searchsorted(excitation.time, time + 1e-6 / clock, side="right") - 1
     sampled = {}
     for n, v in arrays.items():
-        between = Intersample(hold)
+        is_held = False
         if isinstance(excitation, Record) and n in excitation.hold:
-            between = intersample(excitation.hold[n], excitation.step)
-        sampled[n] = v[held] if between.held else np.interp(time, excitation.time, v)
+            is_held = intersample(excitation.hold[n], excitation.step).held
+        sampled[n] = v[held] if is_held else np.interp(time, excitation.time, v)
     return time, sampled, {n: excitation.units.get(n, "") for n in arrays}
 
 

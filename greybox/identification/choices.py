@@ -1,4 +1,7 @@
-"""What to measure in a log when nobody says: which tests, which axis, which control, and which sensor."""
+"""The default choices for a log: which tests, which axis, which control, and which sensor.
+
+Begin with `choose`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +16,10 @@ from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.segment_detection import announcing
 
-# Of the rate of the best-sampled signal: those as fast are as good, and the first of the list is
-# taken.
-AS_FAST = 0.95
-
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen, and why, and the argument that chooses otherwise."""
+    """A choice, its reason, and the argument that changes it."""
 
     what: str
     why: str
@@ -31,13 +30,12 @@ class Choice:
 
 
 def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice, ...]]:
-    """Return the settings of the measurement, and what was chosen in them; what is `stated` is kept.
+    """Return the settings of the measurement, and the choices among them; `stated` settings are kept.
 
     Raises
     ------
     KeyError, ValueError
-        If there is no test, or no control or output is known for its axis; the sentence names the
-        option that helps.
+        If there is no test, or if the control or the output of its axis is unknown.
     """
     choices = []
     announced = stated.get("announced", "")
@@ -67,10 +65,10 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     raw = _chosen_axis(usable, axes, wanted)
     axis = axes[raw]
     used = [test for test in usable if test.axis == raw]
-    others = [f"{axes[other] or other}" for other in axes if other != raw]
-    rest = f"; there are tests of {', '.join(others)} too" if others else ""
-    choices.append(Choice(f"axis {axis or raw}", f"{_why_axis(used[0])}{rest}", "axis"))
-    if others:
+    unused = [axes[name] or name for name in axes if name != raw]
+    also = f"; there are tests of {', '.join(unused)} too" if unused else ""
+    choices.append(Choice(f"axis {axis or raw}", f"{_why_axis(used[0])}{also}", "axis"))
+    if unused:
         stated["axis"] = raw
 
     if not stated.get("input"):
@@ -112,16 +110,16 @@ def _has(recording: Recording, signal: str) -> bool:
 
 
 def _first(recording: Recording, signals: Sequence[str]) -> str:
-    """Return the first of the signals that the log has; empty if it has none."""
+    """Return the first of the signals that the log has; empty without one."""
     return next((signal for signal in signals if _has(recording, signal)), "")
 
 
 def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
-    """Return the axis that tests of one name excite: as the name says, or the one whose setpoint moves most."""
+    """Return the axis that tests of one name excite: by their name, or the one whose setpoint moves most."""
     name = tests[0].axis
-    said = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
-    if said or tests[0].source == "SIDS":
-        return said
+    named_axis = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
+    if named_axis or tests[0].source == "SIDS":
+        return named_axis
     for signals in ("setpoints", "controls"):
         motions = {
             axis: motion(recording, _first(recording, getattr(names, signals)), tests)
@@ -133,7 +131,7 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
 
 
 def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
-    """Return the standard deviation of a signal during the tests, the largest of them; 0 where it is not there."""
+    """Return the largest standard deviation of a signal during a test; 0 if the log does not have it."""
     if not _has(recording, signal):
         return 0.0
     record, field = recording.locate(signal)
@@ -147,24 +145,24 @@ def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float
 
 
 def _chosen_axis(usable: Sequence[Segment], axes: dict[str, str], wanted: str) -> str:
-    """Return the axis as its tests name it: the one wanted, or that of the longest tests."""
+    """Return the axis as its tests name it: the wanted one, or that of the longest tests."""
     if wanted:
-        found = next((raw for raw, axis in axes.items() if wanted in (raw, axis)), None)
-        if found is None:
-            there = ", ".join(axis or raw for raw, axis in axes.items())
-            raise ValueError(f"no usable test has the axis {wanted!r}; there are {there}.")
-        return found
+        for raw, axis in axes.items():
+            if wanted in (raw, axis):
+                return raw
+        available = ", ".join(axis or raw for raw, axis in axes.items())
+        raise ValueError(f"no usable test has the axis {wanted!r}; there are {available}.")
     return max(axes, key=lambda raw: sum(test.duration for test in usable if test.axis == raw))
 
 
 def _why_axis(test: Segment) -> str:
     if test.source == "SIDS":
-        return f"System Identification mode says {test.axis}"
+        return f"the log of the System Identification mode says {test.axis}"
     return f"{test.axis} moves" if axis_of(test.axis) else "its setpoint moves most"
 
 
 def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[str, str]:
-    """Return the best-sampled angle of the axis, or else its rate, with a name, and why."""
+    """Return the best-sampled angle of the axis, or else its rate, with a name, and the reason."""
     own = AXES.get(axis)
     kinds = ("angle", "rate")
     groups = zip(kinds, NAMES[axis], (own.angles, own.rates), strict=True) if own else ()
@@ -174,16 +172,9 @@ def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[s
         }
         if not rates or not max(rates.values()):
             continue
-        best = next(
-            signal for signal, rate in rates.items() if rate >= AS_FAST * max(rates.values())
-        )
-        slower = [
-            f"{signal} at {rate:.4g} Hz"
-            for signal, rate in rates.items()
-            if rate < AS_FAST * rates[best]
-        ]
-        beside = f", {', '.join(slower)}" if slower else ""
-        return f"{name}={best}", f"the {axis} {kind}, at {rates[best]:.4g} Hz{beside}"
+        # Signals within 5 % of the fastest are as good: the first of the list is used.
+        best = next(signal for signal, rate in rates.items() if rate >= 0.95 * max(rates.values()))
+        return f"{name}={best}", f"the {axis} {kind}, at {rates[best]:.4g} Hz"
     raise ValueError(
         f"no angle or rate is known for the axis {axis or used[0].axis!r}: give output=NAME=SIGNAL."
     )

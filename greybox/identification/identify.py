@@ -42,7 +42,7 @@ class FittedStep(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """A model from a log; printed, it explains every choice, the comparison of structures, and what to do next.
+    """A model from a log; printed, it explains every choice and the comparison of structures.
 
     Attributes
     ----------
@@ -75,11 +75,6 @@ class Identification:
         """The fit of the chosen structure."""
         return self.chosen.fit if self.chosen else None
 
-    @property
-    def next(self) -> tuple[str, ...]:
-        """What to do next, in sentences."""
-        return tuple(_next_steps(self))
-
     def __repr__(self) -> str:
         return one_line(
             self, self.recording.source, self.chosen.model if self.chosen else "no model"
@@ -96,7 +91,6 @@ class Identification:
             parts += [_ladder(self), self.reason]
         if self.fit is not None:
             parts += [str(self.fit)]
-        parts += ["\n".join(["Next:", *(f"  {text}" for text in self.next)])]
         return "\n\n".join(part for part in parts if part)
 
 
@@ -250,28 +244,3 @@ def _ladder(result: Identification) -> str:
         else "Structures:"
     )
     return "\n".join([title, text_table(header, rows, left=(1, 6))])
-
-
-def _next_steps(result: Identification) -> list[str]:
-    if not result.steps:
-        return ["Fly the test again, with what the verdict above asks for."]
-    if result.fit is None or result.chosen is None:
-        return ["No structure converged: look at the response, and fit a model of your own."]
-
-    sentences = []
-    if result.chosen is result.steps[-1]:
-        sentences.append(
-            "The largest structure was needed: look in the figure for what it still misses, and add it."
-        )
-    estimate = result.fit.estimate
-    error = result.fit.standard_error
-    weak = [name for name in result.fit.free if not abs(estimate[name]) > 2 * error[name]]
-    if weak:
-        sentences.append(
-            f"{', '.join(weak)} {'is' if len(weak) == 1 else 'are'} not distinguishable from zero: fix {weak[0]} at 0, "
-            "or excite at higher frequencies."
-        )
-    sentences.append(
-        "Validate the model with a flight that it has not seen: identify another log, and compare the estimates."
-    )
-    return sentences

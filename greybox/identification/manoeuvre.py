@@ -1,4 +1,7 @@
-"""From a manoeuvre in a log to the Fourier integrals of its signals, with what was chosen."""
+"""From a manoeuvre in a log to the Fourier integrals of its signals, with the choices that were made.
+
+Begin with `measure_manoeuvre`.
+"""
 
 import math
 from collections.abc import Sequence
@@ -14,26 +17,22 @@ from greybox.logs.manoeuvre_detection import chosen_manoeuvre, find_manoeuvres
 from greybox.logs.prepare import prepare
 from greybox.spectral.transients import HIGHEST, transient_spectrum
 
-# s. States at the ends are estimated, so that neither must be at rest: some samples before, and the
-# answer after.
-BEFORE, AFTER = 0.5, 2.0
-
 
 @dataclass(frozen=True, eq=False)
 class ManoeuvreMeasurement:
-    """What was measured of one manoeuvre.
+    """The measurement of one manoeuvre.
 
     Attributes
     ----------
     manoeuvres : tuple of Segment
-        Those that were found.
+        All manoeuvres of the log.
     manoeuvre : Segment
         The chosen one.
     record : Record
-        Its signals on one time base, with what came before and after.
+        Its signals on one time base, from shortly before to shortly after it.
     spectrum : TransientSpectrum
     choices : tuple of str
-        What was chosen and why, in sentences.
+        What was chosen, and why.
     """
 
     manoeuvres: tuple[Segment, ...]
@@ -79,60 +78,62 @@ def measure_manoeuvre(
     ----------
     recording : Recording
     inputs, outputs : sequence of str
-        ``"MESSAGE.Field"``, or with names of one's own ``"u=RATE.POut"``.
+        ``"MESSAGE.Field"``, or with names of your own ``"u=RATE.POut"``.
     wanted : str
-        Its number as `greybox inspect` has it, or its kind where there is only one such.
+        Its number in the list of `find_manoeuvres`, or its kind if there is only one of that kind.
     setpoint : str
         Signal in which to look for manoeuvres; by default see `find_manoeuvres`, or else the inputs.
     band : (low, high), rad/s, optional
-        By default from the first line to where the input fades.
+        By default from the first line to the frequency at which the input fades.
     rate : float, Hz, optional
     held : sequence of str
-        Inputs, by name, that keep their values between samples, as the controls of most computers
-        do; known of some logs, and otherwise taken as linear between samples, half a sample
+        Names of inputs that are held between samples, as most flight controllers hold their
+        outputs. Some logs state it; other inputs are taken as linear between samples, half a sample
         earlier.
 
     Raises
     ------
     ValueError, KeyError
-        If there is no such manoeuvre or signal, or it has gaps.
+        If the log does not have this manoeuvre or signal, or if it has gaps.
     """
     signals = named_signals((*inputs, *outputs))
     names, measured = tuple(signals), tuple(signals.values())
     controls = measured[: len(inputs)]
-    found = find_manoeuvres(recording, setpoint) or find_manoeuvres(recording, controls)
-    if not found:
+    manoeuvres = find_manoeuvres(recording, setpoint) or find_manoeuvres(recording, controls)
+    if not manoeuvres:
         raise ValueError(
             f"no manoeuvre was found in {setpoint or ', '.join(controls)}: give "
             "setpoint=SIGNAL, which shows it."
         )
-    chosen = chosen_manoeuvre(found, wanted)
-    later = [s.start for s in found if s.axis == chosen.axis and s.start > chosen.end]
-    start = chosen.start - BEFORE
-    end = min(chosen.end + max(AFTER, chosen.duration), *later, math.inf)
+    chosen = chosen_manoeuvre(manoeuvres, wanted)
+    later = [s.start for s in manoeuvres if s.axis == chosen.axis and s.start > chosen.end]
+    # States at the ends are estimated, so the vehicle need not be at rest: a few samples before are
+    # enough, and the response after.
+    start = chosen.start - 0.5
+    end = min(chosen.end + max(2.0, chosen.duration), *later, math.inf)
     record = prepare(recording, signals, rate, start=start, end=end, held=held)
     highest = HIGHEST * 2 * math.pi / record.step
     limits = band or (0.0, min(chosen.band[1], highest))
     spectrum = transient_spectrum(record, names[: len(inputs)], names[len(inputs) :], limits)
     label = f"{chosen.kind} of {chosen.axis} at {chosen.start:.4g} s"
     spectrum = replace(spectrum, name=label, source=recording.source)
-    said = [
-        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s, the answer after the input included."
+    choices = [
+        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s, including the response after the input."
     ]
     if band is None:
-        said.append(
+        choices.append(
             f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; band=... chooses another."
         )
     unknown = [name for name in names[: len(inputs)] if name not in record.hold]
     if unknown:
-        said.append(
+        choices.append(
             f"{', '.join(unknown)} is taken as linear between samples, as its hold is unknown: give held={unknown[0]} if it "
             f"keeps its values, which makes delays {500 * record.step:.3g} ms shorter."
         )
     controller = controller_in(recording, controls, measured[len(inputs) :])
     if controller:
-        said.append(
-            f"closed loop ({controller} is in the log): noise of the outputs returns to the inputs, which are taken as "
-            "known; where it is not small, estimates are biased."
+        choices.append(
+            f"closed loop ({controller} is in the log): output noise returns to the inputs, which are taken as known: "
+            "if it is not small, the estimates are biased."
         )
-    return ManoeuvreMeasurement(found, chosen, record, spectrum, tuple(said))
+    return ManoeuvreMeasurement(manoeuvres, chosen, record, spectrum, tuple(choices))

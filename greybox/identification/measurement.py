@@ -1,4 +1,7 @@
-"""From the tests of a log to a measured frequency response, with what was chosen and what was dropped."""
+"""From the tests of a log to a measured frequency response, with what was chosen and what was dropped.
+
+Begin with `measure`.
+"""
 
 import math
 import re
@@ -34,8 +37,8 @@ INSTRUMENT, SETPOINT = "instrument", "setpoint"
 RESERVED = (INSTRUMENT, SETPOINT)
 
 FEEDBACK = (
-    "In a loop, noise of the output returns through the controller to the input and draws the direct estimate toward "
-    "minus the inverse of the controller where noise dominates"
+    "In a loop, output noise returns through the controller to the input, and biases the direct estimate toward minus "
+    "the inverse of the controller"
 )
 
 
@@ -46,12 +49,12 @@ class Settings:
     Attributes
     ----------
     input, output : str
-        ``"MESSAGE.Field"``, or with a name of one's own ``"u=RATE.POut"``.
+        ``"MESSAGE.Field"``, or with a name of your own ``"u=RATE.POut"``.
     instrument : str
-        The injected signal; by default what the log says was injected, or the setpoint in which the
+        The injected signal; by default the one that the log states, or the setpoint in which the
         tests were found.
     announced, fields, setpoint
-        How to find the tests, see `greybox.logs.find_segments`.
+        Where to find the tests, see `greybox.logs.find_segments`.
     axis, tests : str
         Use only the tests of this axis, or these numbers, ``"1,3-5"``.
     rate : float, Hz, optional
@@ -60,9 +63,9 @@ class Settings:
     settle, period : float, s
         Settling time of a sine; period of a multisine.
     whole : bool
-        Use the whole log where no test is found.
+        Use the whole log if no test is found.
     open_loop : bool
-        Trust the direct estimate, whatever controller the log shows.
+        Make the direct estimate, whatever controller the log shows.
     method : "least-squares" or "quadrature"
         Of sines.
     points : int
@@ -87,7 +90,7 @@ class Settings:
     points: int = 40
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense in any log."""
+        """Raise ValueError for settings that are invalid for any log."""
         for name, value in (("settle", self.settle), ("period", self.period)):
             if value is not None and not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}={value} must be a number of seconds of at least 0.")
@@ -118,47 +121,49 @@ class Settings:
 
     @property
     def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
-        """Name and signal of input and output; the name is that of the field where none is given."""
+        """Name and signal of input and output; the name is that of the field by default."""
         return named_signal(self.input), named_signal(self.output)
 
 
 def named_signal(text: str) -> tuple[str, str]:
-    """Return name and signal of ``"u=RATE.POut"``; the name is that of the field where none is given."""
+    """Return name and signal of ``"u=RATE.POut"``; the name is that of the field by default."""
     name, equals, signal = text.partition("=")
     return (name, signal) if equals else (text.rpartition(".")[2], text)
 
 
 def named_signals(texts: Sequence[str]) -> dict[str, str]:
-    """Return signals by name; a ValueError says where two have one."""
+    """Return signals by name; raise ValueError if two have the same name."""
     signals = dict(map(named_signal, texts))
     if len(signals) < len(texts):
-        raise ValueError("two signals have one name: give them names of your own, NAME=SIGNAL.")
+        raise ValueError(
+            "two signals have the same name: give them names of your own, NAME=SIGNAL."
+        )
     return signals
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What was measured from a log.
+    """A measurement from a log; printed, it is a report.
 
     Attributes
     ----------
     settings : Settings
     tests, used : tuple of Segment
-        Those that were found and chosen, and those that the response is of.
+        The tests that were found and chosen, and those that the response is from.
     signals : mapping of name to "MESSAGE.Field"
     record : Record
-        The signals on one time base; None where the tests could not be used at all.
+        The signals on one time base.
     response : FrequencyResponse or None
-        None where it was refused; `quality` has the reason.
+        None if it was refused; `quality` has the reason.
     quality : Quality
     choices : tuple of str
-        What was chosen and dropped and why, in sentences.
+        What was chosen and dropped, and why.
     filters : mapping of str to tuple of KnownFilter
-        Those of the flight controller whose parameters the log holds, by name.
+        Filters of the flight controller by name, if the log has their parameters.
     controller : str
-        The signal that shows a closed loop; empty where nothing does.
+        The signal that shows a closed loop; empty without one.
     detail : str
-        The response in words, of sines as a table.
+        The response in words; sines as a table.
     """
 
     settings: Settings
@@ -192,7 +197,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     Raises
     ------
     KeyError, ValueError
-        For signals and tests that are not there, and for a closed loop without a known excitation.
+        For unknown signals and tests, and for a closed loop without a known excitation.
     """
     tests = () if settings.period else tuple(_chosen(found_tests(recording, settings), settings))
     usable = [segment for segment in tests if segment.usable]
@@ -218,7 +223,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             recording.locate(name)
         raise ValueError(
             f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) and no excitation is "
-            "known, where a direct estimate tends to minus the inverse of the controller, whatever its coherence: "
+            "known, so that a direct estimate tends to minus the inverse of the controller, whatever its coherence: "
             "give the injected signal, instrument=SIGNAL, or open_loop=True if you know that the loop was open."
         )
     signals = {u: control, y: output}
@@ -335,7 +340,7 @@ def _within_band(sines: Sequence[Segment], band: tuple[float, float]) -> list[Se
 
 
 def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment]) -> str:
-    """Return the injected signal of sweeps and noise: the one given, or what the tests were found in."""
+    """Return the injected signal of sweeps and noise: the stated one, or the one in which the tests were found."""
     if settings.instrument or settings.open_loop or not used or used[0].kind == "sine":
         return settings.instrument or ("" if settings.open_loop or used else settings.setpoint)
     if used[0].source == "SIDS":
@@ -396,7 +401,7 @@ def _estimated(
 
 
 def _on_points(points: FiniteFrequency | None) -> list[Finding]:
-    """Return what sine tests say of their points, as findings of the verdict."""
+    """Return the findings on the points of sine tests, for the verdict."""
     if points is None:
         return []
     warnings = [Finding("sines", "warning", math.nan, f"{text}.") for text in points.findings]
@@ -411,7 +416,7 @@ def _about(
     used: Sequence[Segment],
     settings: Settings,
 ) -> dict[str, str]:
-    """Return what a response says about itself."""
+    """Return the origin of a response, for its file."""
     about = {
         "log": recording.source,
         "log sha256": recording.checksum,
@@ -465,7 +470,7 @@ def _excitation(used: Sequence[Segment]) -> str:
 
 
 def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:
-    """Return which signals were converted to SI, and from what."""
+    """Return which signals were converted to SI, and from which unit."""
     changed = []
     for name, signal in signals.items():
         log, field_name = recording.locate(signal)
@@ -476,7 +481,7 @@ def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:
             continue
         if conversion.changes:
             cut = unit == "deg" and is_truncated(signal, log[field_name])
-            half = f" with half a step of {STEP} {unit} that the log cuts off" if cut else ""
+            half = f" with half a step of {STEP} {unit}, which the log truncates" if cut else ""
             changed.append(f"{name} from {unit} to {conversion.si}{half}")
     return changed
 
@@ -489,51 +494,32 @@ def _choices(
     signals: Mapping[str, str],
     response: FrequencyResponse | None,
 ) -> tuple[str, ...]:
-    said = []
-    sines = bool(used) and used[0].kind == "sine"
-    loop = (
-        f"closed loop ({controller} is in the log)"
-        if controller
-        else "open loop (no controller is seen in the log)"
-    )
-    loop = "open loop, as was said" if settings.open_loop else loop
-    if sines:
-        said.append(
-            f"{loop}: amplitudes at the frequency of the excitation, whose ratio feedback does not bias."
+    if settings.open_loop:
+        loop = "open loop, as stated"
+    elif controller:
+        loop = f"closed loop ({controller} is in the log)"
+    else:
+        loop = "open loop (the log shows no controller)"
+
+    if used and used[0].kind == "sine":
+        estimate = (
+            "amplitudes at the frequency of the excitation, whose ratio feedback does not bias."
         )
     elif settings.period:
-        said.append(
-            f"{loop}: averages over whole periods, whose ratio feedback biases less, the more periods there are."
-        )
+        estimate = "averages over whole periods: the more periods, the less bias by feedback."
     elif INSTRUMENT in signals:
-        chosen = (
-            ""
-            if settings.instrument
-            else ", which was injected"
-            if "SIDD" in signals[INSTRUMENT]
-            else ""
-        )
-        said.append(
-            f"{loop}: joint input-output estimate with the instrument {signals[INSTRUMENT]}{chosen}. {FEEDBACK}."
+        estimate = (
+            f"joint input-output estimate with the instrument {signals[INSTRUMENT]}. {FEEDBACK}."
         )
     else:
-        said.append(
-            f"{loop}: direct estimate; with instrument=..., the injected signal, it is the joint one."
-        )
-    if response is not None and "dropped" in response.about:
-        said.append(f"dropped: {response.about['dropped']}.")
-    converted = _conversions(
-        recording, {name: s for name, s in signals.items() if name not in RESERVED}
-    )
-    if converted:
-        said.append(f"converted: {', '.join(converted)}.")
-    others = [
-        name
-        for name in announcing(recording)
-        if name not in {settings.announced, *(s.source for s in used)}
-    ]
-    if others:
-        said.append(
-            f"{others[0]} looks like a message that announces tests too: use it with announced={others[0]}."
-        )
-    return tuple(said)
+        estimate = "direct estimate; with instrument=..., the injected signal, it is the joint one."
+
+    choices = [f"{loop}: {estimate}"]
+    if response is not None:
+        names = [name for name in ("dropped", "converted") if name in response.about]
+        choices += [f"{name}: {response.about[name]}." for name in names]
+    for name in announcing(recording):
+        if name not in {settings.announced, *(segment.source for segment in used)}:
+            choices.append(f"{name} may announce tests, too: use it with announced={name}.")
+            break
+    return tuple(choices)

@@ -1,4 +1,7 @@
-"""Errors of a response that its scatter does not show: passes of the loop that were not logged, and rounded outputs."""
+"""Errors of a response that its scatter does not show: loop passes that were not logged, and rounded outputs.
+
+Begin with `systematic_errors`.
+"""
 
 import math
 from collections.abc import Sequence
@@ -18,20 +21,16 @@ from greybox.spectral.test_quality import SATURATED, Finding
 
 Complex = NDArray[np.complexfloating]
 
-# Of the response: an error that is smaller everywhere is not worth a word. A tenth of what sine
-# tests of ten periods state, 0.2 to 1 %.
-WORTH_A_WORD = 1e-3
-
-# PWM steps, the amplitude below which the gain may be anything from zero to twice its value.
-ONE_STEP = 1.0
+# An error that is a smaller share of the response everywhere is not mentioned: a tenth of the
+# standard errors of sine tests of ten periods, 0.2 to 1 %.
+NEGLIGIBLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class SystematicError:
-    """One error: what it is of, its standard deviation relative to the response (n,), and what is found.
+    """One error: its cause, its standard deviation relative to the response (n,), and a finding.
 
-    `common` (m, n) has it point by point, relative to the response, where all points have it in
-    common.
+    `common` (m, n) is the error itself, relative to the response, if all points have it in common.
     """
 
     about: str
@@ -48,41 +47,41 @@ def systematic_errors(
     used: Sequence[Segment],
     amplitudes: Array | None = None,
 ) -> list[SystematicError]:
-    """Return the errors of a response from a control that the log tells of.
+    """Return the errors of a response from a control that follow from the log.
 
     Parameters
     ----------
     recording : Recording
         With the parameters of the vehicle.
     record : Record
-        What was used, with the control by the name that it has in the response.
+        The signals that were used, the control by its name in the response.
     response : FrequencyResponse
     control : str
         The signal of the log, ``"RATE.POut"``.
     used : sequence of Segment
-        The tests; none for the whole record.
+        The tests; empty for the whole record.
     amplitudes : (n,) array, optional
-        Of the control at every frequency, where they are known: of sines. By default that of its
-        whole motion.
+        Amplitudes of the control at every frequency, for sines. By default that of its whole
+        motion.
     """
     axis = axis_of(control)
     if not axis:
         return []
     spans = [(s.start, s.end) for s in used] or [(float(record.time[0]), float(record.time[-1]))]
-    found = [
+    errors = [
         _thinned(recording, response, control, axis, spans),
         _rounded(recording, record, response, used, spans, amplitudes),
     ]
-    return [error for error in found if error is not None and error.relative.max() > WORTH_A_WORD]
+    return [error for error in errors if error is not None and error.relative.max() > NEGLIGIBLE]
 
 
 def with_systematic_errors(
     response: FrequencyResponse, errors: Sequence[SystematicError]
 ) -> FrequencyResponse:
-    """Return the response with the errors in its variance; its degrees of freedom become those of the sum.
+    """Return the response with the errors added to its variance.
 
-    Errors of known size have no uncertainty of their own, so that the sum has the more degrees of
-    freedom the larger they are (Welch and Satterthwaite).
+    The size of these errors is known, so the sum has more degrees of freedom (Welch and
+    Satterthwaite).
     """
     if response.variance is None or not errors:
         return response
@@ -105,7 +104,7 @@ def with_systematic_errors(
 def motor_saturation(
     recording: Recording, control: str, spans: Sequence[tuple[float, float]]
 ) -> list[Finding]:
-    """Judge how long a motor was at its limit, where the log has the outputs of the motors."""
+    """Return a finding if a motor was at its limit for long, from the motor outputs in the log."""
     share = saturation(recording, spans) if axis_of(control) else math.nan
     if not share > SATURATED[0]:
         return []
@@ -127,16 +126,16 @@ def _thinned(
     axis: str,
     spans: Sequence[tuple[float, float]],
 ) -> SystematicError | None:
-    found = thinning(
-        recording, control, min(start for start, _ in spans), max(end for _, end in spans)
-    )
-    if found is None:
+    begin = min(start for start, _ in spans)
+    end = max(end for _, end in spans)
+    thinned = thinning(recording, control, begin, end)
+    if thinned is None:
         return None
-    common = thinning_error(found, recording, axis, response)
+    common = thinning_error(thinned, recording, axis, response)
     relative = np.linalg.norm(common, axis=0)
     text = (
-        f"{found}: {_size(relative)} are added to the standard errors, as an error that all frequencies have in common "
-        f"and a fitted gain has too; to log every pass, {found.cure}."
+        f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all frequencies and a fitted "
+        f"gain have in common; to log every pass, {thinned.cure}."
     )
     return SystematicError(
         "thinned log", relative, Finding("logging", "note", float(relative.max()), text), common
@@ -155,7 +154,9 @@ def _rounded(
     if math.isnan(steps):
         return None
     pieces = [record.between(*span)[response.input] for span in spans]
-    motion = np.array([_motion(recording, steps, *one) for one in zip(pieces, spans, strict=True)])
+    motion = np.array(
+        [_motion(recording, steps, *pair) for pair in zip(pieces, spans, strict=True)]
+    )
     if amplitudes is None:
         a = np.full(
             len(response), steps * np.sqrt(2) * max(float(np.std(values)) for values in pieces)
@@ -167,7 +168,7 @@ def _rounded(
             [int(np.argmin([abs(s.omega - omega) for s in used])) for omega in response.omega]
         ]
     relative = rounding_error(a, np.sqrt(np.maximum(moved**2 - a**2 / 2, 0)))
-    below = response.omega[(a < ONE_STEP) & (relative > WORTH_A_WORD)]
+    below = response.omega[(a < 1.0) & (relative > NEGLIGIBLE)]
     text = f"motor outputs are whole µs: {_size(relative)} are added to the standard errors"
     if below.size:
         places = ", ".join(f"{omega:.3g}" for omega in below)
@@ -179,7 +180,7 @@ def _rounded(
 
 
 def _motion(recording: Recording, steps: float, control: Array, span: tuple[float, float]) -> float:
-    """Return the standard deviation of the quietest motor, steps: as logged, and no less than the control moves it."""
+    """Return the standard deviation of the quietest motor in steps: as logged, at least by the control."""
     by_control = steps * float(np.std(control))
     outputs = motor_outputs(recording, *span)
     logged = () if outputs is None else outputs.signals.values()

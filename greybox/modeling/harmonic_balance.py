@@ -445,64 +445,43 @@ class Newton:
         # Relative to the harmonics; Newton's last step squares it.
         size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
         finish = ca.Function("finish", [x, balance.given], [balance.response, size < 1e-8])
-        return cls(newton, careful, finish, _guess(newton, careful, finish, balance.switches))
+        return cls(newton, careful, finish, _guess(newton, careful, finish))
 
 
-def _guess(
-    newton: ca.Function, careful: ca.Function, finish: ca.Function, switches: bool
-) -> ca.Function:
-    """Return the function from what is given to the harmonics: at once, or else in steps from a simpler problem.
+def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
+    """Return the function from what is given to the harmonics: at once, or else with a rising amplitude.
 
     Where Newton's method fails, the amplitude is doubled from 1/128 of it, where a smooth model is
-    nearly linear. Where a formula switches, the width of the switches is then halved from most of a
-    period.
+    nearly linear. Nothing is tried after a step that failed.
     """
     given: Any = ca.MX.sym("given", newton.numel_in("p"))
     root: Any = ca.MX.sym("root", newton.numel_in("x0"))
     # Small, so that the first step goes to the linear response; not zero, where a kink has no
     # slope.
     small = ca.DM(np.full(root.numel(), 1e-6))
-    amplitudes = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(7, -1, -1)]
-    widths = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(12, -1, -1)]
-
     harmonics = newton(x0=small, p=given)["x"]
-    for name, steps in (("by_doubling", amplitudes), ("by_narrowing", widths)):
-        if name == "by_doubling" or switches:
-            otherwise = in_steps(name, careful, finish, given, steps, small, give_up=switches)
-            chosen = ca.if_else(finish(root, given)[1], root, otherwise(given), True)
-            choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
-            harmonics = choose(harmonics, given)
-    return ca.Function("guess", [given], [harmonics])
+    by_doubling = in_steps(careful, finish, small)
+    chosen = ca.if_else(finish(root, given)[1], root, by_doubling(given), True)
+    choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
+    return ca.Function("guess", [given], [choose(harmonics, given)])
 
 
-def in_steps(
-    name: str,
-    careful: ca.Function,
-    finish: ca.Function,
-    given: Any,
-    steps: Sequence[Any],
-    small: ca.DM,
-    *,
-    give_up: bool,
-) -> ca.Function:
-    """Return the function from what is given to the harmonics, which are followed through the `steps`.
-
-    With `give_up` nothing is tried after a step that failed: of masses that mostly stick it loses
-    4 % of the frequencies and takes a fifth of the time.
-    """
+def in_steps(careful: ca.Function, finish: ca.Function, small: ca.DM) -> ca.Function:
+    """Return the function from what is given to the harmonics, which are followed as the amplitude doubles."""
+    given: Any = ca.MX.sym("given", careful.numel_in("p"))
     root: Any = ca.MX.sym("root", small.numel())
     previous: Any = ca.MX.sym("previous", given.numel())
     step: Any = ca.MX.sym("step", given.numel())
     following = careful(x0=root, p=step)["x"]
-    if give_up:
-        following = ca.if_else(finish(root, previous)[1], following, root, True)
-    options = {"never_inline": give_up}
+    following = ca.if_else(finish(root, previous)[1], following, root, True)
+    options = {"never_inline": True}
     take_step = ca.Function("take_step", [root, previous, step], [following], options)
 
+    steps = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(7, -1, -1)]
     harmonics = careful(x0=small, p=steps[0])["x"]
     for previous_step, next_step in pairwise(steps):
         harmonics = take_step(harmonics, previous_step, next_step)
-    return ca.Function(name, [given], [harmonics])
+    return ca.Function("by_doubling", [given], [harmonics])
 
 
 class _Compiled(threading.local):

@@ -18,14 +18,14 @@ import pickle
 import signal
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +38,6 @@ from greybox.solve.outcome import INTERRUPTED, SEARCH_OVER, WORKER_LOST, Outcome
 from greybox.solve.time_limits import TimeLimits, current_limits, limited, one_run
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
-R = TypeVar("R")
 Batch = list[tuple[int, Array]]
 
 # Work of one task, s: two hundred times the overhead of a distributed scheduler, and short enough
@@ -99,38 +98,6 @@ def run_all(
             tasks = _Tasks(solver, batches, remaining, executor, memory, begins, outcomes)
             yield from _on_workers(tasks)
             return
-
-
-def call_all(
-    function: Callable[..., R],
-    calls: Sequence[tuple[Any, ...]],
-    executor: Executor | None,
-    counted: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> list[R]:
-    """Return the results of a function of a module for these arguments, in order, each call a task of the executor.
-
-    `counted` returns the iterable that it is given, and may show the progress through it.
-
-    Raises
-    ------
-    ExecutorLostError
-        If the executor has lost its workers.
-    """
-    if executor is None:
-        return [function(*arguments) for arguments in counted(calls)]
-    # Threads get copies, too: a CasADi function must not be called by two at a time.
-    payloads = [pickle.dumps((function, arguments)) for arguments in calls]
-    futures = [executor.submit(_call, payload, os.getpid()) for payload in payloads]
-    try:
-        results = [_result(future) for future in counted(futures)]
-    finally:
-        for future in futures:
-            future.cancel()
-    if any(result is None for result in results):
-        raise ExecutorLostError(
-            "a worker was killed as often as it was tried: its memory may not suffice."
-        )
-    return [result for result in results if result is not None]
 
 
 def require_executor(executor: Any) -> None:
@@ -331,8 +298,8 @@ def _has_lost_scheduler(executor: Executor) -> bool:
     return getattr(executor, "_client").status != "running"  # noqa: B009  (of the class of a package that may be absent)
 
 
-def _result(future: Future[R]) -> R | None:
-    """Return the result of a task; None if its worker was lost and has been replaced."""
+def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
+    """Return the outcomes of a task; None if its worker was lost and has been replaced."""
     try:
         return future.result()
     except WorkerLostError:
@@ -382,12 +349,6 @@ def run_starts(
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
         return [outcome for batch in batches for outcome in _run(solver, batch)]
-
-
-def _call(payload: bytes, coordinator: int) -> Any:
-    with _without_interrupts(os.getpid() != coordinator):
-        function, arguments = pickle.loads(payload)
-        return function(*arguments)
 
 
 @contextmanager

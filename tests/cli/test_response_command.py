@@ -243,11 +243,11 @@ def test_what_was_chosen_and_dropped_is_said(capsys, tmp_path):
         in text
     )
     assert (
-        "converted: theta from deg to rad with half a step of 0.01 deg that the log cuts off."
+        "converted: theta from deg to rad with half a step of 0.01 deg, which the log truncates"
         in text
     )
     assert (
-        "SINE looks like a message that announces tests too: use it with --announced SINE." in text
+        "SINE may announce tests, too: use it with --announced SINE." in text
     )
     about = gb.read_response(out).about
     assert about["log"] == "sitl_pitch.BIN"

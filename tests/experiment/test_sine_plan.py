@@ -73,12 +73,12 @@ def test_repeated_flights_scatter_by_the_expected_errors(lag):
     clean = gb.simulate(Lag(), LAG, gb.Record(time, {"u": u}))["y"]
     random = np.random.default_rng(1)
     scores = []
-    for _ in range(20):
+    for _ in range(8):
         record = gb.Record(time, {"u": u, "y": clean + 0.05 * random.normal(size=time.size)})
         found = gb.fit(gb.Problem(Lag(), record), [LAG], progress=False)
         scores.append([(found.estimate[k] - LAG[k]) / lag.standard_error[k] for k in LAG])
-    # 40 numbers: their rms is known to 11 %. The record has the sines while they settle, too.
-    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.2
+    # 16 numbers: their rms is known to 18 %. The record has the sines while they settle, too.
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
 def test_the_flight_time_is_that_of_the_schedule(lag):

@@ -37,7 +37,6 @@ def test_the_chain_says_what_it_chose(flown):
         "output theta=ATT.Pitch: the pitch angle, at 5",
         "closed loop (ATT.DesPitch is in the log)",
         "Structure 3 (4 free) is supported",
-        "a flight that it has not seen",
     ):
         assert words in text
     assert flown.comparison.value("BIC less the least", "1") > 100
@@ -47,7 +46,7 @@ def test_the_chain_says_what_it_chose(flown):
     assert about == {
         "log": "sitl_pitch.BIN",
         "signals": "u = RATE.POut, theta = ATT.Pitch",
-        "converted": "theta from deg to rad with half a step of 0.01 deg that the log cuts off",
+        "converted": "theta from deg to rad with half a step of 0.01 deg, which the log truncates",
         "sampling": "57.166 Hz",
         "excitation": "10 sines of 2, amplitude 3, 1 to 20.11 rad/s, 65.70 to 309.99 s",
         "estimate": "single sines, least-squares",
@@ -80,22 +79,6 @@ def test_the_ladder_is_a_table_of_costs_and_bic(flown):
     assert repr(flown) == "<Identification sitl_pitch.BIN, rate:DampedAngle>"
 
 
-def test_what_to_do_next_follows_from_the_answer(flown):
-    weak, validate = flown.next
-    assert weak.startswith("T_delay is not distinguishable from zero: fix T_delay at 0")
-    assert validate.startswith("Validate the model")
-    largest = replace(flown, chosen=flown.steps[-1])
-    assert largest.next[0].startswith("The largest structure was needed")
-    fit = largest.fit
-    names = [n for n in fit.free if abs(fit.estimate[n]) < 2 * fit.standard_error[n]]
-    assert len(names) > 1
-    assert largest.next[1].startswith(f"{', '.join(names)} are not distinguishable")
-    failed = replace(flown, chosen=None)
-    assert failed.fit is None
-    assert failed.next[0].startswith("No structure converged")
-    assert replace(failed, steps=()).next[0].startswith("Fly the test again")
-
-
 def made_log(**extra):
     """A sweep of the roll setpoint, with angles in two messages, one of them slow."""
     time, slow = np.arange(0, 80, 0.01), np.arange(0, 80, 0.1)
@@ -121,7 +104,7 @@ def test_the_best_sampled_signal_is_chosen():
     assert list(map(str, choices)) == [
         "axis roll: ATT.DesRoll moves (axis=...)",
         "input u=RATE.ROut: the control of roll (input=...)",
-        "output phi=ANG.Roll: the roll angle, at 100 Hz, ATT.Roll at 10 Hz (output=...)",
+        "output phi=ANG.Roll: the roll angle, at 100 Hz (output=...)",
     ]
     # Within 5 % of the fastest, the first of the list is as good.
     for rate, output in ((96.0, "phi=ATT.Roll"), (94.0, "phi=ANG.Roll")):
@@ -132,7 +115,6 @@ def test_the_best_sampled_signal_is_chosen():
         }
         settings, choices = choose(made_log(ATT=Record(time, att)))
         assert settings.output == output
-        assert choices[-1].why.endswith(f"ATT.Roll at {rate:.4g} Hz") == (rate < 95)
 
 
 def test_of_two_axes_the_one_with_the_longer_tests_is_taken_and_the_other_is_named():

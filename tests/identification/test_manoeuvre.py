@@ -39,7 +39,7 @@ def test_a_manoeuvre_is_cut_with_what_comes_before_and_after():
     name = f"2-1-1 of u at {chosen.start:.4g} s"
     assert (found.spectrum.name, found.spectrum.source) == (name, "made.csv")
     assert found.choices == (
-        f"from {found.record.time[0]:.2f} to {found.record.time[-1]:.2f} s, the answer after the input included.",
+        f"from {found.record.time[0]:.2f} to {found.record.time[-1]:.2f} s, including the response after the input.",
         f"band up to {omega[-1]:.4g} rad/s, where the input fades; band=... chooses another.",
     )
     said = f"{name}: u -> q, {len(omega)} lines from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
@@ -78,8 +78,8 @@ def test_a_manoeuvre_in_a_loop_is_told_and_one_that_is_not_there():
     found = measure_manoeuvre(looped, ["FLY.u"], ["FLY.q"], "1", setpoint="FLY.r")
     assert found.manoeuvre.axis == "FLY.r"
     assert found.choices[-1] == (
-        "closed loop (r is in the log): noise of the outputs returns to the inputs, which are taken as known; where it "
-        "is not small, estimates are biased."
+        "closed loop (r is in the log): output noise returns to the inputs, which are taken as known: if it "
+        "is not small, the estimates are biased."
     )
     still = Recording({"FLY": flown()["FLY"].with_signals(u=0 * TIME)}, "made.csv")
     with pytest.raises(

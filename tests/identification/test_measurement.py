@@ -57,13 +57,13 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
         "band": "2 to 12 rad/s",
     }
     direct = "direct estimate; with instrument=..., the injected signal, it is the joint one."
-    assert found.choices == (f"open loop (no controller is seen in the log): {direct}",)
+    assert found.choices == (f"open loop (the log shows no controller): {direct}",)
     assert (found.tests, found.used, found.controller) == ((), (), "")
     assert found.detail == str(replace(response, about={}))
     assert str(found) == "\n\n".join([*found.choices, found.detail, str(found.quality)])
     assert repr(found) == f"<Measurement {response!r}, {found.quality!r}>"
     said = measure(swept, Settings(**PAIR, whole=True, open_loop=True, points=12))
-    assert said.choices == (f"open loop, as was said: {direct}",)
+    assert said.choices == (f"open loop, as stated: {direct}",)
     same = gb.spectral.spectral_response(said.record, "u", "y", points=12)
     np.testing.assert_array_equal(said.response.omega, same.omega)
 
@@ -102,7 +102,7 @@ def test_a_stated_instrument_and_units_are_said(swept):
     assert found.response.about["converted"] == "u from deg to rad, y from % to 1"
     assert found.choices[-1] == "converted: u from deg to rad, y from % to 1."
     assert found.choices[0].startswith(
-        "open loop (no controller is seen in the log): joint input-output estimate with the instrument IN.w. In a loop"
+        "open loop (the log shows no controller): joint input-output estimate with the instrument IN.w. In a loop"
     )
     expected = 0.01 * np.rad2deg(1) * truth(found.response.omega)
     assert np.median(np.abs(found.response.response / expected - 1)) < 0.02
@@ -121,8 +121,8 @@ def test_multisines_are_averaged_over_their_periods(instrument):
     assert found.response.about["estimate"] == estimate
     assert found.tests == ()
     assert found.choices == (
-        "open loop (no controller is seen in the log): averages over whole periods, whose ratio feedback biases less, "
-        "the more periods there are.",
+        "open loop (the log shows no controller): averages over whole periods: the more periods, the less bias by "
+        "feedback.",
     )
 
 
@@ -136,10 +136,7 @@ def test_system_identification_mode_says_what_was_injected():
     made = Recording({**made.records, "SIDD": made["SIDD"].between(5.0, 55.0)}, "made.bin")
     found = measure(made, Settings(**PAIR, band=(5.0, 10.0)))
     assert found.signals["instrument"] == "SIDD.Targ"
-    assert (
-        "joint input-output estimate with the instrument SIDD.Targ, which was injected. In a loop"
-        in str(found)
-    )
+    assert "joint input-output estimate with the instrument SIDD.Targ. In a loop" in str(found)
     assert found.response.about["excitation"].startswith(
         "1 sweep of rate pitch, amplitude 0.1, 1.257 to 25.13 rad/s, 6.00 to 5"
     )
@@ -258,7 +255,7 @@ def test_sines_are_measured_one_by_one():
         == "2 sines of 1, amplitude 0.2 deg, 3 to 6 rad/s, 22.00 to 57.80 s"
     )
     assert found.choices == (
-        "open loop (no controller is seen in the log): amplitudes at the frequency of the excitation, whose ratio "
+        "open loop (the log shows no controller): amplitudes at the frequency of the excitation, whose ratio "
         "feedback does not bias.",
     )
     with pytest.raises(
@@ -267,10 +264,7 @@ def test_sines_are_measured_one_by_one():
     ):
         measure(made, Settings(**PAIR, announced="SINE", band=(7.0, 8.0)))
     other = measure(made, Settings(**PAIR, instrument="IN.w", whole=True))
-    assert (
-        other.choices[-1]
-        == "SINE looks like a message that announces tests too: use it with announced=SINE."
-    )
+    assert other.choices[-1] == "SINE may announce tests, too: use it with announced=SINE."
 
 
 def test_what_cannot_be_estimated_is_refused_with_the_reason():
@@ -286,7 +280,7 @@ def test_what_cannot_be_estimated_is_refused_with_the_reason():
 def test_signals_that_share_a_name_are_told():
     assert named_signals(["u=RATE.POut", "ATT.Pitch"]) == {"u": "RATE.POut", "Pitch": "ATT.Pitch"}
     with pytest.raises(
-        ValueError, match="two signals have one name: give them names of your own, NAME=SIGNAL"
+        ValueError, match="two signals have the same name: give them names of your own, NAME=SIGNAL"
     ):
         named_signals(["ANG.Pitch", "ATT.Pitch"])
 

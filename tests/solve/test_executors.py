@@ -28,7 +28,6 @@ import greybox as gb
 from greybox.solve.executors import (
     TASK_SECONDS,
     ExecutorLostError,
-    call_all,
     packed,
     run_all,
     run_starts,
@@ -69,8 +68,6 @@ PROBLEMS = {
     "response": (RESPONSE, None),
     "record": (lag_problem(), None),
     "record by IPOPT": (lag_problem(), True),
-    "line": (LINE, None),
-    "line and response": (LINE + gb.Problem(Line(), GAIN), None),
     "own criterion": (LINE + gb.Problem(Line(), GAIN, criterion=OwnLikelihood()), None),
 }
 
@@ -337,6 +334,26 @@ class Recorder(Executor):
         return future
 
 
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (NoWorkerError("none began"), "none began"),
+        (CancelledError(), "gave up its tasks"),
+        (ZeroDivisionError(""), "ZeroDivisionError: no reason given. Start"),
+        (ZeroDivisionError("by\n zero."), "ZeroDivisionError: by zero. Start"),
+    ],
+)
+def test_an_executor_that_cannot_do_its_tasks_is_named_with_the_reason(error, words):
+    class Failing(Executor):
+        def submit(self, *_):
+            future = Future()
+            future.set_exception(error)
+            return future
+
+    with pytest.raises(ExecutorLostError, match=words):
+        list(run_all(Lasting(1.0), enumerate(STARTS), len(STARTS), Failing()))
+
+
 class Lasting(Fragile):
     """Says that every run took so long."""
 
@@ -478,24 +495,3 @@ def test_a_worker_keeps_the_last_four_solvers(monkeypatch):
 
 
 STILL = Fragile(-1.0)
-
-
-def test_calls_come_back_in_their_order_and_what_was_lost_is_said():
-    assert call_all(divmod, [(7, 2), (9, 4)], None) == [(3, 1), (2, 1)]
-    with ThreadPoolExecutor(2) as threads:
-        assert call_all(divmod, [(7, 2), (9, 4)], threads) == [(3, 1), (2, 1)]
-
-    def lost(error):
-        future = Future()
-        future.set_exception(error)
-        return SimpleNamespace(submit=lambda *_: future)
-
-    for error, words in (
-        (WorkerLostError("lost"), "killed as often as it was tried"),
-        (NoWorkerError("none began"), "none began"),
-        (CancelledError(), "gave up its tasks"),
-        (ZeroDivisionError(""), "ZeroDivisionError: no reason given. Start"),
-        (ZeroDivisionError("by\n zero."), "ZeroDivisionError: by zero. Start"),
-    ):
-        with pytest.raises(ExecutorLostError, match=words):
-            call_all(divmod, [(7, 2)], lost(error))
