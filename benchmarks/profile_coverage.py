@@ -81,7 +81,7 @@ def _cell(name, model, truth, omega, names, size_and_correlation, repeats, *, se
         )
         fit = gb.fit(gb.Problem(model, data), starts=3, profiles=False, progress=False)
         try:
-            intervals = gb.profile(fit, names, fresh_starts=0).intervals
+            intervals = gb.profile(fit, names).intervals
         except ValueError:
             refused += 1
             continue

@@ -13,6 +13,7 @@ Begin with `fit`.
 | `fitted_problem` | the problem again, from its answer |
 | `quantities` | estimates, tied values and derived quantities with their standard errors |
 | `covariance` | standard errors from the sandwich, for all criteria |
+| `undetermined` | combinations of parameters that the data do not determine |
 | `identifiability` | how well each parameter is determined, and which combinations are |
 | `structural_identifiability` | the same before there are data |
 | `equivalent_minima` | different parameters that give one response |

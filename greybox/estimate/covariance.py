@@ -10,49 +10,22 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
 from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.undetermined import (
+    BLIND,
+    Combination,
+    collinear_groups,
+    invisible_groups,
+)
 from greybox.files.arrays import Array, BoolArray
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
-# unit length before the initial states are fitted along.
+# unit length before the initial states were fitted along.
 DEAD = 1e-7
-BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
-ROUNDING = (
-    1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
-)
-CLOSE = 0.01  # of a standard error: what is so close to a bound may be held by it
-PUSHED = 0.01  # multiplier of a bound that holds, in standard deviations that the gradient has by the noise
-ROUNDED = 1e-7  # of its size: what the solvers' tolerances leave between a parameter and its bound
-MOVED = 1e-3  # of what a direction would change if nothing made up for it: initial states that change less take no part
-COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
-BESIDE = 0.1  # of each parameter: how far beside the estimate a redundancy is looked at again
-LOOSE = 0.5  # relative standard error from which a suspect combination is reported
-
-
-@dataclass(frozen=True)
-class Combination:
-    """Parameters that the data determine only together.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The parameters involved, the most affected first.
-    index : float
-        Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit
-        length; infinite when the data do not see the combination at all. Above 10 to 20 parameters
-        compensate one another. Source: Brun, Reichert and Künsch (2001), Water Resources Research
-        37(4).
-    directions : int
-        In how many directions the parameters move without effect.
-    states : tuple of str
-        States whose unknown initial values take part.
-    """
-
-    names: tuple[str, ...]
-    index: float
-    directions: int = 1
-    states: tuple[str, ...] = ()
+# Relative change of what the data see, for a change of a parameter by its own size, that is
+# rounding.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,18 +115,39 @@ class _Share:
 
 @dataclass(frozen=True, eq=False)
 class _Corrected:
-    """What each part tells once its noise pays for the parameters, and the degrees of freedom of all parts.
+    """The information of a part, its noise larger for the parameters that the noise pays for.
 
-    `independent` and `independent_dof` are these if errors were independent along frequency;
-    `correlation` and `neighbors` (parts,) what correlated errors make of each.
+    `independent` is the same for errors that are independent along frequency, with `numbers`
+    degrees of freedom; `colored` and `neighbors` tell how the errors are correlated.
     """
 
-    shares: list[_Share]
-    dof: float
-    independent: list[_Share]
-    independent_dof: float
-    correlation: tuple[ColoredErrors | None, ...]
-    neighbors: tuple[CorrelatedPoints | None, ...]
+    share: _Share
+    independent: _Share
+    numbers: float
+    colored: ColoredErrors | None
+    neighbors: CorrelatedPoints | None
+
+    @property
+    def dof(self) -> float:
+        return self.numbers if self.neighbors is None else min(self.numbers, self.neighbors.dof)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sandwich:
+    """A square root (p, r) of the inverse bread, the slope (k, k) of all values to the constants, and the terms.
+
+    `terms` are B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit, with their degrees of
+    freedom; `unknown` (k,) tells which constants have no error.
+    """
+
+    root: Array
+    slope: Array
+    terms: tuple[tuple[Array, float], ...]
+    unknown: BoolArray
+
+    @property
+    def covariance(self) -> Array:
+        return np.sum([term for term, _ in self.terms], axis=0)
 
 
 def assess(
@@ -183,60 +177,86 @@ def assess(
     size = np.where(np.isfinite(reach) & (reach > 0), 1 / np.where(reach > 0, reach, 1.0), 1.0)
     unit = np.nan_to_num(jacobian * size)
     bounded = [nlp.free.index(name) for name in at_bound]
-    seen, invisible = _directions(unit, active * size, bounded)
+    seen, invisible = determined_directions(unit, active * size, bounded)
     idle = [k for k in bounded if not (unit[:, k].any() or active[:, k].any())]
-    combinations = _undetermined(np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, parts)
-    blind = np.hstack([invisible, np.eye(p)[:, bounded]])
-    dof = sum(part.numbers for part in parts) - seen.shape[1]
+    combinations = invisible_groups(
+        np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, parts
+    )
+    numbers = sum(part.numbers for part in parts) - seen.shape[1]
     known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
-    if known_noise:
-        dof = math.inf
-    covariance, contributions, inverse = np.full((k, k), np.nan), (), None
-    bias = np.zeros(k)
-    correlation: tuple[ColoredErrors | None, ...] = (None,) * len(parts)
-    neighbors: tuple[CorrelatedPoints | None, ...] = (None,) * len(parts)
-    independent = None
-    size = np.concatenate([size, np.ones(k - p)])
-    blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
-    if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
-        basis = seen * size[:p, None]
-        before = _root_of_inverse(shares, basis)
-        corrected = _corrected(parts, shares, before)
-        correlation, neighbors, dof = corrected.correlation, corrected.neighbors, corrected.dof
-        if any(neighbors):
-            alone = _independent_covariance(nlp, shares, before, corrected, basis)
-            independent = alone, math.inf if known_noise else corrected.independent_dof
-        root = _root_of_inverse(corrected.shares, basis)
-        inverse, slope = root @ root.T, _slope(corrected.shares, root)
-        if known_noise:
-            dof = min((found.dof for found in neighbors if found is not None), default=math.inf)
-        bias[:p] = inverse @ sum((share.pull for share in corrected.shares), np.zeros(p))
-        contributions, unknown = _contributions(
-            nlp, shares, before, corrected.shares, correlation, root, slope
-        )
-        covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
-        # What depends on a constant that has no standard error has none either.
-        lost = slope[:, unknown] / size[:, None]
-        blind = np.hstack([blind, lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)])
-    suspect = _collinear(jacobian, active, nlp.free, at_bound, invisible)
-    combinations = (*combinations, *(c for c in suspect if _is_loose(c, nlp, covariance, x)))
-    return Accuracy(
+    blind = np.zeros((k, invisible.shape[1] + len(bounded)))
+    blind[:p] = np.hstack([invisible, np.eye(p)[:, bounded]])
+    suspect = collinear_groups(jacobian, active, nlp.free, at_bound, invisible)
+    accuracy = Accuracy(
         names=nlp.names,
-        covariance=covariance,
+        covariance=np.full((k, k), np.nan),
         blind=blind,
-        size=size,
-        dof=float(max(dof, 0)),
-        shares=contributions,
-        combinations=combinations,
+        size=np.concatenate([size, np.ones(k - p)]),
+        dof=math.inf if known_noise else float(max(numbers, 0)),
+        shares=(),
+        combinations=(*combinations, *suspect),
         at_bound=at_bound,
         active=holding,
         noise=np.array([part.relative_noise for part in parts]),
+        bias=np.zeros(k),
+        correlation=(None,) * len(parts),
+        neighbors=(None,) * len(parts),
+        informations=tuple(parts),
+    )
+    if accuracy.dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
+        accuracy = _with_covariance(nlp, accuracy, shares, seen * size[:, None], known_noise)
+    # Collinearity matters where an error exceeds half of a value.
+    error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
+    loose = ~(error < 0.5 * np.abs(x))
+    reported = (c for c in suspect if loose[[nlp.free.index(name) for name in c.names]].any())
+    return replace(accuracy, combinations=(*combinations, *reported))
+
+
+def _with_covariance(
+    nlp: CompiledProblem,
+    accuracy: Accuracy,
+    shares: Sequence[_Share],
+    basis: Array,
+    known_noise: bool,
+) -> Accuracy:
+    """Return the accuracy with a covariance within a basis (p, r) of the directions that the data determine."""
+    p = len(nlp.free)
+    root = _root_of_inverse(shares, basis)
+    corrected = [
+        _corrected(part, share, root)
+        for part, share in zip(accuracy.informations, shares, strict=True)
+    ]
+    neighbors = tuple(part.neighbors for part in corrected)
+    colored = tuple(part.colored for part in corrected)
+    dof = sum(part.dof for part in corrected)
+    if known_noise:
+        dof = min((points.dof for points in neighbors if points is not None), default=math.inf)
+    independent = None
+    if any(neighbors):
+        alone = _sandwich(
+            nlp, shares, root, [part.independent for part in corrected], colored, basis
+        )
+        numbers = sum(part.numbers for part in corrected)
+        independent = alone.covariance[:p, :p], math.inf if known_noise else numbers
+
+    sandwich = _sandwich(nlp, shares, root, [part.share for part in corrected], colored, basis)
+    inverse = sandwich.root @ sandwich.root.T
+    bias = np.zeros(len(nlp.names))
+    bias[:p] = inverse @ sum(part.share.pull for part in corrected)
+    # What depends on a constant without a standard error has none either.
+    lost = sandwich.slope[:, sandwich.unknown] / accuracy.size[:, None]
+    lost = lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)
+    return replace(
+        accuracy,
+        covariance=sandwich.covariance,
+        blind=np.hstack([accuracy.blind, lost]),
+        dof=float(max(dof, 0)),
+        shares=sandwich.terms,
         bias=bias,
         white=inverse,
         independent=independent,
-        correlation=correlation,
+        correlation=colored,
         neighbors=neighbors,
-        informations=tuple(parts),
     )
 
 
@@ -285,7 +305,7 @@ def known_directions(
     if at is None or not np.any(at.unseen[inside]):
         return at
     # Each parameter moves by another share: equal ones become different.
-    share = BESIDE * (1 + np.arange(len(x)) / len(x))
+    share = 0.1 * (1 + np.arange(len(x)) / len(x))
     span = nlp.upper - nlp.lower
     step = share * np.where(x == 0, np.where(np.isfinite(span), 0.1 * span, 1.0), np.abs(x))
     beside = np.clip(
@@ -381,62 +401,30 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
     return np.where(unseen.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
 
 
-def _corrected(parts: Sequence[Information], shares: Sequence[_Share], root: Array) -> _Corrected:
-    """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
+def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
+    """Scale the noise of a part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p of all parts.
 
     2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with
-    pᵢ parameters. Records whose errors are correlated in time have their own, and responses those
-    of errors that are correlated along frequency, unless these count as independent. `root` (p, r)
-    is one of B⁻¹.
+    pᵢ parameters. Correlated errors have degrees of freedom of their own. `root` (p, r) is one of
+    B⁻¹.
     """
     p = len(root)
-    result, independent = [], []
-    correlation: list[ColoredErrors | None] = []
-    neighbors: list[CorrelatedPoints | None] = []
-    degrees = independent_degrees = 0.0
-    for part, share in zip(parts, shares, strict=True):
-        problem = part.part.problem
-        paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # of a fit alone a whole number
-        left = max(part.numbers - paid, 0.5)
-        colored = None if part.colored is None else part.colored(math.sqrt(problem.weight) * root)
-        found = None
+    problem = part.part.problem
+    paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # of a fit alone a whole number
+    numbers = max(part.numbers - paid, 0.5)
+    if part.colored is not None:
+        colored = part.colored(math.sqrt(problem.weight) * root)
         if colored is not None:
-            left = colored.dof
-            alike = corrected = replace(share, dof=left)
-        else:
-            dof = math.inf if problem.criterion.known_noise else left
-            correction = math.sqrt(max(part.numbers, left) / left)
-            alike = corrected = _share(part, p=p, correction=correction, dof=dof)
-            found = None if part.correlated is None else part.correlated(correction, root, dof)
-            if found is not None:
-                corrected = replace(
-                    alike, meat=problem.weight**2 * found.meat[:p, :p], dof=found.dof
-                )
-        result.append(corrected)
-        independent.append(alike)
-        correlation.append(colored)
-        neighbors.append(found)
-        degrees += left if found is None else min(left, found.dof)
-        independent_degrees += left
-    return _Corrected(
-        result, degrees, independent, independent_degrees, tuple(correlation), tuple(neighbors)
-    )
-
-
-def _independent_covariance(
-    nlp: CompiledProblem,
-    before: Sequence[_Share],
-    root_before: Array,
-    corrected: _Corrected,
-    basis: Array,
-) -> Array:
-    """Return the covariance (p, p) of the free parameters if errors were independent along frequency."""
-    shares, p = corrected.independent, len(nlp.free)
-    root = _root_of_inverse(shares, basis)
-    found, _ = _contributions(
-        nlp, before, root_before, shares, corrected.correlation, root, _slope(shares, root)
-    )
-    return sum((c[:p, :p] for c, _ in found), np.zeros((p, p)))
+            share = replace(share, dof=colored.dof)
+            return _Corrected(share, share, colored.dof, colored, None)
+    dof = math.inf if problem.criterion.known_noise else numbers
+    correction = math.sqrt(max(part.numbers, numbers) / numbers)
+    independent = corrected = _share(part, p=p, correction=correction, dof=dof)
+    neighbors = None if part.correlated is None else part.correlated(correction, root, dof)
+    if neighbors is not None:
+        meat = problem.weight**2 * neighbors.meat[:p, :p]
+        corrected = replace(independent, meat=meat, dof=neighbors.dof)
+    return _Corrected(corrected, independent, numbers, None, neighbors)
 
 
 def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
@@ -445,49 +433,47 @@ def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
     return basis @ np.linalg.inv(triangle).astype(float)
 
 
-def _slope(shares: Sequence[_Share], root: Array) -> Array:
-    """Return the derivative (k, k) of all values to the constants."""
-    bread = sum((share.bread for share in shares), np.zeros_like(shares[0].bread))
-    p, k = bread.shape
+def _sandwich(
+    nlp: CompiledProblem,
+    uncorrected: Sequence[_Share],
+    uncorrected_root: Array,
+    shares: Sequence[_Share],
+    correlation: Sequence[ColoredErrors | None],
+    basis: Array,
+) -> _Sandwich:
+    """Return the covariance of the parts and of earlier fits.
+
+    The meat of colored errors is known in the directions of the root of the inverse before the
+    correction.
+    """
+    p = len(nlp.free)
+    k = len(nlp.names)
+    root = _root_of_inverse(shares, basis)
+    bread = sum((share.bread for share in shares), np.zeros((p, k)))
     slope = np.zeros((k, k))
     slope[:p, p:] = -root @ (root.T @ bread[:, p:])
     slope[p:, p:] = np.eye(k - p)
-    return slope
 
-
-def _contributions(
-    nlp: CompiledProblem,
-    before: Sequence[_Share],
-    root_before: Array,
-    shares: Sequence[_Share],
-    correlation: Sequence[ColoredErrors | None],
-    root: Array,
-    slope: Array,
-) -> tuple[tuple[tuple[Array, float], ...], BoolArray]:
-    """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error.
-
-    The meat of correlated errors is known in the directions of the root of the inverse `before` the
-    correction.
-    """
-    p, k = len(nlp.free), len(nlp.names)
-    stacked = np.vstack([share.root for share in before])
-    turned = (stacked @ root).T @ (stacked @ root_before)
-    result = []
+    stacked = np.vstack([share.root for share in uncorrected])
+    turned = (stacked @ root).T @ (stacked @ uncorrected_root)
+    terms = []
     for share, colored, part in zip(shares, correlation, nlp.parts, strict=True):
-        middle = root.T @ share.meat @ root
+        meat = root.T @ share.meat @ root
         if colored is not None:
-            middle = part.weight * turned @ colored.meat @ turned.T
-        own = np.zeros((k, k))
-        own[:p, :p] = root @ middle @ root.T
-        result.append((own, share.dof))
+            meat = part.weight * turned @ colored.meat @ turned.T
+        term = np.zeros((k, k))
+        term[:p, :p] = root @ meat @ root.T
+        terms.append((term, share.dof))
     unknown = np.zeros(k, dtype=bool)
     for known, dof in known_covariances(nlp):
         unknown |= np.isnan(np.diag(known))
-        result.append((slope @ np.nan_to_num(known) @ slope.T, dof))
-    return tuple(result), unknown
+        terms.append((slope @ np.nan_to_num(known) @ slope.T, dof))
+    return _Sandwich(root, slope, tuple(terms), unknown)
 
 
-def _directions(jacobian: Array, active: Array, bounded: Sequence[int]) -> tuple[Array, Array]:
+def determined_directions(
+    jacobian: Array, active: Array, bounded: Sequence[int]
+) -> tuple[Array, Array]:
     """Split the space of the unknowns (p,) into what the data see, and what they do not.
 
     Directions closed by a bound or an active constraint are in neither.
@@ -535,17 +521,19 @@ def _at_bound(
     distance = np.minimum(np.abs(x - nlp.lower), np.abs(x - nlp.upper))
     bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
     size = np.maximum(np.abs(x), np.where(np.isfinite(bound), np.abs(bound), 0.0))
-    held = distance <= ROUNDED * size
+    # The tolerances of the solvers leave this relative distance.
+    held = distance <= 1e-7 * size
 
     p = len(x)
     curvature = sum((np.diag(share.bread[:, :p]) for share in shares), np.zeros(p))
     spread = sum((np.diag(share.meat) for share in shares), np.zeros(p))
     known = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     error = np.sqrt(np.where(known, spread, 0.0)) / np.where(known, curvature, 1.0)
-    close = (distance <= CLOSE * error) & ~held
+    close = (distance <= 0.01 * error) & ~held
     if close.any() and trajectories and all(t is not None for t in trajectories):
         outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
-        held |= close & (outward > PUSHED * np.sqrt(np.where(known, spread, 0.0)))
+        # By more than a hundredth of the standard deviation that noise gives the gradient.
+        held |= close & (outward > 0.01 * np.sqrt(np.where(known, spread, 0.0)))
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
 
 
@@ -575,84 +563,6 @@ def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, tuple[st
     return gradient[active], tuple(
         label for label, holds in zip(nlp.limits, active, strict=True) if holds
     )
-
-
-def _undetermined(
-    invisible: Array, size: Array, names: tuple[str, ...], parts: Sequence[Information]
-) -> tuple[Combination, ...]:
-    """Return the groups of parameters that move without effect in the `invisible` directions (p, b), of unit columns.
-
-    Directions that share no parameter are different groups, whatever mixture of them the directions
-    are.
-    """
-    projector = invisible @ invisible.T
-    linked = np.abs(projector) > BLIND
-    left = set(np.flatnonzero(np.diag(projector) > BLIND**2).tolist())
-    found = []
-    while left:
-        # What is invisible takes the error from everything that it involves, however little.
-        group = {max(left, key=lambda k: (projector[k, k], -k))}
-        while more := {k for k in left - group if linked[k, list(group)].any()}:
-            group |= more
-        left -= group
-        members = sorted(group, key=lambda k: (-round(projector[k, k], 6), k))
-        moves = np.zeros((len(names), len(members)))
-        moves[members] = projector[np.ix_(members, members)] * size[members, None]
-        found.append(
-            Combination(
-                tuple(names[k] for k in members),
-                math.inf,
-                max(round(float(np.trace(projector[np.ix_(members, members)]))), 1),
-                _moved_states(parts, moves),
-            )
-        )
-    return tuple(sorted(found, key=lambda combination: names.index(combination.names[0])))
-
-
-def _moved_states(parts: Sequence[Information], moves: Array) -> tuple[str, ...]:
-    """Name the states whose unknown initial values make up for `moves` (p, m) of the parameters."""
-    found: dict[str, None] = {}
-    for part in parts:
-        for name, follow in part.initial.items():
-            if np.any(np.abs(follow[:, : len(moves)] @ moves) > MOVED):
-                found[name] = None
-    return tuple(found)
-
-
-def _collinear(
-    jacobian: Array,
-    active: Array,
-    names: tuple[str, ...],
-    at_bound: Sequence[str],
-    invisible: Array,
-) -> tuple[Combination, ...]:
-    """Return the combinations whose effects nearly cancel, of the directions that are not `invisible` (p, b).
-
-    Singular vectors of the same parameters are one combination, with the largest index.
-    """
-    rows = np.vstack([jacobian, active])
-    inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
-    unit = jacobian[:, inside] / np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
-    limits = active[:, inside]
-    unit = np.vstack(
-        [unit, limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)]
-    )
-    _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
-    singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
-    seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
-    found: dict[frozenset[str], Combination] = {}
-    for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):
-        if value > 1 / COLLINEAR:
-            break
-        group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > 0.2 * row.max())
-        found.setdefault(frozenset(group), Combination(group, float(1 / max(value, 1e-300))))
-    return tuple(found.values())
-
-
-def _is_loose(combination: Combination, nlp: CompiledProblem, covariance: Array, x: Array) -> bool:
-    places = [nlp.free.index(name) for name in combination.names]
-    error = np.sqrt(np.maximum(np.diag(covariance)[places], 0))
-    return bool(np.any(~(error < LOOSE * np.abs(x[places]))))
 
 
 def known_covariances(nlp: CompiledProblem) -> list[tuple[Array, float]]:

@@ -13,8 +13,9 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.estimate.covariance import Accuracy, Combination, assess, known_directions
+from greybox.estimate.covariance import Accuracy, assess, known_directions
 from greybox.estimate.identifiability import identifiability
+from greybox.estimate.undetermined import Combination
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError

@@ -17,19 +17,16 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import (
     Accuracy,
-    Combination,
-    _collinear,
-    _directions,
-    _is_loose,
-    _undetermined,
     assess,
     degrees,
+    determined_directions,
     information_by_point,
     known_directions,
     known_of,
     propagate,
     steepness,
 )
+from greybox.estimate.undetermined import collinear_groups, invisible_groups
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt
 
@@ -197,7 +194,7 @@ def test_relative_error_over_the_model_magnitude():
 def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
     data = measured(Lags(), np.geomspace(1, 60, 120), LAGS, 0.15)
     unbiased = fitted(gb.Problem(Lags(), data, criterion=gb.RelativeLikelihood()), LAGS)
-    unbiased_profile = gb.profile(unbiased, "K", fresh_starts=0)["K"]
+    unbiased_profile = gb.profile(unbiased, "K")["K"]
     center, error = np.mean(unbiased.interval()["K"]), unbiased.standard_error["K"]
     assert center == pytest.approx(unbiased.estimate["K"])
     for normalized, side in (("measured", -1), ("model", 1)):
@@ -206,7 +203,7 @@ def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
         )
         assert side * (fit.estimate["K"] - center) > error
         assert np.mean(fit.interval()["K"]) == pytest.approx(center, abs=0.5 * error)
-        profile = gb.profile(fit, "K", fresh_starts=0)["K"]
+        profile = gb.profile(fit, "K")["K"]
         assert_allclose(profile.interval, unbiased_profile.interval, atol=0.8 * error)
         assert f"bias by the noise (K {'+' if side < 0 else '-'}0." in str(fit)
         band = fit.response_band(np.array([1.0]))
@@ -766,19 +763,22 @@ def test_values_are_known_by_their_derivatives_within_what_is_determined():
 def test_directions_that_bounds_and_constraints_close_are_neither_seen_nor_invisible():
     """Of four unknowns the data see the sum of the first two and the third; the fourth is at a bound."""
     jacobian = np.array([[1.0, 1.0, 0.0, 2.0], [0.0, 0.0, 3.0, 1.0], [2.0, 2.0, 3.0, 0.0]])
-    seen, invisible = _directions(jacobian, np.zeros((0, 4)), [3])
+    seen, invisible = determined_directions(jacobian, np.zeros((0, 4)), [3])
     assert (seen.shape, invisible.shape) == ((4, 2), (4, 1))
     assert_allclose(np.abs(invisible[:, 0]), [math.sqrt(0.5), math.sqrt(0.5), 0, 0], atol=1e-12)
     assert_allclose(seen.T @ seen, np.eye(2), atol=1e-12)
     assert_allclose(seen.T @ invisible, np.zeros((2, 1)), atol=1e-12)
     assert_allclose(seen[3], 0, atol=1e-12)
-    seen, invisible = _directions(
+    seen, invisible = determined_directions(
         jacobian, np.array([[1.0, -1.0, 0.0, 0.0]]), [3]
     )  # with a constraint, equal ones
     assert (seen.shape, invisible.shape) == ((4, 2), (4, 0))
     assert_allclose(seen[0], seen[1], atol=1e-12)
     for share, unseen in ((2e-7, 0), (0.5e-7, 1)):
-        assert _directions(np.diag([1.0, share]), np.zeros((0, 2)), [])[1].shape == (2, unseen)
+        assert determined_directions(np.diag([1.0, share]), np.zeros((0, 2)), [])[1].shape == (
+            2,
+            unseen,
+        )
 
 
 def test_invisible_directions_that_share_no_parameter_are_groups_of_their_own():
@@ -790,7 +790,7 @@ def test_invisible_directions_that_share_no_parameter_are_groups_of_their_own():
         SimpleNamespace(initial=follow),
         SimpleNamespace(initial={"z": np.array([[0.1, 0.0, 0.0, 0.0]])}),
     ]
-    second, first = _undetermined(mixed, size, ("a", "b", "c", "d"), parts)
+    second, first = invisible_groups(mixed, size, ("a", "b", "c", "d"), parts)
     assert (first.names, first.index, first.directions, first.states) == (
         ("c", "a"),
         math.inf,
@@ -799,9 +799,9 @@ def test_invisible_directions_that_share_no_parameter_are_groups_of_their_own():
     )
     assert (second.names, second.directions, second.states) == (("b",), 1, ())
     both = np.linalg.qr(np.array([[1.0, 1, 1, 0], [1, -1, 0, 0]]).T)[0]
-    (group,) = _undetermined(both, size, ("a", "b", "c", "d"), ())
+    (group,) = invisible_groups(both, size, ("a", "b", "c", "d"), ())
     assert (set(group.names), group.directions) == ({"a", "b", "c"}, 2)
-    assert _undetermined(np.zeros((4, 0)), size, ("a", "b", "c", "d"), ()) == ()
+    assert invisible_groups(np.zeros((4, 0)), size, ("a", "b", "c", "d"), ()) == ()
 
 
 def columns(index):
@@ -814,28 +814,18 @@ def columns(index):
 def test_collinear_columns_are_named_from_an_index_of_twenty(index, found):
     nothing, unseen = np.zeros((0, 3)), np.zeros((3, 0))
     jacobian = columns(index) * [5.0, 1e3, 1e-4]  # units do not matter
-    combinations = _collinear(jacobian, nothing, ("a", "b", "c"), (), unseen)
+    combinations = collinear_groups(jacobian, nothing, ("a", "b", "c"), (), unseen)
     assert [set(c.names) for c in combinations] == [{"a", "b"}] * found
     assert all(c.index == pytest.approx(index, rel=1e-4) for c in combinations)
-    assert _collinear(jacobian, nothing, ("a", "b", "c"), ("b",), unseen) == ()
+    assert collinear_groups(jacobian, nothing, ("a", "b", "c"), ("b",), unseen) == ()
     held = np.array([[0.0, 1.0, 0.0]])  # a constraint that says what b is
-    assert _collinear(jacobian, held, ("a", "b", "c"), (), unseen) == ()
+    assert collinear_groups(jacobian, held, ("a", "b", "c"), (), unseen) == ()
     same = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     difference = np.array([[1.0, -1.0, 0.0]]).T / math.sqrt(2)
     assert (
-        _collinear(same, nothing, ("a", "b", "c"), (), difference) == ()
+        collinear_groups(same, nothing, ("a", "b", "c"), (), difference) == ()
     )  # said already: it is invisible
-    assert len(_collinear(same, nothing, ("a", "b", "c"), (), unseen)) == 1
-
-
-@pytest.mark.parametrize(("error", "loose"), [(0.49, False), (0.51, True), (np.nan, True)])
-def test_a_combination_is_loose_from_half_of_a_value(error, loose):
-    nlp = SimpleNamespace(free=("a", "b", "c"))
-    covariance = np.diag([1e9, (2 * error) ** 2, 1e-4])
-    assert (
-        _is_loose(Combination(("c", "b"), 30.0), nlp, covariance, np.array([1.0, -2.0, 1.0]))
-        is loose
-    )
+    assert len(collinear_groups(same, nothing, ("a", "b", "c"), (), unseen)) == 1
 
 
 class Plane(gb.StateSpace):
@@ -926,18 +916,6 @@ def test_an_unseen_direction_is_looked_at_again_beside_the_estimate():
     plain = compile_problem(gb.Problem(Lags(), measured(Lags(), OMEGA, LAGS, 0.02)))
     at = np.array(list(LAGS.values()))
     assert known_directions(plain, at, assess(plain, at), lambda _: ()).elsewhere is None
-
-
-@pytest.mark.parametrize(
-    ("error", "is_loose"), [((0.99, 0.4), False), ((1.01, 0.4), True), ((0.9, np.nan), True)]
-)
-def test_a_suspect_combination_is_loose_from_half_of_a_value_on(error, is_loose):
-    nlp = SimpleNamespace(free=("a", "b", "c"))
-    covariance = np.diag(np.square([error[0], 9.0, error[1]]))
-    assert (
-        _is_loose(Combination(("c", "a"), 30.0), nlp, covariance, np.array([-2.0, 1.0, 0.9]))
-        == is_loose
-    )
 
 
 @pytest.mark.parametrize("side", [-1, 1])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.estimate.covariance import Combination
 from greybox.estimate.structural_identifiability import StructuralIdentifiability, _times
+from greybox.estimate.undetermined import Combination
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 
 

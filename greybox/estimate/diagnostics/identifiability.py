@@ -6,8 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.estimate.covariance import Accuracy, Combination
+from greybox.estimate.covariance import Accuracy
 from greybox.estimate.result import Fit
+from greybox.estimate.undetermined import Combination
 from greybox.files.text_table import counted, listed
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.realization import has_branches

@@ -1,0 +1,106 @@
+"""Combinations of parameters that the data do not determine, or hardly."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.compiled.part import Information
+from greybox.files.arrays import Array
+
+BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Parameters that the data determine only together.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters involved, the most affected first.
+    index : float
+        Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit
+        length; infinite when the data do not see the combination at all. Above 10 to 20 parameters
+        compensate one another. Source: Brun, Reichert and Künsch (2001), Water Resources Research
+        37(4).
+    directions : int
+        In how many directions the parameters move without effect.
+    states : tuple of str
+        States whose unknown initial values take part.
+    """
+
+    names: tuple[str, ...]
+    index: float
+    directions: int = 1
+    states: tuple[str, ...] = ()
+
+
+def invisible_groups(
+    invisible: Array, size: Array, names: tuple[str, ...], parts: Sequence[Information]
+) -> tuple[Combination, ...]:
+    """Return the groups of parameters that move without effect in the `invisible` directions (p, b), of unit columns.
+
+    Directions without a common parameter are different groups, however the directions are mixed.
+    """
+    projector = invisible @ invisible.T
+    linked = np.abs(projector) > BLIND
+    remaining = set(np.flatnonzero(np.diag(projector) > BLIND**2).tolist())
+    groups = []
+    while remaining:
+        # Every parameter that takes part has no error, however small its part is.
+        group = {max(remaining, key=lambda k: (projector[k, k], -k))}
+        while more := {k for k in remaining - group if linked[k, list(group)].any()}:
+            group |= more
+        remaining -= group
+        members = sorted(group, key=lambda k: (-round(projector[k, k], 6), k))
+        block = projector[np.ix_(members, members)]
+        moves = np.zeros((len(names), len(members)))
+        moves[members] = block * size[members, None]
+        states = {
+            state: None
+            for part in parts
+            for state, follow in part.initial.items()
+            # Initial states that change by less than this share take no part.
+            if np.any(np.abs(follow[:, : len(names)] @ moves) > 1e-3)
+        }
+        directions = max(round(float(np.trace(block))), 1)
+        members_by_name = tuple(names[k] for k in members)
+        groups.append(Combination(members_by_name, math.inf, directions, tuple(states)))
+    return tuple(sorted(groups, key=lambda group: names.index(group.names[0])))
+
+
+def collinear_groups(
+    jacobian: Array,
+    active: Array,
+    names: tuple[str, ...],
+    at_bound: Sequence[str],
+    invisible: Array,
+) -> tuple[Combination, ...]:
+    """Return the combinations whose effects nearly cancel, apart from `invisible` directions (p, b).
+
+    Singular vectors of the same parameters are one combination, with the largest index. `active`
+    (a, p) has the gradients of active constraints.
+    """
+    rows = np.vstack([jacobian, active])
+    inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
+    length = np.linalg.norm(jacobian[:, inside], axis=0)
+    limits = active[:, inside]
+    limit_length = np.linalg.norm(limits, axis=1, keepdims=True)
+    unit = np.vstack(
+        [
+            jacobian[:, inside] / np.maximum(length, 1e-300),
+            limits / np.maximum(limit_length, 1e-300),
+        ]
+    )
+    _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
+    singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
+    seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
+    groups: dict[frozenset[str], Combination] = {}
+    for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):
+        if value > 1 / 20:  # above an index of 20 parameters hardly compensate one another
+            break
+        group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > 0.2 * row.max())
+        groups.setdefault(frozenset(group), Combination(group, float(1 / max(value, 1e-300))))
+    return tuple(groups.values())
