@@ -62,10 +62,10 @@ class FrequencyResponse:
     source : str
         Where the numbers come from.
     stretches : sequence of Stretch
-        The stretches of records that it was estimated from, as far as known: a fit to these and to
-        the response would use the same data twice.
+        The stretches of records that it was estimated from, if known: a fit to these and to the
+        response would use the same data twice.
     units : mapping of signal name to str
-        Those of input and output, as far as known.
+        The units of input and output, if known.
     about : mapping of str to str
         How it was measured, in words: excitation, instrument, points that were dropped, filters in
         the path, and the like. It takes no part in the checksum.
@@ -233,9 +233,9 @@ class FrequencyResponse:
 
     @property
     def columns(self) -> dict[str, Array]:
-        """What is known at each frequency as real numbers, (n,) arrays by name, as tables and files have them.
+        """The values at each frequency as real numbers, (n,) arrays by name, as tables and files have them.
 
-        ``alpha, beta``, then as far as known ``coherence, variance, dof``, and ``alpha_common1,
+        ``alpha, beta``, then, if known, ``coherence, variance, dof``, and ``alpha_common1,
         beta_common1`` and so on for the common errors.
         """
         columns = {

@@ -1,10 +1,10 @@
-"""How a signal runs between its samples: held, as the output of a controller, or sampled from a continuous one.
+"""Signals between their samples: held, like the output of a controller, or continuous.
 
-The samples alone do not tell: a control that is held acts half a sample later than one that is
-interpolated, which a delay or a lag of the model takes up without a trace in the residuals. So a
-record states it for its signals, by the time for which each value lasts. Between both extremes lies
-a log at a lower rate than that of the controller: the values between its samples are not known, but
-lasted for less than a step of the log. Such a signal is interpolated, and half of that time later.
+The samples alone do not show it. A held control acts half a sample later than an interpolated one,
+and a delay or a lag of the model absorbs the difference without a trace in the residuals. So a
+record states how long each value of a signal lasts. A log at a lower rate than the controller lies
+between both extremes: each value lasted for less than a step of the log, and the values between the
+samples are unknown. Such a signal is interpolated and half of that time later.
 
 Source: Åström and Wittenmark, Computer-Controlled Systems, 3rd ed., chapter 2 (sampling of a system
 with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (intersample behavior).
@@ -19,15 +19,15 @@ import numpy as np
 HELD = math.inf
 CONTINUOUS = 0.0
 
-# Of a step, from which a value lasts until the next sample. A log has every value of the
-# controller, or every second, third ...: holds are whole steps or at most half a one, but for the
-# jitter of time stamps.
+# A value that lasts for this share of a step lasts until the next sample. A log has every value of
+# the controller, or every second, third ...: apart from the jitter of time stamps, a hold is a whole
+# step or at most half of one.
 WHOLE = 0.75
 
 
 @dataclass(frozen=True)
 class Intersample:
-    """How the samples of a signal are read: held until the next one, or interpolated and `late` seconds later."""
+    """How samples are read: held until the next one, or interpolated and `late` seconds later."""
 
     held: bool
     late: float = 0.0

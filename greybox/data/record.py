@@ -16,11 +16,11 @@ from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, one_line, printable
 
-# Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a
-# step of two, which is none; the half is for jitter.
+# A step longer than this number of median steps is a gap: nothing is interpolated across it. One lost
+# sample makes a step of two, which is not a gap; the half allows for jitter.
 GAP = 2.5
-# Share of the samples at common times that are equal in all common signals, above which two records
-# are of one measurement.
+# Two records are of one measurement if more than this share of the samples at common times are equal
+# in all common signals.
 SAME_MEASUREMENT = 0.5
 
 
@@ -44,14 +44,14 @@ class Record:
     checksum : str
         SHA-256 of that file; by default that of the numbers.
     metadata : mapping
-        Vehicle, firmware, parameters and the like, as far as the log holds them.
+        Vehicle, firmware, parameters and the like, from the log.
     filters : mapping of signal name to tuple
         Known filters that a signal has passed before it was logged, for a model to include.
     hold : mapping of signal name to float, s
-        For how long each value lasted, as far as that is known, see `greybox.data.intersample`:
-        infinity for a signal that keeps its value until the next sample, as the output of a
-        controller does; 0 for samples of a continuous one, such as an attitude; seconds where
-        values lasted for less than a step of the log.
+        How long each value lasted, if known, see `greybox.data.intersample`: infinity for a signal
+        that keeps its value until the next sample, as the output of a controller does; 0 for
+        samples of a continuous one, such as an attitude; seconds where values lasted for less than
+        a step of the log.
     findings : tuple of str
         Problems found in it, in words.
     has_time : bool
@@ -150,7 +150,7 @@ class Record:
 
     @property
     def pieces(self) -> tuple["Record", ...]:
-        """The stretches between gaps, each a record of its own; rows without a time are one."""
+        """The stretches between gaps, as records; rows without a time are one."""
         if not self.has_time:
             return (self,)
         cuts = np.flatnonzero(np.diff(self.time) > GAP * self.step) + 1
@@ -167,7 +167,7 @@ class Record:
         return np.split(np.arange(len(self)), cuts)
 
     def between(self, start: float, end: float) -> "Record":
-        """Return the samples with start <= time <= end, s on the record's own clock."""
+        """Return the samples with start <= time <= end, s on the record's clock."""
         require_time(self, "between")
         rows = np.flatnonzero((self.time >= start) & (self.time <= end))
         if not rows.size:
@@ -238,7 +238,7 @@ class Record:
     def to_pandas(self) -> Frame:
         """Return the signals as columns of a pandas data frame with the time in s as index.
 
-        Units, holds, name and source stand in ``frame.attrs``.
+        ``frame.attrs`` has the units, holds, name and source.
 
         Raises
         ------
@@ -254,7 +254,7 @@ class Record:
         return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
 
     def rows(self, rows: IntArray | slice) -> "Record":
-        """Return the samples of these indices, (m,), or of a slice, which takes no memory of its own."""
+        """Return the samples of these indices, (m,), or of a slice, which is not copied."""
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
 
@@ -285,7 +285,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Recording(Mapping[str, Record]):
-    """What one log file holds: a `Record` for every kind of message, each on its own time base.
+    """The contents of one log file: a `Record` for every kind of message, each on its own time base.
 
     It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages that come
     in several instances (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the
@@ -337,7 +337,7 @@ class Recording(Mapping[str, Record]):
         Raises
         ------
         KeyError
-            If there is none, or several have it; the sentence names what there is.
+            If no message or several have it. The sentence names the alternatives.
         """
         message, dot, name = signal.rpartition(".")
         if dot:
@@ -394,7 +394,7 @@ def share_samples(a: Record, b: Record) -> bool:
         for name in a.signals
         if name in b.signals
     ]
-    # Of quantized signals a few samples are the same by chance.
+    # A few samples of quantized signals are equal by chance.
     return (
         bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
     )

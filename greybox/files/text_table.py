@@ -45,14 +45,14 @@ def text_table(
 
 
 def number(value: float, digits: int = 5) -> str:
-    """Format `value` with `digits` significant digits; what is not known is a dash."""
+    """Format `value` with `digits` significant digits; NaN and None are a dash."""
     if value is None or math.isnan(value):
         return "-"
     return f"{value:.{digits}g}"
 
 
 def counted(count: float, one: str, more: str = "") -> str:
-    """Say how many there are of something, "1 record" or "2 records"; `more` is a plural that is not regular."""
+    """Return "1 record" or "2 records"; `more` is an irregular plural."""
     amount = f"{count:g}" if isinstance(count, float) else f"{count}"
     return f"{amount} {one if count == 1 else more or one + 's'}"
 

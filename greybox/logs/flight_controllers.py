@@ -1,4 +1,4 @@
-"""What is known of the flight controllers together: the signals of an axis, and the filters that a log names."""
+"""Signals of an axis, and filters that a log names, for all flight controllers together."""
 
 from greybox.data.record import Recording
 from greybox.logs.ardupilot import filters as of_ardupilot

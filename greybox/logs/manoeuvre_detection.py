@@ -1,9 +1,9 @@
-"""Manoeuvres: 2-1-1, 3-2-1-1, doublets, pulses, steps and other inputs that leave a rest and return to one.
+"""Finds manoeuvres: 2-1-1, 3-2-1-1, doublets, pulses, steps and other inputs between two rests.
 
-A signal is at rest where it keeps one level for a second. What lies between two rests of the same
-level is one manoeuvre, and so is the way to a level that is then kept for good, a step. Its pulses
-are where the signal is off the first rest by more than half of the largest deviation, and their
-signs and durations name it.
+A signal is at rest while it keeps one level for a second. The part between two rests of the same
+level is one manoeuvre. A change to a level that is kept for good is a step. A pulse is a part where
+the signal is off the first rest by more than half of the largest deviation. Signs and durations of
+the pulses name the manoeuvre.
 """
 
 import math
@@ -32,20 +32,20 @@ PATTERNS = {(1,): "pulse", (1, 1): "doublet", (2, 1, 1): "2-1-1", (3, 2, 1, 1): 
 STEP, OTHER = "step", "stick input"
 MOST_PULSES = max(map(len, PATTERNS))  # of a manoeuvre with a name: more may be a sine or a sweep
 
-# Relative deviation of a duration from its pattern: half the way between the durations 2 and 3 is
+# Largest relative deviation of a duration from its pattern. Halfway between the durations 2 and 3 is
 # 0.2 of the longer one, and pilots are off by as much.
 OFF_PATTERN = 0.3
 
 REST = 1.0  # s at one level: the fastest pulses of an aircraft's 3-2-1-1 last as long, its longest one three times that
 NEW_REST = 6.0  # s after which another level is a new rest, twice the longest of these pulses
 
-# Of the range of a signal: how far it may move at rest. Ripple on sticks and trim drift are below a
-# hundredth.
+# Share of the range of a signal that it may move at rest. Ripple on sticks and drift of the trim are
+# below a hundredth.
 AT_REST = 0.02
 NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
 
-# Of the longest pulse: shorter ones are overshoots, and shorter ways from one to the next no pause,
-# as actuators and hands take time.
+# Shares of the longest pulse: a shorter pulse is an overshoot, and a shorter way from one pulse to
+# the next is not a pause, because actuators and hands take time.
 BRIEF, PAUSE = 0.2, 0.6
 STRONG = 0.1  # of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited
 HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
@@ -53,7 +53,7 @@ FINER = 4  # times as many frequencies as the spectrum has of its own: between t
 
 
 class _Rest(NamedTuple):
-    """Where a signal keeps a level: first and last sample, and the level in the first and in the last second."""
+    """A rest: its first and last sample, and the level in its first and in its last second."""
 
     first: int
     last: int
@@ -66,20 +66,20 @@ def find_manoeuvres(
 ) -> tuple[Segment, ...]:
     """Return the manoeuvres in the inputs of a flight, in order of time.
 
-    Their kind is that of their pulses: "2-1-1", "3-2-1-1", "doublet", "pulse", "step", or "stick
-    input" for any other. Sines and sweeps are no manoeuvres, see `find_segments`.
+    The pulses decide the kind: "2-1-1", "3-2-1-1", "doublet", "pulse", "step", or else "stick
+    input". Sines and sweeps are not manoeuvres, see `find_segments`.
 
     Parameters
     ----------
     data : Recording or Record
     signal : str or sequence of str
-        Signals to search, such as ``"RCIN.C2"``; by default the sticks of a log or, where it has
-        none, setpoints, and the controls of a record.
+        Signals to search, such as ``"RCIN.C2"``. By default the sticks of a log, or its setpoints
+        if it has none, and the controls of a record.
 
     Raises
     ------
     KeyError, ValueError
-        If a signal that was named does not exist.
+        If a named signal does not exist.
     """
     names = [signal] if isinstance(signal, str) and signal else signal
     manoeuvres = []
@@ -114,7 +114,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
 
 
 def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
-    """Return where a signal keeps within `height` for a second at least."""
+    """Return the parts of at least a second in which a signal stays within `height`."""
     step = float(np.median(np.diff(time)))
     window = max(round(REST / step), 2)
     if time.size < window:
@@ -145,7 +145,7 @@ def _is_reached(time: Array, rests: Sequence[_Rest], k: int, end: int, drift: fl
 def _named(
     time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
 ) -> Segment | None:
-    """Return what lies between two rests; None for less than the noise, and for sines and sweeps."""
+    """Return the manoeuvre between two rests; None within the noise, and for sines and sweeps."""
     rows = slice(
         min(before.last, after.first), max(before.last, after.first) + 1
     )  # noise lets rests overlap
@@ -167,7 +167,7 @@ def _named(
 
 
 def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
-    """Return sign and duration of every pulse; a brief way from one to the next is shared out, a pause has sign 0."""
+    """Return sign and duration of every pulse; both neighbors share a brief way, a pause has sign 0."""
     state = np.where(deviation > threshold, 1, np.where(deviation < -threshold, -1, 0))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(state)) + 1, [state.size]])
     ends = np.append(time, time[-1])[edges]
@@ -194,7 +194,7 @@ def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, 
 
 
 def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
-    """Name pulses by their durations; between them there must be no pause."""
+    """Name pulses without a pause between them by their durations."""
     signs = [sign for sign, _ in pulses]
     durations = tuple(duration for _, duration in pulses)
     if 0 in signs:
@@ -227,9 +227,9 @@ def _segment(
 def _band(
     time: Array, values: Array, before: _Rest, after: _Rest, kind: str
 ) -> tuple[float, float]:
-    """Return the frequencies, rad/s, at which the input is strong: its derivative, of a step.
+    """Return the band, rad/s, in which the input, or the derivative of a step, is strong.
 
-    From one period over the manoeuvre and the second of rest on both sides.
+    It begins at one period over the manoeuvre and a second of rest on both sides.
     """
     first, last = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
     rows = slice(int(first), int(last) + 1)
@@ -246,7 +246,7 @@ def _band(
         return low, 2 * low
     omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
     strong = np.flatnonzero(size >= STRONG * size.max())
-    # Up to the first hole beyond which nothing is strong for an octave.
+    # The band ends at the first hole of an octave.
     weak = np.flatnonzero(np.diff(strong) > 1)
     stop = next(
         (strong[k] for k in weak if omega[strong[k + 1]] > 2 * omega[strong[k]]), strong[-1]

@@ -1,4 +1,4 @@
-"""What the columns of a table are, where its own names do not say: names, and units in which they are."""
+"""Renames the columns of a table, and converts them to SI."""
 
 from collections.abc import Mapping
 from dataclasses import replace

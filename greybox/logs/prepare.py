@@ -15,9 +15,9 @@ from greybox.files.text_table import counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 
-# Of the new rate: the anti-alias filter passes up to the first and stops from the second, the new
-# Nyquist frequency. A wider pass band takes more samples from the ends of a stretch: the filter has
-# 5.0 / (STOP - PASS) new samples.
+# The anti-alias filter passes up to the first share of the new rate and stops from the second, the
+# new Nyquist frequency. A wider pass band takes more samples from the ends of a stretch: the filter
+# has 5.0 / (STOP - PASS) new samples.
 PASS = 0.35
 STOP = 0.5
 ATTENUATION = 80.0  # dB: 1e-4 of the amplitude of what would be aliased
@@ -30,7 +30,7 @@ FASTEST = (
 
 @dataclass(frozen=True)
 class Derived:
-    """A signal computed from others after they share a time base: ``compute(*inputs) -> (n,)``."""
+    """A signal that is computed from others on the common time base: ``compute(*inputs) -> (n,)``."""
 
     inputs: tuple[str, ...]
     compute: Callable[..., Array]
@@ -79,18 +79,18 @@ def prepare(
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
 
-    Angles are unwrapped and units become SI, see `greybox.data.units`; the findings name those that
-    did not, since they are not known or may mean two things. A signal without a unit remains as it
-    is. Where a signal is sampled faster than `rate`, a zero-phase anti-alias filter comes first
-    (flat to 0.35 of the new rate). Nothing is interpolated across a gap: there the record has a gap
-    itself, and `Record.pieces` are the stretches between.
+    Angles are unwrapped and units become SI, see `greybox.data.units`. The findings name units that
+    are unknown or ambiguous, and stay. A signal without a unit stays as it is. A signal that is
+    sampled faster than `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new
+    rate. Nothing is interpolated across a gap: the record has the same gap, and `Record.pieces` are
+    the stretches between.
 
-    Angles of ArduPilot that the log cuts to whole hundredths of a degree get the lost half of one,
-    see `greybox.logs.ardupilot.truncated_angles`.
+    ArduPilot cuts angles to whole hundredths of a degree. Half of one is added, see
+    `greybox.logs.ardupilot.truncated_angles`.
 
-    A signal that is held from sample to sample, as the output of a controller, remains so at its
-    own rate or above: each new sample is its mean until the next one. Below its rate the filter
-    takes the steps away, and `Record.hold` keeps for how long they lasted.
+    A held signal, such as the output of a controller, stays held at its own rate or above: each new
+    sample is its mean until the next one. Below its rate the filter removes the steps, and
+    `Record.hold` stores how long they lasted.
 
     Parameters
     ----------
@@ -103,8 +103,7 @@ def prepare(
     start, end : float, s
         Cut to this stretch of the log's clock.
     held : sequence of str
-        New names of the signals that are held until their next sample, where the log does not say
-        so itself.
+        New names of signals that are held until their next sample, if the log does not say so.
 
     Returns
     -------
@@ -187,7 +186,7 @@ class _Source:
     unit: str
     findings: tuple[str, ...]
     hold: float | None
-    step: float  # s, median of the stretch that is wanted: elsewhere it may have been logged at another rate
+    step: float  # s, median of the requested stretch: the rate may differ elsewhere
 
     @property
     def is_held(self) -> bool:
@@ -199,7 +198,7 @@ class _Source:
         return rate < SAME_RATE / self.step
 
     def hold_at(self, rate: float) -> float | None:
-        """Return for how long values last in a record at this rate, as far as that is known."""
+        """Return how long values last in a record at this rate, s, or None."""
         if not self.is_held:
             return self.hold
         return self.step if self.is_filtered(rate) else HELD
@@ -287,7 +286,7 @@ def _rate(grid: Array) -> float:
 
 
 def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
-    """Return the mean over the coming step of what is held from sample to sample, so that nothing moves in time."""
+    """Return the mean of a held signal over each coming step, which moves nothing in time."""
     ends = np.append(time[1:], time[-1] + step)
     integral = np.append(0.0, np.cumsum(values * (ends - time)))
     bounds = np.append(time[0], ends)
@@ -295,7 +294,7 @@ def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
 
 
 def _known_hold(sources: Sequence[_Source], grid: Array) -> float | None:
-    """Return for how long the values of a signal last that is computed from these; None where that is not known."""
+    """Return how long the values of a signal computed from these last, s, or None."""
     holds = {source.hold_at(_rate(grid)) for source in sources}
     return holds.pop() if len(holds) == 1 else None
 
@@ -309,7 +308,7 @@ def _interpolated(time: Array, values: Array, grid: Array) -> Array:
 
 
 def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:
-    """Filter with zero phase on a uniform base of the source's own rate; the ends are extended by point reflection."""
+    """Filter with zero phase at the rate of the source; point reflection extends the ends."""
     from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (takes a third of a second to import)
 
     uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 2))
@@ -327,7 +326,7 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
 
 
 def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
-    """Return the filters that the record knows of, or else those of the flight controller."""
+    """Return the filters stated by the record, or else those of the flight controller."""
     for name in names:
         record, field = recording.locate(name)
         if field in record.filters:

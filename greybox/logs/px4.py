@@ -1,4 +1,4 @@
-"""What PX4 does to signals and tests: the signals of an axis, and the filters of the gyro.
+"""PX4: the signals of an axis, and the filters of the gyro.
 
 Sources: the topics at https://docs.px4.io/main/en/msg_docs/; IMU_GYRO_CUTOFF, IMU_GYRO_NF0_FRQ,
 IMU_GYRO_NF0_BW and IMU_DGYRO_CUTOFF at

@@ -1,4 +1,4 @@
-"""The excited parts of a flight: System Identification mode, announced sine tests, or sines seen in a setpoint."""
+"""Finds the tests in a flight: System Identification mode, announced sines, or sines in a setpoint."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -43,9 +43,8 @@ def find_segments(
 ) -> tuple[Segment, ...]:
     """Return the excited segments of a flight, in order of time.
 
-    They are searched in this order: runs of ArduPilot's System Identification mode (messages SIDS
-    and SIDD); tests announced in `message`; if neither gave anything, sines and sweeps in the
-    setpoint itself.
+    Runs of ArduPilot's System Identification mode (messages SIDS and SIDD) and tests announced in
+    `message` come first. Without any, sines and sweeps are searched in the setpoint.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ def find_segments(
     fields : mapping
         The fields of that message: keys ``omega`` (rad/s) or ``frequency`` (Hz), and, if there are
         such fields, ``segment`` (number of the test), ``axis``, ``amplitude``, ``offset``. Default:
-        `ANNOUNCED`, as far as the message has them. A test ends where one of these changes, or
+        the fields of `ANNOUNCED` that the message has. A test ends where one of these changes, or
         where the message pauses for a second.
     setpoint : str or sequence of str
         Signals to search for sines, ``"ATT.DesPitch"``; default: those of `SETPOINTS` that exist.
@@ -86,7 +85,7 @@ def find_segments(
 
 
 def _system_identification(data: Recording | Record) -> list[Segment]:
-    """Return the runs of ArduPilot's System Identification mode, one for each SIDS message that makes sense."""
+    """Return the runs of ArduPilot's System Identification mode, one for each valid SIDS message."""
     if not isinstance(data, Recording) or "SIDS" not in data:
         return []
     settings = data["SIDS"]
@@ -127,7 +126,7 @@ def _one_run(data: Recording, start: float, until: float, setting: Mapping[str, 
 
 
 def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, str]:
-    """Return when a run stopped: its data end, or a text says that it was stopped (the data then go on)."""
+    """Return when a run stopped: its data end, or a text says so while the data continue."""
     time = data["SIDD"].time if "SIDD" in data else np.array([until])
     during = time[(time >= start) & (time <= until)]
     last = float(during[-1]) if during.size else start
@@ -165,7 +164,7 @@ def _announced(
 
 
 def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
-    """Return the rows of each test: cut where a field changes or the message pauses; omega 0 or NaN is no test."""
+    """Return the rows of each test, cut where a field changes or the message pauses, with omega above 0."""
     change = np.zeros(max(time.size - 1, 0), dtype=bool)
     if time.size > 1:
         steps = np.diff(time)
@@ -193,7 +192,7 @@ def _one_test(
 
 
 def _checked(segment: Segment, data: Recording | Record) -> Segment:
-    """Refuse a test that is too short, not excited, or during which the flight mode changed: the pilot took over."""
+    """Refuse a test that is too short, not excited, flown by hand, or with a change of the flight mode."""
     texts = []
     if segment.periods < 1:
         texts.append(f"shorter than one period ({segment.periods:.2f} of one)")

@@ -1,10 +1,14 @@
-"""What ArduPilot does to signals and tests, with its parameters from the log.
+"""Effects of ArduPilot on signals and tests, from the parameters in the log.
 
-`signals` names the controls, sensors and setpoints of an axis, and the axes of System
-Identification mode; `filters` has the filters of the gyro and of the rate controllers. `loop_rate`
-says what a log of every second pass of the control loop costs, `motors` how finely a control
-reaches the motors, and when these are at their limits; `truncated_angles` adds what the log cuts
-off.
+Begin with `signals`.
+
+| file | contents |
+| --- | --- |
+| `signals` | controls, sensors and setpoints of an axis; axes of System Identification mode |
+| `filters` | filters of the gyro and of the rate controllers |
+| `loop_rate` | errors of a log that has only some passes of the control loop |
+| `motors` | resolution and limits of the motor outputs |
+| `truncated_angles` | half a hundredth of a degree that the log cuts off |
 """
 
 from greybox.logs.ardupilot.filters import named_filters as named_filters

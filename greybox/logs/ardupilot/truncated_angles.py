@@ -1,9 +1,9 @@
 """Angles that ArduPilot logs as whole hundredths of a degree, cut off toward zero.
 
-An angle that crosses zero is low by half a step on either side, which is a square wave in phase
-with it. Of a sine of amplitude A, its fundamental is 2 step / (π A): the gain is 1.4 % low at an
-amplitude of 0.47°, and a rate measured beside the angle does not agree with it. The lost half is
-known, so that it is added.
+An angle that crosses zero is low by half a step on either side: the error is a square wave in phase
+with the angle. Relative to a sine of amplitude A, its fundamental is 2 step / (π A). At an amplitude
+of 0.47° the gain is 1.4 % low and disagrees with the measured rate. The lost half is known, so it is
+added.
 
 Source: AP_AHRS.cpp of ArduPilot (update_cd_values: a float is assigned to a whole number of
 centidegrees) and the format letter c of https://ardupilot.org/copter/docs/logmessages.html.
@@ -24,7 +24,7 @@ FIELDS = (
 
 
 def is_truncated(signal: str, values: Array) -> bool:
-    """Return whether a signal of a log, deg, was cut: a log of later firmware, not in whole hundredths, was not."""
+    """Return whether a signal, deg, was cut: logs of later firmware are not in whole hundredths."""
     message, _, field = signal.rpartition(".")
     if message.partition("[")[0] not in MESSAGES or field not in FIELDS:
         return False
@@ -34,9 +34,9 @@ def is_truncated(signal: str, values: Array) -> bool:
 
 
 def untruncated(signal: str, values: Array) -> Array:
-    """Return the angles of a log, deg, with the half step that was cut off; other signals as they are.
+    """Return the angles of a log, deg, with the half step that was cut off; other signals unchanged.
 
-    Zero remains, as what is cut to it lies on both sides.
+    Zero remains: angles on both sides are cut to it.
     """
     return (
         values + np.sign(np.round(values / STEP)) * STEP / 2

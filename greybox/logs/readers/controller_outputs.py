@@ -1,4 +1,4 @@
-"""Which signals of a log are outputs of a controller, which holds them, and which are samples of what is continuous.
+"""Finds the signals of a log that a controller holds, and those that are samples of continuous ones.
 
 A flight controller sets its outputs and setpoints once in every pass of its loop, and they keep
 their values until the next one. A log has every pass or, thinned, only some: then a value lasted
@@ -21,7 +21,7 @@ import numpy as np
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.logs.readers.messages import Messages
 
-# Message and fields; of what is in neither table, it is not known.
+# Message and fields. For fields in neither table, it is unknown.
 OUTPUTS = {
     "ATT|ANG": "Des(Roll|Pitch|Yaw)",
     "RATE": "[RPYA](Des|Out)|AOutSlew",
@@ -67,7 +67,7 @@ SLOWEST_LOOP = 50.0  # Hz, the lowest SCHED_LOOP_RATE: a log that is slower has 
 
 
 def with_holds(groups: Iterable[Messages], parameters: Mapping[str, float]) -> list[Messages]:
-    """Return the messages with what is known of how long their values lasted, given the vehicle's parameters."""
+    """Return the messages with how long their values lasted, from the vehicle's parameters."""
     rates = [parameters[name] for name in LOOP_RATES if parameters.get(name, 0) > 0]
     period = 1 / rates[0] if rates else math.nan
     return [replace(group, hold=_holds(group, period)) for group in groups]

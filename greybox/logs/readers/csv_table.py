@@ -42,8 +42,8 @@ def read(
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
     in ``time_s``, ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; without a unit it
-    is in seconds. Where there is none, the first column serves if it increases and has the unit of
-    a time. A table without such a column holds rows that have no order in time, see `Record`.
+    is in seconds. Otherwise it is the first column, if this increases and has a unit of time. The
+    rows of a table without a time column have no order in time, see `Record`.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def read(
     ------
     ValueError
         If there is no header or no numeric column; if a line has more cells than the header, or its
-        decimal marks cannot be told from separators of thousands.
+        decimal marks might be separators of thousands.
     OSError
         If the file cannot be opened.
     """
@@ -202,7 +202,7 @@ def _numbers(cells: Sequence[str], comma: bool) -> tuple[Array | None, list[int]
 
 
 def _infinite(columns: Mapping[str, Array], line_numbers: Sequence[int]) -> tuple[str, ...]:
-    """Say which columns have infinite values, and where."""
+    """Return a finding on the columns with infinite values."""
     places = {name: np.flatnonzero(np.isinf(values)) for name, values in columns.items()}
     named = [
         f"{name} ({counted(rows.size, 'cell')}, the first in line {line_numbers[rows[0]]})"
@@ -217,7 +217,7 @@ def _infinite(columns: Mapping[str, Array], line_numbers: Sequence[int]) -> tupl
 def _time_first(
     headings: Sequence[Heading], columns: Mapping[str, Array], path: Path
 ) -> dict[str, Array]:
-    """Return the columns; where none is named as a time, the first serves if it increases and has a unit of time.
+    """Return the columns; without a named time, the first is one if it increases and has a unit of time.
 
     Raises
     ------

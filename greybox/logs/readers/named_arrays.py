@@ -23,7 +23,7 @@ class Variable(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What a file holds: its arrays, what was wrong with it, and what it says about the vehicle."""
+    """The contents of a file: its arrays, its defects, and facts about the vehicle."""
 
     variables: list[Variable]
     findings: list[str]

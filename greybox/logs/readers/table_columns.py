@@ -1,4 +1,4 @@
-"""Tables of named columns, from any file: units in headings, the time column, and the messages made of them."""
+"""Makes messages of the columns of a table: units in headings, and the time column."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -122,14 +122,14 @@ def of_rows(
 
 
 def _unit_and_hold(text: str) -> tuple[str, float | None]:
-    """Split ``1 held`` into the unit and for how long a value lasts; None where that is not said."""
+    """Split ``1 held`` into the unit and how long a value lasts, s, or None."""
     unit, _, word = text.strip().rpartition(" ")
     hold = BETWEEN.get(word.lower())
     return (text, None) if hold is None else (unit.strip(), hold)
 
 
 def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Array]]:
-    """Return the signals of one variable: itself, or the columns of a matrix; none if the length is another."""
+    """Return the signals of one variable: itself, or the columns of a matrix, of the right length."""
     if values.shape[:1] != (size,):
         return []
     if values.ndim == 1:
@@ -140,5 +140,5 @@ def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str,
 
 
 def name_list(names: Sequence[str], most: int = 12) -> str:
-    """Return names with commas between, and how many more there are."""
+    """Return names separated by commas, and the number of those left out."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

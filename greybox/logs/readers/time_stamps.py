@@ -7,20 +7,22 @@ import numpy as np
 
 from greybox.files.arrays import Array, IntArray
 
-BACK = 1.0  # s by which stamps must fall at a clock restart; between messages of one boot they fall by up to 4 ms
-WINDOW = 50  # messages before and after, whose medians must agree that the clock restarted: 24 damaged ones do not matter
-BLOCK = (
-    2**16
-)  # stamps that are looked at together: half a megabyte, against logs of ten million messages
-PAUSE = 10.0  # s between two boots on the common clock: the real pause is not known
-SLACK = 600.0  # s before the first or after the last stamps, beyond which a stamp is damaged or of another clock
+# s by which stamps fall at a clock restart; between messages of one boot they fall by up to 4 ms.
+BACK = 1.0
+
+# The medians of this number of earlier and later messages show a restart despite 24 damaged ones.
+WINDOW = 50
+
+BLOCK = 2**16  # stamps at once: half a megabyte, in logs of ten million messages
+PAUSE = 10.0  # s between two boots on the common clock: the real pause is unknown
+SLACK = 600.0  # s outside of the first and last stamps: farther ones are damaged
 
 
 def restarts(stamps: Array) -> tuple[int, ...]:
     """Return where the clock restarted, as indices into the stamps (s) of all messages in the order of the file.
 
-    A single damaged stamp is not a restart: the median stamp after must lie below the median
-    before.
+    A single damaged stamp is not a restart: the median of the later stamps must be below that of the
+    earlier ones.
     """
     pieces = [(start, stamps[start : start + BLOCK + 1]) for start in range(0, stamps.size, BLOCK)]
     drops = np.concatenate(
@@ -38,9 +40,8 @@ def restarts(stamps: Array) -> tuple[int, ...]:
 def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the stamps (s) on one clock that continues at a restart, NaN where they are implausible, and findings.
 
-    They are the stamps given where these are so already. After a restart the clock is set to
-    `PAUSE` after the last stamp before it, so that all boots stay in the record, separated by a
-    gap.
+    Stamps that already are so are returned as they are. After a restart the clock is set to `PAUSE`
+    after the last stamp of the previous boot, so that a gap separates the boots of a record.
     """
     finite = np.isfinite(stamps)
     ticks = stamps if finite.all() else stamps[finite]
@@ -70,7 +71,7 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
 
 
 def _plausible(stamps: Array) -> Array:
-    """Return the stamps of one boot, NaN where they lie far outside of those at its start and its end."""
+    """Return the stamps of one boot, NaN far outside of those at its start and its end."""
     if not stamps.size:
         return stamps
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
@@ -81,10 +82,9 @@ def _plausible(stamps: Array) -> Array:
 
 
 def _edge(stamps: Array, side: int) -> float:
-    """Return the first (side -1) or last (1) of some stamps that mostly increase evenly; a quarter may be wrong.
+    """Return the first (side -1) or last (1) of stamps that mostly increase evenly.
 
-    A quarter of the stamps lies between the median and a quartile: the edge is twice as far from
-    the median.
+    A quarter may be damaged: the edge is twice as far from the median as the quartile.
     """
     low, middle, high = np.percentile(stamps, (25, 50, 75))
     return float(middle + side * 2 * (high - middle if side > 0 else middle - low))
@@ -100,7 +100,7 @@ def increasing(time: Array) -> IntArray:
 
 
 def _longest_increase(values: Array) -> IntArray:
-    """Longest strictly increasing subsequence, by patience sorting in O(n log n); of equal values the first stays."""
+    """Return the longest strictly increasing subsequence, by patience sorting, O(n log n)."""
     tails: list[float] = []
     last: list[int] = []
     link = np.full(values.size, -1)
