@@ -386,7 +386,9 @@ def assemble(
         equivalents=equivalent_estimates(nlp, search),
         priors=_priors(nlp.problem),
     )
-    return replace(answer, notes=(*answer.notes, *determined_together(answer)))
+    if accuracy.combinations:
+        return replace(answer, notes=(*answer.notes, *determined_together(answer)))
+    return answer
 
 
 def _failed(

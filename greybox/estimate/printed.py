@@ -184,19 +184,12 @@ def _prior_texts(fit: Any) -> list[str]:
 
 
 def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
-    """Say how inputs ran between their samples, one line for all that ran alike in the same records."""
-    alike: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for name in dict.fromkeys(name for part in records for name in part.between):
-        ways = dict.fromkeys(part.between[name] for part in records if name in part.between)
-        for way in ways:
-            where: tuple[str, ...] = ()
-            if len(ways) > 1:
-                where = tuple(part.name for part in records if part.between.get(name) == way)
-            alike.setdefault((way, where), []).append(name)
-    return [
-        f"{', '.join(names)} {way}{f' ({some(where)})' if any(where) else ''}"
-        for (way, where), names in alike.items()
-    ]
+    """Say how the inputs ran between their samples, one line for all that ran alike."""
+    alike: dict[str, dict[str, None]] = {}
+    for part in records:
+        for name, way in part.between.items():
+            alike.setdefault(way, {})[name] = None
+    return [f"{', '.join(names)} {way}" for way, names in alike.items()]
 
 
 def _output_texts(records: Sequence[FittedRecord]) -> list[str]:

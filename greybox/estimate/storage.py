@@ -11,7 +11,7 @@ anyone: nothing in it is executed, nothing that it names is imported, and what i
 together (SECURITY.md).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import (
+    AnyFittedPart,
+    FittedRecord,
+    FittedResponse,
+    FittedSpectrum,
+)
 from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.result import Fit, Quantity
 from greybox.estimate.stored_values import (
@@ -152,7 +157,7 @@ def _read_minima(group: Stored) -> tuple[Minimum, ...]:
     )
 
 
-def _read_part(group: Stored) -> FittedResponse | FittedRecord | FittedSpectrum:
+def _read_part(group: Stored) -> AnyFittedPart:
     kind = next(kind for name, kind in PARTS.items() if name in group)
     part = kind(**read_fields(group, fields_of(kind)))
     model = part.model
@@ -183,83 +188,65 @@ def _require_consistent(fit: Fit) -> None:
     for name, prior in fit.priors.items():
         as_prior(prior, f"the prior of {name!r:.40}")
 
-    p = len(fit.free)
-    _require_shapes(
-        (fit.covariance, (len(fit.names),) * 2),
-        (fit.white, (p, p)),
-        (fit.independent and fit.independent[0], (p, p)),
-    )
-    if fit.equivalents is not None:
-        _require_shapes((fit.equivalents, (max(len(fit.equivalents), 1), p)))
-    _require_consistent_directions(fit.directions, p)
-    _require_consistent_directions(fit.known, len(fit.names))
-    _require_consistent_runs(fit)
-    for part in fit.parts:
-        _require_consistent_part(part, p)
-    if fit.profiles is not None:
-        for profile in fit.profiles.profiles:
-            n = len(profile.values)
-            others = (n, len(fit.profiles.free))
-            _require_shapes((profile.costs, (n,)), (profile.roots, (n,)), (profile.others, others))
-
-
-def _require_consistent_runs(fit: Fit) -> None:
-    p, r = len(fit.free), len(fit.runs.cost)
-    shapes = dict.fromkeys(fields_of(type(fit.runs)), (r,)) | dict.fromkeys(
-        ("start", "estimate"), (r, p)
-    )
-    _require_shapes(*((getattr(fit.runs, name), shape) for name, shape in shapes.items()))
-    require(np.array_equal(fit.runs.indices, np.arange(r)), "its runs are not in order")
+    sizes = {"p": len(fit.free), "k": len(fit.names), "r": len(fit.runs.cost)}
+    _require_shapes(fit, {"covariance": "kk", "white": "pp", "equivalents": "*p"}, sizes)
+    if fit.independent is not None:
+        size = (sizes["p"], sizes["p"])
+        require(fit.independent[0].shape == size, "independent has another shape")
+    _require_consistent_directions(fit.directions, sizes["p"])
+    _require_consistent_directions(fit.known, sizes["k"])
+    columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
+    _require_shapes(fit.runs, columns | {"start": "rp", "estimate": "rp"}, sizes)
+    require(np.array_equal(fit.runs.indices, np.arange(sizes["r"])), "its runs are not in order")
     for minimum in fit.minima:
-        _require_shapes((minimum.estimate, (p,)))
-        ends = (0, *sorted(minimum.runs), r - 1)
+        _require_shapes(minimum, {"estimate": "p"}, sizes)
+        ends = (0, *sorted(minimum.runs), sizes["r"] - 1)
         require(len(ends) > 2, "no run ended at one of its minima")
         require(sorted(ends) == [*ends], "a minimum belongs to a run that it does not have")
+    for part in fit.parts:
+        _require_consistent_part(part, sizes["p"])
+    if fit.profiles is not None:
+        for profile in fit.profiles.profiles:
+            sizes = {"n": len(profile.values), "f": len(fit.profiles.free)}
+            _require_shapes(profile, {"costs": "n", "roots": "n", "others": "nf"}, sizes)
 
 
 def _require_consistent_directions(directions: KnownDirections | None, size: int) -> None:
-    if directions is None:
-        return
-    _require_shapes(
-        (directions.covariance, (size, size)),
-        (directions.unseen, (size, directions.unseen.shape[-1])),
-        (directions.size, (size,)),
-        (directions.at, (size,)),
-    )
-    _require_consistent_directions(directions.elsewhere, size)
+    if directions is not None:
+        axes = {"covariance": "nn", "unseen": "n*", "size": "n", "at": "n"}
+        _require_shapes(directions, axes, {"n": size})
+        _require_consistent_directions(directions.elsewhere, size)
 
 
-def _require_consistent_part(part: FittedResponse | FittedRecord | FittedSpectrum, p: int) -> None:
-    for information in (part.information, part.information_alone):
-        if information is not None:
-            _require_shapes((information, (p, information.shape[-1])))
-    size = len(part.data)
+def _require_consistent_part(part: AnyFittedPart, p: int) -> None:
+    sizes = {"p": p, "n": len(part.data)}
+    _require_shapes(part, {"information": "p*", "information_alone": "p*"}, sizes)
     if isinstance(part, FittedResponse):
-        _require_shapes((part.response, (size,)))
+        _require_shapes(part, {"response": "n"}, sizes)
         amplitudes = 1 if part.sine is None else np.size(part.sine.amplitude)
-        require(amplitudes in (1, size), "an amplitude is missing")
+        require(amplitudes in (1, sizes["n"]), "an amplitude is missing")
         return
 
-    outputs = len(part.outputs)
-    _require_shapes((part.noise, (outputs, outputs)))
+    sizes["o"] = len(part.outputs)
+    _require_shapes(part, {"noise": "oo"}, sizes)
     if isinstance(part, FittedSpectrum):
         known = {*part.data.outputs} & {*part.fitted}
-        _require_shapes(*((values, (size,)) for values in part.fitted.values()))
+        arrays = part.fitted.values()
+        require(all(a.shape == (sizes["n"],) for a in arrays), "a fitted output is incomplete")
     else:
         known = {*part.data.signals} & {*part.simulated.signals}
-        require(
-            np.array_equal(part.data.time, part.simulated.time),
-            "the simulated record has other times than its data",
-        )
-        gains = len(part.gains)
-        _require_shapes((part.gain, (gains,)), (part.error, (outputs, size)))
-        if part.gain_slope is not None:
-            _require_shapes((part.gain_slope, (gains, part.gain_slope.shape[-1])))
-        _require_shapes(*((values, (values.size,)) for values in part.initial.values()))
+        is_same_time = np.array_equal(part.data.time, part.simulated.time)
+        require(is_same_time, "the simulated record has other times than its data")
+        sizes["g"] = len(part.gains)
+        _require_shapes(part, {"gain": "g", "gain_slope": "g*", "error": "on"}, sizes)
+        require(all(a.ndim == 1 for a in part.initial.values()), "an initial state is no list")
     require({*part.outputs} <= known, "an output is not in the data")
 
 
-def _require_shapes(*arrays: tuple[Any, tuple[int, ...]]) -> None:
-    """Require the shape of every array that is there."""
-    for array, shape in arrays:
-        require(array is None or array.shape == shape, f"the shape of an array is not {shape}")
+def _require_shapes(value: Any, axes_of: Mapping[str, str], sizes: Mapping[str, int]) -> None:
+    """Require the shapes of the arrays of a value: a letter of `sizes` for each axis, "*" for any length."""
+    for name, axes in axes_of.items():
+        array = getattr(value, name)
+        if array is not None:
+            shape = tuple(sizes.get(axis, length) for axis, length in zip(axes, array.shape))  # noqa: B905
+            require(array.shape == shape and array.ndim == len(axes), f"{name} has another shape")

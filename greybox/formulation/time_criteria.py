@@ -281,25 +281,17 @@ class PredictionError(TimeCriterion):
         )
 
 
-# Measured ranges of the signal: bounds that stay out of the way, and starts near zero, since a
-# larger error of a sensor would be found by eye. A tenth and ten times of either leave 20 of 20
-# starts at the minimum (the spring of the tests with biases of its position and its force).
+# Measured ranges of the signal that bound a bias: far beyond any error of a sensor.
 WIDEST_BIAS = 10.0
-USUAL_BIAS = 0.05
-
-# Of the deviation of a measured signal: that of its noise to begin with, until residuals tell it,
-# and the least, far below the resolution of sensors.
-USUAL_NOISE = 0.1
-LEAST_NOISE = 1e-5
 
 
 def _deviation_parameter(name: str, record: Record) -> Parameter:
     """Return the unknown standard deviation of the noise of a sensor."""
     spread = float(np.nanstd(record[name])) or 1.0
-    start = USUAL_NOISE * spread
+    start = 0.1 * spread  # until the residuals show the noise
     return Parameter(
         start,
-        bounds=(LEAST_NOISE * spread, math.inf),
+        bounds=(1e-5 * spread, math.inf),  # far below the resolution of sensors
         starts=(start, start),
         unit=record.units.get(name, "1"),
         about=f"standard deviation of the noise of {name}",
@@ -317,7 +309,8 @@ def bias_parameter(name: str, record: Record) -> Parameter:
     return Parameter(
         0.0,
         bounds=(-WIDEST_BIAS * span, WIDEST_BIAS * span),
-        starts=(-USUAL_BIAS * span, USUAL_BIAS * span),
+        # Near zero, since a larger error of a sensor would be seen by eye.
+        starts=(-0.05 * span, 0.05 * span),
         unit=record.units.get(name, "1"),
         about=f"constant error of the measured {name}",
     )
