@@ -87,8 +87,10 @@ class AllParts:
 
     def first_progress(self, *, near_solution: bool = False) -> Progress:
         """Return the progress of an iteration whose nodes come from the data, exact if there are none."""
-        has_nodes = any(part.has_nodes for part in self.parts)
-        return relaxed(self.settings, near_solution=near_solution) if has_nodes else EXACT
+        with_nodes = [bool(part.gains) for part in self.parts if part.has_nodes]
+        if not with_nodes:
+            return EXACT
+        return relaxed(self.settings, near_solution=near_solution, predicts=all(with_nodes))
 
     # --- judging an iterate
 

@@ -115,12 +115,15 @@ class Progress:
 EXACT = Progress()
 
 
-def relaxed(settings: Strategies, *, near_solution: bool = False) -> Progress:
+def relaxed(
+    settings: Strategies, *, near_solution: bool = False, predicts: bool = False
+) -> Progress:
     """Return the progress of an iteration that begins with nodes from the data.
 
-    Near a solution, continuity is exact as soon as the nodes have moved.
+    Near a solution, continuity is exact as soon as the nodes have moved. Predictors need only the
+    first stage: innovations correct their states.
     """
     stages = (0.0,)
     if settings.continuity_homotopy and not near_solution:
-        stages = (1.0, 0.1, 0.01, 0.001, 0.0)
+        stages = (1.0, 0.0) if predicts else (1.0, 0.1, 0.01, 0.001, 0.0)
     return Progress((1.0, *stages), 3) if settings.states_first else Progress(stages)
