@@ -3,53 +3,55 @@
 The model is x[k+1] = F x[k] + w, y = C x + v, with w of the covariance Q that noise on the
 derivatives of some states makes over a sample, and v of that of the sensors, V. The prediction
 errors of its steady filter have the covariance S = C P Cᵀ + V, and the gain is K = P Cᵀ S⁻¹, where
-P = F (P - K C P) Fᵀ + Q: Riccati's equation. Its derivatives follow from the equation itself: dP =
-A dP Aᵀ + ..., A = F (I - K C), which is linear. Source: Maine and Iliff (1981), SIAM Journal on
+P = F (P - K C P) Fᵀ + Q: Riccati's equation. Source: Maine and Iliff (1981), SIAM Journal on
 Applied Mathematics 41(3); Simon (2006), Optimal State Estimation.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
 from greybox.files.arrays import Array, BoolArray, IntArray
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def steady_covariance(F: Array, C: Array, process: Array) -> Array:
-    """Return the covariance P (n, n) of the predicted states of a steady Kalman filter; NaN without one.
+def steady_covariance(F: Any, C: Any, process: Any) -> Any:
+    """Return the covariance P (..., n, n) of the predicted states of steady Kalman filters; NaN without one.
 
-    `process` (n, n) is the covariance of the process noise; the sensors have unit variances. By the
-    structure-preserving doubling algorithm, which needs as many iterations as the filter takes
-    doublings of the sample to settle. Source: Chu, Fan, Lin, Wang (2004), International Journal of
-    Control 77(8).
+    `process` (..., n, n) is the covariance of the process noise; the sensors have unit variances.
+    Leading axes are filters. By the structure-preserving doubling algorithm, which needs as many
+    iterations as the filter takes doublings of the sample to settle. Source: Chu, Fan, Lin, Wang
+    (2004), International Journal of Control 77(8).
     """
-    n = len(F)
-    variance = np.diag(process)
-    size = np.sqrt(np.where(variance > 0, variance, variance.max(initial=0.0)))
-    A = F.T * size[:, None] / size
-    scaled = C * size
-    G = scaled.T @ scaled
-    H = process / size / size[:, None]
-    eye = np.eye(n)
+    variance = np.diagonal(process, axis1=-2, axis2=-1).real
+    largest = variance.max(axis=-1, keepdims=True, initial=0.0)
+    size = np.sqrt(np.where(variance > 0, variance, largest))
+    row, column = size[..., None, :], size[..., :, None]
+    A = transposed(F) * column / row
+    scaled = C * row
+    G = transposed(scaled) @ scaled
+    H = process / row / column
+    eye = np.eye(F.shape[-1])
     for _ in range(60):  # doublings of the time: 2^60 samples
         if not np.all(np.isfinite(A)) or not np.all(np.isfinite(H)):
             break
         try:
-            solution = np.linalg.solve(eye + G @ H, np.hstack([A, G]))
+            step = np.linalg.solve(eye + G @ H, A)
+            gramian = np.linalg.solve(eye + G @ H, G)
         except np.linalg.LinAlgError:
             break
-        step, gramian = solution[:, :n], solution[:, n:]
-        change = A.T @ H @ step
-        G = G + A @ gramian @ A.T
+        change = transposed(A) @ H @ step
+        G = G + A @ gramian @ transposed(A)
         A = A @ step
-        H = H + (change + change.T) / 2
+        H = H + (change + transposed(change)) / 2
         if np.abs(change).max(initial=0.0) <= 1e-12 * np.abs(H).max(initial=0.0):
-            return H * size * size[:, None]
-    return np.full((n, n), np.nan)
+            return H * row * column
+    return np.full(F.shape, np.nan)
 
 
 def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
@@ -110,39 +112,52 @@ class NoiseModel:
 
     @np.errstate(over="ignore", invalid="ignore")
     def at(self, q: Array) -> SteadyFilter:
-        """Return the filter at the parameters q; NaN where there is none."""
-        (F, dF), (half, dhalf), (C, dC) = self._linearization(q)
-        n, k, free = len(F), len(C), dF.shape[0]
-        V, dV = _diagonal(q, np.arange(k), self.deviations, self.columns, k)
-        K, dK = np.zeros((n, k)), np.zeros((free, n, k))
-        S, dS = V, dV
-        if np.any(q[self.intensities] > 0):
-            W, dW = _diagonal(q, self.driven, self.intensities, self.columns, n)
-            # The integral over a sample by Simpson's rule: exact for two integrators in a row.
-            Q = self.step / 6 * (W + 4 * half @ W @ half.T + F @ W @ F.T)
-            dQ = (
-                self.step
-                / 6
-                * (dW + 4 * _congruence(half, dhalf, W, dW) + _congruence(F, dF, W, dW))
-            )
-            # Noise does not reach the other states, which may be integrators without a steady filter.
-            r = np.flatnonzero(reached(F, self.driven))
-            block = np.ix_(r, r)
-            K[r], dK[:, r], S, dS = _filter(
-                (F[block], dF[:, r][:, :, r]),
-                (C[:, r], dC[:, :, r]),
-                (Q[block], dQ[:, r][:, :, r]),
-                (V, dV),
-            )
-        return SteadyFilter(K, np.moveaxis(dK, 0, -1), S, np.moveaxis(dS, 0, -1))
+        """Return the filter at the parameters q; NaN where there is none.
+
+        The derivatives are by complex steps: a change of 1e-100 i of a parameter changes the real
+        parts by less than rounding, and the imaginary parts by the derivative, to all digits.
+        """
+        tiny = 1e-100
+        steps = 1j * tiny * np.eye(len(q))[self.columns]
+        moved = q + np.vstack([np.zeros(len(q)), steps])
+        F, half, C = (M + 1j * tiny * slopes for M, slopes in self._linearization(q))
+        K, S = self._filters(F, half, C, moved)
+        slopes = np.moveaxis(K[1:].imag / tiny, 0, -1), np.moveaxis(S[1:].imag / tiny, 0, -1)
+        return SteadyFilter(K[0].real, slopes[0], S[0].real, slopes[1])
+
+    def _filters(self, F: Any, half: Any, C: Any, q: Any) -> tuple[Any, Any]:
+        """Return the gains (m, n, k) and covariances of the prediction errors (m, k, k) of m filters."""
+        n, k = F.shape[-1], C.shape[-2]
+        K = np.zeros((len(q), n, k), dtype=complex)
+        V = diagonal(q[:, self.deviations] ** 2)
+        if not np.any(q[0, self.intensities].real > 0):
+            return K, V
+        W = np.zeros((len(q), n, n), dtype=complex)
+        W[:, self.driven, self.driven] = q[:, self.intensities] ** 2
+        # The integral over a sample by Simpson's rule: exact for two integrators in a row.
+        Q = self.step / 6 * (W + 4 * half @ W @ transposed(half) + F @ W @ transposed(F))
+
+        # Noise does not reach the other states, which may be integrators without a steady filter.
+        r = np.flatnonzero(reached(F[0].real, self.driven))
+        block = np.ix_(range(len(q)), r, r)
+        F, C, Q = F[block], C[:, :, r], Q[block]
+        root = np.sqrt(np.diagonal(V, axis1=1, axis2=2))[:, :, None]
+        P = steady_covariance(F, C / root, Q)
+        S = C @ P @ transposed(C) + V
+        if not np.all(np.isfinite(S)):
+            K[:, r] = np.nan
+            return K, V
+        K[:, r] = transposed(np.linalg.solve(S, C @ P))
+        return K, S
 
     def _linearization(self, q: Array) -> list[tuple[Array, Array]]:
-        """Return matrices with their derivatives (free, rows, columns)."""
-        values = [np.asarray(value) for value in self.linear.call([ca.DM(q)])]
-        return [
-            (M.astype(float), slope.T.reshape(-1, M.shape[1], M.shape[0]).transpose(0, 2, 1))
-            for M, slope in zip(values[:3], values[3:], strict=True)
-        ]
+        """Return matrices and their derivatives (1 + free, rows, columns), the first of which is zero."""
+        values = [np.asarray(value, dtype=float) for value in self.linear.call([ca.DM(q)])]
+        result = []
+        for M, slope in zip(values[:3], values[3:], strict=True):
+            slopes = transposed(slope.T.reshape(-1, M.shape[1], M.shape[0]))
+            result.append((M, np.concatenate([np.zeros((1, *M.shape)), slopes])))
+        return result
 
 
 def noise_model(
@@ -193,63 +208,6 @@ def reached(F: Array, states: IntArray) -> BoolArray:
     return dependent
 
 
-def _filter(
-    transition: tuple[Array, Array],
-    output: tuple[Array, Array],
-    process: tuple[Array, Array],
-    noise: tuple[Array, Array],
-) -> tuple[Array, Array, Array, Array]:
-    """Return gain and covariance of the prediction errors, each followed by its derivatives (free, rows, columns)."""
-    (F, dF), (C, dC), (Q, dQ), (V, dV) = transition, output, process, noise
-    n = len(F)
-    P = steady_covariance(F, C / np.sqrt(np.diag(V))[:, None], Q)
-    S = C @ P @ C.T + V
-    if not np.all(np.isfinite(S)):
-        return np.full((n, len(C)), np.nan), np.full((len(dF), n, len(C)), np.nan), V, dV
-    K = np.linalg.solve(S, C @ P).T.astype(float)
-    error_share = np.eye(n) - K @ C
-    updated = P - K @ C @ P
-
-    # Derivatives of the update in Joseph's form, (I - K C) P (I - K C)ᵀ + K V Kᵀ, which does not
-    # change with K to first order.
-    mixed = K @ dC @ P @ error_share.T
-    forced = K @ dV @ K.T - mixed - mixed.transpose(0, 2, 1)
-    forced = F @ forced @ F.T + dQ
-    mixed = dF @ updated @ F.T
-    forced = forced + mixed + mixed.transpose(0, 2, 1)
-    A = F @ error_share
-    try:
-        dP = np.linalg.solve(np.eye(n * n) - np.kron(A, A), forced.reshape(len(forced), n * n).T)
-    except np.linalg.LinAlgError:
-        dP = np.full((n * n, len(forced)), np.nan)
-    dP = dP.T.reshape(-1, n, n)
-
-    mixed = dC @ P @ C.T
-    dS = C @ dP @ C.T + mixed + mixed.transpose(0, 2, 1) + dV
-    dPC = dP @ C.T + P @ dC.transpose(0, 2, 1) - K @ dS
-    dK = np.linalg.solve(S, dPC.transpose(0, 2, 1)).transpose(0, 2, 1).astype(float)
-    return K, dK, S, dS
-
-
-def _congruence(F: Array, dF: Array, W: Array, dW: Array) -> Array:
-    """Return the derivatives of F W Fᵀ."""
-    mixed = dF @ W @ F.T
-    return mixed + mixed.transpose(0, 2, 1) + F @ dW @ F.T
-
-
-def _diagonal(
-    q: Array,
-    rows: IntArray,
-    places: IntArray,
-    columns: BoolArray,
-    size: int,
-) -> tuple[Array, Array]:
-    """Return the diagonal matrix (size, size) of squares of q at `places`, and its derivatives (free, size, size)."""
-    matrix = np.zeros((size, size))
-    matrix[rows, rows] = q[places] ** 2
-    number = np.cumsum(columns) - 1
-    slope = np.zeros((int(columns.sum()), size, size))
-    for row, place in zip(rows, places, strict=True):
-        if columns[place]:
-            slope[number[place], row, row] = 2 * q[place]
-    return matrix, slope
+def transposed(matrices: Any) -> Any:
+    """Return the transposes of matrices (..., n, m)."""
+    return np.swapaxes(matrices, -1, -2)
