@@ -17,7 +17,7 @@ Begin with `compiled_problem`.
 | `segments` | all segments simulated and linearized at once |
 | `step_size` | substeps of a sample and samples of a segment |
 | `initial_states` | states to begin with |
-| `record_linearization` | estimated noise covariance and known initial states in the linearization |
+| `record_linearization` | steady filters and known initial states in the linearization |
 | `condensing` | elimination of nodes and multipliers of continuity |
 | `residual_covariance` | the weights of the residuals |
 | `kalman_gain`, `riccati` | the gain of a predictor; the one that follows from process noise |

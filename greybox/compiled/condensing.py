@@ -19,7 +19,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.part import Condensed, Trajectory
-from greybox.compiled.residual_covariance import followed_by_covariance, reduced_hessian
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray
@@ -27,9 +26,6 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Segments from which a chain is long: of fewer, a solver takes less than 50 MB.
 LONG_CHAIN = 10_000
-
-# Share of the Hessian of a known covariance that an estimated one leaves, at least.
-LEAST_CURVATURE = 0.05
 
 
 def condense(
@@ -65,15 +61,8 @@ def condense(
         hessian[record] += change[:, 1:]
         gradient[record] += change[:, 0]
 
-    slope = trajectory.detail.placed.slope
-    q = slope.shape[-2]
-    decrease = _predicted_decrease(
-        b, x[:, :, 0], multiplier[:, :, 0], trajectory, variance, q, segments
-    )
-    if gradient.shape[1] > q:
-        reduced = _without_covariance(hessian, gradient, x, multiplier, q, segments)
-        hessian, gradient, x, multiplier = reduced
     hessian = (hessian + hessian.transpose(0, 2, 1)) / 2
+    slope = trajectory.detail.placed.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
     by_z = slopes.reshape(-1, slope.shape[-1])
     return Condensed(
@@ -84,7 +73,7 @@ def condense(
         multiplier=multiplier[:, :, 0],
         multiplier_sensitivity=_by_variables(multiplier[:, :, 1:], slopes, segments),
         damping=node_damping,
-        decrease=decrease,
+        decrease=_predicted_decrease(b, x[:, :, 0], multiplier[:, :, 0], trajectory.gaps, variance),
     )
 
 
@@ -130,41 +119,15 @@ def _by_variables(by_active: Array, slopes: Array, segments: Segments) -> Array:
     return np.concatenate([by_active[rows] @ slope for rows, slope in pairs])
 
 
-def _without_covariance(
-    hessian: Array, gradient: Array, x: Array, multiplier: Array, q: int, segments: Segments
-) -> tuple[Array, Array, Array, Array]:
-    """Eliminate the variables of the estimated covariance of every record, those after the first q."""
-    hessians, gradients = np.empty((len(hessian), q, q)), np.empty((len(gradient), q))
-    nodes, multipliers = x[:, :, : 1 + q].copy(), multiplier[:, :, : 1 + q].copy()
-    for record, rows in enumerate(segments.record_rows):
-        H, g = hessian[record], gradient[record]
-        right = np.concatenate([g[q:, None], H[q:, :q]], axis=1)
-        follows = followed_by_covariance(H[q:, q:], right, LEAST_CURVATURE)
-        gradients[record] = g[:q] + H[:q, q:] @ follows[:, 0]
-        taken = -H[:q, q:] @ follows[:, 1:]
-        hessians[record] = reduced_hessian(H[:q, :q], taken, LEAST_CURVATURE)
-        nodes[rows] += x[rows, :, 1 + q :] @ follows
-        multipliers[rows] += multiplier[rows, :, 1 + q :] @ follows
-    return hessians, gradients, nodes, multipliers
-
-
 def _predicted_decrease(
-    b: Linearization,
-    step: Array,
-    multiplier: Array,
-    trajectory: Trajectory,
-    variance: Array,
-    q: int,
-    segments: Segments,
+    b: Linearization, step: Array, multiplier: Array, gaps: Array, variance: Array
 ) -> float:
     """Return the decrease of the merit that the quadratic model predicts for the step of the nodes alone."""
     curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
-    by_covariance = segments.by_record((b.cross_hessian[:, :, q:] * step[:, :, None]).sum(axis=1))
-    curved -= float((by_covariance**2).sum())
     change = float((b.node_gradient * step).sum()) + 0.5 * curved
     if np.all(variance > 0):
         gaps_after = variance * multiplier
-        change += 0.5 * float(((gaps_after**2 - trajectory.gaps**2) / variance).sum())
+        change += 0.5 * float(((gaps_after**2 - gaps**2) / variance).sum())
     return max(-change, 0.0)
 
 

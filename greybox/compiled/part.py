@@ -363,13 +363,8 @@ class Part(ABC):
         """Return W (k, k) for residuals of a `share` of each signal's spread."""
 
     @abstractmethod
-    def linearize(
-        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
-    ) -> Any:
-        """Linearize along a trajectory, the residuals multiplied by `weight` (k, k).
-
-        With `covariance_curvature` an estimated residual covariance follows the parameters.
-        """
+    def linearize(self, trajectory: Trajectory, weight: Array) -> Any:
+        """Linearize along a trajectory, the residuals multiplied by `weight` (k, k)."""
 
     @abstractmethod
     def continuity_variance(self, linearization: Any, spread: float) -> Array:

@@ -31,9 +31,7 @@ class PartWithoutNodes(Part):
         return NO_NODES
 
     @abstractmethod
-    def linearize(
-        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
-    ) -> tuple[Array, Array]:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and a Hessian (p, p) without negative eigenvalues."""
 
     def continuity_variance(self, linearization: Any, spread: float) -> Array:

@@ -1,41 +1,14 @@
-"""The linearization of records beyond that of their segments: an estimated noise covariance, known initial states."""
+"""The linearization of records beyond that of their segments: steady filters, known initial states."""
 
 import math
 from dataclasses import fields, replace
 
 import numpy as np
 
-from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array, BoolArray, IntArray
-
-
-def with_estimated_covariance(
-    b: Linearization, covariance: ResidualCovariance, records: IntArray
-) -> Linearization:
-    """Return the linearization with the residual covariance following the parameters.
-
-    Variables t join the parameters, of cost t²/2 - t · uᵀx, which is -(uᵀx)²/2 at the best t: an
-    estimated covariance takes the squares of the vectors u from the Hessian. `records` (s,) are the
-    records of the segments.
-    """
-    assert b.moments is not None
-    by_nodes = covariance.of(records).curvature_of_covariance(b.moments[0])
-    by_parameters = covariance.curvature_of_covariance(b.moments[1])
-    r = by_parameters.shape[2]
-    identity = np.broadcast_to(np.eye(r), (len(by_parameters), r, r))
-    hessian = np.block(
-        [[b.parameter_hessian, -by_parameters], [-by_parameters.transpose(0, 2, 1), identity]]
-    )
-    return replace(
-        b,
-        parameter_sensitivity=np.pad(b.parameter_sensitivity, ((0, 0), (0, 0), (0, r))),
-        cross_hessian=np.concatenate([b.cross_hessian, -by_nodes], axis=2),
-        parameter_hessian=hessian,
-        parameter_gradient=np.pad(b.parameter_gradient, ((0, 0), (0, r))),
-    )
 
 
 def with_filter_covariance(
@@ -71,9 +44,7 @@ def without_known_states(
     """
     slopes = np.where(known[:, None], initial_slope, 0.0)
     slopes = slopes.reshape(-1, *slopes.shape[-2:])
-    slopes = np.pad(slopes, ((0, 0), (0, 0), (0, b.cross_hessian.shape[2] - slopes.shape[2])))
-    arrays = {f.name: getattr(b, f.name).copy() for f in fields(b) if f.name != "moments"}
-    b = Linearization(**arrays)
+    b = Linearization(*(getattr(b, f.name).copy() for f in fields(b)))
     for k in np.flatnonzero(data.begins_record):
         record = records[k]
         follow = slopes[record if len(slopes) > 1 else 0]

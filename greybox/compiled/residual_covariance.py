@@ -94,33 +94,10 @@ class ResidualCovariance:
         """Return W (k, k) with WᵀW the inverse of the covariance."""
         return np.linalg.inv(np.linalg.cholesky(self.covariance(products))).astype(float)
 
-    def curvature_of_covariance(self, moments: Array) -> Array:
-        """Return vectors u (..., v, r); an estimated covariance reduces the Hessian of a known one by uuᵀ.
-
-        `moments` (..., k, k, v) are sums of e_a · de_b, of weighted residuals e. The covariance
-        follows the parameters: d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), and
-        Gauss-Newton has only the first term.
-        """
-        counts = np.maximum(self.counts, 1)
-        variances = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)[..., None, :]
-        if not self.full:
-            return variances
-        a, b = np.triu_indices(counts.shape[-1], 1)
-        pairs = np.swapaxes(moments[..., a, b, :] + moments[..., b, a, :], -1, -2)
-        covariances = pairs / np.sqrt(counts.max(axis=-1))[..., None, None]
-        return np.concatenate([variances, covariances], axis=-1)
-
     def along(self, measured: Array) -> "ResidualCovariance":
         """Return the covariance for other measured values (k, samples) of the same outputs."""
         counts, spread = _counts_and_spread(measured)
         return replace(self, counts=counts, spread=spread)
-
-    def of(self, records: IntArray) -> "ResidualCovariance":
-        """Return the covariance of these records, in this order; the same where there is one for all."""
-        if self.counts.ndim == 1:
-            return self
-        known = None if self.known is None else self.known[records]
-        return ResidualCovariance(self.counts[records], self.spread[records], known, self.full)
 
 
 def diagonal(values: Array) -> Array:
@@ -131,26 +108,6 @@ def diagonal(values: Array) -> Array:
 def of_diagonal(matrices: Array) -> Array:
     """Return the diagonals (..., k) of matrices (..., k, k)."""
     return np.diagonal(matrices, axis1=-2, axis2=-1)
-
-
-def followed_by_covariance(hessian: Array, right: Array, least: float) -> Array:
-    """Return -H⁻¹ right, with eigenvalues of H no smaller than `least`."""
-    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
-    return -(vectors / np.maximum(values, least)) @ vectors.T @ right
-
-
-def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
-    """Return a Hessian (q, q) less another one, but at least the share `least` of it in every direction."""
-    size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
-    unit = 1 / np.where(size > 0, size, 1.0)
-    try:
-        root = np.linalg.cholesky(hessian * unit * unit[:, None] + 1e-10 * np.eye(len(hessian)))
-    except np.linalg.LinAlgError:
-        return hessian
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ ((by + by.T) / 2 * unit * unit[:, None]) @ inverse.T)
-    axes = (root @ vectors) / unit[:, None]
-    return hessian - (axes * np.minimum(values, 1 - least)) @ axes.T
 
 
 def residual_covariance_of(

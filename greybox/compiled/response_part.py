@@ -124,9 +124,7 @@ class ResponsePart(PartWithoutNodes):
             return float(trajectory.products[0, 0])
         return float(self.objective(trajectory.z, smoothing))
 
-    def linearize(
-        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
-    ) -> tuple[Array, Array]:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
         gradient, hessian = (value.full() for value in self._derivatives(trajectory.z, SMOOTHING))
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)

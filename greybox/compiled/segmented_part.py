@@ -10,7 +10,6 @@ from greybox.compiled.condensing import close_gaps, condense
 from greybox.compiled.part import Condensed, Part, Trajectory
 from greybox.compiled.record_linearization import (
     continuity_variance,
-    with_estimated_covariance,
     with_filter_covariance,
     without_known_states,
 )
@@ -243,17 +242,10 @@ class SegmentedPart(Part):
 
     # --- linearization
 
-    def linearize(
-        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
-    ) -> Linearization:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> Linearization:
         """Linearize along a trajectory, known initial states eliminated."""
         placed: Placed = trajectory.detail.placed
-        estimated = self.covariance.known is None and len(self.outputs) > 1
-        moments = covariance_curvature and estimated and placed.filter is None
-        states = trajectory.detail.states
-        b = self.segments.linearize(states, placed.q, weight, placed.data, moments=moments)
-        if moments:
-            b = with_estimated_covariance(b, self.covariance, self.segments.records)
+        b = self.segments.linearize(trajectory.detail.states, placed.q, weight, placed.data)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)

@@ -40,9 +40,6 @@ class Linearization:
         JᵀJ of the node with itself and with the parameters, and Jᵀe, of every segment.
     parameter_hessian, parameter_gradient : (r, q, q) and (r, q) arrays
         JᵀJ and Jᵀe of the parameters, of all segments of each of the r records together.
-    moments : (s, k, k, n) and (r, k, k, q) arrays, or None
-        Sums over samples of e_a · de_b by every node and by the parameters, where they were asked
-        for.
     """
 
     transition: Array
@@ -52,7 +49,6 @@ class Linearization:
     node_gradient: Array
     parameter_hessian: Array
     parameter_gradient: Array
-    moments: tuple[Array, Array] | None = None
 
 
 class Segments:
@@ -275,9 +271,7 @@ class Segments:
 
     # --- linearization
 
-    def linearize(
-        self, states: Array, q: Array, weight: Array, data: Array, *, moments: bool = False
-    ) -> Linearization:
+    def linearize(self, states: Array, q: Array, weight: Array, data: Array) -> Linearization:
         """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance.
 
         It is one (k, k) for all segments, or one for every record (r, k, k).
@@ -290,9 +284,6 @@ class Segments:
         node_gradient = np.empty((s, n))
         parameter_hessian = np.zeros((self.number, v - n, v - n))
         parameter_gradient = np.zeros((self.number, v - n))
-        k = self.k if moments else 0
-        node_moments = np.empty((s, k, k, n))
-        parameter_moments = np.zeros((self.number, k, k, v - n))
 
         for batch in self.batches(s):
             ends, J, e = self.sensitivities(states, q, data, batch)
@@ -303,10 +294,6 @@ class Segments:
             else:
                 J = np.einsum("cab,lbvc->lavc", weight[self.records[batch]], J)
                 e = np.einsum("cab,lbc->lac", weight[self.records[batch]], e)
-            if moments:
-                M = np.einsum("lac,lbvc->cabv", e, J)
-                node_moments[batch] = M[..., :n]
-                parameter_moments += self.by_record(M[..., n:], batch)
             c = len(range(s)[batch])
             J = np.ascontiguousarray(J.reshape(-1, v, c).transpose(2, 0, 1))
             e = e.reshape(-1, c).T
@@ -326,7 +313,6 @@ class Segments:
             node_gradient=node_gradient,
             parameter_hessian=parameter_hessian,
             parameter_gradient=parameter_gradient,
-            moments=(node_moments, parameter_moments) if moments else None,
         )
 
     def sensitivities(

@@ -88,11 +88,6 @@ class Strategies:
 
     5 of 189 runs are lost and none is won without it (chain, guarded tanks, thrust).
     """
-    covariance_curvature: bool = True
-    """Near the minimum the Hessian accounts for the estimated noise covariance, which follows the parameters.
-
-    107 iterations instead of 172 with a full covariance and a model that is too simple.
-    """
 
     # --- predictors
 

@@ -347,9 +347,7 @@ class TransientPart(PartWithoutNodes):
             math.inf if at is None else at.covariance.cost(trajectory.products) - 2 * at.logarithms
         )
 
-    def linearize(
-        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
-    ) -> tuple[Array, Array]:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Fisher information (p, p): end term and noise are at their best, and follow."""
         at: Along = trajectory.detail
         by_z: Any = [

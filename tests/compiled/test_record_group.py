@@ -100,28 +100,20 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
         assert_allclose(ours.detail.placed.slope, one.detail.placed.slope)
         assert_allclose(ours.detail.placed.data, one.detail.placed.data)
     for simulated in (False, True):
-        for curvature in (False, True):
-            found = [
-                _system(part, t, curvature, simulated)
-                for part, t in zip(nlp.parts, each, strict=True)
-            ]
-            shared = [
-                _system(part, t, curvature, simulated)
-                for part, t in zip(groups.parts, together, strict=True)
-            ]
-            for wanted, ours in zip(
-                *(map(sum, zip(*systems, strict=True)) for systems in (found, shared)), strict=True
-            ):
-                assert_allclose(ours, wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
+        systems = (
+            [_system(part, t, simulated) for part, t in zip(parts, trajectories, strict=True)]
+            for parts, trajectories in ((nlp.parts, each), (groups.parts, together))
+        )
+        alone, shared = (map(sum, zip(*system, strict=True)) for system in systems)
+        for wanted, ours in zip(alone, shared, strict=True):
+            assert_allclose(ours, wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
 
 
-def _system(part, trajectory, curvature, simulated):
+def _system(part, trajectory, simulated):
     """Hessian, gradient and decrease of the nodes alone, exact in the continuity, whose scales do not matter then."""
     if simulated:
         trajectory = part.trajectory(trajectory.z, trajectory.nodes, simulated=True)
-    linear = part.linearize(
-        trajectory, part.residual_weight(trajectory), covariance_curvature=curvature
-    )
+    linear = part.linearize(trajectory, part.residual_weight(trajectory))
     condensed = part.condense(linear, trajectory, np.zeros(2))
     return condensed.hessian, condensed.gradient, np.array(condensed.decrease)
 

@@ -173,41 +173,6 @@ def test_condensing_is_the_dense_elimination(made, relaxed, damping):
     assert_allclose(condensed.gradient, gradient, atol=1e-4 * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("noise", ["diagonal", "full"])
-def test_condensing_leaves_out_what_an_estimated_covariance_follows(noise):
-    """As the dense elimination of nodes and multipliers from the Hessian of the concentrated likelihood."""
-    part, z = part_of(spring(80), gb.OutputError(inputs="held", noise=noise))
-    z = 1.02 * z
-    trajectory = part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True)
-    weight = part.residual_weight(trajectory)
-    linear = part.linearize(trajectory, weight, covariance_curvature=True)
-    condensed = part.condense(linear, trajectory, np.zeros(2))
-
-    by_nodes, by_z = dense(part, z, trajectory.nodes, residuals)
-    A, B = dense(part, z, trajectory.nodes, gaps)
-    W = np.kron(weight, np.eye(part.data.samples))
-    e = (W @ residuals(part, z, trajectory.nodes)).reshape(len(weight), -1)
-    slopes = W @ np.hstack([by_nodes, by_z])
-    moments = np.einsum("an,bnv->abv", e, slopes.reshape(*e.shape, -1))
-    followed = part.covariance.curvature_of_covariance(moments)
-    H = slopes.T @ slopes - followed @ followed.T
-    n = trajectory.nodes.size
-    kkt = np.block([[H[:n, :n], A.T], [A, np.zeros((len(A), len(A)))]])
-    g = slopes.T @ e.ravel()
-    right = np.block([[g[:n, None], H[:n, n:]], [np.zeros((len(A), 1)), B]])
-    solution = np.linalg.lstsq(kkt, -right, rcond=None)[0]
-    step, follow = solution[:, 0], solution[:, 1:]
-    hessian = H[n:, n:] + H[n:, :n] @ follow[:n] + B.T @ follow[n:]
-    gradient = g[n:] + H[n:, :n] @ step[:n] + B.T @ step[n:]
-    assert_allclose(condensed.hessian, hessian, atol=1e-3 * np.abs(hessian).max())
-    assert_allclose(condensed.gradient, gradient, atol=1e-3 * np.abs(gradient).max())
-    assert_allclose(condensed.node_step.ravel(), step[:n], atol=1e-3 * np.abs(step[:n]).max())
-    follow = follow[:n].reshape(condensed.node_sensitivity.shape)
-    assert_allclose(condensed.node_sensitivity, follow, atol=1e-3 * np.abs(follow).max())
-    plain = part.condense(part.linearize(trajectory, weight), trajectory, np.zeros(2)).hessian
-    assert np.abs(plain - hessian).max() > 5e-3 * np.abs(hessian).max()
-
-
 def test_gaps_are_closed_by_the_least_change_of_the_outputs(made):
     part, z, trajectory = made
     weight = part.initial_weight(0.1)

@@ -9,8 +9,6 @@ from scipy.stats import multivariate_normal, norm
 import greybox as gb
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
-    followed_by_covariance,
-    reduced_hessian,
     require_independent,
     residual_covariance_of,
 )
@@ -183,37 +181,6 @@ def test_an_output_that_never_moves():
     assert np.isfinite(noise.cost(products))
 
 
-@pytest.mark.parametrize(("choice", "h"), [("diagonal", 1e-3), ("full", 1e-5)])
-def test_the_hessian_of_the_cost_is_that_of_the_weighted_squares_less_what_the_covariance_follows(
-    choice, h
-):
-    """Second differences of the likelihood along two directions in which the residuals are linear."""
-    noise, products = made(choice)
-    directions = (
-        np.random.default_rng(6).normal(size=(2, *RESIDUALS.shape)) * RESIDUALS.std(axis=1)[:, None]
-    )
-    directions += 0.5 * RESIDUALS
-
-    def cost(first, second):
-        moved = RESIDUALS + first * directions[0] + second * directions[1]
-        return noise.cost(moved @ moved.T)
-
-    pairs = [(h, 0), (-h, 0), (0, h), (0, -h), (h, h), (h, -h), (-h, h), (-h, -h)]
-    a, b, c, d, e, f, g, i = (cost(*pair) for pair in pairs)
-    middle = cost(0, 0)
-    hessian = (
-        np.array(
-            [[a + b - 2 * middle, (e - f - g + i) / 4], [(e - f - g + i) / 4, c + d - 2 * middle]]
-        )
-        / h**2
-    )
-    weight = noise.weight(products)
-    white, slopes = weight @ RESIDUALS, np.array([weight @ direction for direction in directions])
-    squares = np.einsum("vkn,wkn->vw", slopes, slopes)
-    followed = noise.curvature_of_covariance(np.einsum("an,vbn->abv", white, slopes))
-    assert_allclose(squares - followed @ followed.T, hessian, rtol=1e-4, atol=1e-3)
-
-
 def test_a_predicted_covariance_is_that_of_the_density():
     predicted = np.array([[2.0, 0.3], [0.3, 0.5]])
     noise = ResidualCovariance(np.array([400, 400]), np.ones(2), None, True, predicted)
@@ -245,19 +212,6 @@ def test_costs_of_records_add_and_each_has_a_covariance_of_its_own(choice):
     assert_allclose(
         together.weight(products), [noise.weight(product) for noise, product in each], atol=1e-9
     )
-    moments = np.random.default_rng(8).normal(size=(3, 3, 3, 4))
-    curvature = [
-        noise.curvature_of_covariance(m) for (noise, _), m in zip(each, moments, strict=True)
-    ]
-    assert_allclose(together.curvature_of_covariance(moments), curvature)
-
-    some = together.of(np.array([2, 0]))
-    assert_allclose(some.covariance(products[[2, 0]]), [wanted[2], wanted[0]])
-    assert some.cost(products[[2, 0]]) == pytest.approx(
-        each[2][0].cost(products[2]) + each[0][0].cost(products[0])
-    )
-    one = each[0][0]
-    assert one.of(np.array([0])) is one
 
 
 def test_the_spread_of_what_is_missing_or_constant():
@@ -289,28 +243,3 @@ def test_outputs_are_dependent_where_single_precision_does_not_part_them(apart, 
     else:
         require_independent(("a", "b", "c", "d"), measured)
     require_independent(("a", "d"), np.array([[1.0, 2.0], [2.0, 4.0]]))  # of two samples, all are
-
-
-def test_a_hessian_less_another_keeps_its_share_in_every_direction():
-    """Along common eigenvectors, where the difference would be 3, 0.5 and -7."""
-    axes = np.linalg.qr(np.random.default_rng(9).normal(size=(3, 3)))[0]
-    hessian, by = (axes * [4.0, 1.0, 1.0]) @ axes.T, (axes * [1.0, 0.5, 8.0]) @ axes.T
-    assert_allclose(reduced_hessian(hessian, by, 0.1), (axes * [3.0, 0.5, 0.1]) @ axes.T, atol=1e-7)
-    units = np.array([1.0, 1e5, 1e-4])
-    scaled = reduced_hessian(hessian * units * units[:, None], by * units * units[:, None], 0.1)
-    assert_allclose(scaled / units / units[:, None], (axes * [3.0, 0.5, 0.1]) @ axes.T, atol=1e-6)
-    assert_allclose(reduced_hessian(-hessian, by, 0.1), -hessian)  # what has no factor stays
-    blind = np.diag([2.0, 0.0])
-    assert_allclose(
-        reduced_hessian(blind, np.diag([1.0, 0.0]), 0.1), np.diag([1.0, 0.0]), atol=1e-8
-    )
-
-
-def test_what_follows_a_covariance_is_limited_where_the_hessian_is_flat():
-    hessian, right = np.diag([2.0, 1e-3]), np.array([4.0, 1.0])
-    assert_allclose(followed_by_covariance(hessian, right, 0.1), [-2.0, -10.0])
-    turned = np.array([[0.6, -0.8], [0.8, 0.6]])
-    assert_allclose(
-        followed_by_covariance(turned @ hessian @ turned.T, turned @ right, 0.1),
-        turned @ [-2.0, -10.0],
-    )

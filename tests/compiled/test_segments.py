@@ -217,7 +217,7 @@ def test_a_linearization_is_that_of_the_weighted_residuals(made, records, batch,
     residuals = segments.residuals(states, each, data)
     k = residuals.shape[0]
     weight = np.random.default_rng(6).normal(size=(many, k, k))
-    found = segments.linearize(states, each, weight, data, moments=True)
+    found = segments.linearize(states, each, weight, data)
     _, plain = ends_and_residuals(step, initial, each, rows)
     assert_allclose(segments.by_segment(residuals), plain, rtol=1e-9, atol=1e-12)
     products = segments.products(residuals)
@@ -240,7 +240,6 @@ def test_a_linearization_is_that_of_the_weighted_residuals(made, records, batch,
     J = np.einsum("sab,slbv->slav", of_each, np.moveaxis(slopes, 0, -1))
     e = np.einsum("sab,slb->sla", of_each, plain)
     hessian, gradient = np.einsum("slav,slaw->svw", J, J), np.einsum("sla,slav->sv", e, J)
-    moments = np.einsum("sla,slbv->sabv", e, J)
 
     def summed(values):
         return np.array([values[records == r].sum(axis=0) for r in range(many)])
@@ -253,9 +252,6 @@ def test_a_linearization_is_that_of_the_weighted_residuals(made, records, batch,
     assert_allclose(found.node_gradient, gradient[:, :2], **close)
     assert_allclose(found.parameter_hessian, summed(hessian[:, 2:, 2:]), **close)
     assert_allclose(found.parameter_gradient, summed(gradient[:, 2:]), **close)
-    assert_allclose(found.moments[0], moments[..., :2], **close)
-    assert_allclose(found.moments[1], summed(moments[..., 2:]), **close)
-    assert segments.linearize(states, each, weight, data).moments is None
 
 
 def test_stretches_are_simulated_through_their_segments(made):

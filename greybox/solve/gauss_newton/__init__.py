@@ -27,9 +27,7 @@ The nodes follow the data, so an unstable plant does not diverge, whatever the p
 
 1. *Linearize* all parts along the iterate (`greybox.compiled.segments`): sensitivities of every
    segment by its node and the parameters, and the Gauss-Newton Hessian of the residuals. The
-   inverse residual covariance weighs them. It is re-estimated from the last residuals; near the end
-   its change with the parameters enters the Hessian (`greybox.compiled.residual_covariance`), so
-   that convergence is quadratic.
+   inverse residual covariance, re-estimated from the last residuals, weighs them.
 2. *Condense* (`greybox.compiled.condensing`): one sparse factorization, linear in the number of
    segments, eliminates nodes and multipliers of continuity. A small quadratic model in z is left
    for each part; they add up.

@@ -156,14 +156,10 @@ class AllParts:
 
     # --- linearization and steps
 
-    def linearize(
-        self, iterate: Iterate, weights: Sequence[Array], *, covariance_curvature: bool = False
-    ) -> list[Any]:
+    def linearize(self, iterate: Iterate, weights: Sequence[Array]) -> list[Any]:
         """Return the linearization of every part."""
         each = zip(self.parts, iterate.trajectories, weights, strict=True)
-        return [
-            part.linearize(t, w, covariance_curvature=covariance_curvature) for part, t, w in each
-        ]
+        return [part.linearize(trajectory, weight) for part, trajectory, weight in each]
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
         """Return the variances of the gaps in the first stage, where nodes may follow the data freely.

@@ -6,7 +6,6 @@ model predicts well or promises little, until continuity is an exact constraint.
 stage the parameters are held, and the nodes move alone.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -45,9 +44,6 @@ class Progress:
     undamped_decrease : float
         Decrease that an undamped step may still promise where damped steps have come to rest. The
         default is half the square of a thirtieth of a standard error.
-    last_decrease : float
-        Predicted by the last full undamped step, or half its squared length where that is more; NaN
-        without.
     delays_held : bool
         True where delays at which the cost jumps keep their values: the cost is least at the jump.
     """
@@ -61,7 +57,6 @@ class Progress:
     # The line search has already damped a shortened step: a hundredth of the first damping is enough.
     full_damping: float = 1e-2 * FIRST_DAMPING
     undamped_decrease: float = 5e-4
-    last_decrease: float = math.nan
     delays_held: bool = False
 
     @property
@@ -86,7 +81,7 @@ class Progress:
 
     def with_delays_held(self) -> "Progress":
         """Return the progress with the discontinuous delays held, whose jumps block all steps."""
-        return replace(self, delays_held=True, damping=0.0, last_decrease=math.nan)
+        return replace(self, delays_held=True, damping=0.0)
 
     def after(self, step: Step, merit: float, gained: float, length: float) -> "Progress":
         """Return the progress after a share `length` of a step, which `gained` so much of the merit."""
@@ -96,8 +91,7 @@ class Progress:
         damping = next_damping(self.damping, length, ratio, full_damping)
 
         if self.is_exact:
-            last = max(step.decrease, step.distance) if is_full and not damping else math.nan
-            return replace(self, damping=damping, full_damping=full_damping, last_decrease=last)
+            return replace(self, damping=damping, full_damping=full_damping)
 
         is_predicted = is_full and step.decrease > 0 and abs(ratio - 1) <= KEPT_PROMISE
         promises_little = step.decrease <= KEPT_PROMISE * abs(merit)

@@ -4,7 +4,6 @@ A stalled run begins once more, with its parameters and with nodes from the data
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
@@ -86,7 +85,8 @@ def _iterated(
             return End(iterate, interruption, count, hessian)
 
         # Linearize and step.
-        weights, linearizations = _linearized(parts, iterate, progress)
+        weights = parts.residual_weights(iterate) if progress.is_exact else parts.initial_weights()
+        linearizations = parts.linearize(iterate, weights)
         progress = progress.with_gap_variance(parts.gap_variances(linearizations))
         nodes_alone = states_only or progress.state_iterations > 0
         step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
@@ -127,18 +127,6 @@ def _iterated(
             iterate = _with_gains(parts, iterate, progress)
         iterate = _simulated(parts, iterate, progress)
     return End(iterate, "iterations exceeded", iterations, hessian)
-
-
-def _linearized(
-    parts: AllParts, iterate: Iterate, progress: Progress
-) -> tuple[list[Array], list[Any]]:
-    """Return the residual weights and the linearizations of all parts.
-
-    Near the minimum the Hessian accounts for the estimated covariance, which follows the parameters.
-    """
-    weights = parts.residual_weights(iterate) if progress.is_exact else parts.initial_weights()
-    near_minimum = parts.settings.covariance_curvature and progress.last_decrease < 1.0
-    return weights, parts.linearize(iterate, weights, covariance_curvature=near_minimum)
 
 
 def _is_settled(

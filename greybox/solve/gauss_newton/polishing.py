@@ -33,10 +33,9 @@ def polished(parts: AllParts, start: Iterate) -> Iterate:
 
 
 def exact_step(parts: AllParts, iterate: Iterate, progress: Progress) -> Step:
-    """Return the step where continuity is exact and an estimated covariance follows the parameters."""
+    """Return the step where continuity is exact."""
     weights = parts.residual_weights(iterate)
-    linearizations = parts.linearize(iterate, weights, covariance_curvature=True)
-    return gauss_newton_step(parts, iterate, linearizations, progress)
+    return gauss_newton_step(parts, iterate, parts.linearize(iterate, weights), progress)
 
 
 def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:

@@ -1,6 +1,5 @@
 """The stages in which continuity is tightened."""
 
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -71,14 +70,6 @@ def test_how_an_iteration_begins():
     assert after(near, 1.0).is_exact
 
 
-def test_the_last_decrease_is_that_of_a_full_undamped_step():
-    assert after(EXACT, 0.9).last_decrease == 0.5
-    assert after(EXACT, 0.9, distance=0.7).last_decrease == 0.7
-    assert math.isnan(after(EXACT, 0.9, length=0.4).last_decrease)
-    assert math.isnan(after(EXACT, 0.1).last_decrease)  # poor: the next one is damped
-
-
 def test_held_delays_begin_without_damping():
-    progress = replace(EXACT, damping=3.0, last_decrease=0.5).with_delays_held()
+    progress = replace(EXACT, damping=3.0).with_delays_held()
     assert (progress.delays_held, progress.damping) == (True, 0.0)
-    assert math.isnan(progress.last_decrease)
