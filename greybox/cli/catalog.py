@@ -1,4 +1,4 @@
-"""Finding models and problems: those that are included, and those in a user's own file."""
+"""Models and problems: the included ones, and those in a user's own file."""
 
 import ast
 import importlib
@@ -34,12 +34,12 @@ def shipped_module(kind: str, name: str) -> ModuleType:
     Raises
     ------
     ValueError
-        If there is none of that name; the sentence suggests the nearest.
+        If it does not exist.
     """
-    known = shipped(kind)
-    if name not in known:
-        near = nearest(name, known)
-        hint = f"did you mean {near!r}?" if near else f"the included ones are {', '.join(known)}."
+    names = shipped(kind)
+    if name not in names:
+        near = nearest(name, names)
+        hint = f"did you mean {near!r}?" if near else f"the included ones are {', '.join(names)}."
         raise ValueError(
             f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py."
         )
@@ -47,7 +47,9 @@ def shipped_module(kind: str, name: str) -> ModuleType:
 
 
 def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
-    """Return a problem and its settings from an included name, ``my.py`` (its ``problem()``) or ``my.py:name``.
+    """Return a problem and its settings.
+
+    `text` is an included name, ``my.py`` (its ``problem()``) or ``my.py:name``.
 
     Raises
     ------
@@ -56,19 +58,20 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     """
     module, name = _locate("problems", text)
     place = text.removesuffix(f":{name}")
-    wanted = name or "problem"
-
-    found = getattr(module, wanted, None)
-    if found is None:
-        near = nearest(wanted, (own for own in vars(module) if not own.startswith("_")))
+    attribute = name or "problem"
+    problem = getattr(module, attribute, None)
+    if problem is None:
+        near = nearest(attribute, (other for other in vars(module) if not other.startswith("_")))
         hint = f"did you mean {near!r}? Otherwise " if near else ""
         raise ValueError(
-            f"{place} has no {wanted!r}: {hint}define {wanted}() that returns a gb.Problem."
+            f"{place} has no {attribute!r}: {hint}define {attribute}() that returns a gb.Problem."
         )
-    problem = found() if callable(found) and not isinstance(found, Problem | Sum) else found
+    if callable(problem) and not isinstance(problem, Problem | Sum):
+        problem = problem()
     if not isinstance(problem, Problem | Sum):
         raise ValueError(
-            f"{wanted} in {place} is {problem!r:.60}: it must be, or return, a gb.Problem or a sum of them."
+            f"{attribute} in {place} is {problem!r:.60}: it must be, or return, a gb.Problem or a "
+            "sum of them."
         )
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
@@ -84,7 +87,9 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
 
 
 def find_model(text: str) -> Model:
-    """Return a model from ``tilt:Tilt``, ``polynomial:Polynomial(4, 1)`` or ``my.py:Class``, or the only one of a file.
+    """Return a model from ``tilt:Tilt``, ``polynomial:Polynomial(4, 1)`` or ``my.py:Class``.
+
+    The class may be left out if it is the only model of the file.
 
     Raises
     ------
@@ -97,14 +102,14 @@ def find_model(text: str) -> Model:
             f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel."
         )
     module, name = _locate("models", match["place"])
-    known = {model.__name__: model for model in models_of(module)}
-    if not name and len(known) == 1:
-        (name,) = known
-    if name not in known:
+    models = {model.__name__: model for model in models_of(module)}
+    if not name and len(models) == 1:
+        (name,) = models
+    if name not in models:
         raise ValueError(
-            f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, known)}"
+            f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, models)}"
         )
-    return known[name](*_arguments(match["arguments"] or "()", text))
+    return models[name](*_arguments(match["arguments"] or "()", text))
 
 
 def _locate(kind: str, text: str) -> tuple[ModuleType, str]:

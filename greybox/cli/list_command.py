@@ -47,12 +47,12 @@ def run(options: argparse.Namespace) -> Answer:
         summaries = [(name, doc.partition("\n\n")[0].replace("\n", " ")) for name, doc in rows]
         blocks.append(text_table([kind, "what it is"], summaries, (0, 1)))
         answer[f"{kind}s"] = [
-            {"name": name, "summary": summary, "source": _source(doc), "about": doc}
+            {"name": name, "summary": summary, "source": source_of(doc), "about": doc}
             for (name, summary), (_, doc) in zip(summaries, rows, strict=True)
         ]
 
     # Of each source only the title: without equation, section or page.
-    sources = (_source(doc) for _, doc in (*problems, *models))
+    sources = (source_of(doc) for _, doc in (*problems, *models))
     titles = (re.split(r", (?=[(]|section|below|which)", source)[0] for source in sources)
     blocks.append("\n".join(f"Source: {title}" for title in dict.fromkeys(filter(None, titles))))
     blocks.append("`greybox list NAME` shows the details of one, with its equation.")
@@ -107,7 +107,7 @@ def _doc(module: ModuleType) -> str:
     return (module.__doc__ or "").strip()
 
 
-def _source(doc: str) -> str:
+def source_of(doc: str) -> str:
     # A capital before the dot is somebody's first name.
     match = re.search(r"Source: (.+?)(?:(?<![A-Z])\.\s|\.$|\n\n|$)", doc, re.DOTALL)
     return " ".join(match[1].split()) if match else ""

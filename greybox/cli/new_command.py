@@ -10,23 +10,10 @@ from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.starting_files import model_file, problem_file
 from greybox.files.safe_files import write_text
 
-# Packages that such a file, or who runs it, imports: one of the same name would stand in their
-# place.
-TAKEN = frozenset(
-    (
-        "casadi",
-        "control",
-        "greybox",
-        "h5py",
-        "matplotlib",
-        "models",
-        "numpy",
-        "pandas",
-        "problems",
-        "scipy",
-    )
+# A file of one of these names would hide the package that it, or its user, imports.
+PACKAGES = frozenset(
+    "casadi control greybox h5py matplotlib models numpy pandas problems scipy".split()
 )
-
 
 EXAMPLES = (
     "model pitch",
@@ -43,7 +30,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="a model alone, or a model with data and a problem",
     )
     parser.add_argument(
-        "name", metavar="NAME", help="of the file, NAME.py in this folder, and of the model in it"
+        "name", metavar="NAME", help="name of the file, NAME.py in this folder, and of its model"
     )
     parser.add_argument(
         "--in-time", action="store_true", help="an ODE and a record, not a transfer function"
@@ -52,25 +39,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Write the file, and say what to do with it."""
+    """Write the file and print the commands for it."""
     path = Path(options.name if options.name.endswith(".py") else f"{options.name}.py")
     if not path.stem.isidentifier():
         raise UsageError(
             f"{path.stem!r} cannot be the name of a Python file: use letters, digits and underscores."
         )
-    if path.stem in TAKEN | sys.stdlib_module_names:
+    if path.stem in PACKAGES | sys.stdlib_module_names:
         raise UsageError(
             f"{path.stem} is the name of a Python package, which {path} would hide: choose another name."
         )
     require_writable(path, options.force)
     write = model_file if options.kind == "model" else problem_file
     write_text(path, write(path.name, _class_name(path.stem), in_time=options.in_time))
-    following = [f"greybox list {path}", f"greybox fit --model {path} --data DATA.csv"]
+    commands = [f"greybox list {path}", f"greybox fit --model {path} --data DATA.csv"]
     if options.kind == "problem":
-        following = [f"greybox fit {path}"]
+        commands = [f"greybox fit {path}"]
     return (
-        {"file": str(path), "next": following},
-        "\n".join([f"wrote {path}", *(f"next: {f}" for f in following)]),
+        {"file": str(path), "next": commands},
+        "\n".join([f"wrote {path}", *(f"next: {command}" for command in commands)]),
         USABLE,
     )
 

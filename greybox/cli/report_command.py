@@ -84,13 +84,13 @@ def _entries(options: argparse.Namespace) -> list[Any]:
         if path in fits:
             entries.append(Entry(labels[path], fits[path], file=str(path)))
             continue
-        command = _batch_command(path)
+        command = command_of_study(path)
         members = study_entries(read_study(path), options.details)
         entries += [replace(member, command=command) for member in members]
     return entries
 
 
-def _batch_command(study: Path) -> tuple[str, ...]:
+def command_of_study(study: Path) -> tuple[str, ...]:
     """Return the command that made a study, if its folder has it."""
     origin = read_json(study / ORIGIN) if (study / ORIGIN).is_file() else {}
     if not isinstance(origin.get("study"), str):

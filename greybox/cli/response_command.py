@@ -4,8 +4,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from greybox.cli.log_tests import read_log, segment_as_json
 from greybox.cli.measurement_options import add_measurement_options, stated_band, stated_choices
 from greybox.cli.options import UsageError, add_common_options
@@ -13,6 +11,7 @@ from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_w
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
 from greybox.data.transient_file import write_spectrum
+from greybox.files.arrays import ComplexArray
 from greybox.identification.manoeuvre import measure_manoeuvre
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
@@ -107,13 +106,13 @@ def _manoeuvre(options: argparse.Namespace) -> Answer:
 
 def _matrix(options: argparse.Namespace) -> Answer:
     if options.period is None:
-        several = [
+        signals = [
             f"--{name} {' '.join(words)}"
             for name, words in (("input", options.input), ("output", options.output))
             if len(words) > 1
         ]
         raise UsageError(
-            f"{' and '.join(several)} are several signals: give one, or the --period of the "
+            f"{' and '.join(signals)} are several signals: give one, or the --period of the "
             "multisines that excite all inputs at once, or a --manoeuvre."
         )
     recording = read_log(options)
@@ -167,7 +166,7 @@ def _notes(options: argparse.Namespace, figure: str, *items: Any) -> list[str]:
     return saved + save_figure(options.plot, draw)
 
 
-def _parts(values: np.ndarray) -> dict[str, list[float]]:
+def _parts(values: ComplexArray) -> dict[str, list[float]]:
     return {"alpha": values.real.tolist(), "beta": values.imag.tolist()}
 
 

@@ -1,4 +1,4 @@
-"""Elements of the page: a tree of the standard library, which escapes every text and attribute that it writes."""
+"""Elements of the page: the tree of the standard library, which escapes texts and attributes."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,14 +7,14 @@ from xml.etree.ElementTree import Element, tostring
 from greybox.files.text_table import printable
 
 Child = Element | str | None | Iterable["Child"]
-"""What stands in an element: elements, text, nothing, or several of these."""
+"""Content of an element: elements, text, nothing, or several of these."""
 
 
 def tag(name: str, *children: Child, **attributes: Any) -> Element:
-    """Return an element; of an attribute that is None or False nothing is written, of True its name.
+    """Return an element. Attributes that are None or False are left out.
 
-    Names of attributes are written with hyphens for underscores, and without one at the end:
-    ``class_``.
+    In names of attributes hyphens replace underscores; one at the end, as in ``class_``, is left
+    out.
     """
     element = Element(name)
     for key, value in attributes.items():
@@ -43,7 +43,7 @@ def _append(element: Element, children: Child) -> None:
 
 
 def _append_text(element: Element, text: str) -> None:
-    """Append text after what is there: this tree keeps it at the element before it."""
+    """Append text; this tree keeps it in the element before it."""
     if len(element):
         element[-1].tail = (element[-1].tail or "") + text
     else:

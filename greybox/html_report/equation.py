@@ -1,4 +1,4 @@
-"""The equation of a fitted model, written from its formula."""
+"""The equation of a model, written from its formula."""
 
 from collections.abc import Iterator, Mapping
 from xml.etree.ElementTree import Element
@@ -18,24 +18,26 @@ from greybox.modeling.symbolic_reading import (
 )
 from greybox.modeling.transfer_function import TransferFunction
 
-LONGEST = 400  # symbols and operations of one equation: about ten lines, more is not read
+LONGEST = 400  # symbols and operations of one equation: about ten lines
 
 
 def equations(model: Model, values: Mapping[str, float] | None = None) -> list[Element]:
-    """Return the equations of a model; with `values`, with numbers in the place of these parameters.
+    """Return the equations of a model; `values` replace parameters.
 
     Raises
     ------
     ValueError
-        If its formula cannot be written, or is too long to be read.
+        If its formula cannot be written, or is too long.
     """
     lines = list(_lines(model))
     longest = max(size(right) for _, right in lines)
     if longest > LONGEST:
         raise ValueError(
-            f"{model.label} has an equation of {longest} symbols and operations, too long to be read."
+            f"{model.label} has an equation of {longest} symbols and operations, too long to read."
         )
-    return [formula(left, with_values(right, values) if values else right) for left, right in lines]
+    if values:
+        lines = [(variable, with_values(right, values)) for variable, right in lines]
+    return [formula(variable, right) for variable, right in lines]
 
 
 def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
@@ -52,12 +54,12 @@ def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
     assert isinstance(model, StateSpace)
     signals = {name: ca.SX.sym(name) for name in (*model.states, *model.inputs)}
     z = ca.vertcat(*signals.values())
-    known = {**signals, **parameters}
+    symbols = {**signals, **parameters}
     if model.states:
-        rates = expressions(traced_derivative(model, z, p), known, model.delays)
+        rates = expressions(traced_derivative(model, z, p), symbols, model.delays)
         for name, right in zip(model.states, rates, strict=True):
             yield tag("mover", symbol(name), operator("˙"), accent="true"), right
-    outputs = expressions(traced_output(model, z, p), known, model.delays)
+    outputs = expressions(traced_output(model, z, p), symbols, model.delays)
     for name, right in zip(model.outputs, outputs, strict=True):
         if right != Symbol(name):  # a state that is an output needs no line
             yield symbol(name), right

@@ -29,9 +29,11 @@ def formula(left: Child, right: Expression) -> Element:
 
 def symbol(name: str) -> Element:
     """Return a name as a symbol: ``omega_p`` is ω with the index p, ``a1`` is a with the index 1."""
-    first, *rest = name.strip("_").split("_") if name.strip("_") else [name]
-    found = re.fullmatch(r"([^\W\d]+)(\d+)", first)
-    base, indices = (found[1], [found[2], *rest]) if found else (first, rest)
+    base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
+    numbered = re.fullmatch(r"([^\W\d]+)(\d+)", base)
+    if numbered:
+        base, number = numbered.groups()
+        indices = [number, *indices]
     if not indices:
         return tag("mi", greek(base))
     return tag(

@@ -61,11 +61,11 @@ def traces(
     panels = []
     for unit in dict.fromkeys(record.units.get(name, "") for name in record.signals):
         names = [name for name in record.signals if record.units.get(name, "") == unit]
-        factor, shown = shown_unit(unit)
+        factor, degrees = shown_unit(unit)
         series = [
             signal_line(name, record.time, factor * record[name], colors[name]) for name in names
         ]
-        panels.append(Panel(f"{', '.join(names)}, {shown or '-'}", series))
+        panels.append(Panel(f"{', '.join(names)}, {degrees or '-'}", series))
 
     subject = record.name or "record"
     if segment is not None and segment.kind == "sine":

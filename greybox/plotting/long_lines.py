@@ -1,4 +1,4 @@
-"""Lines of long records: gaps stay open, and no more points are drawn than can be seen."""
+"""Lines of long records: gaps remain open, and no more points are drawn than can be seen."""
 
 from collections.abc import Sequence
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from greybox.files.arrays import Array, IntArray
 
-COLUMNS = 2000  # a figure 10 inches wide has these many pixels at 200 dpi; each shows a smallest and a largest value
+COLUMNS = 2000  # pixels of a figure of 10 inches at 200 dpi; each shows two extremes
 
 
 def pieces(time: Array, gap: float) -> list[IntArray]:
-    """Return the rows between the gaps: the steps of `time` (n,) that are longer than `gap`, in s."""
+    """Return the rows between gaps: steps of `time` (n,) that are longer than `gap`, s."""
     cuts = np.flatnonzero(np.diff(time) > gap) + 1
     return np.split(np.arange(time.size), cuts)
 
@@ -23,23 +23,21 @@ def drawn_line(
     thin: bool = True,
     columns: int = COLUMNS,
 ) -> tuple[Array, Array]:
-    """Return the pieces of a line, one after the other with a NaN between.
+    """Return the pieces of a line with NaN between them.
 
-    Of a long line only the extremes of what falls into one of so many columns are returned, unless
-    `thin` is False.
+    Unless `thin` is False, a long line keeps only the extremes within each of so many columns.
     """
     size = -(-sum(map(len, rows)) // columns) if thin else 1
     times: list[Array] = []
-    kept_values: list[Array] = []
-
+    heights: list[Array] = []
     for piece in rows:
-        kept = (
-            piece[_extremes(values[piece], size)] if size > 2 else piece
-        )  # two samples are their own extremes
-        times += [time[kept], np.array([np.nan])]
-        kept_values += [values[kept], np.array([np.nan])]
+        drawn = piece
+        if size > 2:  # two samples are their own extremes
+            drawn = piece[_extremes(values[piece], size)]
+        times += [time[drawn], np.array([np.nan])]
+        heights += [values[drawn], np.array([np.nan])]
 
-    return np.concatenate(times)[:-1], np.concatenate(kept_values)[:-1]
+    return np.concatenate(times)[:-1], np.concatenate(heights)[:-1]
 
 
 def _extremes(values: Array, size: int) -> IntArray:

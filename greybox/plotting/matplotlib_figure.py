@@ -425,13 +425,13 @@ def legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
     keys: dict[str, dict[tuple[int, int], Artist]] = {}
     bands: dict[str, dict[int, Artist]] = {}
     for panel_figure, panel in ((figure, panel) for figure in figures for panel in figure.panels):
-        known = set(keys)
+        earlier = set(keys)  # names in panels above
         for series in sorted(panel.series, key=lambda series: series.kind != "points"):
             is_area = series.kind == "band" or (series.kind == "regions" and not series.is_hollow)
             if is_area and panel_figure.bands:
                 patch = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
                 bands.setdefault(panel_figure.bands, {})[series.color] = patch
-            elif series.name and series.name not in known and not is_area:
+            elif series.name and series.name not in earlier and not is_area:
                 kind = "line" if series.kind == "rule" else series.kind
                 key = Line2D([], [], **_look(replace(series, kind=kind)))
                 keys.setdefault(series.name, {})[series.color, series.style] = key

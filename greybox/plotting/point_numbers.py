@@ -58,7 +58,7 @@ def _write(
     """Write `text` beside the point at `spot` (2,) in pixels, best in the direction `outward` (2,)."""
     pixel = ax.figure.figure.dpi / 72  # pixels per point
     near = Bbox([spot - 45 * pixel, spot + 45 * pixel])
-    if any(text == other and near.overlaps(box) for other, box in written):
+    if any(text == label and near.overlaps(box) for label, box in written):
         return
 
     x, y = ax.transData.inverted().transform(spot)
@@ -79,9 +79,10 @@ def _write(
     for direction in directions[np.argsort(-directions @ outward, kind="stable")]:
         distance = MARKER_SIZE * pixel + np.min(half / np.maximum(np.abs(direction), 1e-9))
         middle = spot + direction * distance
-        box = Bbox([middle - half, middle + half])
+        low, high = middle - half, middle + half
+        box = Bbox([low, high])
         is_inside = np.all(box.min >= ax.bbox.min) and np.all(box.max <= ax.bbox.max)
-        covers = np.all((obstacles > box.min - pixel) & (obstacles < box.max + pixel), axis=1)
+        covers = np.all((obstacles > low - pixel) & (obstacles < high + pixel), axis=1)
         if is_inside and not covers.any() and not any(box.overlaps(b) for _, b in written):
             note.set_position(tuple((middle - spot) / pixel))
             written.append((text, box))

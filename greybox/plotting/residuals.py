@@ -75,11 +75,11 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
         figures.append(_histogram(part, output))
         tests = _tests(part, output)
         if tests:
-            where = f", {part.data.name}" if part.data.name else ""
+            record = f", {part.data.name}" if part.data.name else ""
             p_values = (f"with {name or 'themselves'} {p_text(t.p_value)}" for name, t in tests)
             figures.append(
                 Figure(
-                    f"Residuals of {in_greek(output)}{where}",
+                    f"Residuals of {in_greek(output)}{record}",
                     "Lag, samples",
                     [_correlations(output, name, test) for name, test in tests],
                     caption="Band: 99 % of single correlations if there is none. Probability of "
@@ -126,9 +126,9 @@ def _histogram(part: FittedRecord, output: str) -> Figure:
         x = np.linspace(e.min(), e.max(), 200)
         normal = np.exp(-0.5 * ((x - e.mean()) / spread) ** 2) / (spread * math.sqrt(2 * math.pi))
         series.append(Series("normal distribution", "line", x, normal, INK))
-    where = f", {part.data.name}" if part.data.name else ""
+    record = f", {part.data.name}" if part.data.name else ""
     return Figure(
-        f"Distribution of the residuals of {in_greek(output)}{where}",
+        f"Distribution of the residuals of {in_greek(output)}{record}",
         f"Residual of {in_greek(output)}{f', {unit}' if unit else ''}",
         [Panel("Density", series)],
     )

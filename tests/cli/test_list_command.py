@@ -5,7 +5,7 @@ import json
 import pytest
 from command_line import run
 
-from greybox.cli.list_command import _source
+from greybox.cli.list_command import source_of
 from greybox.files.text_table import number
 from greybox.models.tilt import Tilt
 
@@ -72,4 +72,4 @@ def test_a_model_is_shown_with_all_that_it_declares(capsys):
     ],
 )  # fmt: skip
 def test_the_source_is_the_first_sentence_after_its_word(doc, source):
-    assert _source(doc) == source
+    assert source_of(doc) == source

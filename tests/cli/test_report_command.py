@@ -10,7 +10,7 @@ from command_line import OWN, RECORD, refused, run
 
 import greybox as gb
 from greybox.cli.batch_command import ORIGIN
-from greybox.cli.report_command import _batch_command
+from greybox.cli.report_command import command_of_study
 from greybox.cli.study_file import write_json
 
 QUICK = "--starts", "4"
@@ -62,7 +62,7 @@ def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
     assert "no start converged" in text
 
 
-def test_of_a_large_study_the_best_or_chosen_members_are_read_and_drawn(
+def test_of_a_large_study_the_first_or_chosen_members_are_read_and_drawn(
     capsys, results, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(sys.modules["greybox.html_report.report"], "DETAILED", 1)
@@ -81,7 +81,7 @@ def test_of_a_large_study_the_best_or_chosen_members_are_read_and_drawn(
         worse = gb.study.read_study(results / "study")["worse one"].answer
         assert f"{worse['cost']:.6g}" in text  # the numbers of all stand in the tables
         assert f"{worse['estimate']['a4']:.0f} ±" in text
-        assert "Below are details of 1 result," in text
+        assert "Below are details of 1 result;" in text
         return list(loaded)
 
     assert drawn() == ["001-good-one"]
@@ -151,7 +151,7 @@ def test_held_out_records_are_predicted(capsys, own, tmp_path):
 def test_the_command_of_a_study_is_what_its_folder_knows(tmp_path, origin, command):
     if origin is not None:
         write_json(tmp_path / ORIGIN, origin)
-    assert _batch_command(tmp_path) == tuple(word.format(tmp_path) for word in command)
+    assert command_of_study(tmp_path) == tuple(word.format(tmp_path) for word in command)
 
 
 def test_responses_are_not_held_out(capsys, results, tmp_path):

@@ -61,7 +61,7 @@ def test_a_formula_too_long_to_be_read_is_refused():
                 s = s * gb.exp(s) + p.K
             return s
 
-    with pytest.raises(ValueError, match="too long to be read"):
+    with pytest.raises(ValueError, match="too long to read"):
         equations(Long())
 
 
