@@ -108,6 +108,7 @@ def _doc(module: ModuleType) -> str:
 
 
 def source_of(doc: str) -> str:
+    """Return the sentence after "Source:"."""
     # A capital before the dot is somebody's first name.
     match = re.search(r"Source: (.+?)(?:(?<![A-Z])\.\s|\.$|\n\n|$)", doc, re.DOTALL)
     return " ".join(match[1].split()) if match else ""
