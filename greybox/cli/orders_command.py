@@ -70,12 +70,12 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     data = read_response(options.response, columns=stated_columns(options) or None)
     grid = (options.n, options.m, options.integrators, options.delays)
-    found = select_orders(data, *grid, starts=options.starts, seed=options.seed)
-    notes = save_fit(found.fit, options.out)
-    return _summary(found), "\n".join([str(found), "", str(found.fit), *notes]), USABLE
+    selection = select_orders(data, *grid, starts=options.starts, seed=options.seed)
+    notes = save_fit(selection.fit, options.out)
+    return _summary(selection), "\n".join([str(selection), "", str(selection.fit), *notes]), USABLE
 
 
-def _summary(found: OrderSelection) -> dict[str, Any]:
+def _summary(selection: OrderSelection) -> dict[str, Any]:
     structures = [
         {
             "n": c.n,
@@ -84,12 +84,12 @@ def _summary(found: OrderSelection) -> dict[str, Any]:
             "delay": c.delay,
             "parameters": c.parameters,
         }
-        | {"bic": finite(c.bic), "chosen": c is found.chosen}
-        for c in found.candidates
+        | {"bic": finite(c.bic), "chosen": c is selection.chosen}
+        for c in selection.candidates
     ]
     return {
-        "verdict": found.verdict,
+        "verdict": selection.verdict,
         "structures": structures,
-        "failed": found.failed,
-        "fit": summary(found.fit),
+        "failed": selection.failed,
+        "fit": summary(selection.fit),
     }

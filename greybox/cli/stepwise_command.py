@@ -50,33 +50,33 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     candidates = _candidates(options.candidates)
     problem, _ = stated_problem(options)
-    found = stepwise(problem, candidates, size=options.size, starts=options.starts)
-    notes = save_fit(found.fit, options.out)
-    return _summary(found), "\n".join([str(found), "", str(found.fit), *notes]), USABLE
+    selection = stepwise(problem, candidates, size=options.size, starts=options.starts)
+    notes = save_fit(selection.fit, options.out)
+    return _summary(selection), "\n".join([str(selection), "", str(selection.fit), *notes]), USABLE
 
 
 def _candidates(words: list[str]) -> dict[str, float]:
-    found = {}
+    values = {}
     for word in words:
         name, _, value = word.partition("=")
         try:
-            found[name] = float(value or 0.0)
+            values[name] = float(value or 0.0)
         except ValueError:
             raise UsageError(
                 f"--candidates {word!r} is not understood: write NAME or NAME=VALUE, e.g. n=1."
             ) from None
-    return found
+    return values
 
 
-def _summary(found: StepwiseSelection) -> dict[str, Any]:
+def _summary(selection: StepwiseSelection) -> dict[str, Any]:
     trials = [
-        asdict(t) | {"cost": finite(t.cost), "p_value": finite(t.p_value)} for t in found.trials
+        asdict(t) | {"cost": finite(t.cost), "p_value": finite(t.p_value)} for t in selection.trials
     ]
     return {
-        "terms": list(found.terms),
-        "candidates": list(found.candidates),
-        "verdict": found.verdict,
+        "terms": list(selection.terms),
+        "candidates": list(selection.candidates),
+        "verdict": selection.verdict,
         "trials": trials,
-        "alike": {term: dict(others) for term, others in found.alike.items()},
-        "fit": summary(found.fit),
+        "alike": {term: dict(rivals) for term, rivals in selection.alike.items()},
+        "fit": summary(selection.fit),
     }

@@ -53,8 +53,8 @@ class OrderCandidate:
     @property
     def label(self) -> str:
         """The structure in words."""
-        more = f", {counted(self.integrators, 'integrator')}" if self.integrators else ""
-        return f"n = {self.n}, m = {self.m}{more}{', delay' if self.delay else ''}"
+        integrators = f", {counted(self.integrators, 'integrator')}" if self.integrators else ""
+        return f"n = {self.n}, m = {self.m}{integrators}{', delay' if self.delay else ''}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +169,15 @@ def select_orders(
             f"no structure of the grid has fewer unknowns than {2 * len(data)} real numbers: lower n."
         )
     tried = [_fitted(data, *structure, starts, seed) for structure in grid]
-    found = sorted((c for c in tried if c.fit is not None), key=lambda c: (c.parameters, c.bic))
-    if not found:
+    candidates = sorted(
+        (c for c in tried if c.fit is not None), key=lambda c: (c.parameters, c.bic)
+    )
+    if not candidates:
         raise ValueError(
             f"none of {counted(len(tried), 'structure')} has a fit: look at the response first."
         )
-    k = smallest_supported([c.bic for c in found], [c.parameters for c in found])
-    return OrderSelection(tuple(found), found[k], len(tried) - len(found))
+    k = smallest_supported([c.bic for c in candidates], [c.parameters for c in candidates])
+    return OrderSelection(tuple(candidates), candidates[k], len(tried) - len(candidates))
 
 
 def _fitted(

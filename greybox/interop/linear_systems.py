@@ -54,12 +54,12 @@ class GivenModel:
         input, output = pick_signals(self.model, input, output)
         at = self.at if isinstance(self.model, StateSpace) else None
         order = pade or None
-        found: Rational = rational(
+        ratio: Rational = rational(
             self.model, self.values, input=input, output=output, at=at, pade=order
         )
         if pade != 0:
-            self._require_no_delay({input: float(found.delay)})
-        return np.array(found.numerator, dtype=float), np.array(found.denominator, dtype=float)
+            self._require_no_delay({input: float(ratio.delay)})
+        return np.array(ratio.numerator, dtype=float), np.array(ratio.denominator, dtype=float)
 
     def matrices(self, pade: int | None) -> LinearSystem:
         """Return the linearized system, with states for delays if `pade` is an order."""

@@ -1,6 +1,6 @@
 """Which equations of a model become regressions: how each state is known, which parameters enter linearly."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,15 +10,9 @@ import numpy as np
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
+Kind = Literal["derivative", "output"]
 Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
 """A name, the row of the model that it equals, and whether it is a signal or the derivative of a state."""
-
-# Random points at which a row must be affine: kinks such as |x| bend it at every second one, so
-# that one chance in a million is left. They lie in a cube of this half width, where exponentials
-# are still finite.
-TRIALS = 20
-HALF_WIDTH = 3.0
-ROUNDING = 1e-9  # of the terms of a row, by which it may miss an affine one
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +39,7 @@ class Equation:
     """One regression: the derivative of a state, or an output, against a row of the model."""
 
     target: str
-    kind: Literal["derivative", "output"]
+    kind: Kind
     parameters: tuple[str, ...]
     signals: tuple[str, ...]
 
@@ -133,8 +127,10 @@ class _Analysis:
         p = ca.vertcat(
             *[fixed.get(name, self._symbol(name)) for name in model.parameters], ca.SX(0, 1)
         )
-        self.f = ca.SX(model.derivative(self.x, self.u, p))
-        self.h = ca.SX(model.output(self.x, self.u, p))
+        f = ca.vertsplit(ca.SX(model.derivative(self.x, self.u, p)))
+        h = ca.vertsplit(ca.SX(model.output(self.x, self.u, p)))
+        self.f = dict(zip(model.states, f, strict=True))
+        self.h = dict(zip(model.outputs, h, strict=True))
         self.delays = ca.SX(model.delay(p))
         self.states: dict[str, KnownState] = {}
         self.left_out: list[str] = []
@@ -162,19 +158,14 @@ class _Analysis:
         symbols = ca.vertcat(*[self._symbol(n) for n in linear], ca.SX(0, 1))
         right_sides = ca.vertcat(*rows, ca.SX(0, 1))
         slopes = ca.jacobian(right_sides, symbols)
-        base = (
-            ca.substitute(right_sides, symbols, ca.SX.zeros(symbols.numel()))
-            if linear
-            else right_sides
-        )
+        zero = ca.SX.zeros(symbols.numel())
+        base = ca.substitute(right_sides, symbols, zero) if linear else right_sides
 
         # x' = matrix x + drive for the simulated states
-        simulated = [self.model.states.index(s.name) for s in states if s.how == "simulated"]
-        derivative = self.f[simulated] if simulated else ca.SX(0, 1)
-        x = self.x[simulated] if simulated else ca.SX(0, 1)
-        drive = (
-            ca.substitute(derivative, x, ca.SX.zeros(len(simulated))) if simulated else derivative
-        )
+        simulated = [s.name for s in states if s.how == "simulated"]
+        derivative = ca.vertcat(*[self.f[name] for name in simulated], ca.SX(0, 1))
+        x = self._states(simulated)
+        drive = ca.substitute(derivative, x, ca.SX.zeros(x.numel())) if simulated else derivative
         matrix = ca.jacobian(derivative, x)
         arguments = [self.x, self.u, self.p]
         return Equations(
@@ -199,13 +190,9 @@ class _Analysis:
 
     def _one_more_state(self) -> bool:
         """Find one more state that is a signal or a derivative, up to constants; False if there is none."""
-        outputs: list[Source] = [
-            (n, self.h[k], "signal") for k, n in enumerate(self.model.outputs) if n in self.signals
-        ]
-        known: list[Source] = [
-            (n, self.f[self.model.states.index(n)], "derivative") for n in self.states
-        ]
-        for source, row, how in (*outputs, *known):
+        sources: list[Source] = [(n, h, "signal") for n, h in self.h.items() if n in self.signals]
+        sources += [(n, self.f[n], "derivative") for n in self.states]
+        for source, row, how in sources:
             for k, name in enumerate(self.model.states):
                 if self._unknown(row) != {name} or self._inputs(row) or self._own_parameters(row):
                     continue
@@ -213,8 +200,8 @@ class _Analysis:
                 if ca.symvar(slope) or slope.is_zero() or not self._affine(row, self.x[k]):
                     continue
                 signal = ca.SX.sym("s")
-                rest = ca.substitute(row, self.x[k], 0)
-                value = ca.Function("value", [self.x, signal], [(signal - rest) / slope])
+                offset = ca.substitute(row, self.x[k], 0)
+                value = ca.Function("value", [self.x, signal], [(signal - offset) / slope])
                 self.states[name] = KnownState(name, how, source, value)
                 return True
         return False
@@ -223,12 +210,14 @@ class _Analysis:
         """Take what follows from a stable linear equation with constant coefficients, driven by known signals."""
         names = [n for n in self.model.states if n not in self.states]
         while names:
-            places = [self.model.states.index(n) for n in names]
-            matrix = ca.jacobian(self.f[places], self.x[places])
+            x = self._states(names)
+            matrix = ca.jacobian(ca.vertcat(*[self.f[n] for n in names]), x)
             excluded = [
                 n
                 for k, n in enumerate(names)
-                if self._cannot_simulate(self.f[places[k]], matrix[k, :], names)
+                if ca.depends_on(matrix[k, :], ca.vertcat(self.x, self.u))
+                or self._unknown(self.f[n]) - {*names}
+                or not self._affine(self.f[n], x)
             ]
             if not excluded:
                 values = np.asarray(ca.Function("A", [self.p], [ca.densify(matrix)])(self.start))
@@ -238,22 +227,12 @@ class _Analysis:
             names = [n for n in names if n not in excluded]
 
         for name in names:
-            row = self.f[self.model.states.index(name)]
-            driving = [
-                n
-                for k, n in enumerate(self.model.states)
-                if ca.depends_on(row, self.x[k]) and n != name
-            ]
-            source = " and ".join([*driving, *self._inputs(row)]) or "rest"
+            used = [n for n in self.model.states if n in self._used(self.f[name]) and n != name]
+            source = " and ".join([*used, *self._inputs(self.f[name])]) or "rest"
             self.states[name] = KnownState(name, "simulated", source, None)
 
-    def _cannot_simulate(self, row: ca.SX, slopes: ca.SX, names: list[str]) -> bool:
-        """Tell whether the row of a state to be simulated needs others, or is not linear with constant coefficients."""
-        varies = ca.depends_on(slopes, ca.vertcat(self.x, self.u))
-        places = [self.model.states.index(n) for n in names]
-        return (
-            varies or bool(self._unknown(row) - {*names}) or not self._affine(row, self.x[places])
-        )
+    def _states(self, names: Sequence[str]) -> ca.SX:
+        return ca.vertcat(*[self.x[self.model.states.index(n)] for n in names], ca.SX(0, 1))
 
     def _affine(self, row: ca.SX, symbols: ca.SX) -> bool:
         """Tell in numbers whether a row is affine in the symbols; the derivative of a sign is zero and hides it."""
@@ -261,54 +240,42 @@ class _Analysis:
         moved = ca.substitute(row, symbols, symbols + step)
         error = moved - row - ca.mtimes(ca.jacobian(row, symbols), step)
         test = ca.Function("test", [self.x, self.u, self.p, step], [ca.vertcat(error, row, moved)])
+        # Kinks such as |x| bend a row at every second point: twenty leave one chance in a million. In
+        # this cube exponentials are still finite.
         random = np.random.default_rng(0)
         sizes = [test.size1_in(k) for k in range(4)]
-        points = [
-            [random.uniform(-HALF_WIDTH, HALF_WIDTH, (n, 1)) for n in sizes] for _ in range(TRIALS)
-        ]
+        points = [[random.uniform(-3, 3, (n, 1)) for n in sizes] for _ in range(20)]
         values = np.array([np.asarray(test(*point)).ravel() for point in points])
         values = values[np.all(np.isfinite(values), axis=1)]
-        return bool(
-            np.all(np.abs(values[:, 0]) <= ROUNDING * (1 + np.abs(values[:, 1:]).sum(axis=1)))
-        )
+        return bool(np.all(np.abs(values[:, 0]) <= 1e-9 * (1 + np.abs(values[:, 1:]).sum(axis=1))))
 
     def _identities(self) -> set[str]:
         """Return the outputs from which a state is known, which say nothing more of the parameters."""
         sources = {state.source for state in self.states.values() if state.how == "signal"}
-        rows = zip(self.model.outputs, ca.vertsplit(self.h), strict=True)
-        return {name for name, row in rows if name in sources and not self._own_parameters(row)}
+        return {n for n, row in self.h.items() if n in sources and not self._own_parameters(row)}
 
-    def _candidates(self, identities: set[str]) -> Iterable[tuple[ca.SX, Equation]]:
+    def _candidates(self, identities: set[str]) -> Iterator[tuple[ca.SX, Equation]]:
         """Yield the right side and the description of every equation that can be used."""
-        for k, name in enumerate(self.model.states):
-            if name not in self.states:
-                self.left_out += (
-                    [f"{name}' (the state {name} is not known)"]
-                    if self._parameters(self.f[k])
-                    else []
-                )
-            elif self.states[name].how != "simulated":
-                yield from self._candidate(self.f[k], name, "derivative")
-        for k, name in enumerate(self.model.outputs):
+        rows: list[tuple[str, Kind, ca.SX]] = []
+        for name, row in self.f.items():
+            if name in self.states and self.states[name].how != "simulated":
+                rows.append((name, "derivative", row))
+            elif name not in self.states and self._parameters(row):
+                self.left_out.append(f"{name}' (the state {name} is not known)")
+        for name, row in self.h.items():
             if name in self.signals and name not in identities:
-                yield from self._candidate(self.h[k], name, "output")
-
-    def _candidate(
-        self, row: ca.SX, name: str, kind: Literal["derivative", "output"]
-    ) -> Iterable[tuple[ca.SX, Equation]]:
-        parameters = self._parameters(row)
-        if not parameters:
-            return
-        equation = Equation(
-            name, kind, parameters, self._sources(row, name if kind == "derivative" else "")
-        )
-        unknown = self._unknown(row)
-        if unknown:
-            self.left_out.append(
-                f"{equation.left} (it needs {' and '.join(sorted(unknown))}, not known)"
-            )
-        else:
-            yield row, equation
+                rows.append((name, "output", row))
+        for name, kind, row in rows:
+            parameters = self._parameters(row)
+            if not parameters:
+                continue
+            sources = self._sources(row, name if kind == "derivative" else "")
+            equation = Equation(name, kind, parameters, sources)
+            unknown = " and ".join(sorted(self._unknown(row)))
+            if unknown:
+                self.left_out.append(f"{equation.left} (it needs {unknown}, not known)")
+            else:
+                yield row, equation
 
     def _unknown(self, row: ca.SX) -> set[str]:
         return self._used(row) - self.states.keys()
@@ -325,14 +292,14 @@ class _Analysis:
         new = self._used(row)
         while new:
             needed |= new
-            rows = [self.f[self.model.states.index(n)] for n in new if self._is_simulated(n)]
+            rows = [self.f[n] for n in new if self._is_simulated(n)]
             new = set().union(*(self._used(row) for row in rows)) - needed
         return needed
 
     def _rows_behind(self, row: ca.SX) -> list[ca.SX]:
         """Return the row with the equations of the simulated states that it needs."""
         simulated = sorted(n for n in self._behind(row) if self._is_simulated(n))
-        return [row, *(self.f[self.model.states.index(n)] for n in simulated)]
+        return [row, *(self.f[n] for n in simulated)]
 
     def _is_simulated(self, name: str) -> bool:
         return name in self.states and self.states[name].how == "simulated"
@@ -369,15 +336,12 @@ class _Analysis:
 
         right_sides = ca.vertcat(*rows, ca.SX(0, 1))
         partners = {n: self._partners(right_sides, n, names) for n in names}
-        names = [
-            n
-            for n in names
-            if n not in partners[n] and all(self._affine(row, self._symbol(n)) for row in rows)
-        ]
-        while any(partners[n] & {*names} for n in names):
-            worst = max(names, key=lambda n: (len(partners[n] & {*names}), names.index(n)))
-            names.remove(worst)
-        return tuple(names)
+        linear: set[str] = set()
+        for name in sorted(names, key=lambda n: len(partners[n])):
+            is_affine = all(self._affine(row, self._symbol(name)) for row in rows)
+            if is_affine and not partners[name] & {name, *linear}:
+                linear.add(name)
+        return tuple(name for name in names if name in linear)
 
     def _partners(self, right_sides: ca.SX, name: str, others: list[str]) -> set[str]:
         """Return the parameters that this one multiplies, itself included where it enters as a power."""

@@ -52,7 +52,7 @@ class Regressors:
         smoothed.
     lateness : float, s
         Time at the beginning of a stretch for which delayed inputs or simulated states are not
-        known.
+        state.
     """
 
     equations: Equations
@@ -174,20 +174,20 @@ def regressors(
     derivatives: dict[str, Array] = {}
     used = dict(cutoffs or {})
     noise: dict[str, float] = {}
-    for known in equations.states:
-        if known.how == "signal":
-            smoothed = smooth(time, record[known.source], used.get(known.source))
-            used[known.source] = smoothed.cutoff
-            noise[known.source] = smoothed.noise
+    for state in equations.states:
+        if state.how == "signal":
+            smoothed = smooth(time, record[state.source], used.get(state.source))
+            used[state.source] = smoothed.cutoff
+            noise[state.source] = smoothed.noise
             signal = smoothed.values
-        elif known.how == "derivative":
-            signal = derivatives[known.source]
+        elif state.how == "derivative":
+            signal = derivatives[state.source]
         else:
             continue
-        states[known.name] = (
-            signal if known.value is None else _value(known.value, names[0], states, signal)
+        states[state.name] = (
+            signal if state.value is None else _value(state.value, names[0], states, signal)
         )
-        derivatives[known.name] = _derivative(time, states[known.name])
+        derivatives[state.name] = _derivative(time, states[state.name])
 
     inputs = {
         name: acting(time, without_holes(time, record[name]), between[name].held)

@@ -128,8 +128,8 @@ def reach(cutoff: float) -> float:
 
 def stretches(time: Array, *signals: Array) -> list[slice]:
     """Return the runs of rows in which all signals are there and time has no gap."""
-    known = np.logical_and.reduce([np.isfinite(values) for values in signals])
-    rows = np.flatnonzero(known)
+    present = np.logical_and.reduce([np.isfinite(values) for values in signals])
+    rows = np.flatnonzero(present)
     if rows.size == 0:
         return []
     step = float(np.median(np.diff(time)))

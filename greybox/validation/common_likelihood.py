@@ -1,4 +1,4 @@
-"""One likelihood for fits of frequency responses whatever they minimized, so that AIC and BIC can be compared."""
+"""One likelihood for fits of frequency responses by different criteria, for AIC and BIC."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ class Likelihoods:
 
     Attributes
     ----------
-    said : str
-        Which likelihood, in words.
+    name : str
+        The likelihood, in words.
     fits : tuple of Fit
-        At the maximum of that likelihood next to the estimate; the fit itself where it is one of
-        that likelihood, or where its problem cannot be stated again.
+        At the maximum of that likelihood next to the estimate; the original fit where its problem
+        cannot be stated again.
     costs : tuple of float
         Negative log-likelihoods, up to a constant of the data.
     nuisances : tuple of int
-        Variances of the noise that were estimated along, of every fit.
+        Number of noise variances that every fit also estimates.
     at_maximum : tuple of bool
-        False where the cost is that at the estimate, which is no maximum of this likelihood.
+        False where the cost is that at the original estimate, which is not a maximum.
     """
 
-    said: str
+    name: str
     fits: tuple[Fit, ...]
     costs: tuple[float, ...]
     nuisances: tuple[int, ...]
@@ -36,29 +36,24 @@ class Likelihoods:
 
 
 def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
-    """Return the fits, which have the same responses, on the scale of one likelihood; else None.
+    """Return fits of the same responses on the scale of one likelihood; None for other data or weights.
 
-    That of the given variances where all data have them, otherwise that of errors of one relative
-    variance. There is none for other data and for weights.
+    It is that of the given variances where all data have them, otherwise that of errors of one
+    relative variance.
     """
-    if any(part.weight != 1 for fit in fits for part in fit.parts) or not all(
-        map(has_responses_alone, fits)
-    ):
+    weighted = any(part.weight != 1 for fit in fits for part in fit.parts)
+    if weighted or not all(map(has_responses_alone, fits)):
         return None
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion: Criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
-    restated = [_at_maximum(fit, criterion) for fit in fits]
+    refits = [_at_maximum(fit, criterion) for fit in fits]
+    pairs = list(zip(fits, refits, strict=True))
     return Likelihoods(
-        said=f"{type(criterion).__name__} ({criterion.description})",
-        fits=tuple(
-            fit if found is None else found for fit, found in zip(fits, restated, strict=True)
-        ),
-        costs=tuple(
-            fit.costs[criterion.name] if found is None else found.cost
-            for fit, found in zip(fits, restated, strict=True)
-        ),
+        name=f"{type(criterion).__name__} ({criterion.description})",
+        fits=tuple(refit or fit for fit, refit in pairs),
+        costs=tuple(refit.cost if refit else fit.costs[criterion.name] for fit, refit in pairs),
         nuisances=tuple(criterion.nuisances * len(fit.parts) for fit in fits),
-        at_maximum=tuple(found is not None for found in restated),
+        at_maximum=tuple(refit is not None for refit in refits),
     )
 
 
@@ -68,14 +63,13 @@ def has_responses_alone(fit: Fit) -> bool:
 
 
 def _at_maximum(fit: Fit, criterion: Criterion) -> Fit | None:
-    """Return the fit by this criterion from the estimate; None where its problem cannot be stated again."""
+    """Return the fit by this criterion, started at the estimate; None where it fails."""
     if all(part.criterion_class == criterion.class_path for part in fit.parts):
         return fit
     try:
         problem = problem_of(fit).with_(criterion=criterion)
     except (LookupError, ValueError):
         return None
-    found = fit_problem(
-        problem, [{name: fit.estimate[name] for name in fit.free}], profiles=False, progress=False
-    )
-    return found if found.converged and found.cost <= fit.costs[criterion.name] else None
+    start = {name: fit.estimate[name] for name in fit.free}
+    refit = fit_problem(problem, [start], profiles=False, progress=False)
+    return refit if refit.converged and refit.cost <= fit.costs[criterion.name] else None

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -121,7 +122,7 @@ def pair_verdict(first: str, errors: Array, second: str, rivals: Array, omega: A
     # With fewer than five frequencies the threshold of Student's t is above 2.8.
     if len(difference) < 5 or not np.ptp(difference) > 0:
         return f"{first} and {second} predict left-out frequencies to {both} rms."
-    test = ttest_1samp(difference, 0)
+    test: Any = ttest_1samp(difference, 0)  # scipy does not declare its attributes
     if test.pvalue >= SIGNIFICANT:
         return (
             f"It cannot be told which of {first} and {second} predicts left-out frequencies better: "

@@ -116,13 +116,13 @@ def differences(
     if len(titles) != 2 or titles[0] == titles[1]:
         titles = labels_of((first, second))
     tables = [{q.name: q for q in fit.quantities} for fit in (first, second)]
-    wanted = [name for name in first.free if name in second.free] if names is None else list(names)
+    shared = [name for name in first.free if name in second.free] if names is None else list(names)
     for table, title in zip(tables, titles, strict=True):
-        require_known(wanted, table, "parameter", title)
-    if not wanted:
+        require_known(shared, table, "parameter", title)
+    if not shared:
         raise ValueError(f"{titles[0]} and {titles[1]} have no free parameter in common.")
 
-    pairs = [(tables[0][name], tables[1][name]) for name in wanted]
+    pairs = [(tables[0][name], tables[1][name]) for name in shared]
     p_values = [welch(*pair) for pair in pairs]
     quantities = [
         Difference(

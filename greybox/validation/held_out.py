@@ -144,16 +144,16 @@ def _where_all_are_finite(
     ]
     first = predictions[0]
     count = int(diverged.sum())
-    where = (
+    windows = (
         f"{counted(count, first.window)} of {diverged.size} in {first.data.name or 'the record'}"
     )
     if 2 * count >= diverged.size:
         raise ValueError(
-            f"no comparison is possible where {where} {'is' if count == 1 else 'are'} not finite "
+            f"no comparison is possible where {windows} {'is' if count == 1 else 'are'} not finite "
             f"({reasons[0]}): {cure('window')}."
         )
     note = (
-        f"warning: {where} left out for all models, since the prediction of one is not finite "
+        f"warning: {windows} left out for all models, since the prediction of one is not finite "
         f"({reasons[0]})."
     )
     return [prediction.kept(~diverged) for prediction in predictions], [note]
@@ -168,12 +168,14 @@ def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
 def _with_all_signals(records: Sequence[Record]) -> Record:
     """Return one record with the signals of all, which are of the same data: each fit kept those that it used."""
     first = records[0]
-    more = {name: r[name] for r in records[1:] for name in r.signals if name not in first.signals}
-    if not more:
+    missing = {
+        name: r[name] for r in records[1:] for name in r.signals if name not in first.signals
+    }
+    if not missing:
         return first
     units = {name: r.units.get(name, "") for r in records for name in r.signals}
     hold = {name: seconds for r in records for name, seconds in r.hold.items()}
-    return replace(first, signals={**first.signals, **more}, units=units, hold=hold)
+    return replace(first, signals={**first.signals, **missing}, units=units, hold=hold)
 
 
 def not_held_out(

@@ -57,8 +57,8 @@ def fit_rows(
             sizes = [_relative_rms(fit) for fit in fits]
             rows.append(_row("relative residual (rms)", sizes, "%"))
     # That costs, AIC and BIC are not known is worth a row.
-    kept = ("cost", "AIC", "BIC")
-    return [r for r in rows if r.measure in kept or any(v is not None for v in r.values)]
+    always = ("cost", "AIC", "BIC")
+    return [r for r in rows if r.measure in always or any(v is not None for v in r.values)]
 
 
 def information_rows(
@@ -176,15 +176,14 @@ def _correlations(
         p_values[name] = [test.p_value for test in tests]
     least = {name: np.nanmin([*p, 1.0]) for name, p in p_values.items()}
     clear = [name for name in p_values if least[name] < SIGNIFICANT / len(p_values)]
-    shown = sorted(clear, key=lambda name: least[name])[:3]
-    rest = [name for name in p_values if name not in shown]
-    shown += rest if len(rest) == 1 else []
-    for name in shown:
+    named = sorted(clear, key=lambda name: least[name])[:3]
+    unnamed = [name for name in p_values if name not in named]
+    for name in named if len(unnamed) > 1 else [*named, *unnamed]:
         yield f"  not correlated with {name} (p)", "", p_values[name]
-    if len(rest) > 1:
-        columns = zip(*(p_values[name] for name in rest), strict=True)
+    if len(unnamed) > 1:
+        columns = zip(*(p_values[name] for name in unnamed), strict=True)
         values = [float(np.nanmin([*column, 1.0])) for column in columns]
-        yield f"  {len(rest)} other signals (least p)", "", values
+        yield f"  {len(unnamed)} other signals (least p)", "", values
 
 
 def _moves(values: Array) -> bool:

@@ -249,11 +249,11 @@ def f_tail(statistic: float, r: int, dof: float, *, on_bound: bool = False) -> f
     from scipy.special import fdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
     dof = min(dof, 1e9)  # F is then chi-square / r to all digits
-    whole = float(fdtrc(r, dof, statistic))
+    p_value = float(fdtrc(r, dof, statistic))
     if not on_bound:
-        return whole
+        return p_value
     fewer = float(fdtrc(r - 1, dof, statistic * r / (r - 1))) if r > 1 else float(statistic <= 0)
-    return 0.5 * (whole + fewer)
+    return 0.5 * (p_value + fewer)
 
 
 def _scaled_for(fit: Fit) -> str:

@@ -55,8 +55,8 @@ def nested_values(
     NotNestedError
         If the smaller model is not shown to lie within the larger one.
     """
-    stated = removed_at or {}
-    require_known(stated, large.free, "free parameter", labels[1])
+    trusted = removed_at or {}
+    require_known(trusted, large.free, "free parameter", labels[1])
     for a, b in zip(small.parts, large.parts, strict=True):
         _require_same_assumptions(a, b, labels)
     pairs = _pairs(small, large)
@@ -67,12 +67,12 @@ def nested_values(
         raise NotNestedError(f"every free parameter of {labels[1]} is also free in {labels[0]}")
     sources = {name: counterparts[name] for name in terms}
     held = {name: small.estimate[source] for name, source in sources.items() if source}
-    removed = {name: float(value) for name, value in stated.items() if name not in held}
+    removed = {name: float(value) for name, value in trusted.items() if name not in held}
     # A bias or a gain, which the criterion adds and not the model, is absent at zero.
     of_model = {pair.outside(name) for pair in pairs for name in pair.large.parameters}
     removed |= {n: 0.0 for n in terms if n not in {*of_model, *held, *removed}}
     unknown = [name for name in terms if name not in {*held, *removed}]
-    if pairs and (unknown or not stated):
+    if pairs and (unknown or not trusted):
         equations = _Equations(pairs, _draws(small), large, labels)
         removed |= equations.removing(unknown, removed)
         equations.require_effects([n for n in terms if n in of_model], {**removed, **held})
@@ -313,8 +313,8 @@ class _Equations:
         """Return the larger model's parameters: those in `values`, those drawn, those it fixes."""
         fixed = {q.name for q in self.large.quantities if q.kind == "fixed"}
         drawn = {n: draw[c] for n, c in pair.counterparts.items() if c and n not in fixed}
-        known = {**self.large.estimate, **drawn, **values}
-        return {name: known[pair.outside(name)] for name in pair.large.parameters}
+        p = {**self.large.estimate, **drawn, **values}
+        return {name: p[pair.outside(name)] for name in pair.large.parameters}
 
 
 def _same(rows: Numbers, expected: Numbers) -> bool:

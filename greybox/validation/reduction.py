@@ -12,6 +12,7 @@ Source: Transtrum and Qiu (2014), Model reduction by manifold boundaries, Physic
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -46,14 +47,15 @@ class Candidate:
     end: str
 
     def __str__(self) -> str:
-        name, *others = self.powers
-        ends = "→ ∞" if self.end == "infinity" else "→ 0" if others else "= 0"
-        kept = []
-        for member in others:
+        name, *members = self.powers
+        ends = "→ ∞" if self.end == "infinity" else "→ 0" if members else "= 0"
+        invariants = []
+        for member in members:
             power = self.powers[member]
             exponent = "" if abs(power) == 1 else f"^{abs(power)}"
-            kept.append(f"{member}{'/' if power > 0 else '·'}{name}{exponent}")
-        return f"{name} {ends}, {' and '.join(kept)} kept" if kept else f"{name} {ends}"
+            invariants.append(f"{member}{'/' if power > 0 else '·'}{name}{exponent}")
+        text = f"{name} {ends}"
+        return f"{text}, {' and '.join(invariants)} kept" if invariants else text
 
 
 @dataclass(frozen=True)
@@ -166,13 +168,13 @@ def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> R
     tried: list[Tried] = []
     reduced = fit
     while trials := _trials(reduced, current, starts):
-        supported = [(t, stated) for t, stated in trials if t.is_supported]
-        best, stated = min(supported, key=lambda pair: _cost(pair[0]), default=(None, current))
+        supported = [(t, smaller) for t, smaller in trials if t.is_supported]
+        best, smaller = min(supported, key=lambda pair: _cost(pair[0]), default=(None, current))
         tried += [replace(t, taken=t is best) for t, _ in trials]
         if best is None or best.fit is None:
             break
         reduced = best.fit
-        current = stated
+        current = smaller
     if reduced is fit:
         return Reduction(fit, fit, tuple(tried), None)
     removed = tuple(next(iter(t.candidate.powers)) for t in tried if t.taken)
@@ -268,22 +270,23 @@ def _part_at_limit(part: Problem, candidate: Candidate, fit: Fit) -> Problem:
     first = next(iter(candidate.powers))
     if first not in present:
         raise ValueError(f"{part.name!r} has no parameter {first!r}.")
-    gone = {inside[name] for name in present}
-    kept = []
-    rename = {name: outside for name, outside in part.rename.items() if name not in gone}
+    model: Any = part.model  # a transfer function, as `reduce` requires
+    removed_names = {inside[name] for name in present}
+    invariants = []
+    rename = {name: outside for name, outside in part.rename.items() if name not in removed_names}
     for name in present[1:]:
         power = candidate.powers[name]
-        kept.append((inside[name], power, fit.estimate[name]))
+        invariants.append((inside[name], power, fit.estimate[name]))
         invariant = invariant_name(inside[name], inside[first], power)
         outside = invariant_name(name, first, power)
         if invariant != outside:
             rename[invariant] = outside
     return part.with_(
-        model=Limit(part.model, inside[first], fit.estimate[first], candidate.end, kept),
+        model=Limit(model, inside[first], fit.estimate[first], candidate.end, invariants),
         rename=rename,
-        free=[name for name in part.free if name not in gone],
-        bounds={name: value for name, value in part.bounds.items() if name not in gone},
-        starts={name: value for name, value in part.starts.items() if name not in gone},
+        free=[name for name in part.free if name not in removed_names],
+        bounds={name: value for name, value in part.bounds.items() if name not in removed_names},
+        starts={name: value for name, value in part.starts.items() if name not in removed_names},
     )
 
 

@@ -99,16 +99,16 @@ def is_likelihood(fit: Fit) -> bool:
 
 
 def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how a fit leaves out other samples of the same data than the first; empty where it does not."""
+    """Return in words how a fit leaves out other samples than the first; empty if it does not."""
     for k, first in enumerate(fits[0].parts):
         count = count_numbers(first)
         for fit, name in zip(fits[1:], names[1:], strict=True):
-            other = count_numbers(fit.parts[k])
-            if other != count:
+            rival_count = count_numbers(fit.parts[k])
+            if rival_count != count:
                 return (
-                    f"{names[0]} was fitted to {count} numbers of {first.data.name or first.name!r} and {name} to "
-                    f"{other} (the longest delay that the bounds allow leaves out the first samples, and "
-                    "PredictionError those that miss an output)"
+                    f"{names[0]} was fitted to {count} numbers of {first.data.name or first.name!r} "
+                    f"and {name} to {rival_count} (the longest delay that the bounds allow leaves "
+                    "out the first samples, and PredictionError those that miss an output)"
                 )
     return ""
 
@@ -116,32 +116,30 @@ def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
 def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
     """Return why the costs of fits to the same data cannot be compared; empty where they can.
 
-    Those in time are negative log-likelihoods whatever the criterion assumes of the errors, and so
-    are those of MaximumLikelihood; other criteria can only be compared with themselves.
+    Costs in time and those of MaximumLikelihood are negative log-likelihoods; those of other
+    criteria can only be compared with themselves.
     """
     samples = other_samples(fits, names)
     if samples:
         return samples
-    weights = list(
-        dict.fromkeys(", ".join(number(part.weight, 3) for part in fit.parts) for fit in fits)
-    )
+    weights = dict.fromkeys(", ".join(number(p.weight, 3) for p in fit.parts) for fit in fits)
     if len(weights) > 1:
         return f"their data are weighted differently ({'; '.join(weights)})"
-    first = fits[0]
-    same = all(
+    one_criterion = all(
         a.has_criterion_of(b)
         for fit in fits[1:]
-        for a, b in zip(first.parts, fit.parts, strict=True)
+        for a, b in zip(fits[0].parts, fit.parts, strict=True)
     )
-    if not same and not all(is_likelihood(fit) for fit in fits):
-        return f"they are of different criteria ({'; '.join(dict.fromkeys(map(_stated_criteria, fits)))})"
+    if not one_criterion and not all(is_likelihood(fit) for fit in fits):
+        criteria = dict.fromkeys(map(_criteria, fits))
+        return f"they are of different criteria ({'; '.join(criteria)})"
     return ""
 
 
-def _stated_criteria(fit: Fit) -> str:
-    """Say by which criteria a fit was made, with their settings, such as ``huber (threshold = 2.0)``."""
-    said = []
+def _criteria(fit: Fit) -> str:
+    """Return the criteria of a fit with their settings, such as ``huber (threshold = 2.0)``."""
+    texts = []
     for part in fit.parts:
         settings = ", ".join(f"{name} = {value!r:.40}" for name, value in part.settings.items())
-        said.append(f"{part.criterion} ({settings})" if settings else part.criterion)
-    return ", ".join(dict.fromkeys(said))
+        texts.append(f"{part.criterion} ({settings})" if settings else part.criterion)
+    return ", ".join(dict.fromkeys(texts))

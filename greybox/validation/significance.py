@@ -91,8 +91,8 @@ def fit_verdict(
             return f"{labels[large]} contains {labels[small]}, and {test}", test
     if undecided:
         values = [2 * (count_unknowns(fits[k]) + fits[k].cost) for k in pair]
-        known = comparable and all(is_likelihood(fits[k]) for k in pair)
-        aics = f" (AIC {number(values[0], 6)} and {number(values[1], 6)})" if known else ""
+        has_aic = comparable and all(is_likelihood(fits[k]) for k in pair)
+        aics = f" (AIC {number(values[0], 6)} and {number(values[1], 6)})" if has_aic else ""
         return f"{_cannot_be_told(labels, pair)}: {undecided}{aics}.", None
     if all(len(fits[k].records) == len(fits[k].parts) for k in pair):
         return verdict_by_vuong(fits, labels, pair), None
@@ -286,14 +286,14 @@ def term_sentences(
         reference = held.pop() if len(held) == 1 else 0.0
         text = "zero" if reference == 0 else number(reference)
         # The nested tests of this parameter alone decide, else two standard errors do.
-        own = [t.p_value for t in tests if t.large == labels[k] and t.terms == (name,)]
+        p_values = [t.p_value for t in tests if t.large == labels[k] and t.terms == (name,)]
         distance = abs(quantity.value - reference)
-        is_found = all(p < SIGNIFICANT for p in own)
+        is_found = all(p < SIGNIFICANT for p in p_values)
         if quantity.at_bound:
             yield f"{estimate}: ended at its bound, not determined."
         elif not math.isfinite(quantity.standard_error):
             yield f"{estimate}: the data do not determine it."
-        elif is_found if own else distance >= 2.0 * quantity.standard_error:
+        elif is_found if p_values else distance >= 2.0 * quantity.standard_error:
             yield f"{estimate}: distinguishable from {text}."
         else:
             yield f"{estimate}: not distinguishable from {text}."
@@ -301,7 +301,7 @@ def term_sentences(
 
 def _which_likelihood(fits: Sequence[Fit], labels: Sequence[str], likelihoods: Likelihoods) -> str:
     """Say which likelihood AIC, AICc and BIC are based on, and where it is not at its maximum."""
-    text = f"AIC, AICc and BIC are those of {likelihoods.said}, maximized from each estimate"
+    text = f"AIC, AICc and BIC are those of {likelihoods.name}, maximized from each estimate"
     rules = sorted({part.rule for fit in fits for part in fit.responses if not part.is_likelihood})
     if rules:
         text += f", since {' and '.join(rules)} {'is no likelihood' if len(rules) == 1 else 'are no likelihoods'}"

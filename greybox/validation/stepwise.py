@@ -106,33 +106,17 @@ class StepwiseSelection:
         rows = []
         for trial in self.trials:
             p = trial.why_not or p_text(trial.p_value).removeprefix("p = ").removeprefix("p ")
-            done = {"add": "added", "remove": "removed"}[trial.change] if trial.done else ""
-            rows.append(
-                [
-                    str(trial.step),
-                    trial.change,
-                    trial.term,
-                    number(trial.cost, 4),
-                    p,
-                    f"{trial.limit:.2g}",
-                    done,
-                ]
-            )
+            outcome = {"add": "added", "remove": "removed"}[trial.change] if trial.done else ""
+            change = [str(trial.step), trial.change, trial.term]
+            rows.append([*change, number(trial.cost, 4), p, f"{trial.limit:.2g}", outcome])
         table = text_table(["step", "", "term", "cost", "p", "limit", ""], rows, left=(1, 2, 6))
-        lines = [
-            f"{self.fit.name}: stepwise selection at {100 * self.size:g} %",
-            "",
-            f"  {self.verdict}",
-            "",
-        ]
-        lines += [f"  {line}" for line in table.splitlines()]
-        lines += ["", *(f"  {text}" for text in self._notes())]
-        return "\n".join(lines).rstrip()
+        title = f"{self.fit.name}: stepwise selection at {100 * self.size:g} %"
+        return "\n".join([title, "", self.verdict, "", table, "", *self._notes()])
 
     def _notes(self) -> Iterator[str]:
-        for term, others in self.alike.items():
-            rivals = listed([f"{rival} ({_more(above)})" for rival, above in others.items()])
-            yield f"These data cannot tell {term} from {rivals}."
+        for term, rivals in self.alike.items():
+            texts = listed([f"{rival} ({_more(above)})" for rival, above in rivals.items()])
+            yield f"These data cannot tell {term} from {texts}."
         for first, second, r in self.fit.identifiability.correlated:
             if {first, second} & set(self.terms):
                 yield f"{first} and {second} are collinear: their estimates have a correlation of {r:.3f}."
@@ -228,21 +212,21 @@ class _Fits:
     problem: AnyProblem
     absent: Mapping[str, float]
     starts: int
-    made: dict[Terms, Fit | None]
+    cache: dict[Terms, Fit | None]
 
     def fitted(self, terms: Terms, near: Fit | None) -> Fit | None:
         """Return the fit with these terms, also started from a fit nearby; None where it failed."""
-        if terms not in self.made:
+        if terms not in self.cache:
             problem = with_terms(self.problem, terms, self.absent)
             free = {name for name, p in problem.parameters.items() if not p.fixed}
             start = {} if near is None else {n: v for n, v in near.estimate.items() if n in free}
             fit = fit_problem(problem, [start, Sobol(self.starts, 0)], progress=False)
-            self.made[terms] = fit if fit.converged else None
-        return self.made[terms]
+            self.cache[terms] = fit if fit.converged else None
+        return self.cache[terms]
 
     def required(self, terms: Terms) -> Fit:
         """Return a fit that was made and converged."""
-        fit = self.made[terms]
+        fit = self.cache[terms]
         assert fit is not None
         return fit
 
@@ -318,5 +302,5 @@ def _part(part: Problem, terms: Terms, absent: Mapping[str, float]) -> Problem:
 
 
 def _more(above: float) -> str:
-    shown = number(round(abs(above), 2), 3)
-    return "the same AIC" if shown == "0" else f"AIC {shown} {'more' if above > 0 else 'less'}"
+    text = number(round(abs(above), 2), 3)
+    return "the same AIC" if text == "0" else f"AIC {text} {'more' if above > 0 else 'less'}"
