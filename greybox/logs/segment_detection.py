@@ -212,8 +212,9 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
 def _moving_stick(segment: Segment, data: Recording | Record) -> str:
     """Return the stick of the segment's axis that moved during it, or an empty name."""
     axis = axis_of(segment.axis)
-    sticks = present(data, AXES[axis].sticks) if axis and isinstance(data, Recording) else ()
-    for stick in sticks:
+    if not axis or not isinstance(data, Recording):
+        return ""
+    for stick in present(data, AXES[axis].sticks):
         message, _, field = stick.rpartition(".")
         record = data[message]
         finite = np.isfinite(record[field])

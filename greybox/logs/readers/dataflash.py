@@ -71,12 +71,10 @@ def recording(
     restarts = log.findings
     span = log.span
     groups, assumed = with_usual_units(log.groups)
-    log.groups.clear()
     groups, conflicts = merged(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
     metadata = ardupilot_metadata.metadata(groups, span)
     missing = _missing({g.name for g in groups}, messages)
-    del groups
     wanted = with_holds(wanted, metadata.get("parameters", {}))
     by_name, problems = records(wanted, path.name, checksum)
     if not by_name and not metadata:

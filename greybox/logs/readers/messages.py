@@ -101,11 +101,10 @@ def on_one_clock(groups: Iterable[Messages], stamps: Array | None = None) -> Clo
     groups = list(groups)
     stamps = stamps_of(groups) if stamps is None else stamps
     shifted, findings = time_stamps.one_clock(stamps)
-    if shifted is not stamps:
-        groups = [
-            group if group.time is None else replace(group, time=shifted[group.order])
-            for group in groups
-        ]
+    groups = [
+        group if group.time is None else replace(group, time=shifted[group.order])
+        for group in groups
+    ]
     finite = np.isfinite(shifted)
     span = (
         float(shifted.min(where=finite, initial=np.inf)),
@@ -126,13 +125,10 @@ def stamps_of(groups: Iterable[Messages]) -> Array:
 def records(
     groups: Iterable[Messages], source: str, checksum: str
 ) -> tuple[dict[str, Record], tuple[str, ...]]:
-    """Return a record for every type and instance with a time and a number, and findings.
-
-    A list of groups is emptied, so that no column is in memory twice.
-    """
+    """Return a record for every type and instance with a time and a number, and findings."""
     by_name: dict[str, Record] = {}
     findings: list[str] = []
-    for name, part in chain.from_iterable(map(_instances, _consumed(groups))):
+    for name, part in chain.from_iterable(map(_instances, groups)):
         if part.time is None:
             findings.append(f"{name}: its {len(part)} messages have no time and were left out.")
             continue
@@ -153,7 +149,7 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
     longest = []
     for name, record in by_name.items():
         steps = np.diff(record.time)
-        wide = np.count_nonzero(steps > GAP * record.step)
+        wide = int(np.count_nonzero(steps > GAP * record.step))
         # 20 steps show the usual one. A message with gaps in 5 % of its steps comes irregularly.
         if steps.size >= 20 and 0 < wide <= 0.05 * steps.size:
             start = record.time[steps.argmax()]
@@ -166,17 +162,8 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
     return [f"{len(texts)} messages have gaps. {texts[int(np.argmax(longest))]}"]
 
 
-def _consumed(groups: Iterable[Messages]) -> Iterator[Messages]:
-    if not isinstance(groups, list):
-        yield from groups
-        return
-    groups.reverse()
-    while groups:
-        yield groups.pop()
-
-
 def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
-    """Yield the instances as NAME[0], NAME[1] in order; a single nameless one without brackets, as without a time."""
+    """Yield the instances as NAME[0], NAME[1] in order, or the group if it has none or no time."""
     if not group.columns or not len(group):
         return
     if not group.instance or group.time is None:
@@ -185,17 +172,10 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
     labels = group.texts.get(group.instance)
     values = np.array(labels) if labels is not None else group.columns[group.instance]
     columns = {name: column for name, column in group.columns.items() if name != group.instance}
-    without_columns, name = replace(group, columns={}), group.name
-    del group  # whose columns go one by one
-    rows = {value: np.flatnonzero(values == value) for value in np.unique(values).tolist()}
-    split: dict[object, dict[str, Array]] = {value: {} for value in rows}
-    for column in list(columns):
-        values_of_all = columns.pop(column)
-        for value, places in rows.items():
-            split[value][column] = values_of_all[places]
-    for value, places in rows.items():
+    for value in np.unique(values).tolist():
         label = str(value) if labels is not None else f"{value:g}"
-        yield f"{name}[{label}]", replace(without_columns.rows(places), columns=split.pop(value))
+        part = replace(group, columns=columns).rows(np.flatnonzero(values == value))
+        yield f"{group.name}[{label}]", part
 
 
 def _record(name: str, part: Messages, source: str, checksum: str) -> Record | None:

@@ -13,7 +13,6 @@ BACK = 1.0
 # The medians of this number of earlier and later messages show a restart despite 24 damaged ones.
 WINDOW = 50
 
-BLOCK = 2**16  # stamps at once: half a megabyte, in logs of ten million messages
 PAUSE = 10.0  # s between two boots on the common clock: the real pause is unknown
 SLACK = 600.0  # s outside of the first and last stamps: farther ones are damaged
 
@@ -24,10 +23,7 @@ def restarts(stamps: Array) -> tuple[int, ...]:
     A single damaged stamp is not a restart: the median of the later stamps must be below that of the
     earlier ones.
     """
-    pieces = [(start, stamps[start : start + BLOCK + 1]) for start in range(0, stamps.size, BLOCK)]
-    drops = np.concatenate(
-        [np.zeros(0, int), *(np.flatnonzero(np.diff(s) < -BACK) + start + 1 for start, s in pieces)]
-    )
+    drops = np.flatnonzero(np.diff(stamps) < -BACK) + 1
     starts: list[int] = []
     for drop in drops:
         start = starts[-1] if starts else 0
@@ -40,33 +36,26 @@ def restarts(stamps: Array) -> tuple[int, ...]:
 def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the stamps (s) on one clock that continues at a restart, NaN where they are implausible, and findings.
 
-    Stamps that already are so are returned as they are. After a restart the clock is set to `PAUSE`
-    after the last stamp of the previous boot, so that a gap separates the boots of a record.
+    After a restart the clock is set to `PAUSE` after the last stamp of the previous boot, so that a
+    gap separates the boots of a record.
     """
-    finite = np.isfinite(stamps)
-    ticks = stamps if finite.all() else stamps[finite]
+    shifted = stamps.copy()
+    finite = np.flatnonzero(np.isfinite(stamps))
+    ticks = stamps[finite]
     findings = []
     end = 0.0
-    changed = False
-    for i, (start, stop) in enumerate(pairwise([0, *restarts(ticks), ticks.size])):
-        logged = ticks[start:stop]
-        piece = _plausible(logged)
-        shift = end + PAUSE - float(np.nanmin(piece)) if i else 0.0
-        last = float(np.nanmax(piece)) + shift if piece.size else 0.0
-        if i or piece is not logged:
-            ticks = ticks.copy() if ticks is stamps else ticks
-            ticks[start:stop] = piece + shift
-            changed = True
-        if i:
+    for boot, (start, stop) in enumerate(pairwise([0, *restarts(ticks), ticks.size])):
+        piece = _plausible(ticks[start:stop])
+        if not piece.size:
+            continue
+        shift = end + PAUSE - float(np.nanmin(piece)) if boot else 0.0
+        shifted[finite[start:stop]] = piece + shift
+        if boot:
             findings.append(
                 f"the clock restarted at {end:.1f} s (another boot): later times were shifted by {shift:+.1f} s, "
                 f"to {PAUSE:g} s after it; the real pause is not known."
             )
-        end = last
-    if not changed:
-        return stamps, ()
-    shifted = np.full_like(stamps, np.nan)
-    shifted[finite] = ticks
+        end = float(np.nanmax(piece)) + shift
     return shifted, tuple(findings)
 
 

@@ -23,10 +23,7 @@ def test_three_boots_follow_each_other():
     assert np.diff(shifted).max() == pytest.approx(time_stamps.PAUSE)
 
 
-@pytest.mark.parametrize("block", [7, 100, 2**16])
-def test_each_boot_goes_on_ten_seconds_after_the_last_stamp_before_it(monkeypatch, block):
-    """Whatever is looked at together; the first boot is as it was."""
-    monkeypatch.setattr(time_stamps, "BLOCK", block)
+def test_each_boot_continues_ten_seconds_after_the_last_stamp_of_the_previous_one():
     boots = [np.arange(100, 200, 0.25), np.arange(5, 60, 0.25), np.arange(-3, 30, 0.25)]
     stamps = np.concatenate(boots)
     assert time_stamps.restarts(stamps) == (400, 620)
