@@ -1,4 +1,4 @@
-"""Complex numbers of CasADi expressions, which has no complex type: a formula in s = jω as real and imaginary part."""
+"""Complex numbers of CasADi expressions, which CasADi lacks: a formula in s = jω as real and imaginary part."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,12 +31,6 @@ class Complex(FunctionOfS):
     def __add__(self, other: Any) -> "Complex":
         return self._with(other, lambda a, b, c, d: (a + c, b + d))
 
-    def __sub__(self, other: Any) -> "Complex":
-        return self._with(other, lambda a, b, c, d: (a - c, b - d))
-
-    def __rsub__(self, other: Any) -> "Complex":
-        return self._with(other, lambda a, b, c, d: (c - a, d - b))
-
     def __mul__(self, other: Any) -> "Complex":
         return self._with(other, _product)
 
@@ -46,14 +40,8 @@ class Complex(FunctionOfS):
     def __rtruediv__(self, other: Any) -> "Complex":
         return self._with(other, lambda a, b, c, d: _quotient(c, d, a, b))
 
-    __radd__ = __add__
-    __rmul__ = __mul__
-
     def __neg__(self) -> "Complex":
         return Complex(-self.re, -self.im, self.pade)
-
-    def __pos__(self) -> "Complex":
-        return self
 
     def __pow__(self, power: Any) -> "Complex":
         if is_whole(power):

@@ -1,7 +1,8 @@
-"""What the readings of a formula in s share: the base class of `Complex` and `Rational`, and polynomials by Horner."""
+"""The base class of `Complex` and `Rational`, two readings of a formula in s, and polynomials by Horner's scheme."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -9,10 +10,38 @@ import numpy as np
 CASADI_TYPES = (ca.SX, ca.MX, ca.DM)
 
 
-class FunctionOfS:
-    """A value that depends on s. The functions of `greybox.modeling.functions` call its method of their own name."""
+class FunctionOfS(ABC):
+    """A value that depends on s. The functions of `greybox.modeling.functions` call its method of the same name."""
 
     __array_ufunc__ = None  # numpy leaves the operators to this class
+
+    @abstractmethod
+    def __add__(self, other: Any) -> Self: ...
+
+    @abstractmethod
+    def __mul__(self, other: Any) -> Self: ...
+
+    @abstractmethod
+    def __neg__(self) -> Self: ...
+
+    @abstractmethod
+    def exp(self) -> Self:
+        """Return the exponential."""
+
+    def __radd__(self, other: Any) -> Self:
+        return self + other
+
+    def __rmul__(self, other: Any) -> Self:
+        return self * other
+
+    def __pos__(self) -> Self:
+        return self
+
+    def __sub__(self, other: Any) -> Self:
+        return self + (-other)
+
+    def __rsub__(self, other: Any) -> Self:
+        return (-self) + other
 
 
 def is_casadi(value: Any) -> bool:

@@ -89,20 +89,8 @@ class Rational(FunctionOfS):
         other = _rational(other)
         return NotImplemented if other is None else other * self._inverse()
 
-    __radd__ = __add__
-    __rmul__ = __mul__
-
     def __neg__(self) -> "Rational":
         return Rational([-c for c in self.numerator], self.denominator, self.delay, self.pade)
-
-    def __pos__(self) -> "Rational":
-        return self
-
-    def __sub__(self, other: Any) -> "Rational":
-        return self + (-other)
-
-    def __rsub__(self, other: Any) -> "Rational":
-        return (-self) + other
 
     def __pow__(self, power: Any) -> "Rational":
         if not is_whole(power):
