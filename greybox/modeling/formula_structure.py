@@ -1,12 +1,12 @@
-"""What a formula is made of, read from its operations: the signals in which it is linear, and where it switches.
+"""The structure of a formula, read from its operations: the signals in which it is linear, and its switches.
 
-Derivatives cannot tell: that of a sign, a comparison or a rounding is zero wherever it exists, so a
-relay would pass for a constant. The operations themselves are read, one by one.
+Derivatives do not show it: that of a sign, a comparison or a rounding is zero wherever it exists, so
+a relay would look like a constant. So the operations themselves are read, one by one.
 
-A switch, sampled, is a step function of whatever moves it, without a slope that a solver could
-follow, and its error is of the order of the interval. So every sampling interval is cut where a
-switch turns in it: the formula is evaluated in the middle of each piece, with the switches held,
-and the lengths of the pieces carry the slope.
+A sampled switch is a step function of its argument, without a slope that a solver could follow, and
+its error is of the order of the interval. So every sampling interval is cut where a switch turns: the
+formula is evaluated in the middle of each piece, with the switches held, and the lengths of the
+pieces carry the slope.
 """
 
 from collections.abc import Callable
@@ -18,10 +18,8 @@ import numpy as np
 
 from greybox.modeling.one_thread import one_thread_at_a_time
 
-TINY = 1e-300  # instead of a division by zero, where nothing moves
-DRAWS = 4  # generic points at which both sides of a switch are compared
-ROOT_STEPS = 30  # Newton steps to such a point, where an argument is curved
-SAME = 1e-7  # difference of two sides that is rounding
+TINY = 1e-300  # avoids a division by zero where nothing moves
+SAME = 1e-7  # difference of two sides of a switch that is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +78,7 @@ def separated(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _linear_operation(operation: int, terms: list[_Term]) -> _Term | None:  # noqa: PLR0911
-    """Return the result of an operation that keeps the form, else None."""
+    """Return the result of an operation that keeps the linear form; None for others."""
     first, last = terms[0], terms[-1]
     if operation == ca.OP_ASSIGN:
         return first
@@ -134,8 +132,8 @@ def interval_mean(
     """Return the mean of `formula` (k, 1) over a sampling interval, and that of its product with the time from there.
 
     In the middle of the interval the signals are `z`, with `slopes`. A switch whose argument hardly
-    moves, as the speed in friction that holds, would turn at once: it takes as long as one whose
-    signals had the slopes `sizes`. The sum of both, over equal intervals and with the end
+    moves, such as the speed in stiction, would turn at once: it takes as long as a switch whose
+    signals have the slopes `sizes`. The sum of both, over equal intervals and with the end
     corrections of Euler and Maclaurin where a switch turns, is an integral of third order.
     """
     held, switches = _rough_switches(formula, z)
@@ -176,7 +174,7 @@ def _column(symbols: list[ca.SX]) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class _Switch:
-    """What turns where its `argument` changes its sign; `side` is the symbol of that sign."""
+    """A switch turns where its `argument` changes sign; `side` is the symbol of that sign."""
 
     argument: ca.SX
     side: ca.SX
@@ -184,7 +182,7 @@ class _Switch:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """When a switch turns, in intervals from the middle of one, at most 0.5; its side `before`, `after` and `now`."""
+    """The time of a turn from the middle of the interval, at most 0.5 intervals, and the sides before, after and now."""
 
     time: ca.SX
     before: ca.SX
@@ -209,57 +207,49 @@ def _turn(argument: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interval: floa
 
 
 def _rough_switches(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, list[_Switch]]:
-    """Return `formula` with held switches, see `_held_switches`, of those alone where it has a jump or a kink.
+    """Return `formula` with those switches held (`_held_switches`) where it has a jump or a kink.
 
-    Quadratic drag ``|v| v`` has neither, and samples serve it as well as a smooth formula.
+    Quadratic drag ``|v| v`` has neither: samples represent it as well as a smooth formula.
     """
     held, switches = _held_switches(formula, z)
     rough = []
     for switch in reversed(switches):
         if _is_rough(held, switch, [*switches], z):
             rough.insert(0, switch)
-        else:
-            held = ca.substitute(held, switch.side, ca.if_else(switch.argument >= 0, 1, -1))
-            rough = [
-                _Switch(
-                    ca.substitute(
-                        other.argument, switch.side, ca.if_else(switch.argument >= 0, 1, -1)
-                    ),
-                    other.side,
-                )
-                for other in rough
-            ]
+            continue
+        side = ca.if_else(switch.argument >= 0, 1, -1)
+        held = ca.substitute(held, switch.side, side)
+        rough = [_Switch(ca.substitute(r.argument, switch.side, side), r.side) for r in rough]
     return held, rough
 
 
 def _is_rough(
     held: ca.SX, switch: _Switch, switches: list[_Switch], z: ca.SX, *, kinks: bool = True
 ) -> bool:
-    """Tell whether `held` or its slope differ on both sides of a switch, by trying generic points where it turns."""
+    """Tell whether `held` or its slope differs between the sides of a switch, at random points where it turns."""
     jump = ca.substitute(held, switch.side, 1) - ca.substitute(held, switch.side, -1)
     size = ca.fabs(ca.substitute(held, switch.side, 1))
     differences = ca.vertcat(jump, ca.vec(ca.jacobian(jump, z))) if kinks else jump
     sizes = ca.vertcat(size, ca.vec(ca.fabs(ca.jacobian(size, z)))) if kinks else size
-    others = [
-        s for s in ca.symvar(ca.vertcat(held, sizes, switch.argument)) if not ca.depends_on(s, z)
-    ]
-    sides = [any(ca.is_equal(s, other.side) for other in switches) for s in others]
+    symbols = ca.symvar(ca.vertcat(held, sizes, switch.argument))
+    constants = [s for s in symbols if not ca.depends_on(s, z)]
+    sides = [any(ca.is_equal(s, switch.side) for switch in switches) for s in constants]
     function = ca.Function(
         "sides",
-        [z, ca.vertcat(*others)],
+        [z, ca.vertcat(*constants)],
         [switch.argument, ca.gradient(switch.argument, z), differences, sizes],
     )
     random = np.random.default_rng(0)
     tried = 0
-    for _ in range(DRAWS):
+    for _ in range(4):
         point = random.normal(size=z.numel())
-        given = np.where(
-            sides, random.choice([-1.0, 1.0], len(others)), random.uniform(0.5, 1.5, len(others))
-        )
-        for _ in range(ROOT_STEPS):
-            value, gradient = (np.asarray(v).ravel() for v in function(point, given)[:2])
+        signs = random.choice([-1.0, 1.0], len(constants))
+        values = np.where(sides, signs, random.uniform(0.5, 1.5, len(constants)))
+        # Newton steps to where the switch turns: a curved argument takes several.
+        for _ in range(30):
+            value, gradient = (np.asarray(v).ravel() for v in function(point, values)[:2])
             point = point - value * gradient / max(float(gradient @ gradient), TINY)
-        value, _, difference, size = (np.asarray(ca.DM(v)).ravel() for v in function(point, given))
+        value, _, difference, size = (np.asarray(ca.DM(v)).ravel() for v in function(point, values))
         if (
             not np.all(np.isfinite(np.concatenate([point, value, difference])))
             or abs(value[0]) > SAME
@@ -298,9 +288,9 @@ def walk(
     constant: Callable[[ca.SX], Any],
     operate: Callable[[int, list[Any]], Any],
 ) -> list[Any]:
-    """Evaluate `formula` (k, 1) operation by operation: `symbols` stand for z, `constant` of what is free of z."""
-    others = [s for s in ca.symvar(formula) if not ca.depends_on(s, z)]
-    program = ca.Function("formula", [z, ca.vertcat(*others)], [ca.densify(formula)])
+    """Evaluate `formula` (k, 1) operation by operation, with `symbols` for z and `constant` of symbols free of z."""
+    constants = [s for s in ca.symvar(formula) if not ca.depends_on(s, z)]
+    program = ca.Function("formula", [z, ca.vertcat(*constants)], [ca.densify(formula)])
     registers: dict[int, Any] = {}
     results: list[Any] = [None] * formula.numel()
 
@@ -312,7 +302,7 @@ def walk(
             registers[outputs[0]] = constant(ca.SX(program.instruction_constant(k)))
         elif operation == ca.OP_INPUT:
             registers[outputs[0]] = (
-                symbols[inputs[1]] if inputs[0] == 0 else constant(others[inputs[1]])
+                symbols[inputs[1]] if inputs[0] == 0 else constant(constants[inputs[1]])
             )
         elif operation == ca.OP_OUTPUT:
             results[outputs[1]] = registers[inputs[0]]
@@ -326,8 +316,7 @@ def _apply(operation: int, terms: list[ca.SX]) -> ca.SX:
     return ca.SX.unary(operation, *terms) if len(terms) == 1 else ca.SX.binary(operation, *terms)
 
 
-# --- what an operation is while its switch is held: the side of an argument, one or minus one, is
-# its sign
+# --- operations while their switches are held: the side of an argument, 1 or -1, is its sign
 
 _Side = Callable[[ca.SX], ca.SX]
 

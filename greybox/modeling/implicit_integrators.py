@@ -1,8 +1,7 @@
-"""Implicit integrators: stages that a system of equations determines, solved by Newton's method within every step.
+"""Implicit integrators, whose stages solve equations by Newton's method within every step.
 
-A collocation method is an implicit integrator whose stages are left to the solver of the whole
-problem; both have the same solution. So a problem that was solved by collocation is judged by these
-steps.
+A collocation method is an implicit integrator whose stages the solver of the whole problem finds;
+both have the same solution. So these steps evaluate problems that were solved by collocation.
 """
 
 from abc import abstractmethod
@@ -15,20 +14,10 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
-# Largest residual of the stage equations, relative to the largest state, with which a step counts
-# as solved: far above the rounding in which Newton's method ends, and far below what an integrator
-# of any order leaves.
-SOLVED = 1e-9
-
-# Of Newton's method: what it may leave of the equations, and iterations, of which a step that is
-# short enough needs three or four.
-TOLERANCE = 1e-13
-ITERATIONS = 30
-
 
 @dataclass(frozen=True)
 class ImplicitIntegrator(Integrator):
-    """A scheme given by the equations of its stages (n, stages); a subclass says which, and where a step ends."""
+    """A scheme defined by equations of its stages (n, stages); a subclass has the equations and the end of a step."""
 
     implicit: ClassVar[bool] = True
     reach: ClassVar[float] = float("inf")
@@ -57,17 +46,19 @@ class ImplicitIntegrator(Integrator):
         stages = ca.SX.sym("stages", n, self.stages)
         start, at, ramp, parameters, span = symbols
         equations = ca.vec(self.equations(system, start, stages, at, ramp, parameters, span))
-        options = {"error_on_fail": False, "abstol": TOLERANCE, "max_iter": ITERATIONS}
-        known = ca.vertcat(*symbols)
-        statement = {"x": ca.vec(stages), "p": known, "g": equations}
+        # A step that is short enough takes three or four iterations.
+        options = {"error_on_fail": False, "abstol": 1e-13, "max_iter": 30}
+        arguments = ca.vertcat(*symbols)
+        statement = {"x": ca.vec(stages), "p": arguments, "g": equations}
         newton = ca.rootfinder("stages", "newton", statement, options)
-        residual = ca.Function("residual", [ca.vec(stages), known], [ca.norm_inf(equations)])
+        residual = ca.Function("residual", [ca.vec(stages), arguments], [ca.norm_inf(equations)])
 
-        given = ca.vertcat(x, u, slope, p, h)
-        found = newton(ca.repmat(x, self.stages, 1), given)
-        solved = residual(found, given) <= SOLVED * (1 + ca.norm_inf(x))
-        end = self.end(x, ca.reshape(found, n, self.stages))
-        return ca.if_else(solved, end, ca.MX.nan(n))
+        values = ca.vertcat(x, u, slope, p, h)
+        solution = newton(ca.repmat(x, self.stages, 1), values)
+        # Far above the rounding at which Newton's method ends, far below the error of any order.
+        is_solved = residual(solution, values) <= 1e-9 * (1 + ca.norm_inf(x))
+        end = self.end(x, ca.reshape(solution, n, self.stages))
+        return ca.if_else(is_solved, end, ca.MX.nan(n))
 
 
 @dataclass(frozen=True)

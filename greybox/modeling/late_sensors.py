@@ -52,10 +52,10 @@ class LateSensors(StateSpace):
                 )
             name = f"{output}_{kind}"
             added = tuple(f"{name}_{k}" for k in range(1 if kind == "lag" else ORDER))
-            for taken in (name, *added):
-                if taken in (*self.parameters, *self.states, *self.inputs):
+            for new in (name, *added):
+                if new in (*self.parameters, *self.states, *self.inputs):
                     raise ValueError(
-                        f"{model.label} has {taken!r} already, which names the {kind} of {output!r}."
+                        f"{model.label} already has {new!r}, the name of the {kind} of {output!r}: rename it."
                     )
             self.parameters[name] = Parameter(
                 math.sqrt(low * high),
@@ -86,10 +86,11 @@ class LateSensors(StateSpace):
 
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return what the sensors show."""
-        shown = self._true(x, u, p)
+        outputs = self._true(x, u, p)
         for output, (name, states) in self.late.items():
-            shown[output] = self._sensor(shown[output], [x[state] for state in states], p[name])[0]
-        return list(shown.values())
+            late = self._sensor(outputs[output], [x[state] for state in states], p[name])
+            outputs[output] = late[0]
+        return list(outputs.values())
 
     @property
     def trim(self) -> Any:  # type: ignore[override]
@@ -98,12 +99,12 @@ class LateSensors(StateSpace):
 
     def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
         assert self.model.trim is not None
-        found = {**dict.fromkeys((*self.states, *self.inputs), 0.0), **self.model.trim(at, p), **at}
-        true = self._true(Names(found), Names(found), p)
+        point = {**dict.fromkeys((*self.states, *self.inputs), 0.0), **self.model.trim(at, p), **at}
+        true = self._true(Names(point), Names(point), p)
         for output, (_, states) in self.late.items():
             steady = [true[output]] if len(states) == 1 else pade_steady(true[output], ORDER)
-            found |= dict(zip(states, steady, strict=True))
-        return {name: value for name, value in found.items() if name not in at}
+            point |= dict(zip(states, steady, strict=True))
+        return {name: value for name, value in point.items() if name not in at}
 
     def _true(self, x: Any, u: Any, p: Any) -> dict[str, Any]:
         return dict(zip(self.outputs, as_list(self.model.output(x, u, p)), strict=True))
@@ -138,11 +139,9 @@ def late_sensors(
     ValueError
         For outputs that the model does not have, and bounds that are not above zero.
     """
-    each = [
-        (name, kind, bounds)
-        for kind, of in (("delay", delays), ("lag", lags))
-        for name, bounds in of.items()
+    sensors = [
+        (output, kind, (float(low), float(high)))
+        for kind, bounds in (("delay", delays), ("lag", lags))
+        for output, (low, high) in bounds.items()
     ]
-    return LateSensors(
-        model, *((name, kind, (float(low), float(high))) for name, kind, (low, high) in each)
-    )
+    return LateSensors(model, *sensors)

@@ -21,12 +21,6 @@ from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, t
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
 from greybox.modeling.trim import Trimmed, trim_of
 
-# The order of elimination is checked with this many draws of the parameters besides the start
-# values, and at this many frequencies: a pivot that vanishes whatever the parameters vanishes with
-# any of them.
-DRAWS = 3
-FREQUENCIES = 50
-
 
 def frequency_response(
     model: Model,
@@ -40,14 +34,14 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Evaluate the frequency response of `model` in numbers, at `omega` (n,) in rad/s.
 
-    `values` are parameter values by name; what they leave out, as `{}` does all, is at its declared
-    start. `at` is the operating point of an ODE.
+    `values` are parameter values by name; a parameter without one has its declared start. `at` is
+    the operating point of an ODE.
 
     Raises
     ------
     ValueError
-        For a name that is not known, or where the response is not finite, as at a pole on the
-        imaginary axis.
+        For an unknown name, or where the response is not finite, as at a pole on the imaginary
+        axis.
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     input, output = pick_signals(model, input, output)
@@ -114,7 +108,7 @@ def response_formula(
 ) -> Trimmed:
     """Compile the frequency response at `omega` (n,): real and imaginary part.
 
-    With a `symbol`, at that frequency alone, which the function takes too; `omega` are those that
+    With a `symbol`, the function takes one frequency as its last input; `omega` are the values that
     will occur.
     """
     symbols = [] if symbol is None else [symbol]
@@ -149,19 +143,19 @@ def response_formula(
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
     at_point = ca.Function("response", [p, x, u, *symbols], _parts(result, s, model.label))
     w = ca.SX.sym("w", trim.function.numel_in(1))
-    both: Any = at_point(p, *trim.function(p, w), *symbols)
-    return Trimmed(trim.root, ca.Function("response", [p, w, *symbols], both))
+    parts: Any = at_point(p, *trim.function(p, w), *symbols)
+    return Trimmed(trim.root, ca.Function("response", [p, w, *symbols], parts))
 
 
 def formula_at_one_frequency(model: Model, omega: Array, **options: Any) -> ca.Function | None:
     """Compile the frequency response at one frequency: (parameters, frequency) to real and imaginary part.
 
-    The arguments are those of `response_formula`. None where the formula has numbers of its own for
-    each frequency, or the trim is found by Newton's method.
+    The arguments are those of `response_formula`. None if the formula has other numbers at each
+    frequency, or if Newton's method finds the operating point.
     """
     try:
         formula = response_formula(model, omega, ca.SX.sym("omega"), **options)
-    except ValueError:  # told with the reason by `response_formula` at all frequencies
+    except ValueError:  # `response_formula` at all frequencies raises it with the reason
         return None
     return formula.closed() if formula.root is None else None
 
@@ -170,28 +164,24 @@ def _elimination_order(
     model: StateSpace, matrices: ca.Function, trim: Trimmed, input: int, omega: Array
 ) -> tuple[int, ...]:
     """Choose the order of elimination from the matrices at the start values and at draws from the start boxes."""
+    # A pivot that vanishes for all parameters vanishes at any few of them, and at any frequencies.
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
-    points += [[q.draw(random) for q in model.parameters.values()] for _ in range(DRAWS)]
-    found = [
-        trim.function(point, [] if trim.root is None else trim.root(point)) for point in points
-    ]
-    each = (matrices(point, *at)[:2] for point, at in zip(points, found, strict=True))
-    blocks = [[np.asarray(ca.DM(block)) for block in pair] for pair in each]
-    usable = [
-        (A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))
-    ]
-    if not usable:
+    points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
+    systems = []
+    for point in points:
+        at = trim.function(point, [] if trim.root is None else trim.root(point))
+        A, B = (np.asarray(ca.DM(block)) for block in matrices(point, *at)[:2])
+        if np.all(np.isfinite(A)) and np.all(np.isfinite(B)):
+            systems.append((A, B[:, input]))
+    if not systems:
         return tuple(range(len(model.states)))
-    zero = np.all([A == 0 for A, _ in usable], axis=0)
-    looked_at = (
-        omega
-        if omega.size <= FREQUENCIES
-        else omega[np.linspace(0, omega.size - 1, FREQUENCIES).astype(int)]
-    )
-    return elimination_order(
-        np.array([A for A, _ in usable]), np.array([b for _, b in usable]), zero, looked_at
-    )
+
+    samples = np.array([A for A, _ in systems])
+    right = np.array([b for _, b in systems])
+    if omega.size > 50:
+        omega = omega[np.linspace(0, omega.size - 1, 50).astype(int)]
+    return elimination_order(samples, right, np.all(samples == 0, axis=0), omega)
 
 
 def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
@@ -200,8 +190,8 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
         raise ValueError(
             f"{owner}.response returns a {type(result).__name__}: return one expression of s and p."
         )
-    both: Any = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
-    parts = [ca.SX(part) for part in both]
+    pair: Any = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
+    parts = [ca.SX(part) for part in pair]
     for k, part in enumerate(parts):
         if part.is_scalar():
             parts[k] = part + ca.SX.zeros(s.im.numel())

@@ -30,7 +30,7 @@ class UnknownModelError(LookupError):
 
 
 def reference(model: Model) -> dict[str, Any]:
-    """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``, with models inside it likewise."""
+    """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``, models among the arguments alike."""
     positional, named = model.arguments
     return {
         "class": f"{type(model).__module__}:{type(model).__qualname__}",
@@ -42,28 +42,28 @@ def reference(model: Model) -> dict[str, Any]:
 def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()) -> Model:
     """Return the model that a reference names: one of those `given`, by their class, or one of greybox's own.
 
-    A reference comes from a file, and a file does not choose what is imported: nothing but `given` and the models that
-    greybox includes is looked at, whatever else is installed or loaded.
+    A reference comes from a file, and a file must not choose what is imported: only `given` models
+    and those that greybox includes are considered, whatever else is installed or loaded.
 
     Raises
     ------
     UnknownModelError, LookupError
-        When it is neither, or does not take the stored arguments; the sentence has the cure.
+        When it is neither, or does not take the stored arguments.
     """
     module_name, _, class_name = stored["class"].partition(":")
     missing = f"the model {printable(class_name)} of the module {module_name!r} is needed and was not found"
     cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=Mine()"
-    known = _given(stored["class"], given) or included_model(module_name, class_name)
-    if known is None:
+    model = _given(stored["class"], given) or included_model(module_name, class_name)
+    if model is None:
         raise UnknownModelError(
             f"{missing} among those that greybox includes or that were given", cure
         )
-    if isinstance(known, Model):
-        return known
+    if isinstance(model, Model):
+        return model
     try:
         arguments = [_alive(value, given) for value in stored["arguments"]]
         keywords = {name: _alive(value, given) for name, value in stored["keywords"].items()}
-        return known(*arguments, **keywords)
+        return model(*arguments, **keywords)
     except (TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise LookupError(
             f"{missing} as it was: {error}; give the model itself, model=..."
@@ -71,15 +71,15 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
 
 
 def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Model] | None:
-    """Return the one of this class; its module may be another, since the same file is ``__main__`` when it is run."""
-    classes = [thing if isinstance(thing, type) else type(thing) for thing in given]
-    names = [f"{known.__module__}:{known.__qualname__}" for known in classes]
-    if name in names:
-        return given[names.index(name)]
-    alike = [
-        k for k, other in enumerate(names) if other.partition(":")[2] == name.partition(":")[2]
-    ]
-    return given[alike[0]] if alike else None
+    """Return the given model of this class, with the same module if there is one: a file that is run is ``__main__``."""
+    classes = [model if isinstance(model, type) else type(model) for model in given]
+    modules = [f"{kind.__module__}:{kind.__qualname__}" for kind in classes]
+    if name in modules:
+        return given[modules.index(name)]
+    qualname = name.partition(":")[2]
+    return next(
+        (m for m, k in zip(given, classes, strict=True) if k.__qualname__ == qualname), None
+    )
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:

@@ -1,4 +1,4 @@
-"""The operating point of an ODE: states and inputs at which its derivative is zero, as a function of the parameters."""
+"""The operating point of an ODE, where its derivative is zero, as a function of the parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,19 +19,12 @@ from greybox.modeling.symbolic_reading import (
     traced_derivative,
 )
 
-TOLERANCE = 1e-9  # of the derivative at a trim, relative to the states and inputs there
-OWN_TOLERANCE = 1e-6  # the same for a trim that the user wrote, whose constants may be rounded
-ROUNDING = 1e-12  # derivative at the origin that is rounding
-DRAWS = 8  # parameter vectors at which the origin must be an equilibrium: one generic vector decides, save for accidents
-STEPS = 10  # from the trim at the start values to that at the values asked for, where one step does not converge
-POLISHING = 30  # Newton steps: at a double root each only halves the distance, and with it the slope, to a billionth
-SINGULAR = 1e-9  # pivot of a Jacobian, relative to the largest, that is rounding
-VANISHING = 1e-6  # pivot relative to its value a tenth of the point away: it vanishes at the trim, as at a double root
+TOLERANCE = 1e-9  # on the derivative at a trim, relative to the states and inputs there
 
 
 @dataclass(frozen=True, eq=False)
 class Trimmed:
-    """What depends on an operating point, in two steps, of which the first alone needs an iteration.
+    """A function of an operating point in two steps; only the first needs an iteration.
 
     Attributes
     ----------
@@ -39,10 +32,10 @@ class Trimmed:
         (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None where there are none,
         and w is empty.
     function : casadi.Function
-        (p, w, ...) -> what depends on it, an SX function. Its first and second derivatives by p are
-        those at the operating point, with w held: from a root, a step of Newton's method gives the
-        root with its first derivatives, and a second step has the second ones too. They take a
-        fraction of the time of CasADi's through its root finder.
+        (p, w, ...) -> the result, an SX function. Its first and second derivatives by p, with w
+        held, are those at the operating point: from a root, one step of Newton's method has the
+        first derivatives of the root, a second step the second ones. They take a fraction of the
+        time of CasADi's derivatives through its root finder.
     """
 
     root: ca.Function | None
@@ -62,7 +55,7 @@ class Trimmed:
 def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     """Return the states and inputs at the operating point `at` as functions of the parameter vector.
 
-    The point is, in this order: what the model's own `trim` says; the origin, where that is an
+    The point is, in this order: the result of the model's own `trim`; the origin, if that is an
     equilibrium for every parameter value (so a hover, where ``C_x |v| v = 0`` has a double root,
     has finite derivatives); otherwise the solution of ``derivative = 0``, differentiated by the
     implicit function theorem.
@@ -101,31 +94,32 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
         raise ValueError(
             f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by name."
         )
-    given = dict(returned)
-    require_known(given, (*model.states, *model.inputs), "state or input", model.label)
+    values = dict(returned)
+    require_known(values, (*model.states, *model.inputs), "state or input", model.label)
     trim = _closed_form(
-        model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)]
+        model, p, [{**values, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)]
     )
     start = [q.start for q in model.parameters.values()]
     point = ca.vertcat(*trim.function(start, []))
-    rest = np.asarray(derivative_function(model)(point, start)).ravel()
-    if not np.all(np.abs(rest) < OWN_TOLERANCE * (1 + np.abs(np.asarray(point)).max(initial=0))):
-        worst = int(np.argmax(np.abs(np.nan_to_num(rest, nan=np.inf))))
+    derivative = np.asarray(derivative_function(model)(point, start)).ravel()
+    # Constants in a formula of the user's may be rounded.
+    tolerance = 1e-6 * (1 + np.abs(np.asarray(point)).max(initial=0))
+    if not np.all(np.abs(derivative) < tolerance):
+        worst = int(np.argmax(np.abs(np.nan_to_num(derivative, nan=np.inf))))
         raise ValueError(
             f"{model.label}.trim at {dict(at)} is not an equilibrium: the derivative of "
-            f"{model.states[worst]!r} is {rest[worst]:.3g} there; correct the trim."
+            f"{model.states[worst]!r} is {derivative[worst]:.3g} there; correct the trim."
         )
     return trim
 
 
 def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
-    """Tell whether `point` is an equilibrium whatever the parameters, by trying some."""
+    """Tell whether `point` is an equilibrium for all parameters, by trying eight draws of them."""
     derivative = derivative_function(model)
     random = np.random.default_rng(0)
-    for _ in range(DRAWS):
-        trial = [p.draw(random) for p in model.parameters.values()]
-        value = np.asarray(derivative(point, trial))
-        if not np.all(np.abs(value) < ROUNDING):
+    for _ in range(8):
+        values = [p.draw(random) for p in model.parameters.values()]
+        if not np.all(np.abs(np.asarray(derivative(point, values))) < 1e-12):
             return False
     return True
 
@@ -188,18 +182,22 @@ def _presolve(
         )
         if np.abs(solution.fun).max() > TOLERANCE * (1 + np.abs(solution.x).max(initial=0)):
             continue
+        # Newton steps: at a double root each only halves the distance, and 30 reach a billionth.
         root = solution.x
-        for _ in range(POLISHING):
+        for _ in range(30):
             rest, jacobian = (np.asarray(v) for v in residual(root, start))
             root = root - np.linalg.lstsq(jacobian, rest.ravel(), rcond=None)[0]
-        diagonal, order = _pivots(residual(root, start)[1])
+
+        # A pivot is zero if it is rounding beside the largest one, or vanishes beside its value a
+        # tenth of the point away, as at a double root.
+        pivots, order = _pivots(residual(root, start)[1])
         nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
-        if diagonal.size and diagonal.min() < max(
-            SINGULAR * diagonal.max(), VANISHING * np.nan_to_num(nearby).min()
+        if pivots.size and pivots.min() < max(
+            1e-9 * pivots.max(), 1e-6 * np.nan_to_num(nearby).min()
         ):
             raise ValueError(
-                f"{model.label} at {dict(at)} has a singular operating point (its derivative does not fix every "
-                "state there): give more of the point in at, or declare trim(self, at, p)."
+                f"{model.label} at {dict(at)} has a singular operating point (its derivative does not determine "
+                "every state there): give more of the point in at, or declare trim(self, at, p)."
             )
         return root, sorted(int(k) for k in order[:size])
     raise ValueError(
@@ -230,22 +228,22 @@ def _rootfinder(
     equations = ca.vertcat(*[rest[k] for k in rows])
     newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
     size = ca.sqrt(ca.sumsqr(rest)) / (1 + ca.sqrt(ca.sumsqr(w)))
-    found = ca.Function("found", [w, p], [size < TOLERANCE])
+    is_root = ca.Function("is_root", [w, p], [size < TOLERANCE])
 
     parameters = ca.MX.sym("p", p.numel())
     direct = newton(x0=guess, p=parameters)["x"]
     start = ca.DM([q.start for q in model.parameters.values()])
+    # If that does not converge: from the start values in ten steps.
     root = ca.MX(ca.DM(guess))
-    for step in range(1, STEPS + 1):
-        root = newton(x0=root, p=start + (parameters - start) * step / STEPS)["x"]
+    for step in range(1, 11):
+        root = newton(x0=root, p=start + (parameters - start) * step / 10)["x"]
     in_steps = ca.Function("in_steps", [parameters], [root])
-    root = ca.if_else(found(direct, parameters), direct, in_steps(parameters), True)
+    root = ca.if_else(is_root(direct, parameters), direct, in_steps(parameters), True)
 
-    # A root that was not found becomes infinite, so that the run that met it fails instead of using
-    # it.
+    # Without a root the point becomes infinite, so that the run fails instead of using it.
     step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
     exact = step(step(w, p), p)
-    full = ca.substitute(point, w, exact) / found(w, p)
+    full = ca.substitute(point, w, exact) / is_root(w, p)
     n = len(model.states)
     return Trimmed(
         ca.Function("root", [parameters], [root]),
