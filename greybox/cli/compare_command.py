@@ -28,12 +28,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="RESULT",
         help="fits that greybox fit --out wrote, of the same data; or the folder of a study, also while it runs",
     )
-    parser.add_argument(
-        "--folds",
-        type=_folds,
-        metavar="N",
-        help="fit again without every N-th frequency, and predict it",
-    )
     add_model_option(parser)
     add_common_options(parser)
 
@@ -55,9 +49,7 @@ def _comparison(options: argparse.Namespace) -> Comparison:
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
     if len(set(labels)) < len(labels):
         raise UsageError(f"{max(labels, key=labels.count)} is given twice: give different fits.")
-    return compare(
-        *(saved_fit(path, options) for path in paths), labels=labels, folds=options.folds
-    )
+    return compare(*(saved_fit(path, options) for path in paths), labels=labels)
 
 
 def _summary(comparison: Comparison) -> dict[str, Any]:
@@ -69,9 +61,3 @@ def _summary(comparison: Comparison) -> dict[str, Any]:
         "table": comparison.table,
         "statements": list(comparison.statements),
     }
-
-
-def _folds(text: str) -> int:
-    if text.isascii() and text.isdigit() and int(text) > 1:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 2")

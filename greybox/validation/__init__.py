@@ -14,7 +14,6 @@ Begin with `compare`.
 | `nesting` | whether one model is another with terms removed |
 | `common_likelihood` | one likelihood for fits of responses by different criteria |
 | `held_out` | predictions of the same windows by all fits |
-| `cross_validation` | frequency responses predicted by fits that have not seen them |
 | `reduction` | the smaller structure that a fit suggests |
 | `stepwise` | terms chosen from a list of candidates |
 | `differences` | which parameters differ between fits to different data |

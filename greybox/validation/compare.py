@@ -9,7 +9,6 @@ from greybox.modeling.model import require_known
 from greybox.simulation.windows import require_lengths
 from greybox.validation.common_likelihood import Likelihoods, common_likelihood
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, Row
-from greybox.validation.cross_validation import cross_validation
 from greybox.validation.held_out import (
     Predictions,
     not_held_out,
@@ -38,7 +37,6 @@ def compare(
     labels: Sequence[str] = (),
     removed_at: Mapping[str, float] | None = None,
     own: Sequence[str] | None = None,
-    folds: int | None = None,
 ) -> Comparison:
     """Compare fits of different structures: which describes its data best, and predicts others best.
 
@@ -74,8 +72,6 @@ def compare(
     own : sequence of str, optional
         Parameters and biases that are estimated from every held-out record before its windows are
         predicted, see `predict`, whose default is used here.
-    folds : int, optional
-        Fit responses again without every such frequency, and predict it.
 
     Raises
     ------
@@ -104,8 +100,6 @@ def compare(
         raise ValueError(
             f"{different}: fit them to the same data, or give records=[...] on which to judge them."
         )
-    if different and folds is not None:
-        raise ValueError(f"{different}: folds need fits of the same data.")
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), own, not different)
 
@@ -129,10 +123,6 @@ def compare(
     notes = [*not_held_out(fits, names, held_out), *notes]
     if not_comparable and not different:
         notes.append(_costs_not_compared(not_comparable, fits, likelihoods))
-    if folds is not None:
-        fold_rows, fold_statements = cross_validation(fits, names, folds)
-        rows += fold_rows
-        statements = (*statements, *fold_statements)
 
     bic = _known("BIC", rows)
     supported = verdict = ""

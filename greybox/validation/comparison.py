@@ -11,7 +11,6 @@ from greybox.simulation.windows import seconds
 
 IDENTIFICATION = "identification"
 HELD_OUT = "held-out"
-FREQUENCIES = "frequencies"  # left out of fits of responses, and predicted by the fit to the rest
 
 # p-value below which a difference counts: the customary 5 %, one false alarm in twenty comparisons.
 SIGNIFICANT = 0.05
@@ -28,8 +27,7 @@ class Row:
     Attributes
     ----------
     data : str
-        "fit"; the records that were predicted: "identification" or "held-out"; or the left-out
-        "frequencies".
+        "fit", or the records that were predicted: "identification" or "held-out".
     output : str
         Empty for a measure of the whole fit.
     measure, unit : str
@@ -113,10 +111,7 @@ class Comparison:
     def __str__(self) -> str:
         lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
         lines += [f"  {self.verdict}", ""] if self.verdict else []
-        titles = {
-            "fit": "",
-            FREQUENCIES: "left-out frequencies, predicted by the fit to the others",
-        }
+        titles = {"fit": ""}
         titles |= {kind: f"{kind} data: {self._windows(kind)}" for kind in self.predictions}
         for data, title in titles.items():
             rows = [row for row in self.rows if row.data == data]

@@ -11,7 +11,6 @@ from command_line import QUICK, refused, run
     [
         ("profile", "fit.h5", "K"),
         ("bootstrap", "fit.h5", "--replicates", "4", "--resampling", "parametric"),
-        ("compare", "fit.h5", "fixed.h5", "--folds", "2"),
     ],
     ids=lambda command: command[0],
 )

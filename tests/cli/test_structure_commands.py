@@ -67,7 +67,6 @@ def test_the_region_of_two_parameters(capsys, tmp_path):
             np.sqrt(2 * fisher.ppf(0.95, 2, 14)) / student.ppf(0.975, 14), rel=0.02
         )
     assert figure.stat().st_size > 1000
-    assert "leave out other names and workers" in refused(capsys, *command, "--workers", "2")
 
 
 def test_what_a_structure_could_tell_and_what_a_fit_has_told(capsys, own, yaw):

@@ -264,7 +264,3 @@ def test_of_other_data_nothing_is_tested():
         match=r"was fitted to other data than .*: a nested test needs fits of the same data\.$",
     ):
         gb.validation.nested_test(small, large)
-    time = np.arange(80) / 20
-    held_out = gb.Record(time, {"u": np.sin(3 * time), "y": np.sin(3 * time - 0.7)})
-    with pytest.raises(ValueError, match="folds need fits of the same data"):
-        gb.compare(small, large, records=[held_out], folds=3)
