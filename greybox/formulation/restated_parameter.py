@@ -1,4 +1,4 @@
-"""A declared parameter with other bounds, another start or another start box, for one problem."""
+"""A declared parameter with other bounds, start or start box, for one problem."""
 
 import math
 from dataclasses import replace
@@ -14,11 +14,11 @@ def restated(
     start: float | None = None,
     starts: tuple[float, float] | None = None,
 ) -> Parameter:
-    """Return a parameter with what is given in place of what its model declares.
+    """Return a parameter with these bounds, start and start box in place of the declared ones.
 
-    A declared start that the new bounds or start box exclude moves to their nearest end. A declared
-    start box is cut to the new bounds; where nothing is left of it, starts are drawn within these.
-    Where the new bounds have an infinite end, starts are drawn within the declared ones as before.
+    A declared start outside the new bounds or start box moves to their nearest end. A declared
+    start box is cut to the new bounds; if nothing is left of it, starts are drawn within the
+    bounds. If the new bounds have an infinite end, starts are drawn within the declared ones.
 
     Raises
     ------

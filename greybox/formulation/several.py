@@ -1,4 +1,4 @@
-"""One model for several records: shared parameters are one unknown, those of a record's own get its number."""
+"""One model for several records, with shared parameters and parameters of each record."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,13 +12,12 @@ from greybox.modeling.model import Model, require_known
 def several(
     model: Model, records: Sequence[Record], own: Sequence[str] = (), **options: Any
 ) -> Sum[Problem]:
-    """Return the sum of a problem for every record, parameters shared but for those of its own.
+    """Return the sum of a problem for every record; all parameters but `own` are shared.
 
-    Every record has its own estimated noise variances, which weight it: a record that the model
-    fits badly has little weight. To give records of one sensor equal weight, state its standard
-    deviation, ``criterion=OutputError(noise={"y": 0.1})``; with a single output any value will do,
-    since standard errors use the residual variance. One record that holds all of them, with gaps in
-    its time, has one estimated variance.
+    Every record is weighted by its own estimated noise variances: one that the model fits badly has
+    little weight. To give records of one sensor equal weight, give its standard deviation,
+    ``criterion=OutputError(noise={"y": 0.1})``; for a single output any value will do, since the
+    standard errors use the residual variance. Or join the records to one with gaps in its time.
 
     Parameters
     ----------
@@ -26,10 +25,10 @@ def several(
     records : sequence of Record
         Of any lengths and rates; initial states are each record's own.
     own : sequence of str
-        Parameters that each record has for itself, named ``<name>_1``, ``<name>_2`` ...; the biases
-        of the criterion are so anyway, as in every sum, unless `rename` gives them one name.
+        Parameters of each record, named ``<name>_1``, ``<name>_2`` ...; the biases of the criterion
+        are always such, unless `rename` gives them one name.
     options
-        Of every `Problem`: criterion, fixed, tied, constraints ...
+        Options of every `Problem`: criterion, fixed, tied, constraints ...
 
     Raises
     ------

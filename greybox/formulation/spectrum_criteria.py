@@ -1,7 +1,4 @@
-"""Rules that measure the mismatch between a model and the Fourier integrals of a manoeuvre.
-
-`OutputError` serves them as it serves records; `EquationError` is theirs alone.
-"""
+"""Criteria for the Fourier integrals of a manoeuvre: `EquationError`, and `OutputError` as for records."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,13 +13,12 @@ from greybox.modeling.realization import dynamics
 
 @dataclass(frozen=True, eq=False)
 class EquationError(TimeCriterion):
-    """Maximum likelihood with all errors in the differential equation, as of turbulence: of a `TransientSpectrum`.
+    """Maximum likelihood with all errors in the differential equation, such as turbulence; for a `TransientSpectrum`.
 
-    With one output y the errors are those of det(jωI - A) Y, with as many outputs as states, from
-    which all states follow, those of jωX - A X - B U. The likelihood is that of the outputs, whose
-    variance then depends on the parameters: the plain least squares of these errors are biased
-    where the band leaves out a part of them. Noise that is in the outputs biases the estimate;
-    `OutputError` is for that.
+    The errors are those of det(jωI - A) Y for one output, and those of jωX - A X - B U for as many
+    outputs as states. The likelihood is that of the outputs, whose variance depends on the
+    parameters: plain least squares of these errors would be biased where the band leaves out a part
+    of them. Noise in the outputs biases the estimate; use `OutputError` for it.
 
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 7; the likelihood:
     Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with plant and noise of
@@ -57,7 +53,7 @@ class EquationError(TimeCriterion):
 def outputs_in_spectrum(
     criterion: TimeCriterion, model: Model, spectrum: TransientSpectrum
 ) -> tuple[str, ...]:
-    """Return the outputs of the model that the spectrum holds.
+    """Return the outputs of the model that are in the spectrum.
 
     Raises
     ------
@@ -77,7 +73,7 @@ def outputs_in_spectrum(
         if stands:
             raise ValueError(
                 f"{option} of {kind} is for records and the data are a TransientSpectrum, which knows how its inputs "
-                "ran and in which constants vanish: leave it out."
+                "ran and contains no constants: leave it out."
             )
     for name in model.input_names:
         if name not in spectrum.inputs:

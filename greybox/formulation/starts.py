@@ -13,7 +13,7 @@ from greybox.modeling.parameter import Parameter
 
 
 class Starts(ABC):
-    """A rule that gives the start points of a multistart; `seed` is None where nothing is random."""
+    """A rule for the starts of a search; `seed` is None if nothing is random."""
 
     seed: int | None = None
 
@@ -29,12 +29,12 @@ class Starts(ABC):
 class RandomStarts(Starts):
     """Points drawn in the unit cube, then spread over the boxes of the parameters (`Parameter.in_box`).
 
-    A rule of one's own states `unit_points`.
+    A subclass defines `unit_points`.
 
     Parameters
     ----------
     number : int
-        How many starts.
+        Number of starts.
     seed : int
     """
 
@@ -79,17 +79,17 @@ class Sobol(RandomStarts):
 
 @dataclass(frozen=True)
 class UntilFoundAgain(Sobol):
-    """As many Sobol points as it takes until every minimum was found so often that there is hardly another.
+    """Sobol points until another minimum is unlikely.
 
     The search doubles their number until the probability of another minimum falls to `error`, see
-    `greybox.solve.waves`, or there are `number`.
+    `greybox.solve.waves`, or until there are `number`.
 
     Parameters
     ----------
     error : float
         Between 0 and 1.
     number : int
-        The most starts.
+        Largest number of starts.
     seed : int
     """
 
@@ -110,7 +110,7 @@ class UntilFoundAgain(Sobol):
 
 @dataclass(frozen=True)
 class LatinHypercube(RandomStarts):
-    """Latin hypercube: every parameter's interval is divided into `number` layers, one point in each."""
+    """Latin hypercube: the interval of every parameter has `number` layers with one point in each."""
 
     def unit_points(self, size: int) -> Array:
         """Return one random hypercube."""
@@ -121,7 +121,7 @@ class LatinHypercube(RandomStarts):
 
 @dataclass(frozen=True)
 class Listed(Starts):
-    """Starts given one by one, each a mapping of name to value; parameters not named begin at their declared start."""
+    """Given starts, each a mapping of name to value; other parameters begin at their declared start."""
 
     points: Sequence[Mapping[str, float]] = field(default=({},))
 
@@ -148,7 +148,7 @@ class Listed(Starts):
 
 @dataclass(frozen=True)
 class Chained(Starts):
-    """The starts of several rules, one after the other; `seed` is that of the first that has one."""
+    """The starts of several rules in turn; `seed` is that of the first rule that has one."""
 
     rules: tuple[Starts, ...]
 
@@ -172,14 +172,14 @@ class Chained(Starts):
 def as_starts(
     starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int | None = None
 ) -> Starts:
-    """Read what a user gives: a number of Sobol points, a rule, or a list of points and rules.
+    """Return the rule for a number of Sobol points, a rule, or a list of points and rules.
 
     Raises
     ------
     TypeError
         For anything else.
     ValueError
-        For a seed beside a rule, which has its own.
+        For a seed together with a rule, which has its own.
     """
     if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
         return Sobol(int(starts), 0 if seed is None else seed)

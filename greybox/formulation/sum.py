@@ -15,45 +15,37 @@ from greybox.formulation.summand import Part
 from greybox.modeling.model import merge
 from greybox.modeling.parameter import Parameter
 
-# Two ties are the same when they agree at the starts and at this many random points. Formulas that
-# differ agree at a random point with probability zero; more than one point serves formulas that are
-# undefined in places.
-TIE_POINTS = 4
-WIDEST_TIE_RANGE = 1e3  # stands for larger and for infinite bounds when those points are drawn
-MOST_NAMES = 8  # of parts, in the name of their sum: what a person reads in a line
-
 
 @dataclass(frozen=True, eq=False)
 class Sum(Generic[Part]):
     """Several problems solved at once: costs add by their weights, parameters of one name are one unknown.
 
-    The bias of a sensor is each record's own: where several records have it, ``x_bias`` becomes
-    ``x_bias_1``, ``x_bias_2`` ..., numbered as the records are. Parts of the same record share it;
-    so do parts that give it one name, ``rename={"x_bias": "x_bias"}``.
+    Each record has its own sensor biases: if several records have ``x_bias``, it becomes
+    ``x_bias_1``, ``x_bias_2`` ..., numbered as the records are. Parts of one record share it; so do
+    parts that give it one name, ``rename={"x_bias": "x_bias"}``.
 
-    Likelihoods add. Beside one, as that of every record is, a response whose criterion was left out
-    is fitted by `RelativeLikelihood`, not by `RelativeError`. Other criteria add where they are the
-    same, with the same settings.
+    Likelihoods add. In a sum with a likelihood, as every record has, the default criterion of a
+    response is `RelativeLikelihood`. Other criteria add only if they are the same, with the same
+    settings.
 
     Raises
     ------
     ValueError
-        If a criterion that was asked for is a likelihood and another one is not, two that are none
-        differ, or a response was estimated from a record that is added to it. If parameters of one
-        name have different units, or are fixed, tied or bounded in ways that contradict.
+        If costs do not add, a response was estimated from a record in the sum, or parameters of one
+        name have different units or are fixed, tied or bounded in contradictory ways.
     """
 
     parts: tuple[Part, ...]
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Give criteria whose costs add and biases their numbers, merge the parameters and check that ties agree."""
+        """Choose criteria whose costs add, number biases, merge parameters, and check that ties agree."""
         require_data_once(self.parts)
         object.__setattr__(self, "_as_added", self.parts)
         object.__setattr__(self, "parts", with_numbered_biases(with_costs_that_add(self.parts)))
         if not self.name:
             names = list(dict.fromkeys(part.name for part in self.parts))
-            if len(names) > MOST_NAMES:
+            if len(names) > 8:  # more do not fit into a line
                 names = [*names[:2], "...", f"{names[-1]} ({len(names)} in all)"]
             object.__setattr__(self, "name", " + ".join(names))
 
@@ -67,8 +59,11 @@ class Sum(Generic[Part]):
     def _check_ties(self, merged: Mapping[str, Parameter]) -> None:
         """Require that a name tied in one part is tied alike, or absent, in all others."""
         bounds = np.array([parameter.bounds for parameter in merged.values()])
-        low, high = np.clip(bounds.T, -WIDEST_TIE_RANGE, WIDEST_TIE_RANGE)
-        drawn = np.random.default_rng(0).uniform(low, high, (TIE_POINTS, len(merged)))
+        low, high = np.clip(bounds.T, -1e3, 1e3)  # bounds may be infinite
+
+        # Formulas that differ agree at a random point with probability zero; there are four points
+        # since formulas may be undefined in places.
+        drawn = np.random.default_rng(0).uniform(low, high, (4, len(merged)))
         points = [[parameter.start for parameter in merged.values()], *drawn]
 
         seen: dict[str, list[float]] = {}
@@ -92,7 +87,7 @@ class Sum(Generic[Part]):
 
     @property
     def as_added(self) -> tuple[Part, ...]:
-        """The parts as they were added, before their criteria were settled and their biases numbered."""
+        """The parts as they were added, with their own criteria and unnumbered biases."""
         return self.__dict__["_as_added"]
 
     @property
@@ -102,7 +97,7 @@ class Sum(Generic[Part]):
 
     @property
     def held_estimates(self) -> dict[str, HeldEstimate]:
-        """The earlier answers among the fixed values, by outside name."""
+        """Earlier fits among the fixed values, by outside name."""
         return {name: held for part in self.parts for name, held in part.held_estimates.items()}
 
     def __add__(self, other: Any) -> "Sum[Part]":

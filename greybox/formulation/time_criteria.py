@@ -1,4 +1,4 @@
-"""Rules that measure the mismatch between a model's simulated outputs and measured ones, in time."""
+"""Criteria for records: the mismatch between a model's simulated outputs and measured ones."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -21,41 +21,40 @@ SPECTRUM_CONDITION = "white errors of the outputs over the band, and known input
 
 @dataclass(frozen=True, eq=False)
 class TimeCriterion(AnyCriterion):
-    """What the criteria in time share: the likelihood of normal errors of the outputs.
+    """The likelihood of normal errors of the outputs, which all criteria in time share.
 
-    What a delayed input did before the record, or during a gap, is not known. If the input is at
-    rest at the beginning of a gapless stretch (exactly constant over the first 5 samples and
-    clearly longer than it holds its values later), it is assumed to have been at rest before. If it
-    moves, outputs are not compared for the largest delay that the bounds of its parameter allow: a
-    generous upper bound costs data, and a warning says when it costs more than 5 % of a record.
+    The past of a delayed input, before the record or during a gap, is unknown. An input that rests
+    at the beginning of a gapless stretch (exactly constant over the first 5 samples and clearly
+    longer than it holds its values later) is assumed to have rested before. If it moves, outputs
+    are not compared for the largest delay within the bounds of its parameter: a generous upper
+    bound costs data, and the fit warns if it costs more than 5 % of a record.
 
     Parameters
     ----------
     noise : "diagonal", "full", or mapping of output to standard deviation
-        Variances estimated with the parameters (maximum likelihood: the cost is the logarithm of
-        the determinant of the residual covariance, minimized by relaxation, with weights from the
-        last residuals), a full covariance estimated in the same way, or known standard deviations
-        in the units of the outputs.
+        Variances or a full covariance estimated with the parameters (maximum likelihood: the cost
+        is the logarithm of the determinant of the residual covariance), or known standard
+        deviations in the units of the outputs.
     inputs : "record", "linear" or "held"
-        How inputs run between their samples: as the record says of each (`Record.hold`), which for
-        an input that it does not know is taken as linear, and said; or all of them linear, or held.
-        Where a held input reaches an output directly, the cost is discontinuous at integer-sample
-        delays: give several starts.
+        How inputs run between their samples: as the record says (`Record.hold`; an unknown input is
+        taken as linear, which the answer states), or all of them linear, or held. If a held input
+        reaches an output directly, the cost is discontinuous at integer-sample delays: give several
+        starts.
     biases : sequence of str
-        Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter
-        ``<name>_bias``, the measured less the true value. In a sum of problems it is each record's
-        own, see `Sum`.
+        Outputs and inputs with an unknown constant error of measurement: the parameter
+        ``<name>_bias`` is the measured minus the true value. In a sum each record has its own, see
+        `Sum`.
     initial : mapping of state to value or function of the parameters
-        Known states at the first sample of the record; all others, and those after a gap, are
+        Known states at the first sample of the record. All others, and the states after a gap, are
         estimated.
 
     Attributes
     ----------
     errors_are_white : bool
-        True when the standard errors take the residuals as white; False when they follow from the
+        Whether the standard errors assume white residuals; otherwise they follow from the
         autocorrelation of the residuals.
     corrects_states : bool
-        True when the residuals of a sample correct the states, by the gains of `gains`.
+        Whether the residuals of a sample correct the states, by the gains of `gains`.
 
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
     """
@@ -109,13 +108,13 @@ class TimeCriterion(AnyCriterion):
         return f"{self.rule}, {'estimated variances' if self.noise == 'diagonal' else 'estimated covariance'}"
 
     def condition_on(self, data: Any) -> str:
-        """Return the condition; rows without a time have no order along which their errors could be correlated."""
+        """Return the condition; the errors of rows without a time cannot be correlated along them."""
         if isinstance(data, TransientSpectrum):
             return SPECTRUM_CONDITION
         return self.condition if data.has_time else ROWS_CONDITION
 
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
-        """Return the outputs of the model that the record holds.
+        """Return the outputs of the model that are in the record.
 
         Raises
         ------
@@ -183,8 +182,8 @@ class TimeCriterion(AnyCriterion):
 class OutputError(TimeCriterion):
     """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state.
 
-    Of a `TransientSpectrum` it compares the transforms, with the states at both ends estimated
-    along; `inputs`, `biases` and `initial` are for records.
+    For a `TransientSpectrum` it compares the transforms and estimates the states at both ends;
+    `inputs`, `biases` and `initial` are for records.
 
     Outputs at the beginning of a record that depend on a delayed input from before it are left out,
     unless that input is at rest there, see `TimeCriterion`.

