@@ -16,7 +16,6 @@ from greybox.plotting.signals import chosen, shown_unit, signal_label
 from greybox.simulation.prediction import Prediction
 
 DOTS = 400  # measured samples up to which each is a dot: more would touch
-MARKED_WINDOWS = 60  # windows up to which the beginning of each is marked: more would touch
 HISTORY = {"width": 9.5, "inches": 1.9}  # size of a new figure
 
 
@@ -34,7 +33,6 @@ class History:
         Of the 95 % band, where there is one.
     pieces : list of index arrays
         IntArray that one line joins.
-    window_starts : index array
     """
 
     label: str
@@ -44,7 +42,6 @@ class History:
     values: dict[str, Array]
     half_width: dict[str, Array]
     pieces: list[IntArray]
-    window_starts: IntArray
 
 
 def time_history(
@@ -61,7 +58,7 @@ def time_history(
     Parameters
     ----------
     *items : Fit or Prediction
-        They must have the same data. Predictions start again in every window, at a dot. The band
+        They must have the same data. Predictions start again in every window. The band
         (95 %) covers the errors of parameters and initial state, without sensor noise.
     record : int
         Number of the record in a fit to several.
@@ -152,10 +149,6 @@ def _output_panels(drawn: Sequence[History], name: str, columns: int) -> list[Pa
         line = (history.pieces, columns, color)
         outputs.append(_line(history.label, history.data, values, *line, width=1.1))
         residuals.append(_line(history.label, history.data, residual, *line, width=0.8))
-        starts = history.window_starts
-        if 0 < starts.size <= MARKED_WINDOWS:
-            time = _along(history.data)[starts]
-            outputs.append(Series("", "points", time, values[starts], color))
 
     unit = shown_unit(data.units.get(name, ""))[1]
     label = f"Residual, {unit}" if unit else "Residual"
@@ -210,7 +203,6 @@ def _of_fit(fit: Fit, record: int) -> History:
         values={name: part.simulated[name] for name in part.outputs},
         half_width=_half_width(fit, part),
         pieces=_gapless(part.data),
-        window_starts=np.zeros(0, dtype=int),
     )
 
 
@@ -241,7 +233,6 @@ def _of_prediction(prediction: Prediction) -> History:
         values={name: predicted[name] for name in prediction.outputs},
         half_width={name: quantile * predicted[f"{name}_error"] for name in prediction.outputs},
         pieces=list(prediction.rows),
-        window_starts=prediction.rows[:, 0],
     )
 
 

@@ -45,7 +45,7 @@ def test_nyquist_of_many_points_numbers_a_few(sweep):
 
 def test_each_pair_has_a_panel_when_one_would_vanish_beside_another(rotors, pitch):
     joint = replace(rotors, parts=(*rotors.parts, *pitch.parts), known=None)
-    for first, second in (gb.plotting.nyquist(joint), gb.plot(joint).axes[:2]):
+    for first, second in (gb.plot(joint).axes[:2],):
         assert [line.get_label() for line in points(first)] == [f"rotor {k}" for k in (1, 2, 3, 4)]
         assert [line.get_label() for line in points(second)] == ["pitch"]
         assert (len(curves(first)), len(curves(second))) == (1, 1)
@@ -58,13 +58,14 @@ def test_each_pair_has_a_panel_when_one_would_vanish_beside_another(rotors, pitc
 def test_pairs_of_like_size_share_a_panel(factor, count):
     one = gb.FrequencyResponse([1.0, 2.0], [1, 1j], "u", "theta")
     other = gb.FrequencyResponse([1.0, 2.0], [factor, 1j * factor], "u", "phi")
-    assert len(gb.plotting.nyquist(one, other)) == count
-    assert len(gb.plotting.nyquist(one, replace(other, output="theta"))) == 1
+    assert len(nyquist_figures([one, other])) == count
+    assert len(nyquist_figures([one, replace(other, output="theta")])) == 1
 
 
 def test_data_without_names_belong_to_the_pair_of_the_only_curve(sweep):
     data = replace(sweep, response=sweep.response / 100, input="", output="")
-    assert len(gb.plotting.nyquist(gb.frequency_response(Tilt(), TRUTH, sweep.omega), data)) == 1
+    curve = gb.frequency_response(Tilt(), TRUTH, sweep.omega)
+    assert len(nyquist_figures([curve, data])) == 1
 
 
 def test_a_curve_far_off_leaves_the_data_visible(pitch):

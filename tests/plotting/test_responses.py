@@ -8,6 +8,7 @@ from drawn_lines import QUICK, TRUTH, curves, legend, points
 
 import greybox as gb
 from greybox.models.tilt import Tilt
+from greybox.plotting.nyquist import nyquist_figures
 
 
 def test_a_joint_fit_shows_every_part_and_a_common_curve_once(rotors):
@@ -98,7 +99,7 @@ def test_a_refined_resonance_is_drawn_whole_and_counts_as_the_same_curve(rotors)
 )
 def test_signal_names_become_symbols(name, shown):
     data = gb.FrequencyResponse([1.0, 2.0], [1, 1j], input="u", output=name)
-    assert gb.plotting.nyquist(data)[0].get_ylabel() == f"Imaginary part of {shown}/u"
+    assert nyquist_figures([data])[0].panels[0].label == f"Imaginary part of {shown}/u"
 
 
 def test_wrong_use_is_said_in_a_sentence(pitch):

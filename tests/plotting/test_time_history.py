@@ -129,7 +129,7 @@ def test_predictions_begin_anew_in_every_window_and_have_a_band(fit):
     shade = named(output, "Spring", "band")
     assert np.isnan(shade.high).sum() == 8
     assert np.nanmax(shade.high) > np.nanmax(drawn)
-    assert named(output, "", "points").x.tolist() == WHOLE.time[prediction.rows[:, 0]].tolist()
+    assert named(output, "Spring", "line").x[0] == WHOLE.time[prediction.rows[0, 0]]
     assert "95 % band without noise" in legend(gb.plotting.time_history(prediction)[0])
 
 
