@@ -216,7 +216,7 @@ def test_groups_give_back_what_they_were_given(mixed):
     """Those of one step, one weight and one length of segments are one, whatever stands between them."""
     parts, groups = mixed.parts, Groups(mixed.parts)
     assert [isinstance(group, RecordGroup) for group in groups.parts] == [True, False, False]
-    z = mixed.origin
+    z = mixed.scaling.to_solver(np.ones(len(mixed.free)))
     trajectories = [
         part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True) for part in parts
     ]
