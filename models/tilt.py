@@ -27,6 +27,11 @@ class TiltParameters:
     derived = {"a3_tilde": lambda p: PAPER_G * p.a3}
 
 
+def _tilt(s, p):
+    tilt = (s + p.a5) / ((s + p.a5) * (s**2 + p.a2 * s + p.a1) + gb.g * p.a3)
+    return p.a4 * tilt / (p.T_rotor * s + 1) * gb.exp(-s * p.T_delay)
+
+
 class Tilt(TiltParameters, gb.TransferFunction):
     r"""Tilt angle from the tilt control, (4.25).
 
@@ -50,7 +55,7 @@ class Tilt(TiltParameters, gb.TransferFunction):
         return p.a4 * tilt / (p.T_rotor * s + 1) * gb.exp(-s * p.T_delay)
 
 
-class TiltRate(Tilt):
+class TiltRate(TiltParameters, gb.TransferFunction):
     r"""Rate of the tilt angle from the tilt control, (4.25) times s.
 
     $$P_q(s) = \frac{\tilde a_4 s (s + a_5)}
@@ -61,11 +66,12 @@ class TiltRate(Tilt):
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.12) and (4.25).
     """
 
-    output = "q"
+    input, output = "u", "q"
     units = {"q": "rad/s"}
+    a5 = Tilt.a5
 
     def response(self, s, p):
-        return super().response(s, p) * s
+        return _tilt(s, p) * s
 
 
 class LinearTilt(TiltParameters, gb.StateSpace):

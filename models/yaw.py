@@ -3,17 +3,9 @@
 import greybox as gb
 
 
-class YawRate(gb.TransferFunction):
-    r"""Yaw rate from the yaw control, (4.34).
+class YawParameters:
+    """Parameters common to the transfer functions of yaw rate and yaw angle."""
 
-    $$P_r(s) = \frac{\tilde a_3 (s + a_4)}
-    {(T_\Omega s + 1)((s + a_4)(s + a_2) + \tilde a_1)} e^{-s T_{delay}}$$
-
-    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.34).
-    """
-
-    input, output = "u", "r"
-    units = {"r": "rad/s"}
     a1_tilde = gb.Parameter(
         0.0, bounds=(-20000, 20000), unit="1/s²", about="feedback through ν, a1 K_ν"
     )
@@ -29,12 +21,29 @@ class YawRate(gb.TransferFunction):
         0.0042, bounds=(0, 0.05), unit="s", about="controller and ESC delay", fixed=True
     )
 
+
+def _rate(s, p):
+    rate = p.a3_tilde * (s + p.a4) / ((s + p.a4) * (s + p.a2) + p.a1_tilde)
+    return rate / (p.T_rotor * s + 1) * gb.exp(-s * p.T_delay)
+
+
+class YawRate(YawParameters, gb.TransferFunction):
+    r"""Yaw rate from the yaw control, (4.34).
+
+    $$P_r(s) = \frac{\tilde a_3 (s + a_4)}
+    {(T_\Omega s + 1)((s + a_4)(s + a_2) + \tilde a_1)} e^{-s T_{delay}}$$
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.34).
+    """
+
+    input, output = "u", "r"
+    units = {"r": "rad/s"}
+
     def response(self, s, p):
-        rate = p.a3_tilde * (s + p.a4) / ((s + p.a4) * (s + p.a2) + p.a1_tilde)
-        return rate / (p.T_rotor * s + 1) * gb.exp(-s * p.T_delay)
+        return _rate(s, p)
 
 
-class YawAngle(YawRate):
+class YawAngle(YawParameters, gb.TransferFunction):
     r"""Yaw angle from the yaw control, (4.37): the integral of (4.34).
 
     $$P_\psi(s) = \frac{\tilde a_3 (s + a_4)}
@@ -43,11 +52,11 @@ class YawAngle(YawRate):
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.37).
     """
 
-    output = "psi"
+    input, output = "u", "psi"
     units = {"psi": "rad"}
 
     def response(self, s, p):
-        return super().response(s, p) / s
+        return _rate(s, p) / s
 
 
 class YawStates(gb.StateSpace):

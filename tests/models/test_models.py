@@ -69,7 +69,7 @@ def test_docstring_has_sentence_equation_and_source(name):
     text = equation(SHIPPED[name])
     assert re.match(r"[A-Z].*\.\n\n", text)
     assert text.count("$$") == 2
-    source = re.search(r"^Source: (.*)\.$", text, re.MULTILINE)
+    source = re.search(r"^Source: (.*?)\.$", text, re.MULTILINE | re.DOTALL)
     assert source
     if source[1].startswith("Frequency Domain Identification"):
         assert re.search(r"\(\d\.\d+\)$", source[1])
