@@ -123,7 +123,7 @@ def test_a_response_has_it_as_an_error_that_all_frequencies_have_in_common():
     )
     assert wider.common_errors == pytest.approx(common)
     assert wider.variance * wider.independent_share == pytest.approx(own)
-    assert "a fitted gain has too" in errors[0].finding.text
+    assert "all frequencies" in errors[0].finding.text
 
 
 @pytest.mark.parametrize(("kept", "said"), [(2, "second"), (3, "third"), (4, "4th")])
