@@ -21,7 +21,7 @@ def with_columns(log: Recording, columns: Mapping[str, str]) -> Recording:
     """
     if len(log) != 1:
         raise ValueError(
-            f"{log.source} has {len(log)} messages, and --columns names the columns of one table."
+            f"{log.source} has {len(log)} messages, but `columns` names the columns of one table."
         )
     ((key, record),) = log.items()
     header = [

@@ -122,8 +122,8 @@ def _headings(text: DelimitedText) -> list[Heading]:
     if not names or (are_numbers(" ".join(names).split()) and not by_number):
         line = text.separator.join(text.header)[:60]
         raise ValueError(
-            f"{text.path} has no header line: its first line, {line!r}, must name the columns, or --columns time=1 u=2 "
-            "theta=3:deg does by their numbers."
+            f"{text.path} has no header line: its first line, {line!r}, must name the columns. Or give their numbers: "
+            'columns={"time": "1", "u": "2", "theta": "3:deg"}.'
         )
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice:
