@@ -20,7 +20,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Symbol:
-    """A parameter or a signal by its name; `delay` names what it is delayed by."""
+    """A parameter or a signal by its name; `delay` is the name of its delay."""
 
     name: str
     delay: str = ""
@@ -35,7 +35,7 @@ class Sum:
 
 @dataclass(frozen=True)
 class Product:
-    """Factors over factors; one is written where there is none."""
+    """Factors over factors; an empty product is one."""
 
     over: tuple["Expression", ...]
     under: tuple["Expression", ...] = ()
@@ -105,43 +105,43 @@ def expressions(
 ) -> list[Expression]:
     """Return every entry of `formula` (k, 1) as a tree.
 
-    `symbols` are those that stand in it, by name; `delays` what some of them are delayed by.
+    `symbols` are those of the formula by name; `delays` are the names of their delays.
 
     Raises
     ------
     ValueError
-        For an operation that has no way to be written here.
+        For an operation without a notation.
     """
-    named: list[Any] = [Symbol(name, delays.get(name, "")) for name in symbols]
+    leaves: list[Any] = [Symbol(name, delays.get(name, "")) for name in symbols]
     return walk(
         formula,
         ca.vertcat(*symbols.values()),
-        named,
+        leaves,
         lambda constant: _number(float(constant)),
         _operate,
     )
 
 
 def size(expression: Expression) -> int:
-    """Return how many symbols, numbers and operations are written."""
-    known: dict[int, int] = {}  # what appears many times is one object
+    """Return the number of written symbols, numbers and operations."""
+    sizes: dict[int, int] = {}  # a repeated expression is one object
 
     def count(part: Expression) -> int:
-        if id(part) not in known:
-            known[id(part)] = 1 + sum(map(count, _parts(part)))
-        return known[id(part)]
+        if id(part) not in sizes:
+            sizes[id(part)] = 1 + sum(map(count, _parts(part)))
+        return sizes[id(part)]
 
     return count(expression)
 
 
 def with_values(expression: Expression, values: Mapping[str, float]) -> Expression:
-    """Return the expression with numbers in the place of symbols."""
-    known: dict[int, Expression] = {}
+    """Return the expression with numbers in place of symbols."""
+    replaced: dict[int, Expression] = {}
 
     def put(part: Expression) -> Expression:
-        if id(part) not in known:
-            known[id(part)] = _with_parts(part, values, put)
-        return known[id(part)]
+        if id(part) not in replaced:
+            replaced[id(part)] = _with_parts(part, values, put)
+        return replaced[id(part)]
 
     return put(expression)
 
@@ -180,7 +180,7 @@ def _operate(operation: int, terms: list[Expression]) -> Expression:
     if operation in ARITHMETIC:
         return ARITHMETIC[operation](*terms)
     if operation not in FUNCTIONS:
-        raise ValueError(f"the operation {operation} of CasADi has no way to be written.")
+        raise ValueError(f"the operation {operation} of CasADi has no notation.")
     return Function(FUNCTIONS[operation], tuple(terms))
 
 
@@ -193,14 +193,14 @@ def _sum(*terms: tuple[int, Expression]) -> Expression:
     flat: list[tuple[int, Expression]] = []
     for sign, term in terms:
         inner = term.terms if isinstance(term, Sum) else ((1, term),)
-        flat += [(sign * own, part) for own, part in inner if part != Number(0.0)]
+        flat += [(sign * inner_sign, part) for inner_sign, part in inner if part != Number(0.0)]
     if len(flat) == 1 and flat[0][0] == 1:
         return flat[0][1]
     return Sum(tuple(flat)) if flat else Number(0.0)
 
 
 def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Expression:
-    """Return a product without products in it: its sign before it, then one number, then the other factors."""
+    """Return a product without products in it: the sign outside, then one number, then the other factors."""
     number = 1.0
     above: list[Expression] = []
     below: list[Expression] = []
@@ -220,29 +220,29 @@ def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Express
     above, below = _powers(above), _powers(below)
     if abs(number) != 1 or not above:
         above.insert(0, Number(abs(number)))
-    whole = Product(tuple(above), tuple(below)) if below or len(above) > 1 else above[0]
-    return Sum(((-1, whole),)) if number < 0 else whole
+    product = Product(tuple(above), tuple(below)) if below or len(above) > 1 else above[0]
+    return Sum(((-1, product),)) if number < 0 else product
 
 
 def _powers(factors: Sequence[Expression]) -> list[Expression]:
-    """Return the factors that are no numbers; several powers of one symbol, as s · s², are one."""
+    """Return the factors that are not numbers, with the powers of one symbol, as s · s², combined."""
     exponents: dict[Expression, float] = {}
-    others: list[Expression] = []
+    bases: list[Expression] = []
     for factor in factors:
         base, exponent = (
             (factor.base, factor.exponent) if isinstance(factor, Power) else (factor, Number(1.0))
         )
         if isinstance(base, Symbol) and isinstance(exponent, Number):
             if base not in exponents:
-                others.append(base)
+                bases.append(base)
             exponents[base] = exponents.get(base, 0.0) + exponent.value
         elif not isinstance(factor, Number):
-            others.append(factor)
+            bases.append(factor)
     return [
         Power(factor, Number(exponents[factor]))
         if isinstance(factor, Symbol) and exponents[factor] != 1
         else factor
-        for factor in others
+        for factor in bases
     ]
 
 

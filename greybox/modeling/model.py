@@ -1,4 +1,4 @@
-"""What all models share: declared parameters, values by name, names of signals, and parameters that are one unknown."""
+"""The base class of models: declared parameters, values by name, names of signals, and shared parameters."""
 
 import inspect
 import math
@@ -64,7 +64,7 @@ class Model(ABC):
         Quantities computed from the parameters, ``{"a3_tilde": lambda p: gb.g * p.a3}``; each gets
         its own standard error.
     units : mapping of signal name to str
-        Of inputs and outputs, ``{"theta": "rad"}``, as far as declared: records in other units are
+        Declared units of inputs and outputs, ``{"theta": "rad"}``: records in other units are
         refused.
     """
 
@@ -120,7 +120,7 @@ class Model(ABC):
 
     @property
     def is_static(self) -> bool:
-        """True when outputs depend on the inputs of the same moment alone: neither states nor delays."""
+        """True if the model has neither states nor delays: outputs follow the inputs at once."""
         return False
 
     @property
@@ -129,12 +129,12 @@ class Model(ABC):
         return type(self).__name__
 
     def values(self, given: Mapping[str, float] | None = None, **more: float) -> Names:
-        """Return parameter values by name: those given, otherwise the declared starts.
+        """Return parameter values by name: the given ones, otherwise the declared starts.
 
         Raises
         ------
         TypeError
-            If `given` is no mapping.
+            If `given` is not a mapping.
         ValueError
             For a name that the model does not have.
         """
@@ -168,7 +168,7 @@ def require_known(names: Iterable[str], known: Iterable[str], what: str, owner: 
 
 
 def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, str]:
-    """Return the input-output pair meant by `input` and `output`; an empty name is the only one that there is."""
+    """Return the names of input and output; an empty name means the only signal."""
     return (
         _pick(input, model.input_names, "input", model.label),
         _pick(output, model.output_names, "output", model.label),
@@ -190,7 +190,7 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
 
 
 def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
-    """Return the one unknown that two declarations of the same name describe: bounds and start boxes intersect.
+    """Return the parameter that two declarations of one name describe: bounds and start boxes intersect.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
 
 
 def merged_parameters(models: Iterable[Model]) -> dict[str, Parameter]:
-    """Merge the parameters of several models; the same name is one unknown."""
+    """Merge the parameters of several models; a common name is one unknown."""
     result: dict[str, Parameter] = {}
     for model in models:
         for name, parameter in model.parameters.items():

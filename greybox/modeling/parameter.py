@@ -6,10 +6,6 @@ from typing import Any
 
 import numpy as np
 
-# Sizes of the start (at least 1) at which `Parameter.draw` closes an open end of the box: a decade
-# about the start, which is all that is known of such a parameter.
-OPEN_END = 10.0
-
 
 @dataclass(frozen=True)
 class Parameter:
@@ -103,9 +99,9 @@ class Parameter:
         return self._between(*self.box, share)
 
     def draw(self, random: np.random.Generator) -> float:
-        """Draw a value from the box; an open end is taken to lie ten times the size of the start (at least 1) away."""
+        """Draw a value from the box; an open end is taken as ten times the size of the start (at least 1) away."""
         low, high = self.box
-        reach = OPEN_END * max(abs(self.start), 1.0)
+        reach = 10.0 * max(abs(self.start), 1.0)
         low = low if math.isfinite(low) else min(self.start, high) - reach
         high = high if math.isfinite(high) else max(self.start, low) + reach
         return float(self._between(low, high, random.random()))

@@ -29,21 +29,21 @@ class Runner(ABC):
     Attributes
     ----------
     together : int
-        How many it makes at once.
+        Number of runs that it makes at once.
     """
 
     together: int = 1
 
     @abstractmethod
     def __reduce__(self) -> tuple[Callable[..., "Runner"], tuple[Any, ...]]:
-        """Return what builds the same, and its arguments."""
+        """Return a function that builds the same runner, and its arguments."""
 
     @abstractmethod
     def run(self, start: Array) -> Outcome:
-        """Make the run that `start` (s,) stands for."""
+        """Make the run from `start` (s,)."""
 
     def run_together(self, starts: Array) -> list[Outcome]:
-        """Make those of every row of `starts` (r, s), at most `together`."""
+        """Make the runs from the rows of `starts` (r, s), at most `together`."""
         return [self.run(start) for start in starts]
 
 
@@ -54,11 +54,11 @@ class Screened:
     Attributes
     ----------
     order : (r,) array of int
-        Their numbers, the most promising first.
+        Numbers of the starts, the most promising first.
     costs : (r,) array
-        At the starts, as far as the criterion was evaluated there; infinite elsewhere.
+        Costs at the starts; infinite where the criterion was not evaluated.
     begins : (r, p) array
-        Where runs from them begin: there, or where the comparison has led.
+        Where the runs begin: at the starts, or where the comparison has moved them.
     """
 
     order: IntArray
@@ -69,16 +69,16 @@ class Screened:
 class LocalSolver(Runner):
     """A solver of one compiled problem, built once for all starts, which are parameters (p,).
 
-    Pickled, it is its problem and its options, and is built anew where it arrives.
+    Pickled, it is its problem and its options, and is built again in the other process.
 
     Attributes
     ----------
     starts : int
-        How many are tried where nothing is said.
+        Default number of starts.
     tries_declared_values : bool
         Whether the declared values are the first of a number of starts.
     promising : tuple of int
-        How many of the starts that it has compared are run first, and how many of these must agree.
+        How many of the screened starts are run first, and how many of these must agree.
     """
 
     starts: ClassVar[int] = 20
@@ -87,30 +87,30 @@ class LocalSolver(Runner):
 
     @abstractmethod
     def __reduce__(self) -> tuple[Callable[..., "LocalSolver"], tuple[Any, ...]]:
-        """Return what builds the same solver, and its arguments."""
+        """Return a function that builds the same solver, and its arguments."""
 
     @abstractmethod
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
-        """Return the best nodes at the parameters x (p,); `nodes`, if given, are known to be the best."""
+        """Return the best nodes at the parameters x (p,); `nodes`, if given, are the best ones already."""
 
     @abstractmethod
     def cost(self, values: Array) -> float:
-        """Return the smallest cost at all values (k,), the constants among them; NaN where there is none."""
+        """Return the smallest cost at all values (k,), with the constants; NaN if there is none."""
 
     def is_finite_at(self, start: Array) -> bool:
         """Tell whether a run can begin at the parameters `start` (p,)."""
         return True
 
     def screened(self, starts: Array) -> Screened | None:
-        """Compare the starts (r, p) at low cost; None where they cannot be."""
+        """Compare the starts (r, p) with little work; None if that is not possible."""
         return None
 
     def judged(self, estimates: Array) -> tuple[Array, Any] | None:
-        """Return costs (r,) and signatures (r, m) at the ends (r, p) of runs; None where the runs leave them."""
+        """Return costs (r,) and signatures (r, m) at the ends (r, p) of runs; None if outcomes have them."""
         return None
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
-        """Return what takes the place of runs so that one is certified to be at a minimum for each of the `minima`."""
+        """Return outcomes that replace runs, by number, so that each of the `minima` has a certified run."""
         return {}
 
     @abstractmethod
@@ -118,5 +118,5 @@ class LocalSolver(Runner):
         """Return the solver of the same problem with finer steps."""
 
     def polished(self, search: Multistart) -> Multistart:
-        """Return the search with its best minimum as exact as the arithmetic allows, not only as a run's tolerances."""
+        """Return the search with its best minimum as exact as the arithmetic allows, beyond the tolerances of a run."""
         return search

@@ -178,5 +178,5 @@ def test_negative_numbers_stand_behind_their_sign():
 
 
 def test_an_operation_without_a_sign_of_its_own_is_refused():
-    with pytest.raises(ValueError, match="the operation -7 of CasADi has no way to be written"):
+    with pytest.raises(ValueError, match="operation -7"):
         _operate(-7, [Symbol("x")])
