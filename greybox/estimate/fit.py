@@ -31,7 +31,7 @@ from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.equivalent_minima import equivalent_estimates
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse
 from greybox.estimate.fitted_values import fitted_part
-from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
+from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities, slopes_of_parameters
 from greybox.estimate.result import Fit
@@ -266,7 +266,6 @@ def _fitted_from(
 ) -> Fit | None:
     """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
     began = time.perf_counter()
-    open_parts = are_open(problem)
     nlp = compile_problem(with_enough_harmonics(problem), by.method)
     solver = by.solver(nlp)
     is_global = by.search == GLOBAL_SEARCH
@@ -290,7 +289,6 @@ def _fitted_from(
     with responding(Response.STOP):
         search = _with_progress(run, progress, len(points))
         interrupted = stop_requested()
-        nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts)
         search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         search = solver.polished(search)

@@ -146,17 +146,18 @@ def periodic_motions(
 
 
 def _followed(balance: CompiledBalance, given: Array, shares: Array) -> complex:
-    """Return the response at the amplitude that is given, approached in `shares` of it; NaN where no motion is found."""
-    x, converged = np.zeros(0), False
+    """Return the response at the amplitude that is given, approached in `shares` of it; NaN where the motion is lost."""
+    x = np.zeros(0)
     for share in shares:
         step = given.copy()
         step[-2] *= share
-        if converged:
+        converged = False
+        if x.size:
             x, converged = _solved(balance, x, step)
-        if not converged:  # past a jump
+        if not converged:  # the first step, or past a jump
             x, converged = _solved(balance, np.asarray(balance.solver.guess(step)).ravel(), step)
-    if not converged:
-        return complex(np.nan)
+        if not converged:
+            return complex(np.nan)
     real, imaginary = np.asarray(balance.solver.finish(x, given)[0]).ravel()
     return complex(real, imaginary)
 

@@ -26,8 +26,8 @@ class Sine:
         Half the distance from peak to peak; one for all frequencies or one for each.
     harmonics : int, optional
         Number of harmonics of the other signals. By default as many as change the response by more
-        than 0.03 %, at most 50. With a stated number, a fit warns if more would change its
-        estimate.
+        than 0.03 %, at most 50; in a fit, at the start values and at most 9. A fit warns if more
+        would change its estimate.
 
     Raises
     ------
