@@ -1,4 +1,4 @@
-"""The command `greybox identifiability`: which parameters a structure could tell, or the data of a saved fit do."""
+"""The command `greybox identifiability`: which parameters a structure, or the data of a saved fit, can determine."""
 
 import argparse
 from pathlib import Path
@@ -66,47 +66,47 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Judge the structure, or read the fit and say what its data told."""
-    stated = {name: getattr(options, name) for name in ("outputs", "free", "points", "seed")}
-    stated |= {"at": assignments(options.at, "--at"), "fixed": assignments(options.fix, "--fix")}
-    stated = {name: value for name, value in stated.items() if value}
+    """Judge the structure, or read the fit and judge its data."""
+    settings = {name: getattr(options, name) for name in ("outputs", "free", "points", "seed")}
+    settings |= {"at": assignments(options.at, "--at"), "fixed": assignments(options.fix, "--fix")}
+    settings = {name: value for name, value in settings.items() if value}
     if Path(options.subject).suffix.lower() not in HDF5:
-        found = structural_identifiability(find_model(options.subject), **stated)
-        return _of_structure(found), str(found), USABLE
-    if stated:
-        flag = {"fixed": "fix"}.get(min(stated), min(stated))
+        structure = structural_identifiability(find_model(options.subject), **settings)
+        return _of_structure(structure), str(structure), USABLE
+    if settings:
+        flag = {"fixed": "fix"}.get(min(settings), min(settings))
         raise UsageError(
             f"--{flag} is for a structure, and {options.subject} is a fit: leave it out."
         )
     fit = saved_fit(Path(options.subject), options)
-    told = fit.identifiability
-    return {"problem": fit.name, **_of_fit(told)}, f"{fit.name}\n\n{told}", USABLE
+    judged = fit.identifiability
+    return {"problem": fit.name, **_of_fit(judged)}, f"{fit.name}\n\n{judged}", USABLE
 
 
-def _of_structure(found: StructuralIdentifiability) -> dict[str, Any]:
+def _of_structure(structure: StructuralIdentifiability) -> dict[str, Any]:
     groups = [
         {"names": list(g.names), "initial_states": list(g.states), "to_fix": g.directions}
-        for g in found.groups
+        for g in structure.groups
     ]
     return {
-        "model": found.model,
-        "data": found.data,
-        "identifiable": list(found.identifiable),
+        "model": structure.model,
+        "data": structure.data,
+        "identifiable": list(structure.identifiable),
         "not_identifiable": groups,
-        "determined": list(found.combinations),
+        "determined": list(structure.combinations),
     }
 
 
-def _of_fit(told: Identifiability) -> dict[str, Any]:
-    shares = zip(told.names, told.error.tolist(), told.insensitivity.tolist(), strict=True)
+def _of_fit(judged: Identifiability) -> dict[str, Any]:
+    shares = zip(judged.names, judged.error.tolist(), judged.insensitivity.tolist(), strict=True)
     return {
         "parameters": {n: {"error": finite(e), "insensitivity": finite(i)} for n, e, i in shares},
-        "beyond": list(told.beyond),
-        "at_bound": list(told.at_bound),
-        "correlated": [list(pair) for pair in told.correlated],
-        "condition": finite(told.condition),
+        "beyond": list(judged.beyond),
+        "at_bound": list(judged.at_bound),
+        "correlated": [list(pair) for pair in judged.correlated],
+        "condition": finite(judged.condition),
         "determined": {
             c.formula: {"value": finite(c.value), "standard_error": finite(c.standard_error)}
-            for c in told.combinations
+            for c in judged.combinations
         },
     }

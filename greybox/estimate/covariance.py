@@ -261,32 +261,27 @@ def _with_covariance(
 
 
 def information_by_point(nlp: CompiledProblem, accuracy: Accuracy) -> list[tuple[Array, Array]]:
-    """Return for every part which share (p, m) each point of its data has in what all data tell of each parameter.
+    """Return for every part the share (p, m) of each data point in the information on each parameter.
 
-    Of each free parameter with the others estimated along, and with the others known; see
-    `Information.by_point` for the points. For independent errors. NaN for what has no standard error,
-    or ended at a bound.
+    First with the other parameters estimated too, then with them known; `Information.by_point` has
+    the points. Errors are taken as independent. NaN for a parameter without a standard error, or at
+    a bound.
     """
     p = len(nlp.free)
     if accuracy.white is None:
         return [(np.zeros((p, 0)), np.zeros((p, 0)))] * len(nlp.parts)
     errors = propagate(accuracy, np.eye(p, len(nlp.names)))
-    inside = np.array([name not in accuracy.at_bound for name in nlp.free], dtype=bool) & ~np.isnan(
-        errors
-    )
+    determined = ~np.isnan(errors) & [name not in accuracy.at_bound for name in nlp.free]
     size = np.sqrt(np.maximum(np.diag(accuracy.white), 1e-300))
-    found = []
-    for part in accuracy.informations:
-        assert part.by_point is not None
-        found.append(
-            [part.part.weight * part.by_point(each) for each in (accuracy.white / size, np.eye(p))]
-        )
-    totals = [np.maximum(sum(each[k].sum(axis=1) for each in found), 1e-300) for k in (0, 1)]
-    along, alone = (
-        [np.where(inside[:, None], each[k] / totals[k][:, None], np.nan) for each in found]
-        for k in (0, 1)
-    )
-    return list(zip(along, alone, strict=True))
+    shares = []
+    for directions in (accuracy.white / size, np.eye(p)):
+        parts = []
+        for part in accuracy.informations:
+            assert part.by_point is not None
+            parts.append(part.part.weight * part.by_point(directions))
+        total = np.maximum(sum(part.sum(axis=1) for part in parts), 1e-300)
+        shares.append([np.where(determined, part.T / total, np.nan).T for part in parts])
+    return list(zip(*shares, strict=True))
 
 
 def known_directions(
@@ -313,7 +308,7 @@ def known_directions(
     )
     beside = np.where(np.isin(nlp.free, accuracy.at_bound), x, beside)
     trajectories = trajectories_at(beside)
-    if len(trajectories) and any(one is None for one in trajectories):
+    if len(trajectories) and any(trajectory is None for trajectory in trajectories):
         return at
     return replace(at, elsewhere=_directions_at(beside, assess(nlp, beside, trajectories)))
 
@@ -370,10 +365,10 @@ def informations(
         if k >= len(nlp.free) and name in nlp.problem.held_estimates
     )
     slope = nlp.scaling.slope(x)
-    each = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
+    pairs = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
     return [
         part.information(nlp.names, values, uncertain, trajectory, slope)
-        for part, trajectory in each
+        for part, trajectory in pairs
     ]
 
 

@@ -55,8 +55,9 @@ class KnownDirections:
         scaled = self.covariance / np.outer(self.size, self.size)
         values, vectors = np.linalg.eigh(scaled)
         rank = len(values) - np.linalg.matrix_rank(self.unseen) if self.unseen.size else len(values)
-        kept = slice(len(values) - rank, None)
-        return (vectors[:, kept] / np.maximum(values[kept], 1e-300)) @ vectors[:, kept].T
+        values = values[len(values) - rank :]
+        vectors = vectors[:, len(vectors) - rank :]
+        return (vectors / np.maximum(values, 1e-300)) @ vectors.T
 
     def errors(self, gradients: Array) -> Array:
         """Return the standard errors (m,) of quantities by their gradients (m, p); NaN for what is not determined."""
@@ -164,19 +165,19 @@ class Identifiability:
 def identifiability(
     names: Sequence[str],
     units: Sequence[str],
-    told: KnownDirections,
+    directions: KnownDirections,
     at_bound: Sequence[str],
 ) -> Identifiability:
     """Judge every free parameter at the estimate, and find the combinations that are determined."""
-    value = told.at
+    value = directions.at
     p = len(value)
     inside = np.array([name not in at_bound for name in names], dtype=bool)
-    errors = told.errors(np.eye(p))
-    matrix = told.matrix[np.ix_(inside, inside)] if p else np.zeros((0, 0))
+    errors = directions.errors(np.eye(p))
+    matrix = directions.matrix[np.ix_(inside, inside)] if p else np.zeros((0, 0))
     diagonal = np.full(p, np.nan)
     diagonal[inside] = np.diag(matrix)
     with np.errstate(divide="ignore", invalid="ignore"):
-        alone = told.size / np.sqrt(
+        alone = directions.size / np.sqrt(
             np.where(diagonal > UNSEEN**2 * np.nanmax(diagonal, initial=0.0), diagonal, 0.0)
         )
         share = np.where(inside, errors / np.abs(value), np.nan)
@@ -186,17 +187,17 @@ def identifiability(
         error=share,
         insensitivity=insensitivity,
         at_bound=tuple(at_bound),
-        correlated=tuple(_correlated(names, correlation(told, inside))),
+        correlated=tuple(_correlated(names, correlation(directions, inside))),
         condition=_condition(matrix),
-        combinations=tuple(_combinations(names, units, told, errors, inside)),
+        combinations=tuple(_combinations(names, units, directions, errors, inside)),
     )
 
 
-def correlation(told: KnownDirections, inside: BoolArray) -> Array:
+def correlation(directions: KnownDirections, inside: BoolArray) -> Array:
     """Return the correlation matrix (p, p) of the estimates; NaN for those without a standard error."""
-    errors = np.where(inside, told.errors(np.eye(len(inside))), np.nan)
+    errors = np.where(inside, directions.errors(np.eye(len(inside))), np.nan)
     errors = np.where(errors > 0, errors, np.nan)
-    return told.covariance / np.outer(errors, errors)
+    return directions.covariance / np.outer(errors, errors)
 
 
 def _correlated(names: Sequence[str], matrix: Array) -> Iterator[tuple[str, str, float]]:
@@ -221,29 +222,29 @@ def _condition(matrix: Array) -> float:
 def _combinations(
     names: Sequence[str],
     units: Sequence[str],
-    told: KnownDirections,
+    directions: KnownDirections,
     errors: Array,
     inside: BoolArray,
 ) -> list[DeterminedCombination]:
     """Return the simplest independent combinations of what is not determined that are determined."""
-    value = told.at
+    value = directions.at
     loose = [
         k
         for k in np.flatnonzero(inside).tolist()
         if not errors[k] <= ERROR_GUIDELINE * abs(value[k])
     ]
-    found = []
+    candidates = []
     for is_product in (True, False):
         members = [k for k in loose if value[k] != 0] if is_product else loose
         rows = _products(members, len(value)) if is_product else _sums(members, units, len(value))
         if not len(rows):
             continue
-        gradients = told.gradients(rows, is_product=is_product)
-        error = told.errors(gradients)
+        gradients = directions.gradients(rows, is_product=is_product)
+        error = directions.errors(gradients)
         # Of each member, as it enters: NaN, where it is not determined at all, counts as infinite.
         single = np.where(rows != 0, np.abs(gradients) * np.nan_to_num(errors, nan=0.0), np.inf)
         smallest = np.where((rows != 0) & np.isnan(errors), np.inf, single).min(axis=1)
-        good = (error * GAIN < smallest) & told.hold_elsewhere(rows, is_product=is_product)
+        good = (error * GAIN < smallest) & directions.hold_elsewhere(rows, is_product=is_product)
         if is_product:
             good &= error < ERROR_GUIDELINE
         else:
@@ -252,7 +253,7 @@ def _combinations(
             good &= error < ERROR_GUIDELINE * np.maximum(
                 np.abs(rows @ value), np.abs(rows * value).max(axis=1)
             )
-        found += [
+        candidates += [
             (
                 int(np.abs(rows[k]).sum()),
                 int((rows[k] < 0).sum()),
@@ -266,9 +267,9 @@ def _combinations(
     chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
     for _, _, _, is_product, row, error in sorted(
-        found, key=lambda f: (f[0], not f[3], f[1], f[2])
+        candidates, key=lambda f: (f[0], not f[3], f[1], f[2])
     ):
-        scaled = told.gradients(row[None], is_product=is_product)[0] * told.size
+        scaled = directions.gradients(row[None], is_product=is_product)[0] * directions.size
         extended = np.vstack([spanned, scaled / np.linalg.norm(scaled)])
         # Their number is limited by the directions that the members have left.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):

@@ -92,8 +92,7 @@ class ResponseBand:
         """Return the ellipse (n, points) in the complex plane that holds real and imaginary part at this level."""
         turn = np.linspace(0, 2 * np.pi, points)
         circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
-        known = np.where(np.isnan(self.covariance), 0.0, self.covariance)
-        values, vectors = np.linalg.eigh(known)
+        values, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         around = root @ circle
         around[np.isnan(self.covariance).any(axis=(1, 2))] = np.nan
@@ -155,8 +154,8 @@ def band_of(
         gradient[:, place] += slope[:, k]
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = gradient / response.response[:, None]
-    both = np.stack([gradient.real, gradient.imag])
-    covariance = np.einsum("ink,kl,jnl->nij", both, known.covariance, both)
+    components = np.stack([gradient.real, gradient.imag])
+    covariance = np.einsum("ink,kl,jnl->nij", components, known.covariance, components)
     lost = np.isnan(known.errors(gradient.real)) | np.isnan(known.errors(gradient.imag))
     return ResponseBand(
         response=response,
@@ -188,11 +187,13 @@ def response_and_slope(
     if sine is None and (formula := formula_at_one_frequency(model, omega, **options)) is not None:
         q, frequency = ca.SX.sym("p", p.size), ca.SX.sym("omega")
         rows = ca.vertcat(*formula(q, frequency))
-        each = ca.Function(
+        slope = ca.Function(
             "slope", [q, frequency], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))]
         )
-        found = np.asarray(each.map("slopes", "serial", omega.size, [0], [])(p, omega[None]))
-        found = found.reshape(2, omega.size, 1 + p.size)
+        values_and_slopes = np.asarray(
+            slope.map("slopes", "serial", omega.size, [0], [])(p, omega[None])
+        )
+        values_and_slopes = values_and_slopes.reshape(2, omega.size, 1 + p.size)
     else:
         if sine is None:
             compiled = response_formula(model, omega, **options).closed()
@@ -201,9 +202,12 @@ def response_and_slope(
             compiled = harmonic_function(model, omega, sine, **options)
         q = ca.MX.sym("p", p.size)
         rows = ca.vertcat(*compiled(q))
-        whole = ca.Function("slope", [q], [rows, ca.jacobian(rows, q)])
-        value, jacobian = (np.asarray(ca.DM(each)) for each in whole(p))
-        found = np.concatenate([value, jacobian], axis=1).reshape(2, omega.size, 1 + p.size)
-    both = found[0] + 1j * found[1]
-    response = FrequencyResponse(omega, both[:, 0], input, output, name=model.label, source="model")
-    return response, both[:, 1:]
+        slope = ca.Function("slope", [q], [rows, ca.jacobian(rows, q)])
+        value, jacobian = (np.asarray(ca.DM(result)) for result in slope(p))
+        values_and_slopes = np.concatenate([value, jacobian], axis=1)
+        values_and_slopes = values_and_slopes.reshape(2, omega.size, 1 + p.size)
+    columns = values_and_slopes[0] + 1j * values_and_slopes[1]
+    response = FrequencyResponse(
+        omega, columns[:, 0], input, output, name=model.label, source="model"
+    )
+    return response, columns[:, 1:]

@@ -50,9 +50,9 @@ class Sensitivity:
             return np.nan, np.nan
         reached = np.concatenate([[0.0], np.cumsum(along)]) / total
         ends = np.searchsorted(reached, reached[:-1] + share * (1 - 1e-9))
-        known = np.flatnonzero(ends < len(reached))
+        starts = np.flatnonzero(ends < len(reached))
         scale = np.log(self.at) if self.unit == "rad/s" else self.at
-        first = known[np.argmin(scale[ends[known] - 1] - scale[known])]
+        first = starts[np.argmin(scale[ends[starts] - 1] - scale[starts])]
         return float(self.at[first]), float(self.at[ends[first] - 1])
 
     def __repr__(self) -> str:
@@ -66,12 +66,12 @@ class Sensitivity:
                 f"{output} {number(100 * part, 2)} %"
                 for output, part in zip(self.outputs, shares.sum(axis=1), strict=True)
             ]
-            where = (
+            band = (
                 "not determined"
                 if np.isnan(low)
                 else f"{number(low, 3)} to {number(high, 3)} {self.unit}"
             )
-            rows.append([name, where, ", ".join(by_output)])
+            rows.append([name, band, ", ".join(by_output)])
         head = ["parameter", f"{100 * INNER:.0f} % of it within", "share of all that is told"]
         return text_table(head, rows, left=(0, 1, 2))
 
@@ -87,7 +87,7 @@ def sensitivity(
     """Return the sensitivity from shares (p, outputs x m), points in the order of `at` (m,)."""
     order = np.argsort(at, kind="stable")
     shares, apart = (
-        each.reshape(len(names), len(outputs), len(at))[:, :, order]
-        for each in (information, alone)
+        values.reshape(len(names), len(outputs), len(at))[:, :, order]
+        for values in (information, alone)
     )
     return Sensitivity(tuple(names), tuple(outputs), unit, at[order], shares, apart)

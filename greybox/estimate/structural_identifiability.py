@@ -1,4 +1,4 @@
-"""Which parameters of a structure any data at all could tell apart: the rank of its sensitivities at random points."""
+"""Which parameters of a model structure data could determine: the rank of its sensitivities at random points."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -39,13 +39,12 @@ GROWTH = (
 # Sizes of inputs and initial states that are tried until nothing grows out of what formulas are
 # made for.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
-SMALL = 1e-12
 LARGEST = 30.0  # state, in sizes that are plausible for SI units
 
 
 @dataclass(frozen=True, eq=False)
 class StructuralIdentifiability:
-    """What the input and output of a structure can tell of its parameters. Printing it names what cannot be told apart.
+    """Which parameters inputs and outputs of a structure determine. Printing it names those that cannot be separated.
 
     Attributes
     ----------
@@ -84,7 +83,7 @@ class StructuralIdentifiability:
     def _lines(self) -> Iterator[str]:
         yield f"{self.model}, structural identifiability from {self.data}:"
         if not self.groups:
-            yield f"  all of {listed(self.names)} can be told apart."
+            yield f"  all of {listed(self.names)} can be determined."
             return
         for group in self.groups:
             members = [*group.names, *(f"the initial state of {name}" for name in group.states)]
@@ -92,11 +91,11 @@ class StructuralIdentifiability:
                 yield f"  {members[0]} has no effect: fix it or remove it."
             else:
                 cure = "one" if group.directions == 1 else str(group.directions)
-                yield f"  {listed(members)} cannot be told apart: fix {cure} of them."
+                yield f"  {listed(members)} cannot be separated: fix {cure} of them."
         if self.combinations:
             yield f"  determined are {listed(self.combinations)}."
         if self.identifiable:
-            yield f"  {listed(self.identifiable)} can be told."
+            yield f"  {listed(self.identifiable)} can be determined."
 
 
 def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
@@ -118,7 +117,7 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
     responses of all pairs at 40 frequencies; for any other ODE, of the outputs over a record with
     random inputs, from unknown initial states. What moves without an effect at the point of the
     largest rank is not identifiable, whatever is measured. It is local: two lags that can be
-    swapped are told apart, since no small change of them goes unseen.
+    swapped count as identifiable, since no small change of them goes unseen.
 
     Parameters
     ----------
@@ -152,7 +151,7 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
     require_known(chosen, model.output_names, "output", model.label)
     if isinstance(points, bool) or not isinstance(points, int) or points < 1:
         raise ValueError(f"points is {points!r}: give a whole number of at least 1.")
-    stated = {"fixed": fixed or {}, "free": free, "tied": tied or {}}
+    options = {"fixed": fixed or {}, "free": free, "tied": tied or {}}
     in_frequency = isinstance(model, TransferFunction) or at is not None
     if in_frequency and initial:
         raise ValueError(
@@ -164,12 +163,12 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
     for _ in range(points):
         values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
         if in_frequency:
-            found = _of_responses(model, chosen, values, at or {}, stated, random)
+            compiled = _of_responses(model, chosen, values, at or {}, options, random)
         else:
-            found = _of_record(model, chosen, values, initial or {}, stated, random)
-        if found is None:
+            compiled = _of_record(model, chosen, values, initial or {}, options, random)
+        if compiled is None:
             continue
-        nlp, x, trajectories = found
+        nlp, x, trajectories = compiled
         accuracy = assess(nlp, x, trajectories)
         lost = sum(c.directions for c in accuracy.combinations if math.isinf(c.index))
         if best is None or lost < best[0]:
@@ -193,7 +192,7 @@ def _of_responses(
     outputs: Sequence[str],
     values: Mapping[str, float],
     at: Mapping[str, float],
-    stated: Mapping[str, Any],
+    options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> tuple[CompiledProblem, Array, tuple[None, ...]] | None:
     """Return the compiled responses of all pairs, and the point; None where the model is not finite."""
@@ -207,7 +206,7 @@ def _of_responses(
                 omega, np.ones(FREQUENCIES, dtype=complex), input, output, name=f"{output}/{input}"
             )
             problems.append(
-                Problem(model, response, SquaredRelativeError("model"), at=at, **stated)
+                Problem(model, response, SquaredRelativeError("model"), at=at, **options)
             )
     problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
     nlp = _without_bounds(compile_problem(problem))
@@ -221,7 +220,7 @@ def _of_record(
     outputs: Sequence[str],
     values: Mapping[str, float],
     initial: Mapping[str, Any],
-    stated: Mapping[str, Any],
+    options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> tuple[CompiledProblem, Array, tuple[Trajectory, ...]] | None:
     """Return a compiled record with random inputs, the point, and the trajectory; None where it is not finite."""
@@ -232,9 +231,9 @@ def _of_record(
     for size in SIZES:
         signals = dict(zip(model.input_names, size * shape, strict=True))
         signals |= dict(zip(outputs, measured, strict=True))
-        signals = {name: np.where(gaps, np.nan, each) for name, each in signals.items()}
+        signals = {name: np.where(gaps, np.nan, values) for name, values in signals.items()}
         record = Record(time, signals, name="random inputs", has_time=not model.is_static)
-        nlp = _without_bounds(compile_problem(Problem(model, record, criterion, **stated)))
+        nlp = _without_bounds(compile_problem(Problem(model, record, criterion, **options)))
         x = _point(nlp, values)
         (part,) = nlp.parts
         assert isinstance(part, RecordPart)
@@ -301,13 +300,13 @@ def _determined(
         )
 
     has_states = any(trajectory is not None for trajectory in trajectories)
-    told = known_directions(nlp, x, accuracy, beside if has_states else lambda _: ())
-    if told is None:
+    directions = known_directions(nlp, x, accuracy, beside if has_states else lambda _: ())
+    if directions is None:
         return
     lost = {name for c in accuracy.combinations if math.isinf(c.index) for name in c.names}
-    # Whatever the size of the errors: what is seen at all is determined by enough data.
-    told = replace(told, covariance=SMALL * told.covariance)
+    # Enough data make any error small, so every visible direction counts as determined.
+    directions = replace(directions, covariance=1e-12 * directions.covariance)
     units = [nlp.problem.parameters[name].unit for name in nlp.free]
-    for combination in identifiability(nlp.free, units, told, accuracy.at_bound).combinations:
+    for combination in identifiability(nlp.free, units, directions, accuracy.at_bound).combinations:
         if set(combination.names) <= lost:
             yield combination.formula

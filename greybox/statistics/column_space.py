@@ -10,7 +10,7 @@ DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rou
 def column_basis(columns: Array) -> Array:
     """Return an orthonormal basis (n, r) of the space of the columns (n, p), of whatever lengths, also zero."""
     length = np.linalg.norm(columns, axis=0)
-    left, singular, _ = np.linalg.svd(
+    vectors, singular, _ = np.linalg.svd(
         columns[:, length > 0] / length[length > 0], full_matrices=False
     )
-    return left[:, singular > DEPENDENT * max(singular, default=0.0)]
+    return vectors[:, singular > DEPENDENT * max(singular, default=0.0)]

@@ -14,7 +14,6 @@ from greybox.files.arrays import Array, IntArray
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
-RANK = 1e-6  # relative eigenvalue of the input's correlations below which a direction holds no information
 NORMAL_99 = 2.576  # standard deviations that 99 % of normal values stay within
 
 
@@ -133,32 +132,35 @@ def input_correlation(
     errors. The autocorrelation of the input is accounted for, and so is that of the residuals, as
     an autoregression. Source: Ljung (1999), System Identification, 2nd ed., section 16.6.
     """
-    e, u = ([_present(s) for s in group] for group in (residuals, inputs))
-    n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
-    if n < 3:
+    pairs = _centered(residuals, inputs)
+    if pairs is None:
         return _unknown(lags)
-    e, u = ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
-    a = autoregression([np.nan_to_num(s) for s in e])
+    e, u = pairs
 
-    # What whitens the residuals is applied to both, so that successive residuals are independent.
+    # The filter that whitens the residuals is applied to both, so that successive residuals are
+    # independent.
+    a = autoregression([np.nan_to_num(s) for s in e])
     e, u = ([_filtered(s, a) for s in group] for group in (e, u))
-    # Of the same samples at every lag: their own products, not those of a stationary input, so that
-    # a step or a drift, whose values before hardly differ, is no alarm.
-    errors, before = _with_values_before(e, u, lags)
-    products = before.T @ before
+    # Products of the same samples at every lag, not those of a stationary input: a step or a drift,
+    # whose past values hardly differ, is no alarm.
+    errors, past = _with_past_values(e, u, lags)
+    products = past.T @ past
     if not len(errors) > lags or not np.any(products) or not np.any(errors):
         return _unknown(lags)
     values, vectors = np.linalg.eigh(products)
-    kept = values > RANK * values[-1]
-    shared = before.T @ errors
+    # Relative eigenvalue of the input's correlations below which a direction has no information.
+    informative = values > 1e-6 * values[-1]
+    shared = past.T @ errors
     variance = float(np.mean(errors**2))
-    statistic = float(np.sum((vectors[:, kept].T @ shared) ** 2 / values[kept])) / variance
+    statistic = (
+        float(np.sum((vectors[:, informative].T @ shared) ** 2 / values[informative])) / variance
+    )
     r = shared / np.sqrt(np.maximum(np.diag(products), np.finfo(float).tiny) * np.sum(errors**2))
-    return _tested(statistic, int(kept.sum()), r, NORMAL_99 / math.sqrt(len(errors)))
+    return _tested(statistic, int(informative.sum()), r, NORMAL_99 / math.sqrt(len(errors)))
 
 
-def _with_values_before(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
-    """Return the residuals (m,) whose `lags` values of the input before are all known, and these (m, lags)."""
+def _with_past_values(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
+    """Return the residuals (m,) whose `lags` past values of the input are all known, and these (m, lags)."""
     pairs = [
         (a[lags:], np.lib.stride_tricks.sliding_window_view(b, lags)[:-1, ::-1])
         for a, b in zip(e, u, strict=True)
@@ -166,9 +168,9 @@ def _with_values_before(e: Sequence[Array], u: Sequence[Array], lags: int) -> tu
     ]
     if not pairs:
         return np.zeros(0), np.zeros((0, lags))
-    errors, before = (np.concatenate(group) for group in zip(*pairs, strict=True))
-    known = np.isfinite(errors) & np.isfinite(before).all(axis=1)
-    return errors[known], before[known]
+    errors, past = (np.concatenate(group) for group in zip(*pairs, strict=True))
+    complete = np.isfinite(errors) & np.isfinite(past).all(axis=1)
+    return errors[complete], past[complete]
 
 
 def feedback_correlation(
@@ -181,15 +183,12 @@ def feedback_correlation(
     Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA
     71.
     """
-    e, u = ([_present(s) for s in group] for group in (residuals, inputs))
-    n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
-    if n < 3:
+    stretches = _centered(residuals, inputs)
+    if stretches is None:
         return _unknown(lags)
     e, u = (
         [_filtered(s, autoregression([np.nan_to_num(s) for s in group])) for s in group]
-        for group in (
-            [s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u)
-        )
+        for group in stretches
     )
     sums, pairs = _lagged(u, e, lags)
     sizes = [rms(np.concatenate(group)) for group in (e, u)]
@@ -223,6 +222,17 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     return mean, math.sqrt(variance / n)
 
 
+def _centered(
+    residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike]
+) -> tuple[list[Array], list[Array]] | None:
+    """Return residuals and inputs less their means, NaN where not finite; None with fewer than three pairs."""
+    e, u = ([_present(s) for s in group] for group in (residuals, inputs))
+    if sum(int(np.isfinite(a * b).sum()) for a, b in zip(e, u, strict=True)) < 3:
+        return None
+    e, u = ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
+    return e, u
+
+
 def _filtered(values: Array, a: Array) -> Array:
     """Return Σ a_k e(t - k), NaN where a term is missing."""
     result = np.full(values.size, np.nan)
@@ -244,9 +254,8 @@ def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, I
     for a, b in zip(e, u, strict=True):
         for k in range(min(lags, a.size - 1) + 1):
             product = a[k:] * b[: b.size - k]
-            known = np.isfinite(product)
-            sums[k] += product[known].sum()
-            pairs[k] += known.sum()
+            sums[k] += np.nansum(product)
+            pairs[k] += np.isfinite(product).sum()
     return sums, pairs
 
 
@@ -271,5 +280,5 @@ def _pairs(measured: ArrayLike, predicted: ArrayLike) -> tuple[Array, Array]:
         raise ValueError(
             f"there are {y.size} measured and {p.size} predicted values: give as many of both."
         )
-    both = np.isfinite(y) & np.isfinite(p)
-    return y[both], p[both]
+    complete = np.isfinite(y) & np.isfinite(p)
+    return y[complete], p[complete]

@@ -114,17 +114,19 @@ def neighbor_correlation(
     rho = np.linspace(0.0, math.exp(-1 / n), VALUES)
     # The inverse of a matrix rho^|i - j| has three diagonals.
     rows = np.column_stack([errors, basis[:n] + 1j * basis[n:]])
-    same = (rows.conj().T @ rows).real
+    squares_of_rows = (rows.conj().T @ rows).real
     ends = (rows[[0, -1]].conj().T @ rows[[0, -1]]).real
     beside = (rows[1:].conj().T @ rows[:-1]).real
     share = rho[:, None, None]
-    moments = (1 + share**2) * same - share**2 * ends - share * (beside + beside.T)
+    moments = (1 + share**2) * squares_of_rows - share**2 * ends - share * (beside + beside.T)
     moments /= 1 - share**2
     gradient, information = moments[:, 1:, :1], moments[:, 1:, 1:]
     squares = moments[:, 0, 0] - np.sum(
         gradient * np.linalg.solve(information, gradient), axis=(1, 2)
     )
-    if not squares.min() > EXACT**2 * same[0, 0]:  # what is left was all taken, but for rounding
+    if (
+        not squares.min() > EXACT**2 * squares_of_rows[0, 0]
+    ):  # what is left was all taken, but for rounding
         return None
     squares /= squares[0]
     if inflation is None:
@@ -140,8 +142,9 @@ def neighbor_correlation(
     weight /= weight.sum()
     if weight[0] > TAKEN_FOR_SURE:
         return None
-    kept = weight > LEAST_WEIGHT
-    return NeighborCorrelation(n, rho[kept], weight[kept] / weight[kept].sum(), scale[kept])
+    likely = weight > LEAST_WEIGHT
+    weight = weight[likely] / weight[likely].sum()
+    return NeighborCorrelation(n, rho[likely], weight, scale[likely])
 
 
 def averaged_meat(
@@ -171,22 +174,22 @@ def averaged_meat(
     """
     n = known.points
     size = 1 << (2 * n - 1).bit_length()
-    each = correlation(known.powers)
+    correlations = correlation(known.powers)
     turned = np.fft.fft(scores @ root, size, axis=0)
     of_lags = np.fft.ifft(np.sum(np.abs(turned) ** 2, axis=1)).real[:n]
     of_lags[1:] *= 2
-    taken = known.scale * (each @ of_lags)
+    variances = known.scale * (correlations @ of_lags)
 
-    mean = (known.weight * known.scale) @ each
+    mean = (known.weight * known.scale) @ correlations
     spectrum = np.fft.fft(np.concatenate([mean, np.zeros(size - 2 * n + 1), mean[:0:-1]])).real
     transform = np.fft.fft(scores, size, axis=0)
     meat = (transform.conj().T @ (spectrum[:, None] * transform)).real / size
-    variance, left = student_of_average(known.weight, np.maximum(taken, 0.0), dof)
-    average = float(known.weight @ taken)
+    variance, dof = student_of_average(known.weight, np.maximum(variances, 0.0), dof)
+    average = float(known.weight @ variances)
     if not average > 0:
-        return meat, left, 1.0
+        return meat, dof, 1.0
     alike = float(correlation(np.power(known.mean, np.arange(n, dtype=float))) @ of_lags)
-    return meat * (variance / average), left, variance / alike
+    return meat * (variance / average), dof, variance / alike
 
 
 def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
@@ -211,7 +214,6 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     inner, outer = (low + high) / 2
 
     # The ratio of both intervals falls as the degrees of freedom rise.
-    few, many = 0.0, 1 / dof
     few, many = 1 / dof, 1.0
     for _ in range(BISECTIONS):
         middle = (few + many) / 2

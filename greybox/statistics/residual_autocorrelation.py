@@ -35,7 +35,7 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
     """
     a: Array = np.ones(1)
     variance = float(r[0])
-    found: list[tuple[Array, float]] = [(a, variance)]
+    steps: list[tuple[Array, float]] = [(a, variance)]
     for k in range(1, len(r)):
         reflection = -float(a @ r[k:0:-1]) / variance
         a = np.append(a, 0.0)
@@ -43,8 +43,8 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
         variance *= 1 - reflection**2
         if not variance > PREDICTABLE * r[0]:
             break
-        found.append((a, variance))
-    return found
+        steps.append((a, variance))
+    return steps
 
 
 def autoregression(stretches: list[Array]) -> Array:

@@ -86,14 +86,14 @@ def variance_components(
         parts = inverse @ expected
         misfit = np.eye(k) - inverse @ periodogram
         gradient = np.einsum("b,cbij,bji->c", numbers, parts, misfit, optimize=True).real * variance
-        told = np.einsum("b,cbij,dbji->cd", numbers, parts, parts, optimize=True).real
-        return gradient, told * variance * variance[:, None]
+        information = np.einsum("b,cbij,dbji->cd", numbers, parts, parts, optimize=True).real
+        return gradient, information * variance * variance[:, None]
 
     score = whittle_score(spectrum(variance), periodogram, numbers)
-    gradient, told = slopes(variance)
+    gradient, information = slopes(variance)
     damping = DAMPING
     for _ in range(ITERATIONS):
-        curvature = told + np.diag(damping * told.diagonal() + LEAST)
+        curvature = information + np.diag(damping * information.diagonal() + LEAST)
         step = np.clip(-np.linalg.solve(curvature, gradient), -LONGEST_STEP, LONGEST_STEP)
         trial = np.maximum(variance * np.exp(step), LEAST**2)
         new = whittle_score(spectrum(trial), periodogram, numbers)
@@ -103,9 +103,9 @@ def variance_components(
                 break
             continue
         better, score, variance = score - new, new, trial
-        gradient, told = slopes(variance)
+        gradient, information = slopes(variance)
         damping = max(damping / 5, UNDAMPED)
         if better < CLOSE:
             break
-    covariance = np.asarray(2 * np.linalg.pinv(told, UNSEEN, hermitian=True), dtype=float)
+    covariance = np.asarray(2 * np.linalg.pinv(information, UNSEEN, hermitian=True), dtype=float)
     return VarianceComponents(variance, covariance, score)

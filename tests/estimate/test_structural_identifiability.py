@@ -78,7 +78,7 @@ def test_products_and_what_has_no_effect_are_named():
     assert lost(found) == [{"k", "m"}, {"idle"}]
     assert found.identifiable == ("T",)
     assert found.combinations == ("k m",)
-    assert "k and m cannot be told apart: fix one of them" in str(found)
+    assert "k and m cannot be separated: fix one of them" in str(found)
     assert "idle has no effect" in str(found)
     assert not gb.structural_identifiability(Redundant(), fixed={"m": 1.0, "idle": 0.0}).groups
 
@@ -177,15 +177,15 @@ def test_what_cannot_be_told_apart_in_words():
     )
     assert str(found) == (
         "Plant, structural identifiability from the course of y:\n"
-        "  k and m cannot be told apart: fix one of them.\n"
+        "  k and m cannot be separated: fix one of them.\n"
         "  idle has no effect: fix it or remove it.\n"
-        "  a, b, c and the initial state of x cannot be told apart: fix 2 of them.\n"
+        "  a, b, c and the initial state of x cannot be separated: fix 2 of them.\n"
         "  determined are k m.\n"
-        "  T can be told."
+        "  T can be determined."
     )
     assert repr(found) == "<StructuralIdentifiability Plant, 1 of 7 parameters>"
     alone = StructuralIdentifiability("Plant", ("k", "m"), (), (), "the course of y")
-    assert str(alone).splitlines()[1:] == ["  all of k and m can be told apart."]
+    assert str(alone).splitlines()[1:] == ["  all of k and m can be determined."]
 
 
 @pytest.mark.parametrize("points", [0, True, 1.0])
