@@ -87,9 +87,7 @@ def test_what_a_structure_could_tell_and_what_a_fit_has_told(capsys, own, yaw):
     assert answer(capsys, "identifiability", lost)["not_identifiable"] == [
         {"names": ["K", "T"], "initial_states": [], "to_fix": 1}
     ]
-    assert (
-        "K and T cannot be separated: fix one of them" in run(capsys, "identifiability", lost)[1]
-    )
+    assert "K and T cannot be separated: fix one of them" in run(capsys, "identifiability", lost)[1]
 
     told = answer(capsys, "identifiability", yaw)
     assert told["beyond"] == ["a1_tilde", "a2", "a3_tilde"]
