@@ -1,4 +1,4 @@
-"""The command `greybox compare`: saved fits side by side, or the members of a study, also while it runs."""
+"""The command `greybox compare`: saved fits side by side, or the members of a study."""
 
 import argparse
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="RESULT",
-        help="fits that greybox fit --out wrote, of the same data; or the folder of a study, also while it runs",
+        help="fits of the same data, as greybox fit --out saves them, or the folder of a study",
     )
     add_model_option(parser)
     add_common_options(parser)

@@ -1,4 +1,4 @@
-"""The command `greybox orders`: the orders of a rational transfer function that a measured response supports."""
+"""The command `greybox orders`: orders of a transfer function that a response supports."""
 
 import argparse
 from pathlib import Path

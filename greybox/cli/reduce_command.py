@@ -1,4 +1,4 @@
-"""The command `greybox reduce`: the smaller structure that a saved fit suggests, fitted and compared with it."""
+"""The command `greybox reduce`: the smaller structure that a saved fit suggests."""
 
 import argparse
 from typing import Any

@@ -27,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="NAME[=VALUE]",
-        help="parameters that may be left out, and the value of each where its term is absent, 0 by default",
+        help="parameters that may be left out, with the value without their term (default: 0)",
     )
     parser.add_argument(
         "--size",

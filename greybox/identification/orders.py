@@ -1,4 +1,4 @@
-"""The orders of a rational transfer function: every structure of a grid fitted by maximum likelihood, one verdict."""
+"""The orders of a rational transfer function, by maximum likelihood fits of a grid."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -88,7 +88,7 @@ class OrderSelection:
 
     @property
     def verdict(self) -> str:
-        """Which structure the data support, in one sentence as `gb.compare` says it, and whether it is too large."""
+        """The structure that the data support, in one sentence, and whether it is too large."""
         of = self.candidates
         _, text = parsimony([c.label for c in of], [c.bic for c in of], [c.parameters for c in of])
         pairs = (
@@ -129,7 +129,7 @@ def select_orders(
     starts: int = 8,
     seed: int = 0,
 ) -> OrderSelection:
-    """Fit rational transfer functions (2.13) of all these orders, and choose the smallest that the data support.
+    """Fit rational transfer functions (2.13) of all these orders, and choose the smallest supported.
 
     Every structure is fitted by maximum likelihood: `MaximumLikelihood` where the data have
     variances, otherwise `RelativeLikelihood`. Starts are those of linear least squares, `levy`, and

@@ -1,11 +1,17 @@
-"""To and from other libraries and languages; each is imported when it is first asked for.
+"""To and from other libraries and languages; each library is imported when it is first used.
 
-`python_control` and `scipy_signal` convert responses and linear systems, and models as ODEs for
-python-control; both go through `linear_systems`, which brings a model and its values into matrices
-and polynomials. `casadi_function` gives a model at its estimate as a CasADi function, `c_code` as C
-source, `matlab_file` writes what MATLAB reads; names that these accept are made by `source_names`.
-Records and responses become pandas data frames by `to_pandas()` of their own, fits JSON by
-`Fit.to_json`.
+Begin with `python_control`.
+
+| file | contents |
+| --- | --- |
+| `python_control`, `scipy_signal` | responses and linear systems of these libraries |
+| `linear_systems` | a model and its values as polynomials, matrices or an ODE |
+| `casadi_function` | a model at its estimate as a CasADi function |
+| `c_code` | a model at its estimate as C source |
+| `matlab_file` | files that MATLAB reads |
+| `source_names` | names that these languages accept |
+
+Records and responses have `to_pandas()`, fits `Fit.to_json`.
 """
 
 from greybox.interop.c_code import write_c as write_c

@@ -74,7 +74,7 @@ def write_c(
     pade: int | None = None,
     part: int = 0,
 ) -> tuple[Path, Path]:
-    """Write a model at its estimate as C source that needs no other library, and return the two files.
+    """Write a model at its estimate as C source without dependencies; return the two files.
 
     ``tilt.c`` and ``tilt.h`` have ``tilt_derivative``, ``tilt_output`` and ``tilt_step``, which
     advances the states by `step` with the inputs held. A linear model, with the Padé approximation
@@ -125,7 +125,7 @@ def write_c(
 
 def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, int]:
     """Return (x, u) -> x one substep later and the number of substeps, 0 where it is exact."""
-    from scipy.linalg import expm  # noqa: PLC0415  (import of greybox stays free of scipy)
+    from scipy.linalg import expm  # noqa: PLC0415  (imports slowly)
 
     n, m = len(system.states), len(system.inputs)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
@@ -212,7 +212,7 @@ def _source(
 
 
 def _wrapper(function: ca.Function, signature: str, result: str, count: int) -> str:
-    """Return a function with plain arrays that calls one of CasADi's, which needs memory, `count` times."""
+    """Return a function with plain arrays that calls one of CasADi's `count` times."""
     sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
     arg, res, iw, w = (max(size, 1) for size in sizes)
     call = f"{function.name()}(arg, res, iw, w, 0);"

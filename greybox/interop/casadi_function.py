@@ -1,4 +1,4 @@
-"""A model at its estimate as a CasADi function, for optimal control, estimators and code generation."""
+"""A model at its estimate as a CasADi function, for control and estimators."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -74,7 +74,7 @@ class GivenModel:
         return _with_delay_states(system, pade) if pade and any(delays.values()) else system
 
     def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
-        """Return the ODE, with states for delays if `pade` is an order, and the values of its parameters (p,)."""
+        """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""
         system = dynamics(self.model, pade or None)
         p = np.array(list(self.model.values(self.values).values()), dtype=float)
         delays = system.delay(p).full().ravel().tolist()
@@ -115,7 +115,7 @@ class GivenModel:
 def given_model(
     thing: Any, values: Mapping[str, float] | None, at: Mapping[str, float] | None, part: int = 0
 ) -> GivenModel:
-    """Return the model meant by a `Fit`, at its estimate, or by a model and values for its parameters.
+    """Return the model of a `Fit` at its estimate, or a model with values of its parameters.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""To and from python-control (https://python-control.readthedocs.io), ``pip install 'greybox-id[control]'``."""
+"""To and from python-control, ``pip install 'greybox-id[control]'``."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -143,7 +143,7 @@ def _named(name: str) -> dict[str, str]:
 
 
 def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names given, else the labels; those that python-control numbers, ``u[0]``, become ``u``, or ``u1``."""
+    """Return the given names, else the labels with ``u[0]`` as ``u`` or ``u1``."""
     if given:
         return (given,) if isinstance(given, str) else tuple(given)
 

@@ -18,7 +18,7 @@ def to_scipy(
     output: str = "",
     part: int = 0,
 ) -> Any:
-    """Return a model at its estimate as a `scipy.signal.TransferFunction` or `scipy.signal.StateSpace`.
+    """Return a model at its estimate as a `scipy.signal` transfer function or state space.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ from greybox.regression.variable_projection import Projection, project
 
 @dataclass(frozen=True)
 class UsedEquation:
-    """One regression of the result: its left side, R², rows, the band of its terms (Hz), and its residual."""
+    """One regression: left side, R², number of rows, band of its terms (Hz), and residual (rms)."""
 
     left: str
     parameters: tuple[str, ...]
@@ -48,7 +48,7 @@ class UsedEquation:
 
 @dataclass(frozen=True, eq=False)
 class EquationErrorEstimate:
-    """The result of `equation_error`. Printing it says what was estimated from what, and what was not, and why.
+    """The result of `equation_error`. Printing it says what was estimated from which equations.
 
     It is a start, ``gb.fit(problem, starts=[result.estimate])``, and can be given as `fixed` to a
     problem.
@@ -147,7 +147,7 @@ def equation_error(
     cutoff: float | None = None,
     inputs: Inputs = "record",
 ) -> EquationErrorEstimate:
-    """Estimate the parameters of an ODE from its measured states, equation by equation, by least squares.
+    """Estimate the parameters of an ODE from measured states, by least squares per equation.
 
     A state is known when the record has a signal of its name or an output that equals it (up to
     constants), when it is the derivative of a known state (``theta' = q``), or when it follows from
@@ -290,8 +290,8 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
         return
     if isinstance(model, TransferFunction):
         raise ValueError(
-            f"the equation of {model.label} needs derivatives of {model.output!r} that the record does not give: "
-            "declare it as a StateSpace whose states are measured, or fit its frequency response, see "
+            f"the equation of {model.label} needs derivatives of {model.output!r} that the record "
+            "does not have: declare it as a StateSpace whose states are measured, or fit its frequency response, see "
             "gb.regression.levy."
         )
     reasons = (
@@ -299,8 +299,8 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
         or "none contains a free parameter and only signals of the record"
     )
     raise ValueError(
-        f"no equation of {model.label} can be used ({reasons}); the record has {', '.join(record.signals)}: "
-        "add the missing states under their names."
+        f"no equation of {model.label} can be used ({reasons}); the record has "
+        f"{', '.join(record.signals)}: add the missing states under their names."
     )
 
 
@@ -411,8 +411,8 @@ def _warnings(
         for n in projection.at_bound
     ]
     result += [
-        f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there is noise, or the "
-        "model is incomplete."
+        f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there is "
+        "noise, or the model is incomplete."
         for e in used
         if e.rows and e.r_squared < 0.5
     ]
@@ -421,7 +421,8 @@ def _warnings(
     if biased:
         shifts = ", ".join(f"{n} by about {bias[n]:.2g}" for n in biased)
         result.append(
-            f"noise in the measured states biases the estimate ({shifts}), which the standard errors do not include."
+            f"noise in the measured states biases the estimate ({shifts}), which the standard errors "
+            "do not include."
         )
     # With ten degrees of freedom, standard errors are known to a quarter at best.
     if projection.dof < 10:

@@ -1,4 +1,4 @@
-"""Linear least squares over several equations, with bounds; the covariance of the estimate when residuals are colored.
+"""Linear least squares over several equations, with bounds, and its covariance.
 
 Colored residuals: Cov = (XᵀX)⁻¹ Xᵀ R X (XᵀX)⁻¹ with the autocovariance R of the residuals (Morelli
 and Klein, Aircraft System Identification, 2nd ed., chapter 5). R is the sample autocovariance under
@@ -18,7 +18,8 @@ from greybox.statistics.residual_autocorrelation import autocovariance
 # Singular value of the matrix with unit columns below which a combination is not determined: the
 # root of the rounding, at which the normal equations lose it.
 UNDETERMINED = 1e-7
-PART = 1e-3  # share in such a combination from which a column belongs to it: above rounding divided by UNDETERMINED
+# Share in such a combination from which a column belongs to it: above rounding over UNDETERMINED.
+PART = 1e-3
 ROUNDING = 1e-24  # of the power of a target: residuals smaller than this are rounding
 
 
@@ -34,14 +35,14 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Autocovariance:
-    """Of one equation's residuals: at the `lags` 0 ... m - 1, and how many independent residuals they are worth."""
+    """Autocovariance of residuals at the `lags` 0 ... m - 1, and their independent number."""
 
     lags: Array
     independent: float
 
 
 def undetermined(blocks: Sequence[Block]) -> list[tuple[int, ...]]:
-    """Return the columns that change nothing, each alone, and the sets whose combination changes nothing."""
+    """Return the columns without effect, and the sets with a combination without effect."""
     triangle = _triangle(blocks, np.ones(1 + max(b.equation for b in blocks)))[:, 1:]
     sizes = np.linalg.norm(triangle, axis=0)
     zero = [(int(k),) for k in np.flatnonzero(sizes == 0)]
@@ -57,8 +58,8 @@ def undetermined(blocks: Sequence[Block]) -> list[tuple[int, ...]]:
 
 
 def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> Array:
-    """Return the unknowns (k,) of least weighted squares within the bounds; columns are normalized first."""
-    from scipy.optimize import lsq_linear  # noqa: PLC0415  (import of greybox stays free of scipy)
+    """Return the unknowns (k,) of least weighted squares within the bounds."""
+    from scipy.optimize import lsq_linear  # noqa: PLC0415  (imports slowly)
 
     triangle = _triangle(blocks, weights)
     right = triangle[:, 0]
@@ -83,7 +84,7 @@ def residuals(blocks: Sequence[Block], unknowns: Array) -> list[Array]:
 
 
 def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
-    """Return the root mean square of the errors of every equation, (equations,); at least rounding of its target.
+    """Return the rms error of every equation, at least the rounding of its target.
 
     One of an equation whose target is zero and whose errors are: any other would do.
     """
@@ -109,7 +110,7 @@ def autocovariances(blocks: Sequence[Block], errors: Sequence[Array]) -> list[Au
 
 
 def covariance(blocks: Sequence[Block], weights: Array, colored: Sequence[Autocovariance]) -> Array:
-    """Return the covariance (k, k) for residuals of these autocovariances; the equations are taken as independent."""
+    """Return the covariance (k, k) for colored residuals of independent equations."""
     from scipy.signal import fftconvolve  # noqa: PLC0415  (takes a third of a second to import)
 
     size = blocks[0].slopes.shape[1]
@@ -143,7 +144,7 @@ def _triangle(blocks: Sequence[Block], weights: Array) -> Array:
 
 
 def _autocovariance(errors: Sequence[Array]) -> Autocovariance:
-    """Estimate the autocovariance over several stretches, in a window of several correlation lengths."""
+    """Estimate the autocovariance in a window of several correlation lengths."""
     total = sum(e.size for e in errors)
     # With a fifth as many lags as residuals, every lag averages over most of them.
     longest = max(2, min(total // 5, max(e.size for e in errors) - 1))

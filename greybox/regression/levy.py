@@ -94,12 +94,12 @@ class RationalFit:
 
     @property
     def determined(self) -> bool:
-        """False when the data do not determine the coefficients, as with orders above those of noise-free data."""
+        """False when the data do not determine the coefficients: the orders are too high."""
         return self.condition < 1 / RANK
 
     @property
     def coefficients(self) -> dict[str, float]:
-        """Coefficients by the names of the model `Polynomial(n, m, integrator)`: a start for its fit."""
+        """Coefficients by the names of `Polynomial(n, m, integrator)`: a start for its fit."""
         b = {f"b{k}": float(value) for k, value in enumerate(self.numerator[::-1])}
         a = {f"a{k}": float(value) for k, value in enumerate(self.denominator[:0:-1])}
         return b | {
@@ -251,7 +251,7 @@ def order_path(
 def _solve(
     data: FrequencyResponse, n: int, m: int, integrator: bool, weights: Array
 ) -> tuple[Array, Array, float]:
-    """Return numerator (m + 1,), denominator (n + 1,) and condition number of the equations with `weights` (n_ω,)."""
+    """Return numerator (m + 1,), denominator (n + 1,) and condition number."""
     powers = (1j * data.omega[:, None]) ** np.arange(n, -1, -1) * weights[:, None]
     response = data.response[:, None] * powers
     equations = np.hstack([powers[:, n - m :], -response[:, 1 : n + 1 - integrator]])
@@ -278,8 +278,8 @@ def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: bool) -> 
     unknowns = n + m + 1 - bool(integrator)
     if 2 * len(data) <= unknowns:
         raise ValueError(
-            f"{len(data)} frequencies give {2 * len(data)} equations for the {unknowns} unknowns of n = {n}, m = {m}: "
-            "(3.17) needs more equations than unknowns, lower n and m or add frequencies."
+            f"{len(data)} frequencies give {2 * len(data)} equations for the {unknowns} unknowns of "
+            f"n = {n}, m = {m}: (3.17) needs more equations than unknowns, lower n and m or add frequencies."
         )
 
 

@@ -1,4 +1,4 @@
-"""Which equations of a model become regressions: how each state is known, which parameters enter linearly."""
+"""Which equations of a model become regressions, and which parameters are linear in them."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from greybox.modeling.realization import Dynamics
 
 Kind = Literal["derivative", "output"]
 Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
-"""A name, the row of the model that it equals, and whether it is a signal or the derivative of a state."""
+"""A name, the row of the model that it equals, and what it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def regressions(
     fixed: Mapping[str, float],
     start: np.ndarray,
 ) -> Equations:
-    """Find out which states are known, and which equations then contain only known signals and parameters.
+    """Return the equations of a model that contain only known signals and parameters.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class _Analysis:
         )
 
     def _know_measured_states(self) -> None:
-        """Take states from signals of their name, then from outputs and derivatives of known states, one by one."""
+        """Take states from signals, then from outputs and derivatives of known states."""
         for name in self.model.states:
             if name in self.signals:
                 self.states[name] = KnownState(name, "signal", name, None)
@@ -189,7 +189,7 @@ class _Analysis:
             pass
 
     def _one_more_state(self) -> bool:
-        """Find one more state that is a signal or a derivative, up to constants; False if there is none."""
+        """Find one more state that is a signal or a derivative, up to constants."""
         sources: list[Source] = [(n, h, "signal") for n, h in self.h.items() if n in self.signals]
         sources += [(n, self.f[n], "derivative") for n in self.states]
         for source, row, how in sources:
@@ -207,7 +207,7 @@ class _Analysis:
         return False
 
     def _know_simulated_states(self) -> None:
-        """Take what follows from a stable linear equation with constant coefficients, driven by known signals."""
+        """Take states of stable linear equations that known signals drive."""
         names = [n for n in self.model.states if n not in self.states]
         while names:
             x = self._states(names)
@@ -235,7 +235,7 @@ class _Analysis:
         return ca.vertcat(*[self.x[self.model.states.index(n)] for n in names], ca.SX(0, 1))
 
     def _affine(self, row: ca.SX, symbols: ca.SX) -> bool:
-        """Tell in numbers whether a row is affine in the symbols; the derivative of a sign is zero and hides it."""
+        """Tell in numbers whether a row is affine in the symbols: a sign has no derivative."""
         step = ca.SX.sym("step", symbols.numel())
         moved = ca.substitute(row, symbols, symbols + step)
         error = moved - row - ca.mtimes(ca.jacobian(row, symbols), step)
@@ -250,7 +250,7 @@ class _Analysis:
         return bool(np.all(np.abs(values[:, 0]) <= 1e-9 * (1 + np.abs(values[:, 1:]).sum(axis=1))))
 
     def _identities(self) -> set[str]:
-        """Return the outputs from which a state is known, which say nothing more of the parameters."""
+        """Return the outputs that only define a state and have no free parameter."""
         sources = {state.source for state in self.states.values() if state.how == "signal"}
         return {n for n, row in self.h.items() if n in sources and not self._own_parameters(row)}
 
@@ -287,7 +287,7 @@ class _Analysis:
         return [name for k, name in enumerate(self.model.inputs) if ca.depends_on(row, self.u[k])]
 
     def _behind(self, row: ca.SX) -> set[str]:
-        """Return the states that a row needs, with those that its simulated and derived states need."""
+        """Return the states that a row needs, directly or through simulated states."""
         needed: set[str] = set()
         new = self._used(row)
         while new:
@@ -308,7 +308,7 @@ class _Analysis:
         return tuple(n for n in self.free if ca.depends_on(row, self._symbol(n)))
 
     def _parameters(self, row: ca.SX) -> tuple[str, ...]:
-        """Return the free parameters that a row depends on: its own, of simulated states, of delays."""
+        """Return the free parameters of a row, of its simulated states and its delays."""
         column = ca.vertcat(*self._rows_behind(row))
         late = [self.delays[self.model.inputs.index(n)] for n in self._inputs(column)]
         return self._own_parameters(ca.vertcat(column, *late))
@@ -325,7 +325,7 @@ class _Analysis:
         return tuple(sorted(sources))
 
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
-        """Return parameters in which all rows are jointly affine; of two that multiply, one is left out."""
+        """Return the parameters in which all rows are jointly affine."""
         # What is in a delay or in the equation of a simulated state changes the regressors
         # themselves.
         inside = ca.vertcat(
@@ -344,7 +344,7 @@ class _Analysis:
         return tuple(name for name in names if name in linear)
 
     def _partners(self, right_sides: ca.SX, name: str, others: list[str]) -> set[str]:
-        """Return the parameters that this one multiplies, itself included where it enters as a power."""
+        """Return the parameters that this one multiplies, itself where it is a power."""
         slope = ca.simplify(ca.jacobian(right_sides, self._symbol(name)))
         return {n for n in others if ca.depends_on(slope, self._symbol(n))}
 

@@ -1,4 +1,4 @@
-"""Poles and zeros of a rational function: the factored form of (3.18), and pairs that nearly cancel."""
+"""Poles and zeros: the factored form of (3.18), and pairs that nearly cancel."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ NEAR = 0.1
 
 @dataclass(frozen=True)
 class NearPair:
-    """A zero and a pole (the upper ones of complex pairs), rad/s; `distance` is |zero - pole| / max(|zero|, |pole|)."""
+    """A zero and a pole, rad/s, and their `distance` |zero - pole| / max(|zero|, |pole|)."""
 
     zero: complex
     pole: complex
@@ -31,12 +31,13 @@ class NearPair:
 
     def __str__(self) -> str:
         kind = "stable" if self.stable else "unstable"
-        return f"{kind} zero {root_text(self.zero)} and pole {root_text(self.pole)}, {100 * self.distance:.2g} % apart"
+        pair = f"zero {root_text(self.zero)} and pole {root_text(self.pole)}"
+        return f"{kind} {pair}, {100 * self.distance:.2g} % apart"
 
 
 @dataclass(frozen=True)
 class Factored:
-    """The factored form of (3.18) to (3.20): stable real poles as (T s + 1), all other factors monic.
+    """The form of (3.18) to (3.20): stable real poles as (T s + 1), all other factors monic.
 
     `zeros` holds c (rad/s) of every real factor (s + c) of the numerator, `zero_quadratics` (c1,
     c0) of every s² + c1 s + c0. In the denominator there are `integrators` factors s,

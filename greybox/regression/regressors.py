@@ -1,4 +1,4 @@
-"""From a record to the regressions of a model: smoothed states, delayed inputs, one filter for all terms."""
+"""The regressions of a record: smoothed states, delayed inputs, one filter for all terms."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -75,7 +75,7 @@ class Regressors:
         return float(np.median(np.diff(self.time)))
 
     def blocks(self, p: Array) -> list[Block]:
-        """Return every equation over every stretch that is long enough, at the values `p` of the free parameters.
+        """Return every equation over every stretch, at the values `p` of the free parameters.
 
         Empty where a simulated state grows without bound.
         """
@@ -111,7 +111,7 @@ class Regressors:
         return result
 
     def _late(self, delays: Array) -> Array:
-        """Return the inputs (m, n) as they arrive: by cubic interpolation between samples, linear for what is held."""
+        """Return the inputs (m, n) after their delays."""
         rows = []
         for name, longer in zip(self.names[1], delays, strict=True):
             late = self.inputs[name]
@@ -232,7 +232,7 @@ def acting(time: Array, values: Array, held: bool) -> Array:
     derivative of S adds: the pulse transfer function of an integrator behind a zero-order hold is h
     / (z - 1), and jωh / (z - 1) = exp(-jωh/2) / sinc(ωh/2).
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
     if not held:
         return values
@@ -290,13 +290,13 @@ def memory(equations: Equations, names: tuple[tuple[str, ...], tuple[str, ...]],
 
 
 def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
-    """Solve ``x' = matrix x + drive`` (s, n) for a drive known at samples, from its equilibrium at the first one.
+    """Solve ``x' = matrix x + drive`` (s, n) from the equilibrium at the first sample.
 
     Source: first-order hold, Franklin, Powell and Workman, Digital Control of Dynamic Systems, by
     the matrix exponential of Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404; the
     recursion runs in the Schur basis.
     """
-    from scipy.linalg import expm, schur  # noqa: PLC0415  (import of greybox stays free of scipy)
+    from scipy.linalg import expm, schur  # noqa: PLC0415  (imports slowly)
     from scipy.signal import lfilter  # noqa: PLC0415  (takes a third of a second to import)
 
     s = len(matrix)

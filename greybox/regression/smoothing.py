@@ -82,8 +82,9 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
     parts = [rows for rows in stretches(time, values) if rows.stop - rows.start >= SHORTEST]
     if not parts:
         raise ValueError(
-            f"the signal has no stretch of {SHORTEST} samples without a gap among its {values.size}, of which "
-            f"{int(np.isfinite(values).sum())} are finite: put it on the time base of its own sensor with gb.prepare."
+            f"the signal has no stretch of {SHORTEST} samples without a gap among its {values.size}, "
+            f"of which {int(np.isfinite(values).sum())} are finite: put it on the time base of its "
+            "own sensor with gb.prepare."
         )
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
@@ -104,8 +105,8 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
 
 
 def low_pass(values: Array, step: float, cutoff: float) -> Array:
-    """Weigh the sines of one stretch, (n,) or (n, k) for columns, without shifting them; a straight line passes."""
-    from scipy.fft import idst  # noqa: PLC0415  (import of greybox stays free of scipy)
+    """Filter one stretch (n,) or (n, k) without a shift; a straight line passes."""
+    from scipy.fft import idst  # noqa: PLC0415  (imports slowly)
 
     line = np.linspace(values[0], values[-1], len(values))
     amplitude, omega = _sines(values, step)
@@ -116,13 +117,13 @@ def low_pass(values: Array, step: float, cutoff: float) -> Array:
 
 def differentiate(values: Array, step: float) -> Array:
     """Differentiate one smooth stretch (n,) by the cubic spline through it, of order step⁴."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
     return CubicSpline(step * np.arange(len(values)), values)(step * np.arange(len(values)), 1)
 
 
 def reach(cutoff: float) -> float:
-    """Return the time (s) over which the filter's memory falls to a tenth: its slowest pole decays with 0.38 cutoff."""
+    """Return the time (s) in which the filter forgets to a tenth: its slowest pole is 0.38 cutoff."""
     return math.log(10) / (math.sin(math.pi / POWER) * cutoff)
 
 
@@ -138,8 +139,8 @@ def stretches(time: Array, *signals: Array) -> list[slice]:
 
 
 def without_holes(time: Array, values: Array) -> Array:
-    """Return the signal with single missing samples between two known ones interpolated by a cubic spline."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
+    """Return the signal with single missing samples interpolated by a cubic spline."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
     known = np.flatnonzero(np.isfinite(values))
     filled = np.array(values, dtype=float)
@@ -172,8 +173,8 @@ def require_uniform(time: Array) -> None:
 
 
 def _sines(values: Array, step: float) -> tuple[Array, Array]:
-    """Return the orthonormal sine amplitudes of a stretch less the line between its ends, and their rad/s."""
-    from scipy.fft import dst  # noqa: PLC0415  (import of greybox stays free of scipy)
+    """Return the sine amplitudes of a stretch less the line between its ends, and rad/s."""
+    from scipy.fft import dst  # noqa: PLC0415  (imports slowly)
 
     n = len(values)
     inside = (values - np.linspace(values[0], values[-1], n))[1:-1]
@@ -187,7 +188,7 @@ def _weight(omega: Array, cutoff: float) -> Array:
 
 def _cross_validated(amplitude: Array, omega: Array) -> float:
     """Return the cutoff of least generalized cross-validation."""
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (import of greybox stays free of scipy)
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (imports slowly)
 
     power = amplitude**2
 

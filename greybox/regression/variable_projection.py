@@ -1,4 +1,4 @@
-"""Variable projection: the linear unknowns by least squares inside a search over the few nonlinear ones."""
+"""Variable projection: linear unknowns by least squares, inside a search over the others."""
 
 import math
 from collections.abc import Mapping
@@ -62,7 +62,7 @@ class Projection:
         return self.search.vector(self.point)
 
     def step(self, data: Regressors) -> Array:
-        """Return the Gauss-Newton step (k,) that other data of the same equations ask for from here."""
+        """Return the Gauss-Newton step (k,) from here to other data of the same equations."""
         search = self.search.on(data)
         blocks = search.full(self.point, self.unknowns)
         free = [
@@ -129,7 +129,7 @@ class _Search:
         return p
 
     def full(self, point: Array, unknowns: Array) -> list[Block]:
-        """Return the regressions with the slopes to the nonlinear unknowns behind the others, by differences."""
+        """Return the regressions with slopes to the nonlinear unknowns appended."""
         blocks = self.blocks(point)
         slopes: list[list[Array]] = []
         widths = _widths(*self.bounds(self.nonlinear), point)
@@ -155,7 +155,7 @@ class _Search:
 
 
 def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array) -> Projection:
-    """Estimate the free `parameters`, whose values at the start are `start`, from the regressions of `data`.
+    """Estimate the free `parameters`, from the values `start`, by the regressions of `data`.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
 
 
 def _widths(low: Array, high: Array, point: Array) -> Array:
-    """Return the intervals between bounds; of one without an end the size of the value, at least one."""
+    """Return the intervals between bounds, or the size of the value without bounds."""
     return np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(point), 1))
 
 
@@ -190,8 +190,8 @@ def _too_short(data: Regressors) -> str:
     lost = 2 * reach(min(data.bands)) + data.lateness
     return (
         "no stretch without a gap is long enough: the longest piece of the record has "
-        f"{longest * data.step:.3g} s, of which smoothing, delays and simulated states need {lost:.3g} s at its ends; "
-        "give a longer or less noisy record."
+        f"{longest * data.step:.3g} s, of which smoothing, delays and simulated states need "
+        f"{lost:.3g} s at its ends; give a longer or less noisy record."
     )
 
 
@@ -204,7 +204,7 @@ def _weights(blocks: list[Block], errors: list[Array]) -> Array:
 
 
 def _errors(search: _Search, point: Array, weights: Array) -> Array | None:
-    """Return the weighted residuals of the best linear unknowns at `point`; None where the model has none."""
+    """Return the weighted residuals at `point`; None where the model has none."""
     blocks = search.blocks(point)
     if not blocks:
         return None
@@ -213,7 +213,7 @@ def _errors(search: _Search, point: Array, weights: Array) -> Array | None:
 
 
 def _located(search: _Search) -> Array:
-    """Return where the nonlinear unknowns begin: the best end of searches from the start and good points."""
+    """Return the best end of searches from the start and a good point."""
     start = np.array([search.parameters[n].start for n in search.nonlinear])
     if not start.size:
         return start
@@ -238,7 +238,7 @@ def _located(search: _Search) -> Array:
 
 def _refine(search: _Search, point: Array, weights: Array) -> Array:
     """Minimize over the nonlinear unknowns within their bounds."""
-    from scipy.optimize import least_squares  # noqa: PLC0415  (import of greybox stays free of scipy)
+    from scipy.optimize import least_squares  # noqa: PLC0415  (imports slowly)
 
     if not point.size:
         return point
@@ -291,8 +291,8 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
     names = tuple(search.columns[k] for k in keep)
     if not names:
         raise ValueError(
-            f"the record determines none of {', '.join(search.columns)}: the signals that they multiply are constant, "
-            "or only a combination of them is determined; fix some."
+            f"the record determines none of {', '.join(search.columns)}: the signals that they "
+            "multiply are constant, or only a combination of them is determined; fix some."
         )
     rows, r_squared = _explained(blocks, errors, len(search.data.equations.equations))
     return Projection(
@@ -315,7 +315,7 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
 def _explained(
     blocks: list[Block], errors: list[Array], count: int
 ) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Return the rows of every equation, and the share of its target's variance that is explained."""
+    """Return the number of rows and the explained share of variance of every equation."""
     rows = []
     shares = []
     for k in range(count):

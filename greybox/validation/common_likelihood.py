@@ -36,7 +36,7 @@ class Likelihoods:
 
 
 def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
-    """Return fits of the same responses on the scale of one likelihood; None for other data or weights.
+    """Return fits of the same responses on one likelihood's scale; None for other data or weights.
 
     It is that of the given variances where all data have them, otherwise that of errors of one
     relative variance.

@@ -38,7 +38,7 @@ def compare(
     removed_at: Mapping[str, float] | None = None,
     own: Sequence[str] | None = None,
 ) -> Comparison:
-    """Compare fits of different structures: which describes its data best, and predicts others best.
+    """Compare fits of different structures: which describes its data best, which predicts others.
 
     The table has cost, number of parameters, AIC, AICc and BIC where the fits have the same data
     and their costs are likelihoods, as those in time are. Fits of frequency responses may have

@@ -1,4 +1,4 @@
-"""Predictions of several fits on their own data and on held-out records, over windows in which all are finite."""
+"""Predictions of the same windows by all fits, on their own data and on held-out records."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ Predictions = tuple[tuple[Prediction, ...], ...]
 def window_lengths(
     fits: Sequence[Fit], records: Sequence[Record], window: float | None, lead: float | None
 ) -> tuple[float, float]:
-    """Return window and lead-in in s, by default as records in time and delays ask for; NaN without such records."""
+    """Return the lengths of window and lead in s, by default for these records; NaN without time."""
     records = [record for record in records if record.has_time]
     if not records:
         return math.nan, math.nan
@@ -166,7 +166,7 @@ def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
 
 
 def _with_all_signals(records: Sequence[Record]) -> Record:
-    """Return one record with the signals of all, which are of the same data: each fit kept those that it used."""
+    """Return one record with the signals of all: each fit stores only those that it used."""
     first = records[0]
     missing = {
         name: r[name] for r in records[1:] for name in r.signals if name not in first.signals

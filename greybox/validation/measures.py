@@ -1,4 +1,4 @@
-"""The rows of a comparison's table: information criteria of the fits, and measures of their predictions."""
+"""The rows of a comparison's table: information criteria, and measures of predictions."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -160,7 +160,7 @@ def _correlations(
     predictions: Sequence[Sequence[Prediction]],
     outputs: Sequence[str],
 ) -> Iterator[Measure]:
-    """Yield p-values of no correlation with other signals: the clearest three, and the least of the rest.
+    """Yield p-values of no correlation with signals: the clearest three, and the least of the rest.
 
     Many signals are many tests: a p-value counts below its share of the limit (Bonferroni).
     """

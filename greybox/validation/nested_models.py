@@ -29,7 +29,7 @@ SIZE = "the size of the errors"
 
 @dataclass(frozen=True)
 class NestedTest:
-    """Whether the data need the terms that only the larger model has. Printing it gives the verdict.
+    """Whether the data need the terms that only the larger model has; printing it says so.
 
     Attributes
     ----------
@@ -126,8 +126,8 @@ def nested_test(
         values = nested_values(small, large, labels, removed_at)
     except NotNestedError as reason:
         raise ValueError(
-            f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. Use gb.compare, "
-            "which needs no nesting, or give the values that remove them, removed_at={name: value}."
+            f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. "
+            "Use gb.compare, which needs no nesting, or give the values that remove them, removed_at={name: value}."
         ) from None
     return nested_test_at(values, small, large, labels)
 
@@ -227,7 +227,7 @@ def with_independent_errors(fit: Fit) -> Fit:
 
 
 def cost_scale(fit: Fit) -> float:
-    """Return by what to divide twice a difference of costs to compare log-likelihoods; NaN if unknown.
+    """Return the divisor of twice a difference of costs for log-likelihoods; NaN if unknown.
 
     It is the mean, over the directions that the data determine, of the variance by the standard
     errors over the variance by the curvature of the cost.

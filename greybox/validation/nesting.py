@@ -289,7 +289,7 @@ class _Equations:
     def _agree(
         self, values: Mapping[str, float], reference: Mapping[str, float] | None = None
     ) -> bool:
-        """Compare the larger model at `values` with the smaller one, or with itself at `reference`."""
+        """Compare the larger model at `values` with the smaller one, or itself at `reference`."""
         for pair in self.pairs:
             finite = 0
             for draw in self.draws:
@@ -323,6 +323,6 @@ def _same(rows: Numbers, expected: Numbers) -> bool:
     if not np.array_equal(finite, np.isfinite(expected)):
         return False
     sizes = np.maximum(np.abs(rows[finite]), np.abs(expected[finite]))
-    # A thousand times the rounding of a long formula; what cancels leaves 1e-14 of the largest term.
+    # A thousand times the rounding of a long formula; what cancels leaves 1e-14 of a term.
     tolerance = np.maximum(1e-9 * sizes, 1e-14 * np.max(sizes, initial=0.0))
     return bool(np.all(np.abs(rows[finite] - expected[finite]) <= tolerance))

@@ -13,7 +13,7 @@ BARE_MENTION = 2.0
 
 
 def smallest_supported(bic: Sequence[float], sizes: Sequence[int]) -> int:
-    """Return which structure has the fewest parameters of those whose BIC is within 2 of the least."""
+    """Return the structure with the fewest parameters whose BIC is within 2 of the least."""
     least = min(bic)
     near = [k for k, value in enumerate(bic) if value - least <= BARE_MENTION]
     return min(near, key=lambda k: (sizes[k], bic[k]))

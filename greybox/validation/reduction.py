@@ -209,7 +209,7 @@ def _free(problem: AnyProblem) -> list[str]:
 
 
 def _candidates(fit: Fit) -> Iterator[Candidate]:
-    """Yield both ends of every direction that keeps the determined products, and of open parameters.
+    """Yield both ends of every direction that keeps determined products, and of open parameters.
 
     A parameter at a bound is open too: nothing but the bound holds it.
     """
@@ -228,7 +228,7 @@ def _candidates(fit: Fit) -> Iterator[Candidate]:
 
 
 def directions(products: Sequence[Mapping[str, int]]) -> Iterator[dict[str, int]]:
-    """Yield the whole powers of the first one by which members of products move and keep them all."""
+    """Yield the whole powers of the first member by which products stay as they are."""
     # The member of most products reads best as what the others are divided by.
     members = sorted(
         dict.fromkeys(name for product in products for name in product),

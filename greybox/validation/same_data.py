@@ -27,7 +27,7 @@ def check_fits(fits: Sequence[Fit]) -> None:
 
 
 def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
-    """Return the names of the models, with those of the problems or numbers where they are alike."""
+    """Return the names of the models, with problems or numbers where they are alike."""
     models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
     with_problems = [f"{model} ({fit.name})" for model, fit in zip(models, fits, strict=True)]
     for labels in (models, with_problems):
@@ -37,7 +37,7 @@ def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
 
 
 def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how the data of a fit differ from those of the first; empty if they do not."""
+    """Return in words how the data of a fit differ from those of the first, else nothing."""
     first = fits[0].parts
     for fit, name in zip(fits[1:], names[1:], strict=True):
         if len(fit.parts) != len(first):
@@ -89,7 +89,7 @@ def count_numbers(part: FittedResponse | FittedRecord | FittedSpectrum) -> int:
 
 
 def count_unknowns(fit: Fit) -> int:
-    """Return how many numbers were estimated: free parameters, initial states, and variances of the noise."""
+    """Return how many numbers were estimated: parameters, initial states, noise variances."""
     return len(fit.free) + sum(part.nuisances for part in fit.parts)
 
 

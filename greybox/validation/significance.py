@@ -1,4 +1,4 @@
-"""What a comparison of fits means: which model is closer to the data, and which terms these determine."""
+"""What a comparison means: which model is closer to the data, which terms these determine."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -179,7 +179,7 @@ def log_likelihoods(part: FittedRecord) -> Array:
 def prediction_verdict(
     labels: Sequence[str], predictions: Predictions, pair: Pair, kind: str
 ) -> str:
-    """Compare the mean squared errors of predictions window by window, in units of the smaller noise.
+    """Compare mean squared errors of predictions window by window, over the smaller noise.
 
     Mean squared errors that differ by less than 0.1 % (0.05 % in rms), or by less than the accuracy
     of simulations, are equal for any use, however significant the difference is in a long record.
@@ -232,7 +232,7 @@ def prediction_verdict(
 
 
 def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, Array]:
-    """Return the mean squared errors of both in every window (w,) and their rounding, over the noise.
+    """Return the mean squared errors of both in every window (w,), and their rounding.
 
     Values estimated from the record itself make its errors smaller by their share of its numbers,
     which is undone.
@@ -272,7 +272,7 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
 def term_sentences(
     fits: Sequence[Fit], labels: Sequence[str], k: int, tests: Sequence[NestedTest]
 ) -> Iterator[str]:
-    """Say of every parameter that another fit does not have free whether these data determine it."""
+    """Say whether these data determine every parameter that another fit does not have free."""
     quantities = {quantity.name: quantity for quantity in fits[k].quantities}
     for name in fits[k].free:
         without = [rival for i, rival in enumerate(fits) if i != k and name not in rival.free]
@@ -304,7 +304,8 @@ def _which_likelihood(fits: Sequence[Fit], labels: Sequence[str], likelihoods: L
     text = f"AIC, AICc and BIC are those of {likelihoods.name}, maximized from each estimate"
     rules = sorted({part.rule for fit in fits for part in fit.responses if not part.is_likelihood})
     if rules:
-        text += f", since {' and '.join(rules)} {'is no likelihood' if len(rules) == 1 else 'are no likelihoods'}"
+        verb = "is not a likelihood" if len(rules) == 1 else "are not likelihoods"
+        text += f", since {' and '.join(rules)} {verb}"
     elsewhere = [label for label, at in zip(labels, likelihoods.at_maximum, strict=True) if not at]
     if elsewhere:
         text += f"; those of {listed(elsewhere)} are not at the maximum, and too high"

@@ -97,7 +97,8 @@ class StepwiseSelection:
         text = (
             f"{listed(self.terms)} of {tried} {'is' if len(self.terms) == 1 else 'are'} supported"
         )
-        return f"{text}: cost {number(self.fit.cost, 4)} instead of {number(self.without.cost, 4)} without."
+        costs = [number(fit.cost, 4) for fit in (self.fit, self.without)]
+        return f"{text}: cost {costs[0]} instead of {costs[1]} without."
 
     def __repr__(self) -> str:
         return one_line(self, self.fit.name, ", ".join(self.terms) or "no term")
@@ -119,7 +120,7 @@ class StepwiseSelection:
             yield f"These data cannot tell {term} from {texts}."
         for first, second, r in self.fit.identifiability.correlated:
             if {first, second} & set(self.terms):
-                yield f"{first} and {second} are collinear: their estimates have a correlation of {r:.3f}."
+                yield f"{first} and {second} are collinear: correlation {r:.3f} of their estimates."
         yield (
             f"A term is added below {100 * self.size:g} % over the number of terms tried (Bonferroni), "
             f"and removed above {100 * self.size:g} %."
@@ -250,7 +251,7 @@ class _Fits:
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
 
     def best(self, trials: Sequence[Trial], terms: Terms) -> Trial | None:
-        """Return the addition with the smallest p-value; of equal costs the least correlated one."""
+        """Return the addition with the smallest p-value; of equal costs the least correlated."""
         if not trials:
             return None
         least = min(trials, key=lambda t: (t.p_value, t.cost))
@@ -270,7 +271,7 @@ class _Fits:
         return max(alike, key=independence)
 
     def alike(self, terms: Terms, fit: Fit) -> dict[str, dict[str, float]]:
-        """Return the terms that could replace each chosen one, and the increase in AIC with them."""
+        """Return the terms that could replace each chosen one, and the increase in AIC."""
         rivals: dict[str, dict[str, float]] = {}
         scale = cost_scale(with_independent_errors(fit))
         for term in (name for name in self.absent if name in terms):
