@@ -28,7 +28,8 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     iterations as the filter takes doublings of the sample to settle. Source: Chu, Fan, Lin, Wang
     (2004), International Journal of Control 77(8).
     """
-    variance = np.diagonal(process, axis1=-2, axis2=-1).real
+    variance: Any = np.diagonal(process, axis1=-2, axis2=-1)
+    variance = variance.real
     largest = variance.max(axis=-1, keepdims=True, initial=0.0)
     size = np.sqrt(np.where(variance > 0, variance, largest))
     row, column = size[..., None, :], size[..., :, None]
@@ -139,8 +140,7 @@ class NoiseModel:
 
         # Noise does not reach the other states, which may be integrators without a steady filter.
         r = np.flatnonzero(reached(F[0].real, self.driven))
-        block = np.ix_(range(len(q)), r, r)
-        F, C, Q = F[block], C[:, :, r], Q[block]
+        F, C, Q = F[:, r[:, None], r], C[:, :, r], Q[:, r[:, None], r]
         root = np.sqrt(np.diagonal(V, axis1=1, axis2=2))[:, :, None]
         P = steady_covariance(F, C / root, Q)
         S = C @ P @ transposed(C) + V
