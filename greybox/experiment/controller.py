@@ -192,8 +192,8 @@ def connected(
     TypeError
         If one is not a controller.
     """
-    listed = controller if isinstance(controller, Sequence) else (controller,)
-    controllers: tuple[Controller, ...] = () if controller is None else tuple(listed)
+    single = () if controller is None or isinstance(controller, Sequence) else (controller,)
+    controllers = tuple(controller) if isinstance(controller, Sequence) else single
     driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -141,8 +142,8 @@ def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
     def value(shift: float) -> float:
         return float(np.sum(np.sin(2 * math.pi * harmonics * shift + phases)))
 
-    crossing = brentq(value, k / count, (k + 1) / count, xtol=1e-16)
-    return phases + 2 * math.pi * harmonics * crossing
+    crossing: Any = brentq(value, k / count, (k + 1) / count, xtol=1e-16)
+    return phases + 2 * math.pi * harmonics * float(crossing)
 
 
 def _sum(harmonics: IntArray, phases: Array, count: int) -> Array:

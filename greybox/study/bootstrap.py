@@ -498,7 +498,8 @@ def _quantities(
             raise ValueError(
                 f"the parts of {fit.name!r} share no parameter: use another resampling."
             )
-        lines, expressions = ([pair[k] for pair in pairs] for k in (0, 1))
+        lines = [line for line, _ in pairs]
+        expressions = [expression for _, expression in pairs]
     return lines, ca.Function("quantities", [symbols], [ca.vertcat(*expressions)])
 
 

@@ -163,7 +163,8 @@ def _drawn_record(
     covariance = part.covariance.covariance(trajectory.products)
     if part.covariance.known is None:
         covariance = covariance * numbers / dof
-    return DrawnRecord(stretches, residuals, spectrum, np.linalg.cholesky(covariance))
+    root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    return DrawnRecord(stretches, residuals, spectrum, root)
 
 
 def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int) -> IntArray:

@@ -97,7 +97,7 @@ class DrawnPart:
         order = np.argsort(self.omega, kind="stable")
         normal = math.sqrt(scale) * normal[order]
         normal[1:] *= math.sqrt(1 - correlation**2)
-        normal = lfilter([1.0], [1.0, -correlation], normal)
+        normal = np.asarray(lfilter([1.0], [1.0, -correlation], normal))
         return normal[np.argsort(order)] * np.exp(1j * np.angle(self.response))
 
 

@@ -40,6 +40,7 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Ite
     """Warn if more harmonics would change the estimate `x` (p,) noticeably, or if a sine has several motions."""
     for few in too_few_harmonics(nlp, x, accuracy):
         sine = few.problem.amplitude
+        assert sine.harmonics is not None
         yield (
             f"{counted(sine.harmonics, 'harmonic is', 'harmonics are')} too few for {few.problem.name!r}: with "
             f"{few.harmonics} the response changes by up to {few.change:.2g} % and {few.parameter} by {few.shift:.2g} "
