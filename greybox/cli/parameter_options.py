@@ -1,4 +1,4 @@
-"""What options say of single parameters: fixed, free, bounds, starts and priors, by their names in the answer."""
+"""Options for single parameters: fixed, free, bounds, starts and priors, by their names in the answer."""
 
 import argparse
 from collections.abc import Mapping
@@ -13,9 +13,7 @@ from greybox.formulation.problem import Problem
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add(
-        "--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values"
-    )
+    add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="fix parameters at these values")
     add(
         "--free",
         nargs="+",
@@ -28,40 +26,40 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="bounds in place of the declared ones, a1=-10:10; an end may be left open, T=0:",
+        help="bounds in place of the declared ones, a1=-10:10; leave an end open with T=0:",
     )
     add(
         "--start",
         nargs="+",
         default=[],
         metavar="NAME=VALUE",
-        help="declared values to begin at, in their place",
+        help="start values in place of the declared ones",
     )
     add(
         "--starts-box",
         nargs="+",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="where starts are drawn, instead of between the bounds",
+        help="range of drawn starts, in place of the bounds",
     )
     add(
         "--prior",
         nargs="+",
         default=[],
         metavar="NAME=VALUE+-SIGMA",
-        help="what is known before the data, with its standard deviation; the criterion must be a likelihood",
+        help="normal prior with its standard deviation; the criterion must be a likelihood",
     )
 
 
 def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> AnyProblem:
-    """Return the problem with its parameters as the options say, in every part that has them.
+    """Return the problem with the options applied to every part that has the parameters.
 
     Raises
     ------
     UsageError, ValueError
-        For words that are not understood, and names that are not there.
+        For words that are no assignments, and unknown names.
     """
-    stated: dict[str, Mapping[str, Any]] = {
+    changes: dict[str, Mapping[str, Any]] = {
         "fixed": assignments(options.fix, "--fix"),
         "free": dict.fromkeys(options.free),
         "bounds": intervals(options.bounds, "--bounds"),
@@ -69,20 +67,20 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
         "starts": intervals(options.starts_box, "--starts-box"),
         "prior": uncertain_values(options.prior, "--prior"),
     }
-    for name in (name for names in stated.values() for name in names):
+    for name in (name for names in changes.values() for name in names):
         if name not in problem.parameters:
             known = alternatives(name, problem.parameters)
             raise ValueError(f"{problem.name} has no parameter {name!r}; it has {known}")
-    if not any(stated.values()):
+    if not any(changes.values()):
         return problem
-    return problem.with_parts([_restated(part, stated) for part in problem.parts])
+    return problem.with_parts([_restated(part, changes) for part in problem.parts])
 
 
-def _restated(part: Problem, stated: Mapping[str, Mapping[str, Any]]) -> Problem:
+def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Problem:
     inside = {part.outside(name): name for name in part.declared if name not in part.tied}
     own = {
         what: {inside[name]: value for name, value in values.items() if name in inside}
-        for what, values in stated.items()
+        for what, values in changes.items()
     }
     if own["prior"] and not isinstance(part.prior, Mapping):
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Fits that `--out` saves and other commands read: the arguments that name them, and what they need beside."""
+"""Options for saved fits: those that `--out` writes and other commands read."""
 
 import argparse
 from pathlib import Path
@@ -11,12 +11,12 @@ from greybox.files.safe_files import HDF5
 
 
 def add_fit_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare RESULT, a saved fit, and what was fitted where the file alone does not say it."""
+    """Declare RESULT, a saved fit, and its problem and models where the file does not contain them."""
     parser.add_argument(
         "result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote"
     )
     parser.add_argument(
-        "--problem", metavar="PROBLEM", help="what was fitted, where it has ties or constraints"
+        "--problem", metavar="PROBLEM", help="the fitted problem, if it has ties or constraints"
     )
     add_model_option(parser)
 
@@ -34,12 +34,12 @@ def add_model_option(parser: argparse.ArgumentParser) -> None:
 
 
 def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
-    """Return the fit in a file, which knows the models that greybox includes and those that the option gives.
+    """Return the fit in a file, with the models of the option.
 
     Raises
     ------
     ValueError, OSError
-        If it is none.
+        If the file is not a fit.
     """
     from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
 
@@ -47,12 +47,12 @@ def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
 
 
 def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:
-    """Return the fit that RESULT names, and its problem, if that is stated.
+    """Return the fit RESULT, and its problem if the option gives it.
 
     Raises
     ------
     ValueError, OSError
-        If they are none.
+        If they do not exist or are something else.
     """
     problem = None if options.problem is None else find_problem(options.problem)[0]
     return saved_fit(options.result, options), problem
@@ -61,12 +61,12 @@ def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:
 def add_out_option(
     parser: argparse.ArgumentParser, about: str = "save the fit to this HDF5 file"
 ) -> None:
-    """Declare where a fit is saved."""
+    """Declare the option for the file of a fit."""
     parser.add_argument("--out", type=Path, metavar="FILE", help=about)
 
 
 def require_fit_file(path: Path | None, force: bool) -> None:
-    """Refuse a file that cannot be written, or exists and is not to be overwritten, or would be no saved fit.
+    """Refuse a file that cannot be written, exists without --force, or has the wrong ending.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def require_fit_file(path: Path | None, force: bool) -> None:
 
 
 def save_fit(fit: Fit, path: Path | None) -> list[str]:
-    """Save a fit, and return a line that says so; without a path, nothing."""
+    """Save a fit and return a line that reports it; without a path, do nothing."""
     if path is None:
         return []
     from greybox.estimate.storage import save  # noqa: PLC0415  (needs h5py)

@@ -38,7 +38,7 @@ FILTER_NAMES = ("-filter", "-notch")  # ends of the names by which responses sta
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that state a problem."""
+    """Declare the options of a problem."""
     add = parser.add_argument
     add(
         "problem", nargs="?", metavar="PROBLEM", help="an included problem, or my.py, or my.py:name"
@@ -85,12 +85,12 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
 
 
 def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
-    """Return the problem that the options state, and its settings: starts and seed, where it has them.
+    """Return the problem of the options, and its settings: starts and seed, if it has them.
 
     Raises
     ------
     UsageError, ValueError, FileNotFoundError
-        For options that contradict one another, and for what is not there.
+        For options that contradict one another, and for unknown names and files.
     """
     if (options.problem is None) == (options.model is None):
         raise UsageError(
@@ -126,36 +126,30 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     for word in options.through or ():
         for filtered in _filters(word, data[0]):
             model = through(model, filtered)
-    kinds = {
-        FrequencyResponse: "a frequency response",
-        TransientSpectrum: "the spectrum of a manoeuvre",
-    }
-    for path, one in zip(options.data, data, strict=True):
-        for name, kind in (("input", FrequencyResponse), ("output", FrequencyResponse)):
-            if getattr(options, name) and not isinstance(one, kind):
-                what = kinds.get(type(one), "a record")
+    at = assignments(options.at, "--at")
+    for path, values in zip(options.data, data, strict=True):
+        for name in ("input", "output"):
+            if getattr(options, name) and not isinstance(values, FrequencyResponse):
                 raise UsageError(
-                    f"--{name} is for a frequency response, and {path} is {what}: leave it out."
+                    f"--{name} is for a frequency response, and {path} is something else: leave it out."
                 )
-        if options.at and isinstance(one, Record):
+        if at and isinstance(values, Record):
             raise UsageError(
                 f"--at is for a frequency response, and {path} is a record: leave it out."
             )
-    at = assignments(options.at, "--at")
-    if len(data) == 1:
-        return Problem(model, data[0], at=at)
-    return Sum(tuple(Problem(model, one, at=at) for one in data))
+    parts = tuple(Problem(model, values, at=at) for values in data)
+    return parts[0] if len(parts) == 1 else Sum(parts)
 
 
 def _filters(word: str, data: FrequencyResponse | Record | TransientSpectrum) -> list[Model]:
-    """Return the filters that a word of --through names: a model, or what a response states of its vehicle."""
+    """Return the filters of a word of --through: a model, or filters of the vehicle that a response knows."""
     if re.fullmatch(r"\w+(-\w+)+", word):
-        stated = data.about if isinstance(data, FrequencyResponse) else {}
-        if word not in stated:
-            there = [name for name in stated if name.endswith(FILTER_NAMES)]
-            known = f"they state {', '.join(there)}" if there else "they state none"
-            raise UsageError(f"--through {word} is no filter that the data state; {known}.")
-        return [filter_model(known) for known in from_text(stated[word])]
+        about = data.about if isinstance(data, FrequencyResponse) else {}
+        if word not in about:
+            filters = [name for name in about if name.endswith(FILTER_NAMES)]
+            known = f"they know {', '.join(filters)}" if filters else "they know none"
+            raise UsageError(f"--through {word} is not a filter that the data know; {known}.")
+        return [filter_model(known_filter) for known_filter in from_text(about[word])]
     return [find_model(word)]
 
 
@@ -165,7 +159,7 @@ def through(model: Model, filtered: Model) -> Model:
     Raises
     ------
     UsageError
-        If one of the two is no transfer function.
+        If one of the two is not a transfer function.
     """
     if not isinstance(model, TransferFunction) or not isinstance(filtered, TransferFunction):
         raise UsageError(
@@ -210,7 +204,7 @@ KINDS = {
 
 
 def _with_criterion(problem: AnyProblem, criterion: Criterion | TimeCriterion) -> AnyProblem:
-    """Give a criterion to the parts of a problem whose data are of its kind; of records, biases and the like remain."""
+    """Give a criterion to the parts with its kind of data; for records, biases and the like remain."""
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
     if not any(isinstance(part.data, tuple(served.values())) for part in problem.parts):
         others = [

@@ -70,8 +70,7 @@ class Interrupted(KeyboardInterrupt):
     Attributes
     ----------
     fit : Fit or None
-        The best fit so far: of the starts that were done, judged as any other. None if not one had
-        been begun.
+        The best fit so far, from the starts that were done; None if there were none.
     """
 
     def __init__(self, fit: Fit | None) -> None:
@@ -176,7 +175,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
 
 @dataclass(frozen=True)
 class SolverChoice:
-    """What solves a problem: `method`, `search` and `solver_options` of `fit`.
+    """The arguments `method`, `search` and `solver_options` of `fit`.
 
     Raises
     ------
@@ -219,7 +218,7 @@ def fit_keeping(
     profiles: bool = True,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
-    """Fit as `fit` does, and keep every run as soon as it is done; runs that were kept before are not made again."""
+    """Fit as `fit` does, and store every run as soon as it is done; stored runs are not made again."""
     if not isinstance(problem, Problem | Sum):
         raise TypeError(
             f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them."
@@ -248,7 +247,7 @@ def fit_keeping(
 
 
 def fingerprint(problem: AnyProblem, by: SolverChoice | None = None) -> str:
-    """Return what a fit keeps its runs under: a number of the compiled problem, its data and its solver's options."""
+    """Return the number by which runs are stored: it stands for compiled problem, data and solver options."""
     by = by or SolverChoice()
     return packed(by.solver(compile_problem(with_enough_harmonics(problem), by.method)))[0]
 
@@ -297,14 +296,14 @@ def _fitted_from(
 
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), error=error)
-        cut_short = tuple(_cut_short(search, len(points), interrupted=interrupted))
-        warnings = (*cut_short, *answer.warnings)
-        if profiles and answer.converged and not cut_short:
+        messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
+        if profiles and answer.converged and not messages:
             profiled = profiled_where_misleading(nlp, answer)
             if profiled is not None:
-                warnings = (*profiled.warnings, *warnings)
+                messages = profiled.warnings
                 answer = replace(answer, profiles=profiled)
-        return replace(answer, warnings=warnings, seconds=time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        return replace(answer, warnings=(*messages, *answer.warnings), seconds=seconds)
 
 
 def _with_progress(
@@ -318,7 +317,7 @@ def _with_progress(
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
-    """Say what Ctrl-C and time limits have left out of a search from so many starts."""
+    """Say what Ctrl-C and time limits left out of a search from `count` starts."""
     done, total = len(search.brought), counted(count, "start")
     is_over = bool(np.any(search.runs.status == SEARCH_OVER))
     if (interrupted and done < count) or is_over:
@@ -475,7 +474,7 @@ def _with_errors(
 
 
 def _required_ipopt(solver: LocalSolver, executor: Executor | None) -> IpoptSolver:
-    """Return the solver, if the scatter search can use it."""
+    """Return the solver; raise ValueError if the scatter search cannot use it."""
     if not isinstance(solver, IpoptSolver):
         raise ValueError(
             "search='global-search' is for frequency responses alone: leave it out for records."
@@ -488,7 +487,7 @@ def _required_ipopt(solver: LocalSolver, executor: Executor | None) -> IpoptSolv
 
 
 def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
-    """Return the rule for starts; where the solver asks for it, the declared values are the first of a number."""
+    """Return the rule for starts; for some solvers the first of a number of starts is the declared one."""
     number = solver.starts if starts is None else starts
     rule = as_starts(number, seed)
     if isinstance(number, Starts | Sequence) or not solver.tries_declared_values:
@@ -499,7 +498,7 @@ def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
 
 
 def _waves(starts: Any, rule: Starts, solver: LocalSolver) -> Waves:
-    """Return in which order the starts are tried: by default the promising ones first, where they can be told."""
+    """Return the order of the starts: by default the promising ones first."""
     if isinstance(rule, UntilFoundAgain):
         return FoundAgain(rule.error)
     return PromisingFirst(*solver.promising) if starts is None else AllAtOnce()

@@ -1,4 +1,4 @@
-"""What a fit keeps of each part: its data, model and criterion, and what was fitted, in plain values."""
+"""Each part of a fit as plain values: data, model, criterion and fitted values."""
 
 import math
 from collections.abc import Mapping
@@ -28,29 +28,28 @@ class FittedPart:
     ----------
     name, delay : str
     criterion : str
-        The name of the criterion, such as ``relative-error``; `rule` says it in words.
+        Name of the criterion, such as ``relative-error``; `rule` is its formula in words.
     criterion_class, settings : str, mapping of name to value
-        Its class, ``module:Class``, and its fields in plain values: what makes two criteria the
-        same.
+        Class of the criterion, ``module:Class``, and its fields as plain values; both identify it.
     is_likelihood : bool
         Whether the cost is a negative log-likelihood.
     rule : str
     condition : str
-        What the errors of the data must be like for the standard errors to hold.
+        Errors of the data for which the standard errors hold.
     weight : float
     rename : mapping of name to name
         From the model's parameter names to those of the estimate.
     tied, constraints : mapping of name to str, tuple of str
-        Their source text, for the record.
+        Source texts.
     model : mapping
         The model's reference (module, class, arguments), see `greybox.modeling.model_reference`.
     label, equation : str
         Name and docstring of the model.
     information, information_alone : (p, m) array or None
-        Which share every point of the data has in what all data tell of each free parameter, with
-        the others estimated along or known, for independent errors; NaN for a parameter without a
-        standard error. The points are the frequencies of a response; of a record its outputs, one
-        after the other, each over equal parts of its rows.
+        Share of every point in the information on each free parameter, with the others estimated or
+        known, for independent errors; NaN for a parameter without a standard error. The points are
+        the frequencies of a response, or the outputs of a record in turn, each over equal parts of
+        its rows.
     """
 
     name: str
@@ -77,7 +76,7 @@ class FittedPart:
 
     @property
     def is_prior(self) -> bool:
-        """Whether it stands for a-priori knowledge of the parameters, not for data."""
+        """Whether it is a-priori knowledge of the parameters, not data."""
         return self.criterion_class == PRIOR
 
     def has_criterion_of(self, other: "FittedPart") -> bool:
@@ -101,7 +100,7 @@ class FittedResponse(FittedPart):
     sine : Sine or None
         The sine of finite amplitude that the model was given; None where it was linearized.
     nuisances : int
-        Variances of the errors that were estimated along, as the criterion says.
+        Number of variances of the errors that were estimated too.
     """
 
     data: FrequencyResponse
@@ -128,36 +127,36 @@ class FittedRecord(FittedPart):
     data : Record
         The signals that the fit used.
     simulated : Record
-        The fitted outputs at the same times; NaN where none was compared (gaps, the past of a
-        delay) or no start converged.
+        The fitted outputs at the same times; NaN where nothing was compared (gaps, the past of a
+        delay) or if no start converged.
     outputs : tuple of str
     noise : (k, k) array
         Covariance of the residuals of the outputs, given or estimated.
     initial : mapping of state to (stretches,) array
         The states at the first sample of every gapless stretch.
     method : str
-        Transcription and integrator, with what they chose.
+        Transcription and integrator, with their automatic choices.
     inputs : "record", "linear" or "held"
-        How the inputs ran between their samples: as the record says (`Record.hold`), or all of them
-        in one way.
+        How the inputs ran between their samples: as the record says (`Record.hold`), or all in one
+        way.
     biases : tuple of str
         Signals whose constant error was estimated, as the parameter ``<name>_bias``.
     gains : tuple of (state, output)
-        Of the innovations, as parameters ``K_<state>_<output>``; empty for output error.
+        Kalman gains, the parameters ``K_<state>_<output>``; empty for output error.
     driven : tuple of str
-        States whose process noise was estimated, ``w_<state>``, with that of the sensors,
-        ``v_<output>``, so that the gains follow.
+        States whose process noise ``w_<state>`` was estimated, with the noise ``v_<output>`` of the
+        sensors; the gains follow from both.
     gain, gain_slope : (gains,) and (gains, m) arrays, or None
-        The values of gains that follow from process noise, and their derivatives by the parameters
-        of the model and those `added`.
+        Gains that follow from process noise, and their derivatives by the parameters of the model
+        and those `added`.
     nuisances : int
-        Initial states, and variances and covariances of the noise, that were estimated along.
+        Number of initial states, variances and covariances of the noise that were estimated too.
     is_static : bool
-        Whether the outputs depend on the inputs of the same moment alone.
+        Whether the outputs depend only on the inputs of the same moment.
     error : (outputs, n) array or None
-        Standard errors of the fitted outputs, from those of the parameters and of the initial
-        states that were estimated along; without the noise of the sensors. NaN where nothing was
-        compared; None where none is known.
+        Standard errors of the fitted outputs, from those of the parameters and of the estimated
+        initial states; without the noise of the sensors. NaN where nothing was compared; None if
+        unknown.
     """
 
     data: Record
@@ -178,14 +177,14 @@ class FittedRecord(FittedPart):
 
     @property
     def compared(self) -> int:
-        """How many samples the fit used: those of which at least one output was compared."""
+        """Number of samples at which at least one output was compared."""
         return int(
             np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum()
         )
 
     @property
     def added(self) -> tuple[str, ...]:
-        """Names of the parameters that the criterion added to those of the model, before any renaming."""
+        """Names inside of the parameters that the criterion added to those of the model."""
         biases = tuple(f"{name}_bias" for name in self.biases)
         if self.driven:
             return (
@@ -196,12 +195,12 @@ class FittedRecord(FittedPart):
         return (*biases, *(f"K_{state}_{output}" for state, output in self.gains))
 
     def innovation_parameters(self, output: str) -> int:
-        """Return how many parameters of the noise were fitted to the correlation of the residuals of an output."""
+        """Return the number of noise parameters that were fitted to the correlated residuals of an output."""
         return len(self.driven) or sum(of == output for _, of in self.gains)
 
     @property
     def between(self) -> dict[str, str]:
-        """How every input ran between its samples, in words, and who says so; empty where it does not matter."""
+        """How every input ran between its samples, in words, and who states it; empty for a static model."""
         if self.is_static:
             return {}
         names = [name for name in self.data.signals if name not in self.outputs]
@@ -223,16 +222,16 @@ class FittedSpectrum(FittedPart):
     Attributes
     ----------
     fitted : mapping of output to (n,) complex array
-        The modelled outputs with their end terms; NaN when no start converged.
+        Modelled outputs with their end terms; NaN if no start converged.
     outputs : tuple of str
     noise : (k, k) array
-        Covariance of the errors of one sample, given or estimated, as far as they lie in the band:
-        of the outputs, or, of equation error, of the equations.
+        Covariance of the errors of one sample in the band, given or estimated: of the outputs, or,
+        for equation error, of the equations.
     ends : mapping of state to float
-        First less last value, which was estimated along.
+        First minus last value, which was estimated too.
     at : mapping of name to float
     nuisances : int
-        Values at the ends, and variances and covariances of the noise, that were estimated along.
+        Number of end values, variances and covariances of the noise that were estimated too.
     """
 
     data: TransientSpectrum

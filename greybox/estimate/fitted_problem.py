@@ -1,4 +1,4 @@
-"""The problem that was fitted, from what its answer keeps of it, and compiled again."""
+"""The problem of a fit, from the values of the fit, and compiled again."""
 
 from typing import Any
 
@@ -17,19 +17,17 @@ from greybox.modeling.model_reference import resolve
 def compiled_again(
     fit: Fit, problem: AnyProblem | None = None, method: Transcription | None = None
 ) -> CompiledProblem:
-    """Compile what was fitted: the `problem` that a user gives, or what the fit keeps of it.
+    """Compile the problem of a fit: the given `problem`, or the one that follows from the fit.
 
     Raises
     ------
     ValueError, LookupError
-        As of `problem_of`, and for a problem with other unknowns or other data than the fit.
+        As in `problem_of`, and for a problem with other free parameters or data than the fit.
     """
     problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
     nlp = compile_problem(problem, method)
-    given, fitted = (
-        [part.data.checksum for part in parts] for parts in (nlp.problem.parts, fit.parts)
-    )
-    if nlp.free != fit.free or given != fitted:
+    checksums = [part.data.checksum for part in nlp.problem.parts]
+    if nlp.free != fit.free or checksums != [part.data.checksum for part in fit.parts]:
         raise ValueError(
             f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
         )
@@ -37,13 +35,13 @@ def compiled_again(
 
 
 def problem_of(fit: Fit) -> AnyProblem:
-    """Return the problem of a fit, from what the fit keeps of it.
+    """Return the problem of a fit, from the values of the fit.
 
     Raises
     ------
     ValueError
-        If it had ties, constraints, values with errors of an earlier fit, or a criterion that
-        greybox does not include or that holds functions.
+        If it has a prior, ties, constraints, values of an earlier fit, or a criterion of your own or
+        with functions.
     LookupError
         If a loaded fit does not know its model.
     """
@@ -64,18 +62,18 @@ def problem_of(fit: Fit) -> AnyProblem:
                 else f"{uncertain[0]} from an earlier fit"
             )
             raise ValueError(
-                f"the fit {fit.name!r} has {what}, of which it keeps the text alone: give its problem=..."
+                f"the fit {fit.name!r} has {what}, of which only the text is known: give its problem=..."
             )
         model = fit.models[k] if fit.models else resolve(part.model, fit.given)
         criterion: Any = _criterion(fit, part)
         declared = dict(model.parameters)
-        asked: dict[str, Any] = {}
+        at: dict[str, Any] = {}
         if isinstance(criterion, TimeCriterion):
             assert isinstance(part, FittedRecord)
             declared |= criterion.parameters(model, part.data)
         else:
             assert isinstance(part, FittedResponse)
-            asked = {"at": part.at, "amplitude": part.sine}
+            at = {"at": part.at, "amplitude": part.sine}
         outside = {name: part.rename.get(name, name) for name in declared}
         problems.append(
             Problem(
@@ -96,7 +94,7 @@ def problem_of(fit: Fit) -> AnyProblem:
                     name: bounds[outside[name]] for name in declared if outside[name] in bounds
                 },
                 starts={name: boxes[outside[name]] for name in declared if outside[name] in boxes},
-                **asked,
+                **at,
             )
         )
     return problems[0] if len(problems) == 1 else Sum(tuple(problems), fit.name)
@@ -114,8 +112,8 @@ def _criterion(fit: Fit, part: FittedPart) -> Any:
         ]
         if functions:
             raise ValueError(
-                f"the fit {fit.name!r} has a function for the initial {functions[0]}, of which it keeps the text "
-                "alone: give its problem=..."
+                f"the fit {fit.name!r} has a function for the initial {functions[0]}, of which only the text is "
+                "known: give its problem=..."
             )
         return criterion
     raise ValueError(

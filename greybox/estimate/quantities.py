@@ -31,15 +31,15 @@ def quantities(
 ) -> tuple[tuple[Quantity, ...], tuple[str, ...], Array]:
     """Return all lines, and the names and covariance matrix of free, fixed and tied parameters.
 
-    Errors of tied and derived quantities follow to first order from the gradient. NaN stands for
-    what the data do not determine.
+    The errors of tied and derived quantities are of first order. NaN where the data do not
+    determine a quantity.
     """
-    found = formulas(nlp.problem)
-    values, gradients = _evaluated(nlp, found, estimate)
+    follow = formulas(nlp.problem)
+    values, gradients = _evaluated(nlp, follow, estimate)
     lines = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
     lines += [
         _formula(formula, float(value), accuracy)
-        for formula, value in zip(found, values, strict=True)
+        for formula, value in zip(follow, values, strict=True)
     ]
 
     # Every line by its derivatives with respect to all values.
@@ -136,7 +136,7 @@ def _tied(problem: AnyProblem) -> list[Formula]:
 
 
 def _derived(problem: AnyProblem) -> list[Formula]:
-    """List the derived quantities; parts that rename parameters or tie them have their own, named after the part."""
+    """Return the derived quantities; those of parts that rename or tie parameters have the name of the part."""
     taken = {*problem.parameters, *(formula.name for formula in _tied(problem))}
     found: dict[str, Formula] = {}
     for position, part in enumerate(problem.parts):

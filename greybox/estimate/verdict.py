@@ -1,4 +1,4 @@
-"""The verdict on a fit in three sentences: was the minimum found, does the model follow the data, is it determined."""
+"""The verdict on a fit in three sentences: its minimum, its distance from the data, its parameters."""
 
 import math
 from collections.abc import Sequence
@@ -17,15 +17,15 @@ Grade = Literal["good", "doubt", "failed"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to think of a fit.
+    """A grade and three sentences on a fit.
 
     Attributes
     ----------
     grade : "good", "doubt" or "failed"
-        In doubt where there is a warning, a parameter that is not well determined, or a minimum
-        that one start found.
+        In doubt if there is a warning, a parameter is not well determined, or only one start found
+        the minimum.
     sentences : tuple of str
-        Three, or what there is to say of a fit that failed.
+        Three; for a failed fit, what is known of the failure.
     """
 
     grade: Grade
@@ -33,7 +33,7 @@ class Verdict:
 
 
 def verdict(fit: Any) -> Verdict:
-    """Judge a `Fit` by what it holds."""
+    """Return the verdict on a `Fit`."""
     if not fit.converged:
         ended = (
             ""
@@ -49,7 +49,7 @@ def verdict(fit: Any) -> Verdict:
 
 
 def _minimum(fit: Any) -> tuple[str, bool]:
-    """Say how many starts agree on the best minimum, and whether it was found more than once."""
+    """Say how many starts agree on the best minimum, and tell whether more than one does."""
     brought = [run for run in fit.runs if run.stage != SCREENED]
     count = counted(len(brought), "start")
     if len(brought) == 1:
@@ -69,7 +69,7 @@ def _minimum(fit: Any) -> tuple[str, bool]:
 
 
 def _closeness(fit: Any) -> str:
-    """Say how far the model is from the data, in the words that each kind of data has."""
+    """Say how far the model is from each kind of data."""
     texts = []
     with np.errstate(divide="ignore", invalid="ignore"):  # measured zeros, which are left out
         off = [
@@ -100,7 +100,7 @@ def _closeness(fit: Any) -> str:
 
 
 def _determined(fit: Any) -> tuple[str, bool]:
-    """Say how well the free parameters are determined, and whether all are."""
+    """Say how well the free parameters are determined, and tell whether all are."""
     at_bound = [q.name for q in fit.quantities if q.at_bound]
     if not fit.free:
         return "No parameter was free.", True

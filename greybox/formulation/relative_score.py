@@ -18,18 +18,6 @@ import numpy as np
 
 from greybox.files.arrays import Array
 
-FEWEST, MOST = 8, 100  # points: means over errors up to 2.4 σ at least, and 3.3 σ at most
-RADII = 12  # of errors, in a quadrature of Gauss
-ANGLES = (
-    16  # of an error: means over a circle that comes as close as 0.4 to zero are then exact to 3e-4
-)
-LARGEST_NOISE = 0.3  # beyond, errors are as large as what is measured, and nothing that is divided by it has a mean
-SMALLEST_NOISE = 1e-4  # below, rounding is felt, and all is proportional to σ to eight digits
-ITERATIONS = (
-    30  # of reweighted least squares for the gain, at most: each leaves half of what was left of it
-)
-ACCURATE = 1e-3  # of σ², to which it is found
-
 # Relative errors below cannot be told from rounding: those of data that a model reproduces exactly.
 ROUNDING = float(np.finfo(float).eps)
 
@@ -58,27 +46,31 @@ def relative_score(
     noise: float, points: int, power: int, normalized: Literal["measured", "model"]
 ) -> RelativeScore:
     """Return what noise of standard deviation `noise` in each component makes of the sum of |e|^`power` of points."""
-    size = min(max(noise, SMALLEST_NOISE), LARGEST_NOISE)
-    node, share = np.polynomial.legendre.leggauss(RADII)
-    radius = (node + 1) / 2 * math.sqrt(2 * math.log(2 * min(max(points, FEWEST), MOST)))
+    # Below 1e-4, rounding is felt, and all is proportional to σ to eight digits. Beyond 0.3, errors
+    # are as large as what is measured, and nothing that is divided by it has a mean.
+    size = min(max(noise, 1e-4), 0.3)
+    # Means over a circle that comes as close as 0.4 to zero are exact to 3e-4 with 16 angles. Errors
+    # reach 2.4 to 3.3 σ, for 8 to 100 points.
+    angles = 2 * np.pi * (np.arange(16) + 0.5) / 16
+    node, share = np.polynomial.legendre.leggauss(12)
+    radius = (node + 1) / 2 * math.sqrt(2 * math.log(2 * min(max(points, 8), 100)))
     share = share * radius * np.exp(-(radius**2) / 2)
-    share = (share / share.sum() / ANGLES)[:, None]
-    # What is cut off would be missed by small errors too, of which everything is known: their mean
-    # of |ε|^power.
-    known = 2 ** (power / 2) * math.gamma(1 + power / 2)
-    radius *= (known / (ANGLES * float(share[:, 0] @ radius**power))) ** (1 / power)
-    angles = 2 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
+    share = (share / share.sum() / angles.size)[:, None]
+    # Scale the radii so that the mean of |ε|^power is exact although the tail is cut off.
+    moment = 2 ** (power / 2) * math.gamma(1 + power / 2)
+    radius *= (moment / (angles.size * float(share[:, 0] @ radius**power))) ** (1 / power)
+
     error = size * radius[:, None] * np.exp(1j * angles)
     factor = 1 / (1 + error) if normalized == "measured" else 1 + error
+
     gain = 1.0
-    for _ in range(ITERATIONS):
+    for _ in range(30):  # reweighted least squares: each halves the remaining error
         weight = share * np.abs(gain * factor - 1) ** (power - 2)
-        before, gain = (
-            gain,
-            float(np.sum(weight * factor.real) / np.sum(weight * np.abs(factor) ** 2)),
-        )
-        if abs(gain - before) < ACCURATE * size**2:
+        previous = gain
+        gain = float(np.sum(weight * factor.real) / np.sum(weight * np.abs(factor) ** 2))
+        if abs(gain - previous) < 1e-3 * size**2:
             break
+
     ratio = gain * factor
     score = power * np.abs(ratio - 1) ** (power - 2) * (ratio - 1) * ratio.conj()
     # The mean curvature is the covariance of this gradient with that of the likelihood, whichever
@@ -87,6 +79,7 @@ def relative_score(
     curvature = abs(float(np.sum(share * (score * likelihood.conj()).real))) / 2
     variance = np.array([np.sum(share * score.real**2), np.sum(share * score.imag**2)])
     away = 1 - 1 / gain if normalized == "measured" else 1 - gain
+
     # What is below or beyond the range scales as small noise does, but for a bias that would reach
     # the gain itself.
     times = max(noise, ROUNDING) / size
