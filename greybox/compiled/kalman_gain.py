@@ -8,7 +8,6 @@ diverge, and no nodes are needed in between.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -18,6 +17,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
 from greybox.compiled.segmented_part import Placed
 from greybox.files.arrays import Array, IntArray
+from greybox.modeling.one_thread import cached_property
 
 # Excerpts, evenly over a record, on which candidates of a gain are compared, and their samples.
 EXCERPTS = 3
@@ -49,7 +49,7 @@ class KalmanGain:
 
     @cached_property
     def limit(self) -> float:
-        """The largest magnitude of a pole: the initial state fades over the longest stretch.
+        """Return the largest magnitude of a pole: the initial state fades over the longest stretch.
 
         A predictor beyond would fit later samples by its free initial states. Where noise hardly
         drives a mode, the likelihood grows toward the unit circle without a maximum, as for the

@@ -16,7 +16,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -24,6 +23,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
+from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
 
 TIME_BINS = (

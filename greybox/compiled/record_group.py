@@ -9,7 +9,6 @@ sees parts, one for every problem; `Groups` translates.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -22,7 +21,7 @@ from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Along, Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, IntArray
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
 
 class RecordGroup(SegmentedPart):
@@ -111,7 +110,7 @@ class RecordGroup(SegmentedPart):
     @cached_property
     @one_thread_at_a_time
     def _located(self) -> tuple[ca.Function, IntArray]:
-        """The placement of all distinct records as one function of z, and which of them each record is."""
+        """Return the placement of all distinct records as one function of z, and which of them each record is."""
         distinct = {id(part.model.locate): part.model for part in self.parts}
         numbers = {key: k for k, key in enumerate(distinct)}
         z = ca.SX.sym("z", self.model.locate.numel_in(0))

@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -29,7 +28,7 @@ from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.statistics.metrics import whiteness
 
 
@@ -169,7 +168,7 @@ class RecordPart(SegmentedPart):
 
     @cached_property
     def noise_model(self) -> NoiseModel | None:
-        """The linear model of which the gains follow, about the means of the record; None without process noise."""
+        """Return the linear model of which the gains follow, about the means of the record; None without process noise."""
         model, data = self.model, self.data
         if not model.driven:
             return None

@@ -1,7 +1,6 @@
 """A frequency response with its model, compiled: its cost with exact derivatives, and its real residuals."""
 
 import math
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -13,7 +12,7 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,
     averaged_meat,

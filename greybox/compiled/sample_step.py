@@ -7,7 +7,6 @@ This is the one function that simulation, linearization, transcription and predi
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -18,7 +17,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
 RUN = 100  # samples of one call: the call's overhead of 12 µs is then a tenth of a microsecond a sample
@@ -54,7 +53,7 @@ class SampleStep:
 
     @cached_property
     def evaluated(self) -> dict[Any, Columns]:
-        """What is evaluated for many columns, by what it is: built once for all segments with this step."""
+        """Return the functions of many columns by their key, built once for all segments with this step."""
         return {}
 
     @cached_property

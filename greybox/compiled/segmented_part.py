@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array
+from greybox.modeling.one_thread import cached_property
 
 
 @dataclass(frozen=True, eq=False)

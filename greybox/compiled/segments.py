@@ -12,7 +12,6 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -21,7 +20,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, IntArray
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
@@ -92,7 +91,7 @@ class Segments:
 
     @cached_property
     def _advance(self) -> Columns:
-        """The next state, from x, q and data."""
+        """Return the next state, from x, q and data."""
         return self._columns("advance", lambda x, q, d: [self._step.function(x, q, d)[0]])
 
     @cached_property
@@ -102,7 +101,7 @@ class Segments:
 
     @cached_property
     def _derivatives(self) -> Columns:
-        """Derivatives of the next state and of the residual by x and active parameters, and the residual."""
+        """Return derivatives of the next state and of the residual by x and active parameters, and the residual."""
 
         def results(x: Any, q: Any, d: Any) -> list[Any]:
             end, e, _ = self._step.function(x, q, d)
@@ -112,7 +111,7 @@ class Segments:
 
     @cached_property
     def _output_derivatives(self) -> Columns:
-        """Derivatives of the next state and of the simulated output by x and active parameters."""
+        """Return derivatives of the next state and of the simulated output by x and active parameters."""
 
         def results(x: Any, q: Any, d: Any) -> list[Any]:
             end, _, y = self._step.function(x, q, d)
@@ -167,7 +166,7 @@ class Segments:
 
     @cached_property
     def record_rows(self) -> list[slice]:
-        """The segments of every record."""
+        """Return the segments of every record."""
         ends = np.cumsum(np.bincount(self.records, minlength=self.number)).tolist()
         return [slice(first, end) for first, end in itertools.pairwise([0, *ends])]
 

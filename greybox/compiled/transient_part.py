@@ -18,7 +18,6 @@ which depends on the parameters.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -33,7 +32,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import Model
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace

@@ -7,14 +7,13 @@ are done once.
 
 import math
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
 CHUNK = 4096  # columns at once: so many fit into the cache
 

@@ -7,7 +7,6 @@ parameters, and one program each other quantity.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -17,7 +16,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import TOLERANCE, BatchedSolver
 from greybox.solve.gauss_newton.driver import GaussNewton

@@ -1,4 +1,4 @@
-"""One lock for whatever takes derivatives with CasADi, or builds a solver from them.
+"""One lock for whatever takes derivatives with CasADi, or builds a solver from them; values built when needed.
 
 CasADi 3.8.2 frees a sparsity pattern that two threads use at once twice, and the process crashes. Only
 derivatives, solvers and mapped functions make such patterns; evaluating functions is safe, as long
@@ -8,7 +8,7 @@ as every thread has its own.
 import functools
 import threading
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -25,3 +25,18 @@ def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Argu
             return function(*args, **kwargs)
 
     return locked
+
+
+class cached_property(functools.cached_property[Result]):  # noqa: N801
+    """A property whose value is built once, without the lock of its own that Python 3.11 holds meanwhile.
+
+    Two threads that took that lock and the one above in opposite order would wait for ever.
+    """
+
+    def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
+        """Return the value; what is built stays in the instance, where Python finds it first."""
+        if instance is None:
+            return self
+        value = self.func(instance)
+        instance.__dict__[self.attrname] = value
+        return value

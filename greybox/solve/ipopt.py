@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import AT_ONCE, Minimum, Multistart

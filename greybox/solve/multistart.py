@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.strategies import with_options
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.executors import packed, run_all
 from greybox.solve.gauss_newton.driver import GaussNewton

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -28,7 +27,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.json_numbers import finite
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import packed, require_executor, run_all
 from greybox.solve.interruption import Response, listening, responding, take_interrupt

@@ -8,7 +8,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal
 
 import casadi as ca
@@ -18,6 +17,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.scaling import Scaling
 from greybox.files.arrays import Array, BoolArray, ComplexArray
+from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, fits_a_batch
 from greybox.solve.interruption import reason_to_end
