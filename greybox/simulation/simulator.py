@@ -40,16 +40,10 @@ FIRST_REACH = 0.1
 # Substeps to begin with, at most: the fastest mode at rest may have decayed where the model is
 # simulated.
 MOST_AT_FIRST = 8
-CHECKED = 400  # samples, spread over all, at which the substeps are checked: each is one more evaluation of the model
 DIVERGED = 1e9  # no state of a vehicle in SI units is that large
-LARGEST = 1e100  # derivative of an output whose products of three stay finite
-SINGULAR = (
-    1e-10  # relative singular value below which a free simulation does not show its initial state
-)
 # Times the size of the outputs: initial states to try where the model is not finite at zero (roots,
 # logarithms).
 SIZES = (1.0, 0.1, 10.0, -1.0)
-ROUNDING = 1e-9  # of the largest effect of a value on an output: a smaller one is rounding
 ERROR = "_error"
 
 
@@ -142,9 +136,9 @@ class Simulator:
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,); what is compiled serves both."""
-        other = copy(self)
-        other._model = replace(self._model, q=q)
-        return other
+        simulator = copy(self)
+        simulator._model = replace(self._model, q=q)
+        return simulator
 
     def free_run(
         self, stretch: Stretch, initial: Array, fitted_initial: bool
@@ -247,23 +241,23 @@ class Simulator:
 
         def of_rows(step: SampleStep) -> _Run:
             whole = self._segments_of(step, w, length, active)
-            made = _Run.of(whole, np.zeros((w, 0)), model.q, _columns(whole, data, in_lead))
-            errors = measured - whole.by_segment(made.outputs)
+            result = _Run.of(whole, np.zeros((w, 0)), model.q, _columns(whole, data, in_lead))
+            errors = measured - whole.by_segment(result.outputs)
             return replace(
-                made, estimates=without_states(errors, model.noise(self._outputs), spread)
+                result, estimates=without_states(errors, model.noise(self._outputs), spread)
             )
 
         def run(step: SampleStep) -> _Run:
             lead_in = self._segments_of(step, w, lead, np.zeros(0, dtype=int))
-            before = _columns(lead_in, data, in_lead)
+            lead_data = _columns(lead_in, data, in_lead)
 
             def simulate(x: Array) -> Array:
-                return lead_in.by_segment(_Run.of(lead_in, x, model.q, before).outputs)
+                return lead_in.by_segment(_Run.of(lead_in, x, model.q, lead_data).outputs)
 
             def sensitivities(x: Array) -> Array:
-                states, _ = lead_in.simulate(x, model.q, before)
+                states, _ = lead_in.simulate(x, model.q, lead_data)
                 return np.where(
-                    mask[..., None], lead_in.output_sensitivities(states, model.q, before), 0.0
+                    mask[..., None], lead_in.output_sensitivities(states, model.q, lead_data), 0.0
                 )
 
             estimates = estimate_states(
@@ -301,10 +295,9 @@ class Simulator:
         """Return the largest change of a state in one sample by halved substeps, relative to its size."""
         states = result.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
-        spread_out = np.unique(
-            np.linspace(0, usable.size - 1, min(usable.size, CHECKED)).astype(int)
-        )
-        checked = usable[spread_out].tolist()
+        # At 400 samples, spread over all: each is one more evaluation of the model.
+        places = np.linspace(0, usable.size - 1, min(usable.size, 400)).astype(int)
+        checked = usable[np.unique(places)].tolist()
         if not checked:
             return 0.0
         x = states[:, checked]
@@ -392,7 +385,8 @@ def _free_run_sensitivities(
     by_state = slopes[..., :n]
     by_value = slopes[..., n:]
     no_variance = np.zeros(slopes.shape[:2])
-    if not np.all(np.abs(slopes) < LARGEST):
+    # Products of three larger ones would overflow.
+    if not np.all(np.abs(slopes) < 1e100):
         return np.full_like(by_value, np.nan), no_variance
     if not fitted_initial or part is None or not n:
         return by_value, no_variance
@@ -407,7 +401,7 @@ def _free_run_sensitivities(
     q = np.einsum("ij,tja->tia", weight, np.where(compared[..., None], by_value[:, places], 0.0))
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     _, singular, directions = np.linalg.svd(x / size, full_matrices=False)
-    if len(x) < n or singular[-1] < SINGULAR * singular[0]:
+    if len(x) < n or singular[-1] < 1e-10 * singular[0]:
         return by_value, no_variance * np.nan
 
     root = directions.T / singular / size[:, None]
@@ -435,16 +429,16 @@ def _standard_errors(
         if undetermined.any():
             depends = _depends(by_value, model.q[model.uncertain]) & undetermined
             variance = np.where(depends.any(axis=-1), np.nan, variance)
-            met = depends.reshape(-1, undetermined.size).any(axis=0)
-            unknown = tuple(model.names[i] for i in model.uncertain[met])
+            involved = depends.reshape(-1, undetermined.size).any(axis=0)
+            unknown = tuple(model.names[i] for i in model.uncertain[involved])
     return np.sqrt(np.maximum(variance, 0.0)), unknown
 
 
 def _depends(by_value: Array, q: Array) -> BoolArray:
-    """Tell which samples of an output depend on which values (..., k, a), beyond rounding."""
+    """Return which samples of an output depend on which values (..., k, a), beyond rounding."""
     effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
     largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
-    return ~(effect <= ROUNDING * largest[:, None])
+    return ~(effect <= 1e-9 * largest[:, None])  # a smaller effect is rounding
 
 
 def _window_errors(
@@ -459,15 +453,7 @@ def _window_errors(
     by_value = slopes[..., n:]
     weight = np.linalg.inv(np.linalg.cholesky(estimates.noise))
     masked = np.where(np.moveaxis(in_lead, 0, -1)[..., None], slopes, 0.0)
-    lead = (
-        int(
-            np.flatnonzero(np.logical_or.reduce(in_lead.reshape(-1, in_lead.shape[2]))).max(
-                initial=0
-            )
-        )
-        + 1
-    )
-    J = np.einsum("ij,wtjv->wtiv", weight, masked[:, :lead])
+    J = np.einsum("ij,wtjv->wtiv", weight, masked)
     mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
     state_by_value = -np.einsum("wij,wja->wia", estimates.covariance, mixed)
     variance = np.einsum(
