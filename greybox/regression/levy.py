@@ -294,9 +294,6 @@ def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> Array:
         raise ValueError(
             f"weight has shape {weights.shape} for {len(data)} frequencies: give one number for each."
         )
-    for omega, value in zip(data.omega, weights, strict=True):
-        if not 0 < value < math.inf:
-            raise ValueError(
-                f"weight is {value:g} at omega = {omega:g} rad/s: it must be above 0, or omit the point."
-            )
+    if not np.all((weights > 0) & np.isfinite(weights)):
+        raise ValueError("weight has numbers that are not above 0: omit these points.")
     return weights

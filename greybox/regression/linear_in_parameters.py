@@ -190,9 +190,9 @@ class _Analysis:
 
     def _one_more_state(self) -> bool:
         """Find one more state that is a signal or a derivative, up to constants."""
-        sources: list[Source] = [(n, h, "signal") for n, h in self.h.items() if n in self.signals]
-        sources += [(n, self.f[n], "derivative") for n in self.states]
-        for source, row, how in sources:
+        outputs: list[Source] = [(n, h, "signal") for n, h in self.h.items() if n in self.signals]
+        rates: list[Source] = [(n, self.f[n], "derivative") for n in self.states]
+        for source, row, how in (*outputs, *rates):
             for k, name in enumerate(self.model.states):
                 if self._unknown(row) != {name} or self._inputs(row) or self._own_parameters(row):
                     continue
