@@ -116,7 +116,7 @@ class StepwiseSelection:
 
     def _notes(self) -> Iterator[str]:
         for term, rivals in self.alike.items():
-            texts = listed([f"{rival} ({_more(above)})" for rival, above in rivals.items()])
+            texts = listed([f"{rival} (AIC {above:+.2f})" for rival, above in rivals.items()])
             yield f"These data cannot tell {term} from {texts}."
         for first, second, r in self.fit.identifiability.correlated:
             if {first, second} & set(self.terms):
@@ -300,8 +300,3 @@ def _part(part: Problem, terms: Terms, absent: Mapping[str, float]) -> Problem:
     declared_fixed = [name for name in chosen if part.model.parameters[name].fixed]
     free = [name for name in part.free if name not in left_out and name not in declared_fixed]
     return part.with_(fixed=fixed, free=[*free, *declared_fixed])
-
-
-def _more(above: float) -> str:
-    text = number(round(abs(above), 2), 3)
-    return "the same AIC" if text == "0" else f"AIC {text} {'more' if above > 0 else 'less'}"
