@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -85,8 +85,9 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force or goes_on)
     make = _stated_fit(options)
     limits = TimeLimits.from_now(options.seconds, options.start_seconds)
+    store = nullcontext() if options.out is None else runs_beside(options.out)
     try:
-        with _kept(options) as kept, stated_executor(options) as executor, limited(limits):
+        with store as kept, stated_executor(options) as executor, limited(limits):
             return _answer(options, kept, *_fitted(partial(make, executor=executor), kept, options))
     except ExecutorLostError as error:
         resume = "" if options.out is None else "; the same command continues with the stored runs"
@@ -107,11 +108,6 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     return partial(
         fit_keeping, problem=problem, by=by, profiles=not options.no_profiles, **settings
     )
-
-
-def _kept(options: argparse.Namespace) -> AbstractContextManager[StoredRuns | None]:
-    """Return the store of runs of a fit that is saved."""
-    return nullcontext() if options.out is None else runs_beside(options.out)
 
 
 def _fitted(
