@@ -122,7 +122,7 @@ def compare(
     )
     notes = [*not_held_out(fits, names, held_out), *notes]
     if not_comparable and not different:
-        notes.append(_costs_not_compared(not_comparable, fits, likelihoods))
+        notes.append(_costs_not_compared(not_comparable, likelihoods))
 
     bic = _known("BIC", rows)
     supported = verdict = ""
@@ -202,7 +202,6 @@ def _as_records(records: Any) -> list[Record]:
     return list(records)
 
 
-def _costs_not_compared(reason: str, fits: Sequence[Fit], likelihoods: Likelihoods | None) -> str:
+def _costs_not_compared(reason: str, likelihoods: Likelihoods | None) -> str:
     what = "Costs, AIC and BIC are" if likelihoods is None else "Costs are"
-    table = "; the table has each criterion for all of them" if any(f.costs for f in fits) else ""
-    return f"{what} not compared: {reason}{table}."
+    return f"{what} not compared: {reason}."
