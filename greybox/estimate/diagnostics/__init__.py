@@ -9,6 +9,7 @@ Begin with `general`.
 | `global_minimum` | Is this the global minimum, and the only one? |
 | `noise_level` | Is the noise as large as assumed, and does the criterion use what is known of it? |
 | `frequency_correlation` | Are the errors of neighboring frequencies independent? |
+| `outlying_points` | Which point of a response is an outlier? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |
 | `discretization` | Is the integration accurate enough? |
 | `delay_approximation` | Is the Padé delay accurate enough? |

@@ -25,6 +25,7 @@ from greybox.estimate.diagnostics.identifiability import (
 )
 from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_noise, unused_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
+from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, hidden_errors, record_warnings
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.solve.discretization_error import DiscretizationError
@@ -73,6 +74,7 @@ def warnings(
         *unlikely_noise(nlp, trajectories),
         *correlated_frequencies(nlp, best.estimate, accuracy),
         *discontinuous_costs(nlp),
+        *outlying_points(nlp, best.estimate),
     )
 
 

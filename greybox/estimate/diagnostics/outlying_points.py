@@ -1,0 +1,132 @@
+"""Outliers among the points of a response.
+
+Let z be the residuals of a response over the expected sizes of its errors (real parts, then
+imaginary parts), M = I - H the projection that removes the parameters, and k the two rows of a
+point. Q = (Mz)_kᵀ M_kk⁻¹ (Mz)_k is the decrease of the sum of squares without that point. For normal
+errors of these sizes, up to a common factor, Q/2 over the mean square of the other points has an F
+distribution with 2 and the remaining degrees of freedom. The largest of n points is judged by n
+times its probability (Cook and Weisberg (1982), Residuals and Influence in Regression, section 2.2,
+for real data). The test concerns the errors, not the criterion: the residuals of any criterion are
+projected like those of least squares.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.response_part import ResponsePart
+from greybox.files.arrays import Array, ComplexArray
+from greybox.files.text_table import number
+from greybox.statistics.column_space import column_basis
+
+# Share of fits to clean data in which any point is called an outlier.
+SIZE = 0.01
+
+# Share of a point's residual that is a rounding error.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, order=True)
+class Deviation:
+    """The point of a response that deviates most.
+
+    Attributes
+    ----------
+    index : int
+        Of the point in the data.
+    probability : float
+        Of a deviation as unlikely as this one, at a point of clean data.
+    relative : float
+        The deviation over the model's magnitude.
+    """
+
+    index: int
+    probability: float
+    relative: float
+
+
+def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
+    """Name the points of responses that are outliers of the fit `x` (p,), the most unlikely first."""
+    values = nlp.all_values(x)
+    responses = [part for part in nlp.parts if isinstance(part, ResponsePart)]
+    points = sum(len(part.data) for part in responses)
+    deviations = [(largest_deviation(part, values, len(nlp.free)), part) for part in responses]
+    outliers = [(d, part) for d, part in deviations if d and points * d.probability < SIZE]
+    for deviation, part in sorted(outliers, key=lambda pair: pair[0].probability):
+        omega = part.data.omega[deviation.index]
+        one_in = math.floor(1 / max(points * deviation.probability, 1e-12))
+        yield (
+            f"the point at {omega:.4g} rad/s of {part.problem.name!r} is an outlier, "
+            f"{100 * deviation.relative:.2g} % from the model: fewer than one in "
+            f"{number(float(one_in), 2)} fits to clean data have such a point. Fit again without it, "
+            "response.where(...), to see its effect."
+        )
+
+
+def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
+    """Return the point that deviates most at all values (k,); the first `free` of these are estimated.
+
+    Where the data give variances of few degrees of freedom, a residual is a bivariate Student's t
+    and is judged as such. None if no point can be judged.
+    """
+    data, criterion = part.data, part.criterion
+    model = part.response(values)
+    size = criterion.error_size(model, data)
+    points = np.flatnonzero(np.isfinite(size) & (size > ROUNDING * np.max(size, initial=0.0)))
+    if not points.size:
+        return None
+
+    residual = (data.response - model)[points] / size[points]
+    if criterion.known_noise and data.dof is not None:
+        ratio = np.abs(residual) ** 2 / max(criterion.noise_ratio(model, data), 1.0)
+        dof = data.dof[points]
+    else:
+        sensitivity = part.sensitivity(values)[points, :free] / size[points, None]
+        # A component of a given variance has half of it.
+        least = 0.5 if criterion.known_noise else 0.0
+        ratio, dof = deletion_ratios(residual, sensitivity, least)
+    probability = (1 + 2 * ratio / dof) ** (-dof / 2)  # of exceeding the ratio, by F with 2 and dof
+    if not np.any(np.isfinite(probability)):
+        return None
+    worst = int(np.nanargmin(probability))
+    index = int(points[worst])
+    relative = float(np.abs(data.response - model)[index] / np.abs(model[index]))
+    return Deviation(index, float(probability[worst]), relative)
+
+
+def deletion_ratios(
+    residual: ComplexArray, sensitivity: ComplexArray, least: float
+) -> tuple[Array, float]:
+    """Return Q/2 over the mean square of the other points (n,), and the degrees of freedom of these.
+
+    NaN for a point that the parameters fit exactly, and where no degrees of freedom remain.
+
+    Parameters
+    ----------
+    residual, sensitivity : (n,) and (n, p) complex arrays
+        Over the sizes of the errors.
+    least : float
+        Lower limit of the mean square.
+    """
+    n = residual.size
+    basis = column_basis(np.vstack([sensitivity.real, sensitivity.imag]))
+    dof = 2 * n - basis.shape[1] - 2
+    z = np.concatenate([residual.real, residual.imag])
+    z = z - basis @ (basis.T @ z)
+    total = float(z @ z)
+    if dof < 2 or not total > 0:
+        return np.full(n, math.nan), math.nan
+
+    # M_kk = [[a, b], [b, c]]
+    re, im = basis[:n], basis[n:]
+    a = 1 - np.sum(re**2, axis=1)
+    b = -np.sum(re * im, axis=1)
+    c = 1 - np.sum(im**2, axis=1)
+    is_judged = (a + c) / 2 - np.hypot((a - c) / 2, b) > ROUNDING
+    with np.errstate(divide="ignore", invalid="ignore"):
+        q = (c * z[:n] ** 2 - 2 * b * z[:n] * z[n:] + a * z[n:] ** 2) / (a * c - b**2)
+    mean_square = np.maximum((total - q) / dof, max(least, ROUNDING * total))
+    return np.where(is_judged, q / 2 / mean_square, math.nan), float(dof)
