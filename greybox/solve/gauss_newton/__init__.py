@@ -47,9 +47,9 @@ on excerpts.
 evaluated for all starts at once, have led. Starts whose number the user chose are all run, on
 excerpts first; those that meet there continue as one.
 
-**Where Newton steps fail**, a stalled run begins once more near the data.
-`greybox.compiled.strategies` says what each strategy contributes. What a search tries besides its
-starts is in `greybox.solve.local_search` and `greybox.solve.multistart`.
+**Where Newton steps fail**, delays at which the cost jumps are held, and a stalled run begins once
+more near the data. `greybox.compiled.strategies` says what each strategy contributes. What a search
+tries besides its starts is in `greybox.solve.local_search` and `greybox.solve.multistart`.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is
 exact. Stable predictors forget their initial state and are simulated over whole stretches
