@@ -305,7 +305,7 @@ def compile_records(
     parts: dict[int, RecordPart] = {}
     for lot in lots.values():
         model, every = models[lot[0]], joined([data[k] for k in lot])
-        looks = at_samples(every, max(every.segments // 20, 1), spread=True)
+        looks = at_samples(every, max(every.segments // 100, 1), spread=True)
 
         def known_initial(q: Array, model: RecordModel = model) -> Array:
             return model.initial(np.pad(q, (0, len(model.parameters) - len(q))))[0].full().ravel()
@@ -314,6 +314,7 @@ def compile_records(
             model.problem,
             drawn[lot[0]],
             method,
+            model.system,
             model.initial_states,
             looks,
             known_initial,
