@@ -32,7 +32,7 @@ RULES = (
     gb.solve.Sobol(20, seed=0),
     gb.solve.Sobol(20, seed=1),
     gb.solve.LatinHypercube(20, seed=2),
-    gb.solve.Uniform(20, seed=3),
+    gb.solve.LatinHypercube(20, seed=3),
 )
 # Harmonic balance makes this one the slowest by far, and one rule of few starts shows the same as
 # two of many.
