@@ -43,10 +43,10 @@ def explicit_program(
     responses of all parts and of the smoothing.
     """
     roots = [ca.SX.sym("w", formula.function.numel_in(1)) for formula in formulas]
-    responses = [
-        Complex(*formula.function(ca.vertcat(*part.local_values(named).values()), root))
-        for part, formula, root in zip(parts, formulas, roots, strict=True)
-    ]
+    responses = []
+    for part, formula, root in zip(parts, formulas, roots, strict=True):
+        outputs: Any = formula.function(ca.vertcat(*part.local_values(named).values()), root)
+        responses.append(Complex(*outputs))
     smoothing = ca.SX.sym("smoothing")
     return ca.Function(
         "explicit", [z, smoothing, ca.vertcat(*roots)], [ca.SX(cost(responses, smoothing)), limits]

@@ -173,7 +173,7 @@ class RecordGroup(SegmentedPart):
         """Refuse: every record is transcribed by itself."""
         raise NotImplementedError
 
-    def information(self, *args: Any) -> Information:
+    def information(self, *args: Any, **kwargs: Any) -> Information:
         """Refuse: every record has information of its own."""
         raise NotImplementedError
 

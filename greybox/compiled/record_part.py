@@ -180,7 +180,9 @@ class RecordPart(SegmentedPart):
                 "process_noise, whose filter is steady: resample the outputs to one rate, or leave "
                 "process_noise out."
             )
-        nodes = model.initial_states.at(*self.at_nodes, model.begin, np.full(self.states, np.nan))
+        outputs, inputs = self.at_nodes
+        unknown = np.full(self.states, np.nan)
+        nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
         inputs = data.delayed_inputs(np.zeros(len(self.system.inputs)))
         reference = nodes.mean(axis=1), np.vstack([*inputs, data.measured_rows]).mean(axis=1)
         step = max(data.stretches, key=len).step
@@ -200,7 +202,8 @@ class RecordPart(SegmentedPart):
     def nodes_from_data(self, q: Array, known: Array) -> Array:
         """Return nodes (s, n) at the declared parameters and the known initial states (n,), else NaN."""
         p = q[: len(self.system.parameters)]
-        return self.model.initial_states.at(*self.at_nodes, p, known).T
+        outputs, inputs = self.at_nodes
+        return self.model.initial_states.at(outputs, inputs, p, known).T
 
     # --- judging a trajectory
 

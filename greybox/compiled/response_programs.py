@@ -114,8 +114,9 @@ def compile_responses(
     scaled = responses_at(values_at(z))
     scaled_limits = stacked(limits, values_at(z), kind)
     roots = None
-    if kind is ca.MX and formulas and all(isinstance(f, Trimmed) for f in formulas):
-        roots = ca.Function("roots", [z], [roots_of(parts, formulas, values_at(z))])
+    trimmed = [formula for formula in formulas or () if isinstance(formula, Trimmed)]
+    if kind is ca.MX and trimmed and len(trimmed) == len(formulas):
+        roots = ca.Function("roots", [z], [roots_of(parts, trimmed, values_at(z))])
 
     def program(choose: ChooseCriterion) -> CostProgram:
         total = _weighted(parts, _costs(parts, scaled, smoothing, choose))
@@ -127,7 +128,7 @@ def compile_responses(
             return CostProgram(function, explicit=function if kind is ca.SX else None)
         explicit = explicit_program(
             parts,
-            formulas,
+            trimmed,
             values_at(point),
             point,
             lambda found, smoothing: _weighted(parts, _costs(parts, found, smoothing, choose)),

@@ -192,8 +192,11 @@ def connected(
     TypeError
         If one is not a controller.
     """
-    single = () if controller is None or isinstance(controller, Sequence) else (controller,)
-    controllers = tuple(controller) if isinstance(controller, Sequence) else single
+    controllers: list[Controller] = []
+    if isinstance(controller, Sequence):
+        controllers += controller
+    elif controller is not None:
+        controllers += [controller]
     driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):
@@ -226,7 +229,7 @@ def connected(
                 f"{label} takes {min(late)!r} from itself or a later controller: list that one first."
             )
         driven |= provides
-    return controllers
+    return tuple(controllers)
 
 
 def _collected(cls: type) -> dict[str, Parameter]:
