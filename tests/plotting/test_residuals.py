@@ -7,6 +7,7 @@ import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, measured
 from drawn_lines import named
 from hardening_spring import Spring, driven
+from scipy.integrate import trapezoid
 
 import greybox as gb
 from greybox.plotting.residuals import residual_figures
@@ -30,7 +31,7 @@ def test_residuals_have_a_histogram_and_their_correlations(spring, record):
     x = normal.x[100]
     density = np.exp(-0.5 * ((x - e.mean()) / e.std()) ** 2) / (e.std() * np.sqrt(2 * np.pi))
     assert normal.y[100] == pytest.approx(density)
-    assert np.trapezoid(histogram.high, histogram.x) == pytest.approx(1)
+    assert trapezoid(histogram.high, histogram.x) == pytest.approx(1)
     assert distribution.label == "Residual of position, m"
 
     itself, force = correlations.panels
