@@ -22,6 +22,7 @@ from functools import cache
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
@@ -109,7 +110,7 @@ def read(group: Stored, name: str, kind: Any) -> Any:
         return DATA[inner][1](stored)
     if _is_text_list(inner):
         texts = [as_kind(text, str) for text in stored[()]]
-        return np.array(texts, dtype=object) if get_origin(inner) is np.ndarray else tuple(texts)
+        return np.array(texts, dtype=object) if _item(inner) is not None else tuple(texts)
     return _read_array(stored[()], inner) if _is_array(inner) else _read_group(stored, inner)
 
 
@@ -216,20 +217,22 @@ def _holds_text(kind: Any) -> bool:
 
 
 def _is_array(kind: Any) -> bool:
-    return get_origin(kind) is np.ndarray or kind == tuple[float, float]
+    return _item(kind) is not None or kind == tuple[float, float]
 
 
 def _is_mapping_of_arrays(kind: Any) -> bool:
-    return get_origin(kind) is Mapping and get_origin(get_args(kind)[1]) is np.ndarray
+    return get_origin(kind) is Mapping and _item(get_args(kind)[1]) is not None
 
 
 def _is_text_list(kind: Any) -> bool:
-    return kind == tuple[str, ...] or (get_origin(kind) is np.ndarray and _item(kind) is np.object_)
+    return kind == tuple[str, ...] or _item(kind) is np.object_
 
 
 def _item(kind: Any) -> Any:
-    """Return the type of the items of an annotated array."""
-    return get_args(get_args(kind)[1])[0]
+    """Return the type of the items of an annotated array; None for another annotation."""
+    if get_origin(kind) is NDArray:  # a type alias of its own since numpy 2.5
+        return get_args(kind)[0]
+    return get_args(get_args(kind)[1])[0] if get_origin(kind) is np.ndarray else None
 
 
 def _read_array(values: Any, kind: Any) -> Any:
