@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, BoolArray
 
 # A signal is at a stated limit within this share of the distance between the limits.
 AT_LIMIT = 1e-3
@@ -15,7 +14,7 @@ AT_LIMIT = 1e-3
 LEVELS = 12
 
 
-def at_limit(values: Array, limits: tuple[float, float] | None = None) -> NDArray[np.bool_]:
+def at_limit(values: Array, limits: tuple[float, float] | None = None) -> BoolArray:
     """Return which of the values (n,) are at a limit.
 
     Without stated limits, a limit is a flat top: the signal rests at an extreme value for at least
