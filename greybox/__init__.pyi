@@ -86,7 +86,6 @@ from greybox.study import Bootstrap as Bootstrap
 from greybox.study import batch as batch
 from greybox.study import bootstrap as bootstrap
 from greybox.validation import compare as compare
-from greybox.validation import reduce as reduce
 from greybox.validation import stepwise as stepwise
 
 __version__: str

@@ -16,7 +16,7 @@ Bootstrap Collocation Contour Controller Criterion EquationError Fit FrequencyRe
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
 Transcription TransferFunction batch bootstrap compare contour cost feedback fit frequency_response identify load plot
-predict prepare profile read read_response reduce report save several simulate stepwise
+predict prepare profile read read_response report save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
 
@@ -45,8 +45,8 @@ NAMESPACES = {
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",
-    "validation": "Comparison Differences NestedTest Reduction StepwiseSelection compare differences nested_test "
-    "reduce stepwise",
+    "validation": "Comparison Differences NestedTest StepwiseSelection compare differences nested_test "
+    "stepwise",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]
 EVERYTHING += [

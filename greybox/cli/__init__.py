@@ -8,7 +8,7 @@
 | `inspect_command`, `response_command`, `identify_command` | logs |
 | `orders_command`, `identifiability_command` | structures |
 | `fit_command`, `profile_command`, `bootstrap_command` | fits and their errors |
-| `reduce_command`, `stepwise_command`, `compare_command`, `report_command` | several fits |
+| `stepwise_command`, `compare_command`, `report_command` | several fits |
 | `batch_command` | studies |
 | `options`, `workers` | options that several commands share |
 | `output` | what a command gives: answer, exit status, files, figures |

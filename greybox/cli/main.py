@@ -27,7 +27,6 @@ COMMANDS = {
     "fit": "fit a problem from many starts",
     "profile": "compute intervals that need not be symmetric",
     "bootstrap": "compute errors and intervals from resampled data",
-    "reduce": "find the smaller structure that a fit suggests, fit it and compare",
     "stepwise": "choose terms of a model from a list of candidates, by tests",
     "batch": "fit many problems, and lose nothing when killed",
     "compare": "compare saved fits, or the fits of a study",

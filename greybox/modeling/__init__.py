@@ -19,7 +19,6 @@ Begin with `model`.
 | `realization` | every model as an ODE with delayed inputs |
 | `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |
 | `known_systems` | linear models with known numbers, such as a filter |
-| `limit` | a transfer function with a parameter at zero or infinity |
 | `late_sensors` | an ODE whose outputs are measured with a delay or a lag |
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """

@@ -14,7 +14,6 @@ Begin with `compare`.
 | `nesting` | whether one model is another with terms removed |
 | `common_likelihood` | one likelihood for fits of responses by different criteria |
 | `held_out` | predictions of the same windows by all fits |
-| `reduction` | the smaller structure that a fit suggests |
 | `stepwise` | terms chosen from a list of candidates |
 | `differences` | which parameters differ between fits to different data |
 """
@@ -25,7 +24,5 @@ from greybox.validation.differences import Differences as Differences
 from greybox.validation.differences import differences as differences
 from greybox.validation.nested_models import NestedTest as NestedTest
 from greybox.validation.nested_models import nested_test as nested_test
-from greybox.validation.reduction import Reduction as Reduction
-from greybox.validation.reduction import reduce as reduce
 from greybox.validation.stepwise import StepwiseSelection as StepwiseSelection
 from greybox.validation.stepwise import stepwise as stepwise

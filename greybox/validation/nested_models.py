@@ -190,27 +190,6 @@ def _is_definite(covariance: Array) -> bool:
     return not covariance.size or bool(np.all(np.linalg.eigvalsh(covariance) > 0))
 
 
-def ratio_test(
-    small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str, str]
-) -> NestedTest:
-    """Test a fit against a larger one that contains it as a limit.
-
-    No direction of the larger model leads to a limit at infinity, so the scale is the mean over all
-    directions that its data determine.
-    """
-    removed = len(large.free) - len(small.free)
-    scale = cost_scale(large)
-    if not (large.dof > 0 and scale > 0):
-        raise ValueError(
-            f"the data leave {labels[1]} no degrees of freedom: nothing can be tested."
-        )
-    ratio = 2 * (small.cost - large.cost)
-    statistic = max(ratio, 0.0) / (scale * removed)
-    p_value = f_tail(statistic, removed, large.dof)
-    dof = (removed, large.dof)
-    return NestedTest(*labels, terms, ratio, scale, statistic, dof, p_value, _scaled_for(large))
-
-
 def with_independent_errors(fit: Fit) -> Fit:
     """Return a fit whose covariance and degrees of freedom ignore correlation along frequency.
 

@@ -1,4 +1,4 @@
-"""Commands that judge and choose structures: `reduce`, `identifiability`, `orders`, `stepwise`; priors and regions.
+"""Commands that judge and choose structures: `identifiability`, `orders`, `stepwise`; priors and regions.
 
 What they say is what the functions of the same names return, whose tests hold it against outside
 truths.
@@ -35,18 +35,6 @@ def answer(capsys, *arguments):
     status, out, _ = run(capsys, *arguments, "--json")
     assert status == 0
     return json.loads(out, parse_constant=lambda word: pytest.fail(f"{word} in JSON"))
-
-
-def test_a_saved_fit_is_reduced(capsys, tmp_path, yaw):
-    smaller = tmp_path / "smaller.h5"
-    status, out, _ = run(capsys, "reduce", yaw, "--starts", "1", "--out", smaller)
-    assert status == 0
-    assert "3 parameters instead of 4" in out
-    assert set(gb.load(smaller).free) == {"a4", "a3_tilde_per_a2", "a1_tilde_per_a2"}
-    assert "exists: give another name" in refused(capsys, "reduce", yaw, "--out", smaller)
-    found = answer(capsys, "reduce", smaller)
-    assert found["taken"] == found["tried"] == []
-    assert found["fit"]["cost"] == pytest.approx(gb.load(smaller).cost)
 
 
 def test_the_region_of_two_parameters(capsys, tmp_path):

@@ -1,7 +1,6 @@
 """Tests of terms that one model has more than another have their nominal size and find what is needed."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from scipy.stats import chi2, f
 
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
-from greybox.validation.nested_models import NestedTest, cost_scale, f_tail, ratio_test
+from greybox.validation.nested_models import NestedTest, f_tail
 
 
 def test_a_nested_test_says_what_is_needed():
@@ -71,31 +70,6 @@ def test_without_a_likelihood_ratio_nothing_is_tested(drags):
     small, large = drags
     with pytest.raises(ValueError, match="no likelihood ratio"):
         gb.validation.nested_test(small, replace(large, white=None))
-
-
-def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_directions(drags):
-    small, large = drags
-    found = ratio_test(small, large, ("C_x",), ("limit", "structure"))
-    scale = np.trace(np.linalg.solve(large.white, large.covariance_of(["a5", "C_x"]))) / 2
-    assert cost_scale(large) == found.scale == pytest.approx(scale)
-    assert found.likelihood_ratio == 2 * (small.cost - large.cost)
-    assert found.statistic == pytest.approx(found.likelihood_ratio / scale)
-    assert found.dof == (1, large.dof)
-    assert found.p_value == pytest.approx(f.sf(found.statistic, 1, large.dof))
-    assert (found.small, found.large, found.terms) == ("limit", "structure", ("C_x",))
-    # Two parameters gone share the ratio.
-    twice = ratio_test(
-        SimpleNamespace(free=(), cost=small.cost), large, ("a5", "C_x"), ("limit", "structure")
-    )
-    assert (twice.statistic, twice.dof) == (pytest.approx(found.statistic / 2), (2, large.dof))
-    assert twice.p_value == pytest.approx(f.sf(twice.statistic, 2, large.dof))
-    worse = ratio_test(replace(small, cost=large.cost - 1), large, ("C_x",), ("limit", "structure"))
-    assert (worse.statistic, worse.p_value) == (0.0, 1.0)
-    assert np.isnan(cost_scale(replace(large, white=None)))
-    with pytest.raises(
-        ValueError, match="the data leave structure no degrees of freedom: nothing can be tested"
-    ):
-        ratio_test(small, replace(large, dof=0.0), ("C_x",), ("limit", "structure"))
 
 
 def test_on_a_bound_half_of_the_statistic_has_one_degree_less():
