@@ -1,13 +1,13 @@
 """What the constants of sine detection and of spectral estimates decide, each at other values than the one in use.
 
-python benchmarks/signal_constants.py [detection] [windows] [polynomials]
+python benchmarks/signal_constants.py [detection] [polynomials]
 
 Detection: of 15 spoiled schedules of six sines and 20 noisy pairs (signal to noise 6 to 100), those
 found entirely; of 24 sweeps, those in which no sine was found, and those that were found as one
 sweep; of 16 signals without a sine (noise, random walks, squares, steps), those in which none of 3
 s was found; and sines of any length found in them.
 
-Windows and polynomials: root mean square error in percent of the response of a resonance of 6
+Polynomials: root mean square error in percent of the response of a resonance of 6
 rad/s, damped by 0.3 and by 0.05, from 12 records of 60 s with a sweep and 12 with white noise,
 output noise 0.02, 12 frequencies from 1.5 to 12 rad/s.
 """
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.signal import freqz, lfilter
 
 from greybox.logs import sine_detection
-from greybox.spectral import composite_windows, local_polynomials
+from greybox.spectral import local_polynomials, sweeps_and_noise
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from resonance_records import RATE, flown_sweep, record, resonance
@@ -42,11 +42,6 @@ DETECTION = {
     "SAMPLES": (2, 4, 16, 40),
     "HEIGHTS": (np.array([0.01]), np.array([0.1]), np.array([0.5]), np.array([0.01, 0.1, 0.5])),
 }
-WINDOWS = {
-    "LEAKAGE_TERMS": (0, 1),
-    "SHARPNESS": (1, 2, 8, 40),
-}
-LENGTHS = np.geomspace(22, 2.75, 5)  # s, from a third of the record to a 24th
 POLYNOMIALS = {
     "TRANSIENT_ORDER": (0, 2),
     "VISIBLE": (0.46, 46.0),
@@ -136,7 +131,7 @@ def detection_row(label):
     )
 
 
-def window_error(damping, kind, windows):
+def response_error(damping, kind):
     b, a = resonance(6.0, damping)
     squares = []
     for seed in range(12):
@@ -144,18 +139,14 @@ def window_error(damping, kind, windows):
         u = rng.standard_normal(60 * RATE) if kind == "noise" else flown_sweep()
         y = lfilter(b, a, u) + 0.02 * rng.standard_normal(u.size)
         omega = np.geomspace(1.5, 12, 12)
-        got = composite_windows.spectral_response(
-            record(u=u, theta=y), omega=omega, windows=windows
-        )
+        got = sweeps_and_noise.spectral_response(record(u=u, theta=y), omega=omega)
         squares.append(np.abs(got.response / freqz(b, a, got.omega / RATE)[1] - 1) ** 2)
     return 100 * math.sqrt(np.mean(squares))
 
 
-def window_row(label, windows=LENGTHS):
+def response_row(label):
     errors = [
-        window_error(damping, kind, windows)
-        for kind in ("sweep", "noise")
-        for damping in (0.3, 0.05)
+        response_error(damping, kind) for kind in ("sweep", "noise") for damping in (0.3, 0.05)
     ]
     print(f"{label:34} " + " ".join(f"{error:10.2f}" for error in errors), flush=True)
 
@@ -171,23 +162,18 @@ def vary(module, constants, row):
 
 
 def main():
-    chosen = sys.argv[1:] or ["detection", "windows", "polynomials"]
+    chosen = sys.argv[1:] or ["detection", "polynomials"]
     if "detection" in chosen:
         print(
             f"{'':34} {'schedules':9} {'noisy':6} {'no sine':8} {'one sweep':10} {'none':8} {'spurious':9}"
         )
         print(f"{'of':34} {15:9} {20:6} {24:8} {24:10} {16:8}")
         vary(sine_detection, DETECTION, detection_row)
-    if "windows" in chosen:
-        print(
-            f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}"
-        )
-        vary(composite_windows, WINDOWS, window_row)
     if "polynomials" in chosen:
         print(
             f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}"
         )
-        vary(local_polynomials, POLYNOMIALS, lambda label: window_row(label, None))
+        vary(local_polynomials, POLYNOMIALS, response_row)
 
 
 if __name__ == "__main__":

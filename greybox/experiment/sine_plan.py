@@ -25,8 +25,8 @@ from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
+from greybox.spectral.estimated_points import HZ
 from greybox.spectral.uniform_stretches import uniform_stretches
-from greybox.spectral.welch import HZ
 
 # A quiet flight has at least this number of periods of the lowest frequency.
 QUIET_PERIODS = 4
@@ -335,7 +335,7 @@ def noise_density(
     input, output = signals
     total = np.zeros(len(omega))
     seconds = 0.0
-    for stretch in uniform_stretches(noise, [input, output], "linear"):
+    for stretch in uniform_stretches(noise, [input, output], detrended=True):
         u, y = stretch.values
         length = stretch.step * u.size
         window = 1 - np.cos(2 * np.pi * (np.arange(u.size) + 0.5) / u.size)  # Hann

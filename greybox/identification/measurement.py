@@ -26,11 +26,11 @@ from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
 from greybox.logs.segment_detection import announcing, find_segments
-from greybox.spectral.composite_windows import spectral_response
 from greybox.spectral.demodulation import METHODS
 from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
+from greybox.spectral.sweeps_and_noise import spectral_response
 from greybox.spectral.test_quality import Finding, Quality, check, jitter
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"

@@ -6,23 +6,22 @@ Sines, one after another
     test gave, with warnings and tables; `harmonic_distortion` finds the harmonics that a linear
     plant does not explain; `pooled_noise` has the noise that several tests have in common.
 Sweeps, noise and multisines
-    Begin with `composite_windows`, whose `spectral_response` is for sweeps and noise: by
-    `local_polynomials` in bands of the transform of the whole record, or by windows of several
-    lengths. `welch` is the estimate with windows of one length, its variance and coherence;
-    `multisine_lines` uses whole periods, and `orthogonal_multisines` has the matrix of responses of
-    several inputs at once; `uniform_stretches` cuts records at gaps.
+    Begin with `sweeps_and_noise`, which uses `local_polynomials` in bands of the transform of the
+    whole record. `multisine_lines` uses whole periods, and `orthogonal_multisines` has the matrix of
+    responses of several inputs at once; `uniform_stretches` cuts records at gaps, and
+    `estimated_points` collects the estimates.
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
     `transients` has their Fourier integrals, which are data of a `Problem`.
 Before the fit
     `test_quality` judges whether a test is worth one; `saturation` finds samples at a limit.
 """
 
-from greybox.spectral.composite_windows import spectral_response as spectral_response
 from greybox.spectral.demodulation import demodulate as demodulate
 from greybox.spectral.frequency_points import FiniteFrequency as FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response as periodic_response
 from greybox.spectral.orthogonal_multisines import response_matrix as response_matrix
 from greybox.spectral.single_sine import finite_frequency as finite_frequency
+from greybox.spectral.sweeps_and_noise import spectral_response as spectral_response
 from greybox.spectral.test_quality import Quality as Quality
 from greybox.spectral.test_quality import check as check
 from greybox.spectral.transients import transient_spectrum as transient_spectrum

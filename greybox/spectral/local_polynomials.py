@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.spectral.estimated_points import EPS, HZ, STRONG, WORST_CONDITION, EstimatedPoint
 from greybox.spectral.uniform_stretches import UniformStretch
-from greybox.spectral.welch import EPS, HZ, STRONG, WORST_CONDITION, WindowedPoint
 
 # Order of the response in a band. The error of order R in a band of half-width b beside a pole at the
 # distance ρ is proportional to (b/ρ)**(R + 1), but 2R + 2 unknowns need more lines and so a wider
@@ -209,7 +209,7 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
 
 def tiled_points(
     lines: Lines, low: float, high: float, points: int
-) -> tuple[Array, list[WindowedPoint]]:
+) -> tuple[Array, list[EstimatedPoint]]:
     """Return frequencies between `low` and `high`, and the estimates there.
 
     If the response is smooth, there are about `points`, log spaced; more where it is not, and fewer
@@ -224,7 +224,7 @@ def tiled_points(
     return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
 
 
-def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
+def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
     """Return the estimates at `omega` (n,), each from a band that reaches halfway to its neighbors.
 
     If frequencies are closer than the resolution, the bands overlap and the errors of neighbors are
@@ -241,7 +241,7 @@ def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
         bands.append(_centered(lines, center, half, widths))
     fitted = [band for band in bands if band is not None]
     return [
-        _estimates(lines, band, fitted, widths)[0] if band else WindowedPoint() for band in bands
+        _estimates(lines, band, fitted, widths)[0] if band else EstimatedPoint() for band in bands
     ]
 
 
@@ -487,11 +487,11 @@ def _with_pole(
 
 def _estimates(
     lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths
-) -> list[WindowedPoint]:
+) -> list[EstimatedPoint]:
     """Return the estimates of a band at its frequencies."""
     densities = _noise(lines, band, bands, widths)
     if densities is None:
-        return [WindowedPoint()] * band.omega.size
+        return [EstimatedPoint()] * band.omega.size
     noise, input_noise, dof = densities
 
     fitted = band.fitted
@@ -503,7 +503,9 @@ def _estimates(
     coherence = _coherence(lines, fitted, noise)
     weak = STRONG * spread * input_noise > 1
     return [
-        WindowedPoint(weak=True) if hidden else WindowedPoint(complex(p), float(v), dof, coherence)
+        EstimatedPoint(weak=True)
+        if hidden
+        else EstimatedPoint(complex(p), float(v), dof, coherence)
         for p, v, hidden in zip(response, np.maximum(variance, rounding), weak, strict=True)
     ]
 

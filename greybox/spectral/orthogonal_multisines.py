@@ -14,8 +14,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
-from greybox.spectral.multisine_lines import EXCITED, whole_periods
-from greybox.spectral.uniform_stretches import uniform_stretches
+from greybox.spectral.multisine_lines import EXCITED, period_spectra
 
 # Condition number of that system, with rows and columns of length one, at which the effects of the
 # inputs cannot be separated: an error of 0.1 % in the inputs then becomes 10 % in the responses.
@@ -70,15 +69,7 @@ def response_matrix(
         raise ValueError(
             f"there are {len(excitations)} excitations for {len(inputs)} inputs: give one for each."
         )
-    stretches = [
-        whole_periods(s, period)
-        for s in uniform_stretches(records, (*inputs, *outputs, *excitations), "none")
-    ]
-    stretches = [s for s in stretches if s.values.shape[1]]
-    periods = [
-        np.split(s.values, round(s.values.shape[1] * s.step / period), axis=1) for s in stretches
-    ]
-    spectra = np.array([np.fft.rfft(p, axis=1)[:, 1:-1] for stretch in periods for p in stretch])
+    stretches, spectra = period_spectra(records, period, (*inputs, *outputs, *excitations))
     if len(spectra) < 3:
         raise ValueError(
             f"the records hold {counted(len(spectra), 'whole period')} of {period:g} s, and a variance "

@@ -52,7 +52,7 @@ def transient_spectrum(
     inputs = (inputs,) if isinstance(inputs, str) else tuple(inputs)
     outputs = (outputs,) if isinstance(outputs, str) else tuple(outputs)
     names = (*inputs, *outputs)
-    stretches = uniform_stretches(record, names, "none")
+    stretches = uniform_stretches(record, names)
     if len(stretches) > 1:
         raise ValueError(
             f"{record.name or 'the record'} has {len(stretches)} stretches between gaps: cut out one "

@@ -30,7 +30,7 @@ class UniformStretch(NamedTuple):
 
 
 def uniform_stretches(
-    records: Record | Sequence[Record], signals: Sequence[str], detrend: str
+    records: Record | Sequence[Record], signals: Sequence[str], *, detrended: bool = False
 ) -> list[UniformStretch]:
     """Cut records at gaps and missing samples.
 
@@ -39,8 +39,8 @@ def uniform_stretches(
     records : Record or sequence of Record
     signals : sequence of str
         Rows of the values; only samples at which all are present are used.
-    detrend : {"linear", "constant", "none"}
-        Trend that is removed from each stretch.
+    detrended : bool
+        Remove the straight line of least squares from each stretch.
 
     Raises
     ------
@@ -50,9 +50,6 @@ def uniform_stretches(
     KeyError
         For a signal that a record does not hold.
     """
-    if detrend not in ("linear", "constant", "none"):
-        raise ValueError(f"detrend {detrend!r} is not known: use 'linear', 'constant' or 'none'.")
-
     stretches = []
     for record in [records] if isinstance(records, Record) else records:
         require_time(record, "a frequency response")
@@ -65,7 +62,7 @@ def uniform_stretches(
                     _check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
                     stretch = UniformStretch(
-                        _detrended(values[:, rows], detrend),
+                        _without_trend(values[:, rows]) if detrended else values[:, rows],
                         piece.step,
                         record.source,
                         origin,
@@ -99,11 +96,7 @@ def _check_uniform(time: Array, record: Record) -> None:
         )
 
 
-def _detrended(values: Array, detrend: str) -> Array:
-    if detrend == "none":
-        return values
+def _without_trend(values: Array) -> Array:
     centered = values - values.mean(axis=1, keepdims=True)
-    if detrend == "constant":
-        return centered
     ramp = np.linspace(-1, 1, values.shape[1])
     return centered - np.outer(centered @ ramp / (ramp @ ramp), ramp)

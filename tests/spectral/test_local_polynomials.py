@@ -10,7 +10,7 @@ from scipy.signal import freqz, lfilter
 
 from greybox.data.record import Record
 from greybox.spectral import local_polynomials
-from greybox.spectral.composite_windows import spectral_response
+from greybox.spectral.sweeps_and_noise import spectral_response
 from greybox.spectral.uniform_stretches import UniformStretch
 
 

@@ -8,7 +8,6 @@ from scipy.signal import freqz, lfilter
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record
 from greybox.experiment.multisine import multisine
-from greybox.spectral.composite_windows import spectral_response
 from greybox.spectral.multisine_lines import periodic_response, whole_periods
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -54,17 +53,76 @@ def test_scatter_of_periods_covers():
     np.testing.assert_allclose(got.dof, 12)
 
 
-def test_periodic_and_windowed_estimates_agree():
-    b, a = resonance()
-    made = multisine(1.0, 20.0, 10.0, RATE, periods=12)
-    rng = np.random.default_rng(3)
-    flown = record(
-        u=made["u"], theta=lfilter(b, a, made["u"]) + 0.05 * rng.standard_normal(made.time.size)
+@pytest.mark.parametrize("joint", [False, True])
+def test_an_estimate_is_that_of_its_matrices(joint):
+    """With a second input, by matrices that are written out."""
+    rng = np.random.default_rng(2)
+    n, count, line = 15, 20, 3
+    u, other, r, v = rng.standard_normal((4, n, count))
+    u += 3 * np.sin(2 * math.pi * line / count * np.arange(count))
+    signals = {"u": u, "other": other, "r": u + r if joint else u, "theta": 2 * u + other + v}
+    period = count / RATE
+    got = periodic_response(
+        record(**{name: x.ravel() for name, x in signals.items()}),
+        period,
+        instrument="r",
+        conditioned=["other"],
+        omega=[2 * math.pi * line / period],
     )
-    exact = periodic_response(flown.between(20.0, 1e9), 10.0)
-    windowed = spectral_response(flown, omega=exact.omega, windows=[20.0])
-    difference = np.abs(exact.response - windowed.response)
-    assert np.mean(difference < 3 * np.sqrt(exact.variance + windowed.variance)) > 0.95
+
+    wave = np.exp(-2j * math.pi * line / count * np.arange(count))
+    x = np.array([u @ wave, other @ wave]).T
+    z = np.array([signals["r"] @ wave, other @ wave]).T
+    y = signals["theta"] @ wave
+    solution = np.linalg.solve(z.conj().T @ x, z.conj().T)
+    q = np.eye(n) - x @ solution
+    m = q @ q.conj().T
+    noise = np.linalg.norm(q @ y) ** 2 / np.trace(m).real
+    assert got.response == pytest.approx(solution[0] @ y)
+    assert got.dof == pytest.approx(2 * np.trace(m).real ** 2 / np.trace(m @ m).real)
+    assert got.variance == pytest.approx(noise * np.linalg.norm(solution[0]) ** 2)
+
+    def partial(signal):
+        return signal - x[:, 1] * np.vdot(x[:, 1], signal) / np.vdot(x[:, 1], x[:, 1])
+
+    pairs = [(partial(z[:, 0]), partial(v)) for v in (y, x[:, 0])]
+    shares = [abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a) * np.vdot(b, b)).real for a, b in pairs]
+    assert got.coherence == pytest.approx(min(shares))
+
+
+@pytest.mark.parametrize(("factor", "weak"), [(0.98, False), (1.02, True)])
+def test_an_instrument_is_weak_if_it_explains_less_than_ten_times_the_noise(factor, weak):
+    """What it explains of the input is |rᴴu|²/|r|², and the noise the rest over n - 1."""
+    rng = np.random.default_rng(6)
+    n = 12
+    r, noise = rng.standard_normal((2, n)) + 1j * rng.standard_normal((2, n))
+    noise -= r * np.vdot(r, noise) / np.vdot(r, r)
+    noise *= np.linalg.norm(r) * math.sqrt((n - 1) / 10) * factor / np.linalg.norm(noise)
+    u = r + noise
+
+    def periods(amplitudes):
+        """One line, the third of twenty samples, and another one that only the instrument has."""
+        k = np.arange(20)
+        waves = np.outer(amplitudes, np.exp(6j * math.pi * k / 20)).real
+        return (waves + 10 * np.cos(2 * math.pi * k / 20)).ravel()
+
+    data = record(u=periods(u), theta=periods(2 * u + 0.01 * r.conj()), r=periods(r))
+    lines = 2 * math.pi * RATE / 20 * np.array([1, 3])
+    if weak:
+        got = periodic_response(data, 20 / RATE, instrument="r", omega=lines)
+        assert got.omega == pytest.approx(lines[:1])
+        assert "hardly moves u" in got.about["dropped"]
+    else:
+        got = periodic_response(data, 20 / RATE, instrument="r", omega=lines)
+        assert got.omega == pytest.approx(lines)
+
+
+def test_inputs_that_cannot_be_separated_have_no_estimate():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(200)
+    data = record(u=u, other=2 * u, theta=u + 0.1 * rng.standard_normal(200))
+    with pytest.raises(ValueError, match="no frequency has enough data"):
+        periodic_response(data, 20 / RATE, conditioned=["other"])
 
 
 @pytest.mark.parametrize(
@@ -73,6 +131,7 @@ def test_periodic_and_windowed_estimates_agree():
         (lambda r: periodic_response(r, 3.001), "whole number"),
         (lambda r: periodic_response(r, 15.0), "fewer than three periods"),
         (lambda r: periodic_response(r, 2.0, omega=[4.0]), "not a multiple"),
+        (lambda r: periodic_response(r, 2.0, omega=[math.pi * 50]), "half of the sampling"),
     ],
 )
 def test_mistakes_are_sentences(call, words):

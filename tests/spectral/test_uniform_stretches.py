@@ -11,20 +11,17 @@ RAMP = 3 + 2 * TIME
 def test_stretches_are_cut_at_gaps_and_missing_samples():
     time = np.where(TIME < 1, TIME, TIME + 5)
     hole = np.where(np.arange(100) == 20, np.nan, np.sin(time))
-    stretches = uniform_stretches(
-        Record(time, {"u": RAMP, "y": hole}, source="a.bin"), ["u", "y"], "none"
-    )
+    stretches = uniform_stretches(Record(time, {"u": RAMP, "y": hole}, source="a.bin"), ["u", "y"])
     assert [s.values.shape for s in stretches] == [(2, 20), (2, 29), (2, 50)]
     np.testing.assert_array_equal(stretches[2].values[0], RAMP[50:])
     assert {s.source for s in stretches} == {"a.bin"}
     assert stretches[0].step == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize(("detrend", "degree"), [("constant", 0), ("linear", 1)])
-def test_what_is_removed_is_a_polynomial_fitted_by_least_squares(detrend, degree):
+def test_the_line_of_least_squares_is_removed():
     values = np.random.default_rng(0).standard_normal(100) + RAMP
-    (stretch,) = uniform_stretches(Record(TIME, {"u": values}), ["u"], detrend)
-    fitted = np.polyval(np.polyfit(TIME, values, degree), TIME)
+    (stretch,) = uniform_stretches(Record(TIME, {"u": values}), ["u"], detrended=True)
+    fitted = np.polyval(np.polyfit(TIME, values, 1), TIME)
     np.testing.assert_allclose(stretch.values[0], values - fitted, atol=1e-12)
 
 
@@ -35,20 +32,20 @@ def test_a_time_base_may_be_off_by_a_twentieth_of_a_step(share, accepted, start)
     time[30] += share * JITTER * 0.02
     flown = Record(time, {"u": RAMP}, name="flight")
     if accepted:
-        assert len(uniform_stretches(flown, ["u"], "none")) == 1
+        assert len(uniform_stretches(flown, ["u"])) == 1
     else:
         with pytest.raises(
             ValueError,
             match=rf"flight is not uniformly sampled \(1.1 ms off at {start + 0.6:.2f} s\)",
         ):
-            uniform_stretches(flown, ["u"], "none")
+            uniform_stretches(flown, ["u"])
 
 
 def test_a_stretch_says_where_it_comes_from():
     record = Record(
         10 + TIME, {"u": RAMP, "y": np.where(TIME < 0.5, np.nan, RAMP)}, {"u": "N"}, source="a.bin"
     )
-    (stretch,) = uniform_stretches([record], ["u", "y"], "none")
+    (stretch,) = uniform_stretches([record], ["u", "y"])
     assert (stretch.origin.start, stretch.origin.end) == (10.5, record.time[-1])
     assert stretch.origin.checksum == record.checksum
     assert (stretch.source, dict(stretch.units)) == ("a.bin", {"u": "N"})
@@ -57,26 +54,17 @@ def test_a_stretch_says_where_it_comes_from():
 def test_single_samples_are_no_stretch_and_constants_no_signal():
     lost = RAMP.copy()
     lost[[1, 3, 6]] = np.nan  # leaves one sample, one, and two before the rest
-    sizes = [s.values.shape[1] for s in uniform_stretches(Record(TIME, {"u": lost}), ["u"], "none")]
+    sizes = [s.values.shape[1] for s in uniform_stretches(Record(TIME, {"u": lost}), ["u"])]
     assert sizes == [2, 93]
     for size, moves in ((1e-11, True), (1e-13, False)):
         still = Record(TIME, {"u": RAMP, "y": size * (np.arange(100) % 2)})
         if moves:
-            assert len(uniform_stretches(still, ["u", "y"], "none")) == 1
+            assert len(uniform_stretches(still, ["u", "y"])) == 1
         else:
             with pytest.raises(ValueError, match=r"^y does not change in these records"):
-                uniform_stretches(still, ["u", "y"], "none")
+                uniform_stretches(still, ["u", "y"])
     # It is enough that it changes in one of them.
     parts = [Record(TIME, {"u": RAMP}), Record(TIME, {"u": np.ones(100)})]
-    assert len(uniform_stretches(parts, ["u"], "none")) == 2
+    assert len(uniform_stretches(parts, ["u"])) == 2
     with pytest.raises(ValueError, match="there are no samples in which u, y are all present"):
-        uniform_stretches(
-            Record(TIME, {"u": RAMP, "y": np.full(100, np.nan)}), ["u", "y", "u"], "none"
-        )
-
-
-def test_what_is_to_be_removed_is_one_of_three():
-    with pytest.raises(
-        ValueError, match="detrend 'cubic' is not known: use 'linear', 'constant' or 'none'"
-    ):
-        uniform_stretches(Record(TIME, {"u": RAMP}), ["u"], "cubic")
+        uniform_stretches(Record(TIME, {"u": RAMP, "y": np.full(100, np.nan)}), ["u", "y", "u"])

@@ -1,0 +1,102 @@
+"""The estimates at all frequencies, collected into a `FrequencyResponse`."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array, BoolArray
+from greybox.files.text_table import counted
+from greybox.spectral.uniform_stretches import UniformStretch
+
+HZ = 2 * math.pi  # rad/s
+EPS = np.finfo(float).eps
+
+# Power of the part of the input that the instrument explains, over the power of the noise in it. With
+# less, the ratio is biased toward the direct estimate and its standard error is too small (Staiger
+# and Stock (1997), Econometrica 65: the F statistic of the first stage).
+STRONG = 10
+
+COHERENT = 0.6  # least coherence of an automatic point: Tischler and Remple, section 5.5
+
+# Largest condition number of the normal equations with columns of length one. Rounding errors of the
+# solution reach this times 2e-16.
+WORST_CONDITION = 1e6
+
+
+class EstimatedPoint(NamedTuple):
+    """The estimate at one frequency; NaN if there are too few data or the instrument is `weak`."""
+
+    response: complex = complex("nan")
+    variance: float = math.nan
+    dof: float = math.nan
+    coherence: float = math.nan
+    weak: bool = False
+
+
+def response_at(
+    omega: Array,
+    estimates: Sequence[EstimatedPoint],
+    names: tuple[str, str, str],
+    stretches: Sequence[UniformStretch],
+) -> FrequencyResponse:
+    """Return the points that could be estimated; `names` are those of input, output and response.
+
+    Points where the instrument is too weak are left out, and `about` says so.
+
+    Raises
+    ------
+    ValueError
+        If no point could be estimated.
+    """
+    response, variance, dof, coherence, weak = (
+        np.array(column) for column in zip(*estimates, strict=True)
+    )
+    good = np.isfinite(variance)
+    input, output, name = names
+    if not good.any() and weak.any():
+        raise ValueError(
+            f"the instrument hardly moves {input}: at no frequency is its effect {STRONG} times as "
+            "strong as the noise; excite more strongly or longer, or use another instrument."
+        )
+    if not good.any():
+        raise ValueError("no frequency has enough data for a variance: record longer.")
+
+    about = {}
+    if weak.any():
+        about["dropped"] = _dropped(omega, weak, f"where the instrument hardly moves {input}")
+    return FrequencyResponse(
+        omega[good],
+        response[good],
+        input,
+        output,
+        coherence[good],
+        variance[good],
+        dof[good],
+        name,
+        ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
+        [s.origin for s in stretches if s.origin is not None],
+        {n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u},
+        about=about,
+    )
+
+
+def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
+    """Leave out points of low coherence and say so in `about`; if all are low, keep them."""
+    coherent = response.coherence >= COHERENT  # type: ignore[operator]
+    if not coherent.any() or coherent.all():
+        return response
+    text = _dropped(response.omega, ~coherent, f"of a coherence below {COHERENT}")
+    earlier = [response.about["dropped"]] if "dropped" in response.about else []
+    return replace(
+        response.where(coherent), about={**response.about, "dropped": "; ".join([*earlier, text])}
+    )
+
+
+def _dropped(omega: Array, gone: BoolArray, why: str) -> str:
+    low, high = omega[gone].min(), omega[gone].max()
+    place = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
+    return f"{gone.sum()} of {counted(omega.size, 'point')}, {why}, at {place}"

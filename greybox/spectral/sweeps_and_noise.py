@@ -1,0 +1,154 @@
+"""Frequency responses of sweeps and noise, by local polynomials over the excited band."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record
+from greybox.files.arrays import Array
+from greybox.spectral.estimated_points import HZ, response_at, without_incoherent
+from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
+from greybox.spectral.uniform_stretches import uniform_stretches
+
+# Fewest periods in the longest stretch: below, a band of polynomials would reach the frequencies
+# that removing a trend changes.
+LOWEST = 6
+
+HIGHEST = 0.4  # of the sampling rate
+
+SMOOTHED = 0.3  # width of the band over which the excitation is averaged, over its frequency
+
+# The excitation ends 20 dB below the largest ω S(ω), which a logarithmic sweep keeps constant. For
+# white noise of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03,
+# at 0.17 Hz with 0.01, and with 0.003 it extends to 15 Hz, where the output is noise.
+EXCITED = 0.01
+
+# The estimator for a short record of one doublet, 2-1-1 or step.
+FOR_MANOEUVRES = "gb.spectral.transient_spectrum, which needs only one period"
+
+
+def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
+    records: Record | Sequence[Record],
+    input: str = "u",
+    output: str = "theta",
+    *,
+    instrument: str | None = None,
+    conditioned: Sequence[str] = (),
+    omega: ArrayLike | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 40,
+    name: str = "",
+) -> FrequencyResponse:
+    """Estimate a frequency response from sweeps or noise.
+
+    Response and transients are polynomials in bands of the transform of the whole record (see
+    `greybox.spectral.local_polynomials`). Bands become narrower until the polynomials hold. Each
+    gives three points whose errors are independent, so that a likelihood may use them.
+
+    Stretches between gaps or missing samples are transformed separately and used together, as are
+    several records. A straight line is removed from each stretch.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        Uniformly sampled.
+    input, output : str
+    instrument : str, optional
+        The injected signal, for the joint input-output estimate; without it, the direct one.
+    conditioned : sequence of str
+        Further inputs that act on the output and are correlated with this one; their effect is
+        removed (partial coherence, Bendat and Piersol, section 7.3).
+    omega : (n,) array, rad/s, optional
+        By default, frequencies where the excitation is strong. If they are closer than the
+        resolution, about 8 / duration in Hz for a band of three points, the errors of neighbors are
+        correlated.
+    band : (low, high), rad/s, optional
+        Band of the estimate, as far as the record resolves it; by default, where the excitation is
+        strong.
+    points : int
+        Approximate number of frequencies: fewer where the record does not resolve them, more at
+        resonances.
+    name : str
+        Name of the response.
+
+    Returns
+    -------
+    FrequencyResponse
+        With coherence, variance E|P̂ - P|² and its degrees of freedom. Points are left out where too
+        little remains to estimate the noise, or where the instrument hardly moves the input. The
+        coherence is partial, without transients and conditioned inputs; with an instrument, it is
+        the lower of its coherences with input and output. The variance assumes stationary noise.
+
+    Raises
+    ------
+    ValueError
+        If the records are too short or not uniform, or a frequency has fewer than six periods in
+        the longest stretch.
+    KeyError
+        For a signal that a record does not hold.
+    """
+    signals = [input, output, instrument or input, *conditioned]
+    stretches = uniform_stretches(records, signals, detrended=True)
+    longest = max(s.values.shape[1] * s.step for s in stretches)
+    lowest = LOWEST * HZ / longest
+    lines = lines_of(stretches)
+    if omega is None:
+        limits = (lowest, HIGHEST * HZ / max(s.step for s in stretches))
+        ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
+        grid, estimated = tiled_points(lines, *ends, max(points, 2))
+    else:
+        grid = np.atleast_1d(np.asarray(omega, dtype=float))
+        _check_periods(grid, lowest, longest)
+        estimated = points_at(lines, grid)
+
+    response = response_at(grid, estimated, (input, output, name), stretches)
+    return response if omega is not None else without_incoherent(response)
+
+
+def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[float, float]:
+    """Return the part of a band that the records resolve."""
+    low, high = band
+    if not 0 < low < high < math.inf:
+        raise ValueError(f"the band must be increasing: got {low:g} to {high:g} rad/s.")
+    if not max(low, lowest) < min(high, highest):
+        raise ValueError(
+            f"these records resolve {lowest:.4g} to {highest:.4g} rad/s, not the band from {low:.4g} "
+            f"to {high:.4g} rad/s: choose another band, record longer or faster, or use "
+            f"{FOR_MANOEUVRES}."
+        )
+    return max(low, lowest), min(high, highest)
+
+
+def _check_periods(omega: Array, lowest: float, longest: float) -> None:
+    too_low = omega[~(omega >= lowest * (1 - 1e-9))]
+    if too_low.size:
+        raise ValueError(
+            f"omega = {too_low[0]:g} rad/s has fewer than {LOWEST} periods in the longest stretch, "
+            f"{longest:.4g} s: leave out frequencies below {lowest:.4g} rad/s, record longer, or use "
+            f"{FOR_MANOEUVRES}."
+        )
+
+
+def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, float]:
+    """Return the band around the strongest excitation, up to the first gap in it on either side."""
+    if lowest >= highest:
+        raise ValueError(
+            f"the records are too short: their lowest frequency, {lowest:.4g} rad/s, is above the "
+            f"highest that the sampling allows, {highest:.4g} rad/s; record longer, or use "
+            f"{FOR_MANOEUVRES}."
+        )
+    fine = np.geomspace(lowest, highest, 200)
+    reach = np.maximum(fine * SMOOTHED / 2, 2 * lines.spacing)  # noise has holes by chance
+    first = np.searchsorted(lines.omega, fine - reach)
+    last = np.searchsorted(lines.omega, fine + reach)
+    total = np.concatenate([[0.0], np.cumsum(np.abs(lines.values[2]) ** 2)])
+    power = fine * (total[last] - total[first]) / (last - first)
+
+    weak = np.flatnonzero(power < EXCITED * power.max())
+    strongest = int(power.argmax())
+    first_strong = int(max(weak[weak < strongest], default=-1)) + 1
+    last_strong = int(min(weak[weak > strongest], default=fine.size)) - 1
+    return float(fine[first_strong]), float(fine[last_strong])

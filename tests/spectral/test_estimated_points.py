@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.spectral.estimated_points import EstimatedPoint, response_at, without_incoherent
+from greybox.spectral.uniform_stretches import UniformStretch
+
+
+def points(*kinds):
+    known = [
+        EstimatedPoint(2.0 + k * 1j, 0.1 * (k + 1), 8.0 + k, 0.5 + 0.1 * k)
+        for k in range(len(kinds))
+    ]
+    other = {"weak": EstimatedPoint(weak=True), "lost": EstimatedPoint()}
+    return [other.get(kind, point) for kind, point in zip(kinds, known, strict=True)]
+
+
+def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
+    omega = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    origin = Stretch("x", 1.0, 2.0)
+    stretches = [
+        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {"u": "N", "y": "", "z": "m"}),
+        UniformStretch(np.zeros((2, 2)), 0.1, "b.bin", None, {"y": "m"}),
+        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin),
+    ]
+    found = response_at(
+        omega, points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches
+    )
+    np.testing.assert_allclose(found.omega, [1, 3])
+    np.testing.assert_allclose(found.response, [2, 2 + 2j])
+    np.testing.assert_allclose(found.variance, [0.1, 0.3])
+    np.testing.assert_allclose(found.dof, [8, 10])
+    np.testing.assert_allclose(found.coherence, [0.5, 0.7])
+    assert (found.input, found.output, found.name, found.source) == (
+        "u",
+        "y",
+        "name",
+        "a.bin, b.bin",
+    )
+    assert list(found.stretches) == [origin, origin]
+    assert dict(found.units) == {"u": "N"}
+    assert found.about == {
+        "dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"
+    }
+    one = response_at(omega[:2], points("", "weak"), ("u", "y", ""), [])
+    assert one.about == {
+        "dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"
+    }
+    assert response_at(omega[:2], points("", "lost"), ("u", "y", ""), []).about == {}
+    with pytest.raises(ValueError, match="the instrument hardly moves u"):
+        response_at(omega[:2], points("weak", "lost"), ("u", "y", ""), [])
+    with pytest.raises(ValueError, match="no frequency has enough data"):
+        response_at(omega[:2], points("lost", "lost"), ("u", "y", ""), [])
+
+
+def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
+    omega = np.arange(1.0, 5.0)
+
+    def response(coherence, **about):
+        return FrequencyResponse(omega, np.ones(4), coherence=np.array(coherence), about=about)
+
+    left = without_incoherent(response([0.59, 0.6, 0.9, 0.2]))
+    assert left.omega.tolist() == [2, 3]
+    assert left.about["dropped"] == "2 of 4 points, of a coherence below 0.6, at 1 to 4 rad/s"
+    left = without_incoherent(response([0.9, 0.3, 0.9, 0.9], dropped="a", test="b"))
+    assert left.about == {
+        "dropped": "a; 1 of 4 points, of a coherence below 0.6, at 2 rad/s",
+        "test": "b",
+    }
+    for same in ([0.1, 0.2, 0.3, 0.4], [0.6, 0.7, 0.8, 0.9]):
+        whole = response(same)
+        assert without_incoherent(whole) is whole
