@@ -24,7 +24,6 @@ loads neither pymavlink nor h5py nor scipy.
 | `messages` | messages of one type, and the records made of them |
 | `time_stamps` | clock restarts, impossible and repeated stamps, gaps |
 | `controller_outputs` | signals that a controller holds |
-| `mapped_file` | files that are mapped into memory |
 """
 
 from collections.abc import Callable, Collection, Mapping

@@ -1,4 +1,4 @@
-"""ArduPilot DataFlash logs, binary (.BIN): decoded piece by piece of the file, one column at a time.
+"""ArduPilot DataFlash logs, binary (.BIN): decoded one column at a time.
 
 `dataflash_index` finds the messages in the file; what the numbers mean (scales of the format
 letters, unit and multiplier tables) follows pymavlink, and the values are equal to pymavlink's to
@@ -8,7 +8,6 @@ the last bit.
 import hashlib
 import mmap
 from collections.abc import Collection, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 from greybox.data.record import Recording
 from greybox.files.arrays import Array, IntArray
 from greybox.files.progress import counted_off
+from greybox.files.text_table import counted
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, text
+from greybox.logs.readers.dataflash_index import Bytes, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.mapped_file import release
 from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
 # About the log or the vehicle: no time histories.
@@ -57,7 +56,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     log, damage = _contents(data, messages)
-    return recording(log, path, _checksum(data), messages, damage)
+    return recording(log, path, hashlib.sha256(data).hexdigest(), messages, damage)
 
 
 def recording(
@@ -85,136 +84,62 @@ def recording(
     return Recording(by_name, path.name, checksum, metadata, findings)
 
 
-def _checksum(data: mmap.mmap) -> str:
-    digest = hashlib.sha256()
-    for start in range(0, len(data), PIECE):
-        digest.update(data[start : start + PIECE])
-        release(data, start, start + PIECE)
-    return digest.hexdigest()
-
-
-def _contents(data: mmap.mmap, messages: Collection[str] | None) -> tuple[Clocked, tuple[str, ...]]:
-    """Return the messages on one clock, those that are requested with their columns, and the damage."""
+def _contents(data: Bytes, messages: Collection[str] | None) -> tuple[Clocked, tuple[str, ...]]:
+    """Return the messages on one clock, those that are requested with their columns, and findings."""
     positions = index(data)
-    damage = _damage(positions)
-    types, stamps = _decoded(data, positions, messages)
-    del positions  # of a log of gigabytes, it takes as much memory as a message or two
-    types = [columns for columns in types if columns.count]
-    tables = UnitTables(
-        columns.messages(Units({}, ""), stamps)
-        for columns in types
-        if columns.layout.name in TABLES
-    )
-    groups = [
-        columns.messages(tables.of(columns.layout), stamps)
-        for columns in types
-        if columns.layout.name not in TABLES
-    ]
-    del types
-    return on_one_clock(groups, stamps), (*damage, *tables.findings)
+    order = np.argsort(positions.which, kind="stable")
+    counts = np.bincount(positions.which, minlength=len(positions.layouts))
+    rows = dict(zip(positions.layouts, np.split(order, np.cumsum(counts)[:-1]), strict=True))
+
+    def decoded(layout: Layout, units: Units) -> Messages:
+        return _decoded(
+            data, layout, positions.offsets[rows[layout]], rows[layout], units, messages
+        )
+
+    present = [layout for layout in rows if rows[layout].size]
+    tables = UnitTables(decoded(x, Units({}, "")) for x in present if x.name in TABLES)
+    # The unit tables are written again and again, with any time: they take no part in the clock.
+    timed = [layout for layout in present if layout.name not in TABLES]
+    groups = [decoded(x, tables.of(x)) for x in counted_off(timed, "decoding", "message")]
+    return on_one_clock(groups), (*_damage(positions), *tables.findings)
 
 
 def _decoded(
-    data: mmap.mmap, positions: Index, messages: Collection[str] | None
-) -> "tuple[list[_Columns], Array]":
-    """Decode the types that are requested, of the others the times; return columns, and all times, s.
+    data: Bytes,
+    layout: Layout,
+    offsets: IntArray,
+    order: IntArray,
+    units: Units,
+    messages: Collection[str] | None,
+) -> Messages:
+    """Return the messages of one layout, of those that are not requested only the times.
 
-    It goes piece by piece through the file, so that nothing else of it is ever in memory.
+    The clock of the whole log needs these.
     """
-    counts = np.bincount(positions.which, minlength=len(positions.layouts))
-    types = [
-        _Columns(data, layout, count, _is_wanted(layout.name, messages))
-        for layout, count in zip(positions.layouts, counts.tolist(), strict=True)
-    ]
-    is_timed = np.array([columns.is_timed for columns in types], dtype=bool)
-    stamps = np.empty(int(counts[is_timed].sum()))
-    timed_count = 0
-    edges = np.arange(PIECE, len(data) + PIECE, PIECE)
-    ends = np.searchsorted(positions.offsets, edges).tolist()
-    for piece, (first, last) in enumerate(
-        counted_off([*pairwise([0, *ends])], "decoding", "piece")
-    ):
-        which = positions.which[first:last]
-        offsets = positions.offsets[first:last].astype(np.int64)
-        numbers = timed_count + np.cumsum(is_timed[which])
-        for k in np.unique(which).tolist():
-            rows = np.flatnonzero(which == k)
-            order = numbers[rows] - 1 if is_timed[k] else rows + first
-            types[k].decode(offsets[rows], order, stamps)
-        timed_count = int(numbers[-1]) if numbers.size else timed_count
-        release(data, (piece - 1) * PIECE, (piece + 1) * PIECE)
-    return types, stamps
+    # A view of a body at every byte of the file: an index copies only the messages of this layout.
+    size = len(data) - layout.length + 1
+    bodies = np.ndarray((size,), layout.dtype, data, 3, (1,))[offsets]
+    timer = clock_column(layout)
+    time = None
+    columns: dict[str, Array] = {}
+    texts: dict[str, list[str]] = {}
+    for i, (name, letter) in enumerate(zip(layout.columns, layout.format, strict=True)):
+        values = bodies[f"f{i}"]
+        if name == timer:
+            time = values / CLOCKS.get(name, 1e3)
+        elif not _is_wanted(layout.name, messages):
+            continue
+        elif letter in "nNZ":
+            texts[name] = [text(value) for value in values.tolist()]
+        elif letter != "a":  # arrays, of files and of raw samples of the IMU
+            columns[name] = _numbers(values, layout.scale(i))
+    return Messages(layout.name, order, time, columns, texts, units.columns, units.instance)
 
 
 def _is_wanted(name: str, messages: Collection[str] | None) -> bool:
     if messages is None:
         return name != "FILE"  # whole files of the vehicle, as text
     return name in {*messages, *ALWAYS, *TABLES}
-
-
-class _Columns:
-    """The columns of all messages of one layout, filled from one piece of the file after the other.
-
-    Messages that are not wanted give their times alone, to the stamps of the log, which are the
-    times of all timed messages by their number. The unit tables take no part in that: they are
-    written again and again, with any time.
-    """
-
-    def __init__(self, data: mmap.mmap, layout: Layout, count: int, is_wanted: bool) -> None:
-        self.layout = layout
-        self.count = count
-        self._is_wanted = is_wanted
-        self._timer = clock_column(layout)
-        self.is_timed = bool(self._timer) and layout.name not in TABLES
-        # A view of a body at every byte of the file: indexing one of its fields copies only the
-        # messages of this layout.
-        size = max(len(data) - layout.length + 1, 0)
-        self._bodies = (
-            np.ndarray((size,), layout.dtype, data, 3, (1,)) if count else np.empty(0, layout.dtype)
-        )
-        rows = count if is_wanted else 0
-        self._filled = 0
-        self._order = np.empty(rows, dtype=np.int32 if len(data) < 2**31 else np.int64)
-        self._texts: dict[str, list[str]] = {}
-        self._columns: dict[str, Array] = {}
-        for name, letter in zip(layout.columns, layout.format, strict=True):
-            if name == self._timer or not is_wanted:
-                continue
-            if letter in "nNZ":
-                self._texts[name] = []
-            elif letter != "a":  # arrays, of files and of raw samples of the IMU
-                self._columns[name] = np.empty(rows)
-
-    def decode(self, offsets: IntArray, order: IntArray, stamps: Array) -> None:
-        """Decode the messages at these offsets, with these numbers."""
-        rows = slice(self._filled, self._filled + order.size)
-        for i, name in enumerate(self.layout.columns):
-            field = self._bodies[f"f{i}"]
-            if name == self._timer and self.is_timed:
-                stamps[order] = field[offsets] / CLOCKS.get(name, 1e3)
-            elif name in self._texts:
-                self._texts[name] += [text(value) for value in field[offsets].tolist()]
-            elif name in self._columns:
-                self._columns[name][rows] = _numbers(field[offsets], self.layout.scale(i))
-        if self._is_wanted:
-            self._order[rows] = order
-            self._filled += order.size
-
-    def messages(self, units: Units, stamps: Array) -> Messages:
-        """Return the messages; of those that are not wanted, only their number."""
-        if not self._is_wanted:
-            no_order = np.broadcast_to(np.intp(0), (self.count,))
-            return Messages(self.layout.name, no_order, None, {}, {}, units.columns)
-        time = stamps[self._order] if self.is_timed else None
-        return Messages(
-            self.layout.name,
-            self._order,
-            time,
-            self._columns,
-            self._texts,
-            units.columns,
-            units.instance,
-        )
 
 
 def _numbers(values: NDArray[np.generic], scale: float | None) -> Array:
@@ -245,12 +170,11 @@ def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, 
 
 def _damage(positions: Index) -> tuple[str, ...]:
     findings = []
-    if positions.skipped:
-        places = (
-            f"in {positions.places} places, the first" if positions.places > 1 else "in one place,"
-        )
+    if positions.damage:
+        skipped = sum(end - start for start, end in positions.damage)
         findings.append(
-            f"{positions.skipped} bytes {places} at byte {positions.first}, are damaged and were skipped."
+            f"{skipped} bytes in {counted(len(positions.damage), 'place')}, the first at byte "
+            f"{positions.damage[0][0]}, are damaged and were skipped."
         )
     if positions.cut:
         findings.append(

@@ -2,11 +2,11 @@
 
 pymavlink has a compiled scan, but it terminates the Python process at the first message of an
 unknown type or length, and prints a line for every byte that it skips. This one is about as fast,
-silent, and counts what it skips. The table of format letters is pymavlink's.
+silent, and returns the damaged places. The table of format letters is pymavlink's.
 """
 
+import mmap
 import struct
-from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from greybox.files.arrays import IntArray
-from greybox.files.progress import reading
-from greybox.logs.readers.mapped_file import Bytes, release
 
-HEAD = b"\xa3\x95"  # before every message, then the type's number
+Bytes = bytes | mmap.mmap
+HEAD = b"\xa3\x95"  # before every message; the number of its type follows
 FMT = 0x80  # the message that describes the others: type, length, name, format, columns
 FMT_LENGTH = 89
-STRIDE = 256  # messages that are first tried at once; it doubles while all are sound
-PIECE = 2**22  # bytes scanned for headers at once: 4 MB, against a log of gigabytes in memory
 FMT_BODY = struct.Struct("<BB4s16s64s")
+PADDING = 4096  # bytes, a page of memory: zeros or erased flash at the end of a file are no damage
 
 
 @dataclass(frozen=True)
@@ -54,161 +52,101 @@ FMT_LAYOUT = Layout(
 
 @dataclass(frozen=True, eq=False)
 class Index:
-    """Offsets of all sound messages, in the order of the file, and what was wrong.
+    """Offsets of all sound messages, in the order of the file, and its damage.
 
     Attributes
     ----------
     layouts : tuple of Layout
         Every description in the file; one type may have several that differ.
     offsets : (n,) array
-        Where each message starts, bytes; in four bytes where that is enough.
+        Where each message starts, bytes.
     which : (n,) array
         Its layout, as an index.
-    skipped, places, first : int
-        Bytes that belong to no message, in how many places, and where the first is.
+    damage : tuple of (start, end)
+        Bytes that belong to no message.
     cut : str
         Name of a last message that is not complete.
     """
 
     layouts: tuple[Layout, ...]
     offsets: IntArray
-    which: NDArray[np.uint16]
-    skipped: int
-    places: int
-    first: int
+    which: IntArray
+    damage: tuple[tuple[int, int], ...]
     cut: str
-
-
-class _Scan:
-    """The state of a scan: the descriptions and the messages so far."""
-
-    def __init__(self, data: Bytes) -> None:
-        self.data = data
-        self.raw = np.frombuffer(data, dtype=np.uint8)
-        self.layouts = [FMT_LAYOUT]
-        self.lengths = np.zeros(256, dtype=np.int64)
-        self.current = np.zeros(256, dtype=np.uint16)
-        self.lengths[FMT] = FMT_LENGTH
-        self.offsets = array("I" if len(data) <= 0xFFFFFFFF else "q")
-        self.which = array("H")
-        self.skipped = self.places = 0
-        self.first = -1
-        self.cut = ""
-        self.piece = -1
-        self.heads = np.empty(0, dtype=np.int64)
-
-    def run(self) -> Index:
-        """Scan the file: many messages at once where every header is in place, one by one elsewhere."""
-        at = 0
-        last = len(self.data) - 3
-        with reading(len(self.data), "finding messages") as bar:
-            while at <= last:
-                at = self._stride(at)
-                if at <= last:
-                    at = self._step(at)
-                if at - bar.n > PIECE:
-                    bar.update(at - bar.n)
-        return Index(
-            tuple(self.layouts),
-            np.asarray(self.offsets),
-            np.asarray(self.which),
-            self.skipped,
-            self.places,
-            self.first,
-            self.cut,
-        )
-
-    def _stride(self, at: int) -> int:
-        """Append messages that follow each other exactly, up to the next description or piece; return their end."""
-        if at // PIECE != self.piece:
-            release(self.data, self.piece * PIECE, at)
-            self.piece = at // PIECE
-            self.heads = _heads(self.raw, self.piece * PIECE)
-        heads = self.heads
-        position = int(np.searchsorted(heads, at))
-        size = STRIDE
-        while position + 1 < heads.size and heads[position] == at:
-            starts = heads[position : position + size + 1]
-            kinds = self.raw[starts[:-1] + 2]
-            sound = (starts[:-1] + self.lengths[kinds] == starts[1:]) & (kinds != FMT)
-            number = sound.size if sound.all() else int(sound.argmin())
-            self._append(starts[:number], self.current[kinds[:number]])
-            position += number
-            at = int(starts[number])
-            if number < sound.size:
-                break
-            size *= 2
-        return at
-
-    def _step(self, at: int) -> int:
-        """Append the message at `at`, if there is one, and return where to continue."""
-        head = self.data[at : at + 3]
-        length = int(self.lengths[head[2]]) if head[:2] == HEAD else 0
-        if not length:
-            return self._recover(at)
-        if at + length > len(self.data):
-            self.cut = self.layouts[self.current[head[2]]].name
-            return len(self.data)
-        if head[2] == FMT:
-            self._define(at)
-        self._append(np.array([at]), self.current[head[2] : head[2] + 1])
-        return at + length
-
-    def _append(self, offsets: IntArray, which: NDArray[np.uint16]) -> None:
-        self.offsets.frombytes(offsets.astype(self.offsets.typecode).tobytes())
-        self.which.frombytes(which.tobytes())
-
-    def _define(self, at: int) -> None:
-        layout = _layout(self.data[at + 3 : at + FMT_LENGTH])
-        if layout is None or layout.kind == FMT or len(self.layouts) == 0xFFFF:
-            return
-        if layout not in self.layouts:
-            self.layouts.append(layout)
-        self.lengths[layout.kind] = layout.length
-        self.current[layout.kind] = self.layouts.index(layout)
-
-    def _recover(self, at: int) -> int:
-        """Return where to continue after bytes that start no known message; the previous one may be truncated."""
-        if self.offsets:
-            previous = self.offsets[-1]
-            inside = self._next_sound(previous + 3, at)
-            if inside >= 0:
-                self.offsets.pop()
-                self.which.pop()
-                self._skip(previous, inside)
-                return inside
-        following = self._next_sound(at + 1, len(self.data))
-        end = len(self.data) if following < 0 else following
-        # A page of zeros or of erased flash at the end is no damage.
-        rest = self.data[at : at + 4096]
-        if following >= 0 or (rest.strip(b"\0") and rest.strip(b"\xff")):
-            self._skip(at, end)
-        return end
-
-    def _next_sound(self, start: int, end: int) -> int:
-        """Return the first header in start..end of a known type whose message another one, or the end, follows."""
-        data = self.data
-        size = len(self.data)
-        at = data.find(HEAD, start, min(end + 2, size))
-        while at >= 0:
-            length = int(self.lengths[data[at + 2]]) if at + 2 < size else 0
-            if length and (
-                at + length >= size
-                or data[at + length : at + length + 2] == HEAD[: size - at - length]
-            ):
-                return at
-            at = data.find(HEAD, at + 1, min(end + 2, size))
-        return -1
-
-    def _skip(self, start: int, end: int) -> None:
-        self.first = start if self.first < 0 else self.first
-        self.skipped += end - start
-        self.places += 1
 
 
 def index(data: Bytes) -> Index:
     """Find every message in `data`."""
-    return _Scan(data).run()
+    raw = np.frombuffer(data, dtype=np.uint8)
+    starts = np.flatnonzero((raw[:-2] == HEAD[0]) & (raw[1:-1] == HEAD[1]))
+    layouts, which = _layouts(data, starts, raw[starts + 2])
+    starts, which = starts[which >= 0], which[which >= 0]
+    ends = starts + np.array([layout.length for layout in layouts])[which]
+
+    is_message, damage = _chain(data, starts, ends)
+    cut = np.flatnonzero(is_message & (ends > raw.size))
+    is_message[cut] = False
+    name = layouts[which[cut[0]]].name if cut.size else ""
+    return Index(layouts, starts[is_message], which[is_message], damage, name)
+
+
+def _layouts(
+    data: Bytes, starts: IntArray, kinds: NDArray[np.uint8]
+) -> tuple[tuple[Layout, ...], IntArray]:
+    """Return all descriptions, and which of them applies at each header, -1 where none does."""
+    numbers = {FMT_LAYOUT: 0}
+    descriptions: dict[int, list[tuple[int, int]]] = {}
+    for row in np.flatnonzero(kinds == FMT).tolist():
+        body = data[starts[row] + 3 : starts[row] + FMT_LENGTH]
+        layout = _layout(body) if len(body) == FMT_BODY.size else None
+        if layout is not None and layout.kind != FMT:
+            number = numbers.setdefault(layout, len(numbers))
+            descriptions.setdefault(layout.kind, []).append((row, number))
+
+    which = np.where(kinds == FMT, 0, -1)
+    for kind, described in descriptions.items():
+        rows = np.flatnonzero(kinds == kind)
+        since, number = np.array([(-1, -1), *described]).T
+        which[rows] = number[np.searchsorted(since, rows) - 1]  # a later description replaces it
+    return tuple(numbers), which
+
+
+def _chain(
+    data: Bytes, starts: IntArray, ends: IntArray
+) -> tuple[NDArray[np.bool_], tuple[tuple[int, int], ...]]:
+    """Return which headers begin messages that follow each other, and the places between.
+
+    Two bytes within a message may look like a header. So a message counts if it begins where the
+    previous one ends. Elsewhere another one, or the end of the file, must follow it.
+    """
+    is_message = np.zeros(starts.size, dtype=bool)
+    breaks = np.append(np.flatnonzero(ends[:-1] != starts[1:]), starts.size - 1)
+    damage = []
+    last, end = -1, 0
+    while end <= len(data) - len(HEAD) - 1:
+        first = int(np.searchsorted(starts, end))
+        if first < starts.size and starts[first] == end:
+            last = int(breaks[np.searchsorted(breaks, first)])
+            is_message[first : last + 1] = True
+            end = int(ends[last])
+            continue
+
+        following = last + 1
+        while following < starts.size and not _is_followed(data, int(ends[following])):
+            following += 1
+        resume = int(starts[following]) if following < starts.size else len(data)
+        if resume < end:  # the last message was truncated: a sound one begins inside of it
+            is_message[last] = False
+            end = int(starts[last])
+        rest = data[end : end + PADDING]
+        if resume < len(data) or (rest.strip(b"\0") and rest.strip(b"\xff")):
+            damage.append((end, resume))
+        end = resume
+    return is_message, tuple(damage)
+
+
+def _is_followed(data: Bytes, end: int) -> bool:
+    return end >= len(data) or data[end : end + 2] == HEAD[: len(data) - end]
 
 
 def sound_layout(
@@ -239,13 +177,6 @@ def text(raw: bytes) -> str:
         return raw.decode("utf-8")
     except UnicodeDecodeError:
         return raw.decode("iso-8859-1")
-
-
-def _heads(raw: NDArray[np.uint8], start: int) -> IntArray:
-    """Return the offsets in the piece at `start` of the two bytes of a header with room for a third."""
-    piece = raw[start : min(start + PIECE, raw.size - 2) + 1]
-    at = np.flatnonzero(piece[:-1] == HEAD[0])
-    return at[piece[at + 1] == HEAD[1]] + start
 
 
 def _numpy_type(letter: str) -> str:

@@ -20,7 +20,7 @@ class Messages:
     ----------
     name : str
     order : (n,) array
-        Number of each among all messages of the file, of the timed ones among these.
+        Number of each among all messages of the file.
     time : (n,) array, s, or None
         On the log's clock; None when the messages have no time.
     columns : mapping of str to (n,) array
@@ -92,15 +92,10 @@ class Clocked:
     span: tuple[float, float]
 
 
-def on_one_clock(groups: Iterable[Messages], stamps: Array | None = None) -> Clocked:
-    """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`.
-
-    The `stamps` are the times of all messages of the log by their number, where not all are among
-    the groups.
-    """
+def on_one_clock(groups: Iterable[Messages]) -> Clocked:
+    """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`."""
     groups = list(groups)
-    stamps = stamps_of(groups) if stamps is None else stamps
-    shifted, findings = time_stamps.one_clock(stamps)
+    shifted, findings = time_stamps.one_clock(_stamps(groups))
     groups = [
         group if group.time is None else replace(group, time=shifted[group.order])
         for group in groups
@@ -113,7 +108,7 @@ def on_one_clock(groups: Iterable[Messages], stamps: Array | None = None) -> Clo
     return Clocked(groups, findings, span if finite.any() else (0.0, 0.0))
 
 
-def stamps_of(groups: Iterable[Messages]) -> Array:
+def _stamps(groups: Iterable[Messages]) -> Array:
     """Return the times of all messages by their number, NaN for those without."""
     timed = [group for group in groups if group.time is not None and len(group)]
     stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)

@@ -1,6 +1,4 @@
 import struct
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -300,7 +298,7 @@ def test_damage_is_counted(saved):
     recording = saved(data[:5000] + b"garbage" * 10 + data[5000:])
     damage = [f for f in recording.findings if "damaged" in f]
     assert len(damage) == 1
-    assert "in one place" in damage[0]
+    assert "in 1 place" in damage[0]
 
 
 def test_what_ends_the_process_in_pymavlink_is_survived(saved, capfd):
@@ -367,56 +365,11 @@ def test_nothing_is_printed(saved, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-PEAK = """
-import sys
-import greybox.logs.readers.dataflash as dataflash
-def peak():
-    return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith("VmHWM"))
-before = peak()
-recording = dataflash.read(sys.argv[1], ["RATE", "GPS"])
-kept = sum(record.time.nbytes * (1 + len(record.signals)) for record in recording.values())
-print(peak() - before, kept, len(recording["RATE"]))
-"""
-
-
-@pytest.mark.skipif(
-    not Path("/proc/self/status").exists(),
-    reason="peak memory of a process is read as Linux has it",
-)
-def test_a_long_log_is_never_in_memory(tmp_path):
-    """Of 40 MB with a small message that is asked for, read in less memory than the file has."""
-    one = (
-        Log()
-        .fmt("RATE", "Qf", "TimeUS,R")
-        .fmt("BULK", "Q" + "d" * 15, "TimeUS," + ",".join("ABCDEFGHIJKLMNO"))
-    )
-    head, one.parts = one.binary, []
-    one.add("BULK", 0, *range(15))
-    bulk = one.parts.pop()
-    one.add("RATE", 0, 0.5)
-    cycle = np.frombuffer(bulk * 20 + one.parts.pop(), dtype=np.uint8)
-    number = 40_000_000 // cycle.size
-    cycles = np.tile(cycle, (number, 1))
-    for k in range(21):
-        at = k * len(bulk) + 3
-        cycles[:, at : at + 8] = (
-            (1000 * (21 * np.arange(number)[:, None] + k)).astype("<u8").view(np.uint8)
-        )
-    path = tmp_path / "long.BIN"
-    path.write_bytes(head + cycles.tobytes())
-    answer = subprocess.run(
-        [sys.executable, "-c", PEAK, str(path)], capture_output=True, text=True, check=True
-    )
-    peak, kept, samples = map(int, answer.stdout.split())
-    assert samples == number
-    assert peak < kept + path.stat().st_size / 2
-
-
 def test_damaged_places_are_counted_and_the_first_is_told(saved):
     parts = flight(seconds=0.3).parts
     at = len(b"".join(parts[:40]))
     for places, said in (
-        ((40,), "5 bytes in one place,"),
+        ((40,), "5 bytes in 1 place, the first"),
         ((40, 60), "10 bytes in 2 places, the first"),
     ):
         data = b"".join(b"junk!" * (k in places) + part for k, part in enumerate(parts))

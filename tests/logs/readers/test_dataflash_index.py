@@ -22,13 +22,17 @@ def found(data):
     return scanned, scanned.offsets[np.isin(scanned.which, numbers)]
 
 
+def skipped(scanned):
+    return sum(end - start for start, end in scanned.damage)
+
+
 def test_every_message_is_found_where_it_was_written():
     parts = log().parts
     starts = np.cumsum([0, *(len(part) for part in parts)])[:-1]
     scanned, offsets = found(b"".join(parts))
     np.testing.assert_array_equal(scanned.offsets, starts)
     assert offsets.size == 600
-    assert (scanned.skipped, scanned.places, scanned.cut) == (0, 0, "")
+    assert (scanned.damage, scanned.cut) == ((), "")
 
 
 @pytest.mark.parametrize("junk", [b"\x00" * 7, b"\xa3\x95", b"\xa3\x95\x33garbage"])
@@ -36,8 +40,8 @@ def test_junk_between_messages_is_skipped_and_counted(junk):
     parts = log().parts
     scanned, offsets = found(b"".join([*parts[:300], junk, *parts[300:]]))
     assert offsets.size == 600
-    assert (scanned.skipped, scanned.places) == (len(junk), 1)
-    assert scanned.first == sum(map(len, parts[:300]))
+    first = sum(map(len, parts[:300]))
+    assert scanned.damage == ((first, first + len(junk)),)
 
 
 def test_a_torn_message_takes_no_other_with_it():
@@ -45,7 +49,7 @@ def test_a_torn_message_takes_no_other_with_it():
     torn = parts[300][:9]
     scanned, offsets = found(b"".join([*parts[:300], torn, *parts[301:]]))
     assert offsets.size == 599
-    assert scanned.skipped == len(torn)
+    assert skipped(scanned) == len(torn)
 
 
 def test_a_cut_end_is_named_and_padding_is_no_damage():
@@ -54,7 +58,7 @@ def test_a_cut_end_is_named_and_padding_is_no_damage():
     for pad in (b"\x00", b"\xff"):
         scanned, offsets = found(data + pad * 1000)
         assert offsets.size == 600
-        assert scanned.skipped == 0
+        assert not scanned.damage
 
 
 def test_what_is_no_layout():
@@ -70,13 +74,8 @@ def test_texts_end_at_the_first_zero():
     assert text("°".encode("iso-8859-1")) == "°"
 
 
-@pytest.mark.parametrize(
-    ("piece", "stride"), [(50, 1), (64, 3), (1000, 2), (2**22, 1), (2**22, 256)]
-)
-def test_damage_of_every_kind_is_found_by_pieces_as_at_once(monkeypatch, piece, stride):
+def test_damage_of_every_kind_is_found():
     """Messages of two lengths, a description in between, junk, a torn message, and a header at the very end."""
-    monkeypatch.setattr(dataflash_index, "PIECE", piece)
-    monkeypatch.setattr(dataflash_index, "STRIDE", stride)
     made = Log(units=False).fmt("ATT", "Qf", "TimeUS,Roll").fmt("GPS", "QLLf", "TimeUS,Lat,Lng,Alt")
     rng = np.random.default_rng(0)
     for k in range(200):
@@ -88,16 +87,16 @@ def test_damage_of_every_kind_is_found_by_pieces_as_at_once(monkeypatch, piece, 
         if k > 120:
             made.add("IMU", k * 1000, 1.0, 2.0)
     parts = list(made.parts)
-    starts, at, data, skipped = [], 0, [], 0
+    starts, at, data, lost = [], 0, [], 0
     for k, part in enumerate(parts):
         if k in (20, 21, 90):
             data.append(b"\xa3\x95\x00junk")
             at += 7
-            skipped += 7
+            lost += 7
         if k == 60:  # torn after its header
             data.append(part[:9])
             at += 9
-            skipped += 9
+            lost += 9
             continue
         starts.append(at)
         data.append(part)
@@ -111,20 +110,20 @@ def test_damage_of_every_kind_is_found_by_pieces_as_at_once(monkeypatch, piece, 
         for k, part in enumerate(parts)
         if k != 60
     ]
-    assert (scanned.skipped, scanned.places, scanned.cut) == (skipped, 4, "")
-    assert scanned.first == sum(map(len, parts[:20]))
+    assert (skipped(scanned), len(scanned.damage), scanned.cut) == (lost, 4, "")
+    assert scanned.damage[0][0] == sum(map(len, parts[:20]))
 
 
-@pytest.mark.parametrize(("end", "offsets", "skipped"), [
+@pytest.mark.parametrize(("end", "offsets", "lost"), [
     (b"", 1, 5), (b"\xa3", 1, 5), (b"\xa3\x95", 1, 5), (b"\x00", 0, None), (b"\x95", 0, None),
 ])  # fmt: skip
-def test_after_junk_a_message_counts_that_another_one_or_the_end_follows(end, offsets, skipped):
+def test_after_junk_a_message_counts_that_another_one_or_the_end_follows(end, offsets, lost):
     made = Log(units=False).fmt("ATT", "Qf", "TimeUS,Roll")
     head, made.parts = made.binary, []
     message = made.add("ATT", 1000, 0.5).binary
     scanned, found_ = found(head + b"junk!" + message + end)
     assert found_.size == offsets
-    assert scanned.skipped == (skipped if skipped is not None else len(b"junk!" + message + end))
+    assert skipped(scanned) == (lost if lost is not None else len(b"junk!" + message + end))
 
 
 @pytest.mark.parametrize(("length", "damage"), [(4096, False), (4097, False)])
@@ -132,10 +131,10 @@ def test_padding_is_told_by_a_page_of_it(length, damage):
     """Of zeros or of erased flash alone; one other byte in it is damage."""
     data = b"".join(log(3).parts)
     for pad in (b"\x00", b"\xff"):
-        assert bool(index(data + pad * length).skipped) is damage
+        assert bool(index(data + pad * length).damage) is damage
     mixed = index(data + b"\x00" * 100 + b"\x01" + b"\x00" * 100)
-    assert (mixed.skipped, mixed.places, mixed.first) == (201, 1, len(data))
-    assert index(data + b"\x00\xff" * 50).skipped == 100
+    assert mixed.damage == ((len(data), len(data) + 201),)
+    assert skipped(index(data + b"\x00\xff" * 50)) == 100
 
 
 @pytest.mark.parametrize(

@@ -128,7 +128,6 @@ def test_the_span_of_a_log_is_that_of_all_stamps():
     assert [group.name for group in clocked.groups] == ["ATT", "GPS", "MSG"]
     assert on_one_clock([messages("MSG", time=None)]).span == (0.0, 0.0)
     assert on_one_clock([]).span == (0.0, 0.0)
-    assert on_one_clock([first], np.array([1.0, 2.0, 3.0, 12.0])).span == (1.0, 12.0)
 
 
 @pytest.mark.parametrize(("number", "lines"), [(1, 1), (3, 3), (4, 1)])
