@@ -10,6 +10,7 @@ Jacobian.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,6 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from greybox.compiled.colored_errors import colored_errors
-from greybox.estimate.diagnostics.records import NARROW
 from greybox.files.arrays import Array, BoolArray
 
 STEP = 0.05  # s
@@ -186,12 +186,12 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
             initial.shape[1],
             1.0,
             initial=[np.einsum("st,ktn->ksn", unit, initial / size**2)],
-            shocks=initial,
+            shocks=partial(np.asarray, initial),
         )
         z = error / np.sqrt(np.diag(inverse @ found.meat @ inverse))
         scaled.append(z)
         holds.append(np.abs(z) < student.ppf(0.975, found.dof))
-        rough.append(not found.is_long_enough or found.wider > NARROW)
+        rough.append(not found.is_long_enough)
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 
 

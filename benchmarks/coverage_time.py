@@ -6,9 +6,9 @@ benchmarks/results/coverage_time.txt]
 First linear experiments (`correlated_errors.py`), since these can be repeated often: one to five
 outputs, 100 to 10 000 samples, white and autoregressive errors, a small slow drift under white
 noise, wind. "times" is the length of the record in correlation times, "said" how often the answer
-says that it is too short, or that errors hidden in its noise would make intervals much wider,
-"unsaid" in how many fits the interval of the worst parameter misses the truth without either. Then
-a mass on a spring driven by held forces is flown again and again with `gb.virtual_flight`, fitted
+says that it is too short, "unsaid" in how many fits the interval of the worst parameter misses
+the truth without that warning. Then a mass on a spring driven by held forces is flown again and
+again with `gb.virtual_flight`, fitted
 from the truth, and counted is how often the Student-t interval of every parameter holds it; beside
 it the standard deviation of (estimate - truth) / standard error, which should be 1. The same for
 flights of the paper's pitch axis with its controller, as `virtual_flight` returns them and by the

@@ -89,7 +89,6 @@ def colored_errors(
         correlation_times=found.correlation_times * step,
         duration=longest * step,
         is_long_enough=times >= FEWEST_TIMES,
-        hidden=found.hidden,
         spectrum=None if found.spectrum is None else found.spectrum.enlarged(larger),
     )
 

@@ -12,7 +12,6 @@ What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the g
 nodes), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -126,9 +125,6 @@ class ColoredErrors:
     is_long_enough : bool
         Whether that is long enough, against the correlation times, for the spectrum of the errors
         to be known.
-    hidden : float
-        How many times larger the variances would be by slow errors that the residuals do not
-        exclude, one at least.
     spectrum : ErrorSpectrum or None
         Of the errors, enlarged for what the fit took from them; None where all residuals are zero.
     """
@@ -138,15 +134,7 @@ class ColoredErrors:
     correlation_times: Array
     duration: float
     is_long_enough: bool
-    hidden: float
     spectrum: ErrorSpectrum | None
-
-    @property
-    def wider(self) -> float:
-        """How many times wider intervals of 95 % would be: the normal quantile, where Student's is taken now."""
-        from scipy.special import ndtri, stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
-
-        return max(math.sqrt(self.hidden) * float(ndtri(0.975) / stdtrit(self.dof, 0.975)), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +154,8 @@ class CorrelatedPoints:
         independent ones.
     lengths : float
         How many correlation lengths the points are.
+    independent : float
+        Probability that the errors are independent.
     """
 
     meat: Array
@@ -173,6 +163,7 @@ class CorrelatedPoints:
     correlation: float
     scale: float
     lengths: float
+    independent: float
 
 
 @dataclass(frozen=True, eq=False)

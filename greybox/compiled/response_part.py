@@ -180,7 +180,14 @@ class ResponsePart(PartWithoutNodes):
                 scores, np.vstack([root, constants]), neighbors, criterion.score_correlation, dof
             )
             meat = middle + common_meat(bread)
-            return CorrelatedPoints(meat, remaining_dof, neighbors.mean, scale, neighbors.lengths)
+            return CorrelatedPoints(
+                meat,
+                remaining_dof,
+                neighbors.mean,
+                scale,
+                neighbors.lengths,
+                neighbors.independent,
+            )
 
         nonzero = data.response != 0
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)

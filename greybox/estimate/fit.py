@@ -368,7 +368,7 @@ def assemble(
         runs=search.runs,
         minima=search.minima,
         warnings=warnings(nlp, search, accuracy, parts, trajectories, error),
-        notes=notes(nlp, accuracy),
+        notes=notes(nlp.problem),
         seed=seed,
         starts=starts,
         seconds=0.0,

@@ -30,47 +30,15 @@ def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
     return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
 
 
-def variance_accounted_for(measured: ArrayLike, predicted: ArrayLike) -> float:
-    """Return 100 (1 - var(y - ŷ) / var(y)), which a constant error does not change."""
-    y, p = _pairs(measured, predicted)
-    spread = float(np.var(y)) if y.size else 0.0
-    return 100 * (1 - float(np.var(y - p)) / spread) if spread > 0 else math.nan
+def theil_coefficient(measured: ArrayLike, predicted: ArrayLike) -> float:
+    """Return rms(y - ŷ) / (rms y + rms ŷ): 0 for a perfect prediction, 1 for a useless one.
 
-
-@dataclass(frozen=True)
-class Theil:
-    """Theil's inequality coefficient and where it comes from.
-
-    Attributes
-    ----------
-    coefficient : float
-        rms(y - ŷ) / (rms y + rms ŷ): 0 for a perfect prediction, 1 for none; below 0.25 to 0.3 in
-        flight mechanics.
-    bias, variance, covariance : float
-        Shares of the mean squared error, of sum 1: due to the means, to the standard deviations,
-        and to the lack of correlation; only the last is not systematic.
-
-    Source: Theil (1966), Applied Economic Forecasting, chapter 2; Jategaonkar (2006), Flight
-    Vehicle System Identification, chapter 11.
+    Flight mechanics asks for less than 0.25 to 0.3. Source: Theil (1966), Applied Economic
+    Forecasting, chapter 2; Jategaonkar (2006), Flight Vehicle System Identification, chapter 11.
     """
-
-    coefficient: float
-    bias: float
-    variance: float
-    covariance: float
-
-
-def theil(measured: ArrayLike, predicted: ArrayLike) -> Theil:
-    """Return Theil's inequality coefficient of predictions, with its proportions."""
     y, p = _pairs(measured, predicted)
-    square = float(np.mean((y - p) ** 2)) if y.size else math.nan
-    size = float(np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(p**2))) if y.size else math.nan
-    if not square > 0 or not size > 0:
-        nothing = math.nan if math.isnan(square) else 0.0
-        return Theil(nothing, math.nan, math.nan, math.nan)
-    bias = float(y.mean() - p.mean()) ** 2 / square
-    variance = float(y.std() - p.std()) ** 2 / square
-    return Theil(math.sqrt(square) / size, bias, variance, max(1 - bias - variance, 0.0))
+    size = rms(y) + rms(p)
+    return 0.0 if size == 0 else rms(y - p) / size
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,11 @@ class NeighborCorrelation:
     scale: Array
 
     @property
+    def independent(self) -> float:
+        """The probability that the errors are independent."""
+        return float(self.weight[self.rho == 0].sum())
+
+    @property
     def mean(self) -> float:
         """The mean correlation of neighbors."""
         return float(self.weight @ self.rho)

@@ -36,7 +36,6 @@ from greybox.statistics.frequency_grid import (
     HIGHEST_ORDER,
     FrequencyGrid,
     filtered,
-    first_indices,
     output_pairs,
     products,
 )
@@ -49,7 +48,6 @@ from greybox.statistics.spectral_families import (
     with_white_noise,
 )
 from greybox.statistics.variance_components import (
-    LEAST,
     VarianceComponents,
     variance_components,
     whittle_score,
@@ -58,10 +56,6 @@ from greybox.statistics.variance_components import (
 # Samples above which residuals are not corrected for what the fit took from the errors: it is far
 # below the uncertainty of the spectrum, and counting it, as for white errors, is enough.
 LONGEST_CORRECTED = 50_000
-
-# -2 log likelihood above its least value from which the residuals exclude a spectrum: chi-squared,
-# one number, 95 %.
-EXCLUDED = 3.84
 
 TINY = 1e-300
 
@@ -84,9 +78,6 @@ class ColoredInformation:
         absolute autocorrelations lie, which is the time constant of an exponential decay.
     corrected : bool
         Whether the spectrum is corrected for what the fit took from the errors.
-    hidden : float
-        How many times larger the variances would be by the worst spectrum that the residuals do not
-        exclude.
     spectrum : ErrorSpectrum or None
         Spectrum of the errors; None where all residuals are zero.
     """
@@ -96,7 +87,6 @@ class ColoredInformation:
     uncertainty: float
     correlation_times: Array
     corrected: bool
-    hidden: float
     spectrum: ErrorSpectrum | None
 
 
@@ -134,9 +124,7 @@ def colored_information(
     k = compared.size
     if not compared.any():
         nothing = np.zeros_like(inverse)
-        return ColoredInformation(
-            nothing, 0.0, 0.0, np.zeros(k), corrected=True, hidden=1.0, spectrum=None
-        )
+        return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
     spectra = ResidualSpectra(
         [J[compared] for J in weighted],
         [e[compared] for e in residuals],
@@ -159,7 +147,6 @@ def colored_information(
         uncertainty=mixture.uncertainty,
         correlation_times=times,
         corrected=corrected,
-        hidden=spectra.hidden(meat, mixture.density),
         spectrum=ErrorSpectrum(spectra.grid.omega, density, deviation),
     )
 
@@ -500,99 +487,10 @@ class ResidualSpectra:
         taken = self.taken_by(density)
         return AveragedSpectrum(density, _log_power(density), score, taken, 2 * (order + 1) / n)
 
-    def hidden(self, meat: Array, density: ComplexArray) -> float:
-        """Return how many times larger the variances would be by the worst spectra that the residuals do not exclude.
-
-        The geometric mean over all directions: a bias cannot be told from a slow error in records
-        of any length, and must not stand for all. Every output may have another spectrum; their
-        limits combine as those of independent numbers (Zou and Donner, 2008, Statistics in Medicine
-        27).
-        """
-        p = len(self.root)
-        if p == 0:
-            return 1.0
-        outputs = [self.not_excluded(i) for i in range(len(self.counts))]
-        others = np.eye(p) - sum(information for information, _ in outputs)
-        likely = others + sum(meats[0] for _, meats in outputs)
-        size = log_mean_eigenvalue(likely)
-        added = [
-            float((log_mean_eigenvalue(likely - meats[0] + meats) - size).max())
-            for _, meats in outputs
-        ]
-        reference = float(log_mean_eigenvalue(others + self.root.T @ meat @ self.root))
-        worst = max(float(size) + math.hypot(*added), reference)
-        if self.noise_parts is not None:
-            for spectrum in self.largest_process_noise(self.noise_parts, density):
-                meat = self.grid.score_covariance(self.transforms(), spectrum)
-                of_noise = log_mean_eigenvalue(others + self.root.T @ meat @ self.root)
-                worst = max(worst, float(of_noise))
-        return math.exp(worst - reference)
-
-    def largest_process_noise(
-        self, parts: "_NoiseParts", likely: ComplexArray
-    ) -> Iterator[ComplexArray]:
-        """Yield the spectrum with most process noise that the residuals do not exclude beside a likely one, if any."""
-        k = len(self.counts)
-        variance = self.variances.variance
-        limit = min(self.variances.score, self.score_of(likely)) + EXCLUDED
-        shares = np.maximum(variance[k:], LEAST)
-        # In units of the outputs' residuals; every record excludes larger ones.
-        for total in np.geomspace(30.0, 1e-3, 40):
-            trial = np.concatenate([variance[:k], total * shares / shares.sum()])
-            spectrum = np.tensordot(trial, parts.of_residuals, 1)
-            if whittle_score(spectrum, self._of_residuals, self._numbers) < limit:
-                yield np.tensordot(trial, parts.density, 1)
-                return
-
     def score_of(self, density: ComplexArray) -> float:
         """Return -2 log likelihood of the residuals for errors of a spectrum (k, k, b)."""
         left = density - self.taken_power(density)[1]
         return whittle_score(_positive(left.transpose(2, 0, 1)), self._of_residuals, self._numbers)
-
-    def not_excluded(self, i: int) -> tuple[Array, Array]:
-        """Return the information of one output (p, p), and its meats (m, p, p) by spectra that are not excluded.
-
-        The likeliest spectrum comes first, by the restricted likelihood (Patterson and Thompson,
-        1971, Biometrika 58), since a fit takes most from slow errors. Cosine transforms make slow
-        errors nearly independent, without samples beyond the ends.
-        """
-        from scipy.fft import dct  # noqa: PLC0415  (importing greybox stays light)
-
-        grid = self.grid
-        white = np.ones((1, len(grid.omega)))
-        shapes = np.concatenate([white, *[family.shapes for family in self.families[i]]])
-        p = len(self.root)
-        variance = float(self.noise[i, i] / self.deviation[i] ** 2)
-        moments = np.zeros((len(grid.starts), p + 1, p + 1))
-        counts = np.zeros(len(grid.starts))
-        for J, e in zip(self.weighted, self.residuals, strict=True):
-            n = e.shape[1]
-            sensitivities = self.root.T @ J[i] * variance * self.deviation[i]
-            rows = np.vstack([e[i] / self.deviation[i], sensitivities])
-            rows = np.asarray(dct(rows, axis=1, norm="ortho"), dtype=float)
-            places = np.arange(n) * grid.size / (2 * n)
-            band = np.searchsorted(grid.starts, places, side="right") - 1
-            first = first_indices(band)
-            counts += np.bincount(band, minlength=len(counts))
-            for a in range(p + 1):
-                moments[band[first], a] += np.add.reduceat(rows[a] * rows, first, axis=1).T
-
-        of_noise: Array = moments.sum(axis=0) / variance
-        output_information = of_noise[1:, 1:]
-        over = np.tensordot(1 / shapes, moments, 1)
-        information = np.eye(p) - output_information + over[:, 1:, 1:]
-        gradient = over[:, 0, 1:] - of_noise[0, 1:]
-        step = np.linalg.solve(information, gradient[:, :, None])[:, :, 0]
-        left = max(self.counts[i] - np.trace(output_information), 1.0)
-        scale = np.maximum(over[:, 0, 0] - np.sum(gradient * step, axis=1), TINY) / left
-        score = (
-            left * np.log(scale) + np.log(shapes) @ counts + p * log_mean_eigenvalue(information)
-        )
-        order = np.argsort(score)
-        order = order[: np.searchsorted(score[order], score.min() + EXCLUDED)]
-        spectra = shapes[order] * scale[order, None] / variance**2
-        meats = np.asarray(np.tensordot(spectra, moments[:, 1:, 1:], 1), dtype=float)
-        return output_information, meats
 
     def taken_by(self, density: ComplexArray) -> float:
         """Return what the estimate takes from errors of a spectrum, tr(B⁻¹ M)."""
@@ -691,11 +589,6 @@ def _positive(matrices: ComplexArray) -> ComplexArray:
     """Return Hermitian matrices (b, k, k) without their negative parts, which approximations leave."""
     values, vectors = np.linalg.eigh(matrices)
     return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
-
-
-def log_mean_eigenvalue(matrices: Array) -> Array:
-    """Return the logarithm of the geometric mean of the eigenvalues of matrices (..., p, p)."""
-    return np.linalg.slogdet(matrices)[1] / matrices.shape[-1]
 
 
 def product_over_time(weighted: Array, noise: Array) -> Array:

@@ -9,7 +9,13 @@ from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.simulation.prediction import Prediction
-from greybox.statistics.metrics import fit_percent, input_correlation, rms, theil, whiteness
+from greybox.statistics.metrics import (
+    fit_percent,
+    input_correlation,
+    rms,
+    theil_coefficient,
+    whiteness,
+)
 from greybox.validation.common_likelihood import Likelihoods
 from greybox.validation.comparison import SIGNIFICANT, Row
 from greybox.validation.held_out import Predictions
@@ -128,7 +134,7 @@ def _accuracy(
         predicted = [p.predicted[p.outputs.index(output)].ravel() for p in of_fit]
         pairs.append((np.concatenate(measured), np.concatenate(predicted)))
     yield "fit", "%", [fit_percent(*pair) for pair in pairs]
-    yield "Theil's coefficient", "", [theil(*pair).coefficient for pair in pairs]
+    yield "Theil's coefficient", "", [theil_coefficient(*pair) for pair in pairs]
     yield "error (rms)", unit, [rms(measured - predicted) for measured, predicted in pairs]
 
 

@@ -12,7 +12,6 @@ import greybox as gb
 from greybox.estimate.diagnostics.records import (
     biased_by_feedback,
     colored_predictions,
-    hidden_errors,
     successive_correlation,
     unexplained_outputs,
 )
@@ -406,35 +405,10 @@ def test_white_residuals_are_not_blamed():
         assert not colors(record.with_signals(x=x), criterion)[1]
 
 
-@pytest.mark.parametrize(("n", "hides"), [(60, True), (600, False)])
-def test_a_record_that_is_too_short_to_exclude_a_drift_says_so(n, hides):
-    """The intervals may be too narrow by half in a few correlation times of the plant, not in a long record."""
-    found = fit(Late(), driven(n), starts=1, fixed={"d": 0.02})
-    assert any("hides slow errors" in note for note in found.notes) == hides
-    assert not said(found, "slow errors")
-
-
 def test_the_correlation_of_successive_residuals_is_over_pairs_that_are_both_there():
     e = np.array([1.0, 2.0, np.nan, -1.0, 3.0, 0.5])
     assert successive_correlation(e) == pytest.approx(((2 - 3 + 1.5) / (1 + 4 + 1 + 9 + 0.25), 3))
     assert successive_correlation(np.zeros(4)) == (0.0, 3)
-
-
-@pytest.mark.parametrize(
-    ("wider", "said"), [((1.49,), ""), ((1.51,), "1.5"), ((1.3, 1.3), ""), ((1.4, 1.4), "1.6")]
-)
-def test_slow_errors_are_told_where_they_would_make_intervals_half_as_wide_again(wider, said):
-    """Of two records the logarithms add as squares."""
-    found = [SimpleNamespace(wider=w, hidden=w**2, is_long_enough=True) for w in wider]
-    texts = [*hidden_errors(SimpleNamespace(correlation=[*found, None]))]
-    assert len(texts) == bool(said)
-    assert all(f"up to {said} times wider" in text for text in texts)
-    few = SimpleNamespace(
-        wider=1.4, hidden=9.0, is_long_enough=True
-    )  # Student's quantile is as wide as that
-    assert not [*hidden_errors(SimpleNamespace(correlation=[few]))]
-    short = SimpleNamespace(wider=3.0, hidden=9.0, is_long_enough=False)
-    assert not [*hidden_errors(SimpleNamespace(correlation=[short]))]
 
 
 @pytest.mark.parametrize("ratio", [0.58, 0.62, 1.57, 1.64])

@@ -1,11 +1,8 @@
 """Covariances of estimates whose errors are correlated in time: against dense covariance matrices and Monte Carlo."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.fft import dct
 from scipy.linalg import (
     block_diag,
     expm,
@@ -32,7 +29,6 @@ from greybox.statistics.spectral_families import (
     sensitivity_shapes,
     slow_parts,
 )
-from greybox.statistics.variance_components import whittle_score
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -188,24 +184,6 @@ def test_standardized_errors_have_unit_size(kind, n):
     assert np.sqrt(np.mean(np.square(scaled))) == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.parametrize(("n", "hidden"), [(60, True), (1000, False)])
-def test_a_drift_that_a_short_record_hides_is_within_the_limit(n, hidden):
-    """What the estimate takes from the drift, by its dense covariance, which the estimated spectrum misses at 60."""
-    missed, exceeded, room = 0, 0, []
-    slow = 0.4**2 * 0.97 ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-    for seed in range(40):
-        J, residuals, _ = experiment("drift", n, seed)
-        inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", J, J))
-        found = colored_information([J], [residuals], inverse, np.eye(2))
-        wanted = np.sum(inverse * sum(j @ (slow + np.eye(n)) @ j.T for j in J))
-        missed += found.taken < wanted / 1.5
-        exceeded += found.taken * found.hidden < wanted / 1.5
-        room.append(found.hidden)
-    assert (missed > 20) == hidden
-    assert exceeded <= 4
-    assert (np.median(room) > 1.5**2) == hidden
-
-
 def test_disagreement_of_the_spectra_makes_the_variance_uncertain():
     """The longer the record, the better the size of slow errors is known."""
     found = []
@@ -260,25 +238,6 @@ def test_how_uncertain_the_size_of_slow_errors_is_is_seen_in_repeated_records():
     assert 0.4 * scatter < np.mean([one.uncertainty for one in found]) < 2.5 * scatter
 
 
-def test_the_outputs_of_the_only_record_tell_all_that_there_is_together():
-    """In directions of unit variance that is the identity; with as much from other data it is half of it."""
-    random = np.random.default_rng(0)
-    noise = np.diag([0.04, 9.0])
-    slopes = random.normal(size=(2, 3, 200))
-    weighted = np.linalg.solve(noise, slopes.reshape(2, -1)).reshape(slopes.shape)
-    information = np.einsum("kpn,kqn->pq", weighted, slopes)
-    residuals = np.sqrt(np.diag(noise))[:, None] * random.normal(size=(2, 200))
-    for share in (1.0, 0.5):
-        made = ResidualSpectra([weighted], [residuals], share * np.linalg.inv(information), noise)
-        assert_allclose(made.root @ made.root.T, share * np.linalg.inv(information))
-        told = [made.not_excluded(i)[0] for i in range(2)]
-        assert_allclose(sum(told), share * np.eye(3), atol=1e-9)
-        each = [share * np.einsum("pn,qn->pq", weighted[i], slopes[i]) for i in range(2)]
-        assert_allclose(
-            [np.trace(t) for t in told], [np.trace(np.linalg.solve(information, e)) for e in each]
-        )
-
-
 def test_values_of_bands_are_interpolated_between_their_mean_frequencies():
     grid = FrequencyGrid.of(4000)
     omega = 2 * np.pi * np.arange(len(grid.weight)) / grid.size
@@ -298,23 +257,6 @@ def test_the_covariance_of_another_score_is_that_of_the_spectrum_of_the_errors()
     found = colored_information([J], [e], np.linalg.inv(np.einsum("kpn,kqn->pq", J, J)), np.eye(2))
     assert_allclose(score_covariance([J], found.spectrum), found.meat)
     assert np.all(score_covariance([J], None) == 0)
-
-
-def test_what_is_hidden_is_beside_the_variances_that_are_given():
-    """Of one output, which tells all: a fourth of the variances hides four times as much, and none less than one."""
-    n = 300
-    J = np.vstack([np.ones(n), np.linspace(-1, 1, n)])[None]
-    inverse = np.linalg.inv(J[0] @ J[0].T)
-    e = colored([1, -0.7], n, seed=3)
-    e = (e - e @ J[0].T @ inverse @ J[0])[None]
-    sandwich, found = ResidualSpectra([J], [e], inverse, np.eye(1)), information([J], [e])
-    hidden = [
-        sandwich.hidden(factor * found.meat, found.spectrum.density)
-        for factor in (1.0, 0.04, 0.01, 1e6)
-    ]
-    assert hidden[1] > 1
-    assert hidden[2] == pytest.approx(4 * hidden[1], rel=1e-6)
-    assert hidden[3] == 1
 
 
 def pushed(n, seed):
@@ -377,13 +319,7 @@ def test_no_errors_say_nothing_and_hide_nothing():
     random = np.random.default_rng(0)
     found = information([random.normal(size=(2, 3, 50))], [np.zeros((2, 50))])
     assert_allclose(found.meat, np.zeros((3, 3)))
-    assert (found.taken, found.uncertainty, found.hidden, found.corrected, found.spectrum) == (
-        0,
-        0,
-        1,
-        True,
-        None,
-    )
+    assert (found.taken, found.uncertainty, found.corrected, found.spectrum) == (0, 0, True, None)
     assert found.correlation_times.tolist() == [0, 0]
     assert_allclose(score_covariance([random.normal(size=(2, 3, 50))], None), np.zeros((3, 3)))
 
@@ -765,69 +701,6 @@ def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
     )
 
 
-@pytest.mark.parametrize("beside", [False, True])
-def test_spectra_that_are_not_excluded_are_those_of_the_restricted_likelihood_by_dense_matrices(
-    beside,
-):
-    """Errors whose cosine transform has the variances of a spectrum: its likelihood without what a fit took.
-
-    Another output, `beside` it, tells of the parameters as if its errors were white and of the
-    given noise.
-    """
-    n = 48
-    random = np.random.default_rng(4)
-    A = np.column_stack([np.ones(n), np.linspace(-1, 2, n) ** 2])
-    B = random.normal(size=(n, 2)) * beside
-    noise, other = 2.5, 0.7
-    e = lfilter([1.0], [1, -0.8], random.normal(size=(2, n))) * [[1.0], [0.6 * beside]]
-    inverse = np.linalg.inv(A.T @ A / noise + B.T @ B / other)
-    estimate = inverse @ (A.T @ e[0] / noise + B.T @ e[1] / other)
-    e -= [A @ estimate, B @ estimate]
-    k = 1 + beside
-    weighted = np.array([A.T / noise, B.T / other])
-    made = ResidualSpectra([weighted[:k]], [e[:k]], inverse, np.diag([noise, other])[:k, :k])
-    size = np.sqrt(np.mean(e[0] ** 2))
-    told, meats = made.not_excluded(0)
-    assert_allclose(told, made.root.T @ A.T @ A @ made.root / noise, atol=1e-9)
-    turn = dct(np.eye(n), axis=0, norm="ortho")
-    band = np.arange(n) * made.grid.size // (2 * n)
-    scores, wanted = [], []
-    for shape in (
-        np.ones(len(made.grid.omega)),
-        *(s for family in made.families[0] for s in family.shapes),
-    ):
-        sigma = turn.T @ np.diag(shape[band]) @ turn * size**2
-        solved = np.linalg.solve(sigma, A)
-        information = A.T @ solved + B.T @ B / other
-        change = np.linalg.solve(information, solved.T @ e[0] + B.T @ e[1] / other)
-        first, second = e[0] - A @ change, e[1] - B @ change
-        squares = first @ np.linalg.solve(sigma, first) + (second @ second - e[1] @ e[1]) / other
-        left = n - np.trace(told)
-        scale = squares / left
-        scores.append(
-            left * np.log(scale) + np.linalg.slogdet(sigma)[1] + np.linalg.slogdet(information)[1]
-        )
-        wanted.append(made.root.T @ A.T @ sigma @ A @ made.root * scale / noise**2)
-    scores, wanted = np.array(scores), np.array(wanted)
-    order = np.argsort(scores)
-    order = order[scores[order] < scores.min() + 3.84]
-    assert_allclose(meats, wanted[order], rtol=1e-6, atol=1e-9)
-
-
-def test_an_output_that_tells_nothing_hides_nothing():
-    n = 120
-    J = np.vstack([np.ones(n), np.linspace(-1, 1, n)])[None]
-    inverse = np.linalg.inv(J[0] @ J[0].T)
-    e = lfilter([1.0], [1, -0.7], np.random.default_rng(3).normal(size=(2, n)))
-    e[0] -= e[0] @ J[0].T @ inverse @ J[0]
-    alone = ResidualSpectra([J], [e[:1]], inverse, np.eye(1))
-    both = ResidualSpectra([np.concatenate([J, 0 * J])], [e], inverse, np.eye(2))
-    meat = inverse @ np.linalg.inv(inverse) @ np.linalg.inv(inverse) / 100
-    density = np.ones((1, 1, len(alone.grid.omega)))
-    assert alone.hidden(meat, density) > 2
-    assert both.hidden(meat, density) == pytest.approx(alone.hidden(meat, density))
-
-
 def test_correlation_times_are_the_time_constants_of_exponentials():
     grid = FrequencyGrid.of(1000)
     found = grid.correlation_times(
@@ -880,37 +753,6 @@ def slow_and_its_parameter(seed, n=150):
     J = lfilter([1.0], [1, -0.9], random.normal(size=n))
     e = lfilter([1.0], [1, -0.7], random.normal(size=n))
     return J[None], e - J * (J @ e) / (J @ J)
-
-
-def test_limits_of_outputs_of_which_each_tells_of_one_parameter_combine_as_independent_numbers():
-    (one, e), (other, f) = slow_and_its_parameter(1), slow_and_its_parameter(2)
-    inverse = np.diag([1 / (one[0] @ one[0]), 1 / (other[0] @ other[0])])
-    both = ResidualSpectra(
-        [np.array([[one[0], 0 * one[0]], [0 * other[0], other[0]]])],
-        [np.array([e, f])],
-        inverse,
-        np.eye(2),
-    )
-    density, meats, hidden = None, [], []
-    for i, (J, left) in enumerate(((one, e), (other, f))):
-        alone = ResidualSpectra([J[None]], [left[None]], inverse[i : i + 1, i : i + 1], np.eye(1))
-        density = np.ones((1, 1, len(alone.grid.omega)))
-        likeliest = alone.not_excluded(0)[1][0, 0, 0]
-        meats.append(likeliest / inverse[i, i])
-        hidden.append(alone.hidden(np.array([[meats[i]]]), density))
-        assert hidden[i] > 1.5
-        # Of what other data tell three fourths, nothing is hidden.
-        quarter = ResidualSpectra(
-            [J[None]], [left[None]], inverse[i : i + 1, i : i + 1] / 4, np.eye(1)
-        )
-        told, spectra = quarter.not_excluded(0)
-        assert told[0, 0] == pytest.approx(0.25)
-        wanted = (0.75 + spectra.max()) / (0.75 + 0.25 * 1.3)
-        assert quarter.hidden(
-            np.array([[1.3 * 4 / inverse[i, i] * 0.25]]), density
-        ) == pytest.approx(wanted)
-    found = both.hidden(np.diag(meats), density)
-    assert np.log(found) == pytest.approx(np.hypot(*np.log(hidden)) / 2)
 
 
 def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_says():
@@ -1002,42 +844,6 @@ def test_process_noise_is_judged_by_the_variances_of_its_parts():
     logs = np.log(variances.variance)
     slope = np.array([(logarithm(logs + d) - logarithm(logs - d)) / 2e-5 for d in 1e-5 * np.eye(4)])
     assert found.uncertainty == pytest.approx(slope @ variances.covariance @ slope, rel=1e-4)
-
-
-def test_the_most_process_noise_that_residuals_do_not_exclude_is_the_largest_below_the_limit():
-    made = resonant()
-    parts, variances = made.noise_parts, made.variances
-    white = np.eye(2)[:, :, None] * np.ones(len(made.grid.omega), dtype=complex)
-
-    def score(variance):
-        expected = np.tensordot(variance, parts.of_residuals, 1)
-        return whittle_score(
-            expected, made.periodogram[1].transpose(2, 0, 1), 60 * made.grid.band_weight
-        )
-
-    for likely in (white, made.process_noise(parts).density):
-        limit = min(variances.score, made.score_of(likely)) + 3.84
-        (worst,) = made.largest_process_noise(parts, likely)
-        own, shares = variances.variance[:2], np.maximum(variances.variance[2:], 1e-4)
-        total = (made.grid.mean(np.einsum("iib->b", worst).real) - own.sum()) / 2
-        every = np.geomspace(1e-3, 30, 40)
-        place = np.argmin(np.abs(np.log(every / total)))
-        assert every[place] == pytest.approx(total, rel=1e-9)
-        assert total > 1.2 * variances.variance[2:].sum()
-        above, at = (
-            score(np.concatenate([own, each * shares / shares.sum()]))
-            for each in every[[place + 1, place]]
-        )
-        assert at < limit <= above
-    assert made.score_of(white) > limit + 5  # what has no process noise is less likely
-    # One parameter, of which the data tell alone: its variance is the sum of what the spectrum
-    # makes of its score.
-    meat = np.array([[1e-3]])
-    wanted = made.grid.score_covariance(made.transforms(), worst)[0, 0]
-    plain = resonant()
-    plain = replace(plain, shocks=None).hidden(meat, likely)
-    assert made.hidden(meat, likely) == pytest.approx(max(wanted / 1e-3, plain))
-    assert wanted / 1e-3 > plain
 
 
 def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_the_variance_by_a_tenth():

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade
@@ -26,7 +26,7 @@ from greybox.estimate.diagnostics.identifiability import (
 from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_noise, unused_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points
-from greybox.estimate.diagnostics.records import finding_warnings, hidden_errors, record_warnings
+from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.solve.discretization_error import DiscretizationError
 from greybox.solve.local_solver import LocalSolver
@@ -78,6 +78,6 @@ def warnings(
     )
 
 
-def notes(nlp: CompiledProblem, accuracy: Accuracy) -> tuple[str, ...]:
+def notes(problem: AnyProblem) -> tuple[str, ...]:
     """Return what may be worth a look, but is no reason to doubt a converged fit."""
-    return (*unused_noise(nlp.problem), *hidden_errors(accuracy))
+    return tuple(unused_noise(problem))

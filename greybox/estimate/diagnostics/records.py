@@ -21,9 +21,6 @@ from greybox.files.text_table import counted, some
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
-# Factor by which an interval of 95 % may be too narrow: it then covers 81 %.
-NARROW = 1.5
-
 # Share of fits with a false alarm about feedback.
 FALSE_ALARMS = 0.01
 
@@ -63,24 +60,6 @@ def record_warnings(
         *once(finding for part, _ in pairs for finding in _masked(nlp, part)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
     )
-
-
-def hidden_errors(accuracy: Accuracy) -> Iterator[str]:
-    """Note that slow errors, which the residuals do not exclude, would make the intervals much wider.
-
-    The hidden errors of several records are independent. This is no warning, since most short
-    records hold no such errors.
-    """
-    correlations = [known for known in accuracy.correlation if known is not None]
-    bound = math.hypot(*(math.log(known.hidden) / 2 for known in correlations))
-    if bound <= math.log(NARROW):
-        return  # Student's quantile could only narrow them, and its import takes a tenth of a second
-    wider = math.exp(math.hypot(*(math.log(known.wider) for known in correlations)))
-    if wider > NARROW and all(known.is_long_enough for known in correlations):
-        yield (
-            "so short a record hides slow errors, such as drift or gusts, in its noise. Slow errors that the "
-            f"residuals do not exclude would make the intervals up to {wider:.2g} times wider."
-        )
 
 
 def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
