@@ -14,13 +14,12 @@ and returns the Figure.
 | `matplotlib_figure` | draws such a value; the page of a report draws the same values |
 | `bode`, `nyquist` | diagrams of frequency responses |
 | `responses` | the curves and points in them: names, colors, bands |
-| `point_numbers` | frequencies beside points, where there is room |
 | `starts` | the cost that each start reached |
 | `time_history`, `residuals` | fitted and predicted records |
 | `spectrum` | transforms of manoeuvres |
 | `profile`, `sensitivity` | profiles of the likelihood, information on parameters |
 | `flight_log` | logs and their tests |
-| `signals` | units, symbols and shaded tests |
+| `signals` | units, symbols, labels and shaded tests |
 | `long_lines` | draws no more points than can be seen |
 | `overview` | one figure of a whole fit |
 """

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, ComplexArray
 from greybox.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
@@ -37,9 +36,8 @@ def bode(
     Below them are the coherence, where it is known, and the errors of fits: measured less fitted
     values in dB and degrees.
 
-    Curves are unwrapped along omega, and measured phases are moved by multiples of 360° next to
-    their curve, unless the curve is far off: then the data are unwrapped by themselves. For each
-    input-output pair the first curve begins within (-180°, 180°].
+    Curves are unwrapped along omega; the first curve of each input-output pair begins within
+    (-180°, 180°]. Measured phases are moved by multiples of 360° next to their curve.
 
     Error bars show one standard deviation of one component of the data, sqrt(variance / 2), in
     magnitude (20 dB at most) and phase. Shaded is the confidence band of a fit
@@ -90,7 +88,7 @@ def bode_figure(
         bars = _error_bars(drawn.response)
         for k in (0, 1):
             if drawn.band is not None:
-                curves[k].insert(0, _band(drawn, drawn.band, k, values[k]))
+                curves[k].insert(0, _band(drawn, k, values[k]))
             curves[k].append(drawn.series(omega, values[k], *_ends(values[k], bars, k)))
 
     panels = [
@@ -128,33 +126,25 @@ def _error_panels(
                 error = part.data.response / part.response
             if not np.any(np.isfinite(error)):
                 continue
-            data, *curves = _data_and_curves(responses, part.data.checksum, fit)
-            color = curves[0].color if len(fitted) > 1 and curves else data.color
-            # A second fit to the same data is told apart also where the colors are alike.
-            look = replace(data, color=color, response=part.data)
+
+            own = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
+            data = next(drawn for drawn in own if drawn.is_measured)
+            curves = [drawn for drawn in (*own, *responses) if drawn.fit is fit]
+            if len(fitted) > 1 and curves:
+                data = replace(data, color=curves[0].color)
             bars = _error_bars(part.data)
             for k, values in enumerate((_decibel(error), np.degrees(np.angle(error)))):
-                series = look.series(part.data.omega, values, *_ends(values, bars, k))
+                series = data.series(part.data.omega, values, *_ends(values, bars, k))
+                # Where colors are alike, hollow points tell a second fit from the first.
                 points[k].append(replace(series, is_hollow=number > 0))
+
     if not points[0]:
         return []
-    bands = [
-        [_band(drawn, drawn.band, k) for drawn in responses if drawn.band is not None]
-        for k in (0, 1)
-    ]
-    return [
-        Panel(label, [rule(), *bands[k], *points[k]], height=0.5)
-        for k, label in enumerate(("Error, dB", "Error, °"))
-    ]
-
-
-def _data_and_curves(
-    responses: Sequence[DrawnResponse], checksum: str, fit: Fit
-) -> list[DrawnResponse]:
-    """Return the data of this checksum and then the curves of a fit, those of the data first."""
-    data = [d for d in responses if d.is_measured and d.checksum == checksum]
-    curves = [d for d in responses if d.fit is fit]
-    return [*data, *sorted(curves, key=lambda drawn: drawn.checksum != checksum)]
+    panels = []
+    for k, label in enumerate(("Error, dB", "Error, °")):
+        bands = [_band(drawn, k) for drawn in responses if drawn.band is not None]
+        panels.append(Panel(label, [rule(), *bands, *points[k]], height=0.5))
+    return panels
 
 
 def _caption(
@@ -175,15 +165,17 @@ def _decibel(response: ComplexArray) -> Array:
         return 20 * np.log10(np.abs(response))
 
 
-def _band(drawn: DrawnResponse, around: ResponseBand, k: int, curve: Array | None = None) -> Series:
+def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     """Return the band of magnitude (k = 0) or phase around a `curve` (n,), by default around zero."""
+    around = drawn.band
+    assert around is not None
     order = np.argsort(around.omega)
     omega = around.omega[order]
-    offset = (DB_PER_NEPER, 180 / np.pi)[k] * around.offset[k, order]
-    half_width = (DB_PER_NEPER, 180 / np.pi)[k] * around.half_width[k, order]
-    middle = offset
+    unit = (DB_PER_NEPER, 180 / np.pi)[k]
+    middle = unit * around.offset[k, order]
+    half_width = unit * around.half_width[k, order]
     if curve is not None:
-        middle = offset + interpolated(omega, drawn.response.omega, curve)
+        middle += interpolated(omega, drawn.response.omega, curve)
     return band(drawn.label, omega, middle - half_width, middle + half_width, drawn.color)
 
 
@@ -214,30 +206,33 @@ def _ends(values: Array, bars: Array | None, k: int) -> tuple[Array | None, Arra
 def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
     """Return the phase (n,) of each response in degrees; those of one pair lie next to each other.
 
-    Curves must come before measured responses.
+    Curves must come before measured responses, each point of which is shown within half a turn of
+    its curve: unwrapped along frequency, one noisy point would turn all that follow.
     """
     first: dict[Pair, _Phase] = {}
-    guides: dict[DrawnResponse, _Phase] = {}
+    curves: dict[str | Pair, _Phase] = {}
+    shown = []
     for drawn in responses:
-        phase = _unwrapped(drawn.response)
-        curves = [curve for curve in guides if curve.pair == drawn.pair and not curve.is_measured]
-        if drawn.is_measured and curves:
-            guide = guides[min(curves, key=lambda curve: _distance(drawn, curve))]
-            guides[drawn] = guide if _is_near(drawn.response, guide) else _moved(phase, guide)
+        alone = _unwrapped(drawn.response)
+        phase = _moved(alone, first.setdefault(drawn.pair, alone))
+        if drawn.is_measured:
+            phase = curves.get(drawn.checksum) or curves.get(drawn.pair) or phase
         else:
-            guides[drawn] = _moved(phase, first.setdefault(drawn.pair, phase))
-    return [_wrapped_to(guides[drawn], drawn.response) for drawn in responses]
+            curves[drawn.checksum] = phase
+            curves.setdefault(drawn.pair, phase)
+        shown.append(_wrapped_to(phase, drawn.response))
+    return shown
 
 
 def _unwrapped(response: FrequencyResponse) -> _Phase:
-    """Return the sorted omega (n,) and the phase (n,) in degrees, unwrapped along it from within (-180°, 180°]."""
+    """Return the sorted omega (n,) and the phase (n,), unwrapped from within (-180°, 180°]."""
     order = np.argsort(response.omega)
     phase = np.degrees(np.unwrap(np.angle(response.response[order])))
     return response.omega[order], phase + 360 * (phase[0] <= -180)
 
 
 def _moved(phase: _Phase, guide: _Phase) -> _Phase:
-    """Move a phase as a whole by multiples of 360° next to a guide, over their common frequencies."""
+    """Move a phase by multiples of 360° next to a guide, over their common frequencies."""
     low = max(phase[0][0], guide[0][0])
     high = max(low, min(phase[0][-1], guide[0][-1]))
     common = np.geomspace(low, high, 100)  # dense parts of a grid must not count more
@@ -249,19 +244,3 @@ def _wrapped_to(guide: _Phase, response: FrequencyResponse) -> Array:
     """Return the phase (n,) in degrees, each value within half a turn of the guide."""
     phase = np.degrees(np.angle(response.response))
     return phase + 360 * np.round((interpolated(response.omega, *guide) - phase) / 360)
-
-
-def _is_near(response: FrequencyResponse, guide: _Phase) -> bool:
-    """Return whether most points lie within a quarter of a turn of the guide."""
-    distance = _wrapped_to(guide, response) - interpolated(response.omega, *guide)
-    return bool(np.median(np.abs(distance)) <= 90)
-
-
-def _distance(data: DrawnResponse, curve: DrawnResponse) -> float:
-    """Return the mean relative distance of points from a curve; 0 for the curve fitted to them."""
-    if data.checksum == curve.checksum:
-        return 0.0
-    measured = data.response
-    reference = interpolated(measured.omega, curve.response.omega, curve.response.response)
-    size = np.maximum(np.abs(reference), 1e-300)
-    return float(np.mean(np.abs(measured.response - reference) / size))

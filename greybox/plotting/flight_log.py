@@ -105,14 +105,10 @@ def recording(
     TypeError, ValueError
         If there is no signal, or for a wrong number of axes.
     """
+    signals = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
     names = [
-        [name for name in pair if _has(recording, name)]
-        for pair in ATTITUDE
-        if _has(recording, pair[1])
-    ]
-    if not names:
-        signals = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
-        names = [[name] for name in signals[:PANELS]]
+        [name for name in pair if name in signals] for pair in ATTITUDE if pair[1] in signals
+    ] or [[name] for name in signals[:PANELS]]
     if not names:
         raise ValueError(f"{recording.source or 'the recording'} has no signal to draw.")
 
@@ -145,11 +141,3 @@ def _panel(recording: Recording, signals: Sequence[str], color: int) -> Panel:
         values = np.unwrap(record[name], period=360) if unit == "deg" else record[name]
         series.append(signal_line(signal, record.time, values, k))
     return Panel(f"{signals[-1]}, {unit or '-'}", series)
-
-
-def _has(recording: Recording, signal: str) -> bool:
-    try:
-        recording.locate(signal)
-    except KeyError:
-        return False
-    return True

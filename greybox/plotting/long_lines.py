@@ -19,15 +19,13 @@ def drawn_line(
     time: Array,
     values: Array,
     rows: Sequence[IntArray],
-    *,
-    thin: bool = True,
     columns: int = COLUMNS,
 ) -> tuple[Array, Array]:
     """Return the pieces of a line with NaN between them.
 
-    Unless `thin` is False, a long line keeps only the extremes within each of so many columns.
+    A long line keeps only the extremes within each of so many columns.
     """
-    size = -(-sum(map(len, rows)) // columns) if thin else 1
+    size = -(-sum(map(len, rows)) // columns)
     times: list[Array] = []
     heights: list[Array] = []
     for piece in rows:

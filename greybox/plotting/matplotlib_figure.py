@@ -16,6 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
@@ -28,19 +29,18 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
-CROWD = 100  # points of one series from which on markers shrink and lie below the curves
+CROWD = 100  # points of one series above which markers shrink and lie below the curves
 BAND_ALPHA = 0.2
-TITLE_SIZE = 12  # points
 
 AxesArray = NDArray[np.object_]
 """Matplotlib Axes, in one dimension."""
 
 GivenAxes = Axes | Sequence[Axes] | AxesArray
-"""Axes that a user made: one, or an array-like of them."""
+"""Axes that a user made: a single one, or an array-like of them."""
 
 
 class _NotebookFigure(MatplotlibFigure):
-    """A figure that a notebook shows although pyplot, which registers the display, was not imported."""
+    """A figure that a notebook shows although pyplot, which registers the display, is not imported."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -48,10 +48,13 @@ class _NotebookFigure(MatplotlibFigure):
         return buffer.getvalue()
 
 
-def new_figure(width: float, height: float) -> MatplotlibFigure:
+def new_figure(width: float, height: float, title: str = "") -> MatplotlibFigure:
     """Return an empty figure of this size in inches."""
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
-    return _NotebookFigure(figsize=(width, height), layout=layout)
+    page = _NotebookFigure(figsize=(width, height), layout=layout)
+    if title:
+        page.suptitle(plain(title), fontsize=13)
+    return page
 
 
 # --- whole figures
@@ -67,16 +70,21 @@ def draw(
 ) -> AxesArray:
     """Draw a figure into the given axes, one for each panel, or into a new one.
 
-    `width` and the height of a usual panel, `inches`, are those of a new figure.
+    `width` and `inches`, the height of a usual panel, are those of a new figure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but Axes, or a wrong number of them.
     """
     if axes is None:
         return draw_into(new_figure(width, height_of(figure, inches)), figure, legend=legend)
 
-    drawn = given_axes(axes, [panel.label for panel in figure.panels], figure.title)
-    draw_panels(drawn, figure)
+    drawn = _one_for_each([figure], axes)
+    _draw_panels(drawn, figure)
     _write_title(drawn[0], figure)
     if legend:
-        legend_inside(drawn[0], [figure])
+        _legend_inside(drawn[0], figure)
     return drawn
 
 
@@ -86,11 +94,11 @@ def draw_into(
     """Draw a figure into an empty matplotlib figure or a part of one, with its legend below."""
     heights = [panel.height for panel in figure.panels]
     axes = place.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
-    draw_panels(axes, figure)
+    _draw_panels(axes, figure)
     _write_title(axes[0], figure)
     place.align_ylabels(axes)
     if legend:
-        legend_below(place, [figure])
+        _legend_below(place, [figure])
     return axes
 
 
@@ -101,67 +109,48 @@ def draw_grid(
     columns: int,
     size: tuple[float, float],
     title: str = "",
+    legend: bool = False,
 ) -> AxesArray:
     """Draw the panels of several figures side by side, each over its own horizontal axis.
 
-    `columns` and the `size` of a panel in inches are those of a new figure, `title` is its title.
+    `columns`, the `size` of a panel in inches and `title` are those of a new figure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but Axes, or a wrong number of them.
     """
-    panels = [(figure, panel) for figure in figures for panel in figure.panels]
     if axes is None:
-        rows = -(-len(panels) // columns)
-        drawn = grid(new_figure(size[0] * columns, size[1] * rows + 0.4), len(panels), columns)
-        drawn[0].figure.suptitle(plain(title), fontsize=TITLE_SIZE)
-    else:
-        drawn = given_axes(axes, [panel.title or panel.label for _, panel in panels], "this figure")
-    for ax, (figure, panel) in zip(drawn, panels, strict=True):
-        _draw_panel(ax, figure, panel)
-        _horizontal_axis([ax], figure)
+        rows = -(-sum(len(figure.panels) for figure in figures) // columns)
+        page = new_figure(size[0] * columns, size[1] * rows + 0.4, title)
+        return draw_grid_into(page, figures, columns, legend=legend)
+
+    drawn = _one_for_each(figures, axes)
+    _draw_side_by_side(drawn, figures)
+    if legend:
+        for ax, figure in zip(drawn, figures, strict=True):
+            _legend_inside(ax, figure)
     return drawn
 
 
-def grid(place: MatplotlibFigure | SubFigure, count: int, columns: int) -> AxesArray:
-    """Make this number of axes in rows."""
+def draw_grid_into(
+    place: MatplotlibFigure | SubFigure, figures: Sequence[Figure], columns: int, *, legend: bool
+) -> AxesArray:
+    """Draw panels side by side into an empty matplotlib figure or a part of one."""
+    count = sum(len(figure.panels) for figure in figures)
     axes = place.subplots(-(-count // columns), columns, squeeze=False).ravel()
     for spare in axes[count:]:
         spare.remove()
+
+    _draw_side_by_side(axes[:count], figures)
+    if legend:
+        _legend_below(place, figures)
     return axes[:count]
-
-
-def draw_panels(axes: Sequence[Axes] | AxesArray, figure: Figure) -> None:
-    """Draw the panels of a figure into these axes, without title and legend."""
-    for ax, panel in zip(axes, figure.panels, strict=True):
-        _draw_panel(ax, figure, panel)
-    _horizontal_axis(axes, figure)
-
-
-def _write_title(ax: Axes, figure: Figure) -> None:
-    title = plain(figure.subject or figure.title)
-    ax.set_title("\n".join(filter(None, [title, ax.get_title()])), fontsize=TITLE_SIZE)
 
 
 def height_of(figure: Figure, inches: float = 2.5) -> float:
     """Return the height in inches that a figure needs."""
     return 1.1 + inches * sum(panel.height for panel in figure.panels)
-
-
-# --- axes of a user
-
-
-def given_axes(axes: GivenAxes, names: Sequence[str], drawing: str) -> AxesArray:
-    """Return the axes of a user as an array (n,), one for each of `names`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For what is not an Axes, or for another number of them.
-    """
-    flat = flat_axes(axes)
-    if flat.size != len(names):
-        raise ValueError(
-            f"{drawing} has {len(names)} panels ({'; '.join(names)}), but `axes` has {flat.size}: "
-            "give one for each."
-        )
-    return flat
 
 
 def flat_axes(axes: GivenAxes) -> AxesArray:
@@ -170,15 +159,45 @@ def flat_axes(axes: GivenAxes) -> AxesArray:
     Raises
     ------
     TypeError
-        For what is not an Axes.
+        For anything but Axes.
     """
     flat = np.array(axes, dtype=object).ravel()
     for item in flat:
         if not isinstance(item, Axes):
             raise TypeError(
-                f"cannot draw into {item!r:.80}: give matplotlib Axes, e.g. those of plt.subplots()."
+                f"cannot draw into {item!r:.80}: give matplotlib Axes, e.g. those of "
+                "plt.subplots()."
             )
     return flat
+
+
+def _one_for_each(figures: Sequence[Figure], axes: GivenAxes) -> AxesArray:
+    """Return the axes of a user, one for each panel."""
+    flat = flat_axes(axes)
+    names = [panel.title or panel.label for figure in figures for panel in figure.panels]
+    if flat.size != len(names):
+        raise ValueError(
+            f"{figures[0].title} has {len(names)} panels ({'; '.join(names)}), but `axes` has "
+            f"{flat.size}: give one for each."
+        )
+    return flat
+
+
+def _draw_panels(axes: AxesArray, figure: Figure) -> None:
+    for ax, panel in zip(axes, figure.panels, strict=True):
+        _draw_panel(ax, figure, panel)
+    _horizontal_axis(axes, figure)
+
+
+def _draw_side_by_side(axes: AxesArray, figures: Sequence[Figure]) -> None:
+    single = [replace(figure, panels=[panel]) for figure in figures for panel in figure.panels]
+    for k, figure in enumerate(single):
+        _draw_panels(axes[k : k + 1], figure)
+
+
+def _write_title(ax: Axes, figure: Figure) -> None:
+    title = plain(figure.subject or figure.title)
+    ax.set_title("\n".join(filter(None, [title, ax.get_title()])), fontsize=12)
 
 
 # --- one panel
@@ -189,23 +208,17 @@ def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
         ax.axvspan(start, end, color=color_of(color), alpha=0.15, linewidth=0)
     for series in panel.series:
         _DRAWERS[series.kind](ax, series)
-
     if figure.is_plane:
-        ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
-        ax.axvline(0, color="0.6", linewidth=0.8, zorder=1)
-        ax.margins(0.12)
-        ax.set_aspect("equal", adjustable="datalim")
-        _include_regions(ax, panel)
-        if figure.limits is not None and panel.limits is not None:
-            ax.dataLim.set_points(np.array([figure.limits, panel.limits]).T)
-            ax.margins(0)
-    else:  # `point_numbers` finds room for the labels of a plane
-        for series in panel.series:
-            _write_labels(ax, series)
+        _draw_plane(ax, figure, panel)
     if panel.title:
         ax.set_title(plain(panel.title), fontsize=10)
+
     _vertical_axis(ax, panel)
-    finish(ax, panel.label)
+    ax.set_ylabel(plain(panel.label), fontsize=11)
+    ax.tick_params(labelsize=10)
+    ax.grid(True, color="0.9", linewidth=0.8)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
 
 
 def _draw_line(ax: Axes, series: Series) -> None:
@@ -216,32 +229,16 @@ def _draw_line(ax: Axes, series: Series) -> None:
 
 
 def _draw_points(ax: Axes, series: Series) -> None:
-    crowded = len(series.x) > CROWD
     y = _finite(series.y)
+    layer = 3.0 if len(y) <= CROWD else 1.5
     if series.low is not None and series.high is not None:
         ends = [y - _finite(series.low), _finite(series.high) - y]
-        ax.errorbar(
-            series.x,
-            y,
-            ends,
-            fmt="none",
-            ecolor=color_of(series.color),
-            elinewidth=1.0,
-            capsize=0.0 if crowded else 2.0,
-            alpha=0.3 if crowded else 0.7,
-            zorder=1.2 if crowded else 2,
-        )
+        look = {"ecolor": color_of(series.color), "elinewidth": 1.0, "alpha": 0.2 * layer}
+        ax.errorbar(series.x, y, ends, fmt="none", zorder=layer - 0.3, **look)
+
     # The ink of all points together remains the same.
-    shrink = min(1.0, (CROWD / max(len(series.x), 1)) ** 0.5)
-    size = max(2.0, shrink * MARKER_SIZE)
-    ax.plot(series.x, y, **{**_look(series), "markersize": size}, zorder=1.5 if crowded else 3)
-
-
-def _write_labels(ax: Axes, series: Series) -> None:
-    look = {"fontsize": 8, "color": color_of(series.color), "ha": "center"}
-    for x, y, text in zip(series.x, series.y, series.labels, strict=False):
-        if text:
-            ax.annotate(text, (x, y), xytext=(0, 5), textcoords="offset points", **look)
+    size = MARKER_SIZE * min(1.0, (CROWD / max(len(y), 1)) ** 0.5)
+    ax.plot(series.x, y, **{**_look(series), "markersize": max(2.0, size)}, zorder=layer)
 
 
 def _draw_band(ax: Axes, series: Series) -> None:
@@ -278,25 +275,68 @@ _DRAWERS = {
 
 def _polygons(series: Series) -> list[Array]:
     vertices = np.column_stack([series.x, series.y])
-    gaps = np.flatnonzero(np.isnan(vertices).any(axis=1))
-    pieces = (piece[~np.isnan(piece).any(axis=1)] for piece in np.split(vertices, gaps))
-    return [piece for piece in pieces if len(piece)]
+    is_gap = np.isnan(vertices).any(axis=1)
+    pieces = np.split(vertices, np.flatnonzero(is_gap))
+    return [piece[np.isfinite(piece).all(axis=1)] for piece in pieces if len(piece) > 1]
 
 
-def _include_regions(ax: Axes, panel: Panel) -> None:
-    """Extend the limits to filled regions, by half of the extent of points and curves at most."""
+def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
+    """Give both axes one scale and their lines through zero, and number the points."""
+    ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+    ax.axvline(0, color="0.6", linewidth=0.8, zorder=1)
+    ax.margins(0.12)
+    ax.set_aspect("equal", adjustable="datalim")
+
+    # Regions may be many times as wide as the data: the limits grow by half at most.
     reach = ax.dataLim.expanded(1.5, 1.5)
     for series in panel.series:
-        if series.kind == "regions" and not series.is_hollow and series.x.size:
-            vertices = np.vstack(_polygons(series))
+        if series.kind == "regions" and not series.is_hollow:
+            vertices = np.column_stack([series.x, series.y])
             ax.update_datalim(np.clip(vertices, reach.min, reach.max))
+    if figure.limits is not None and panel.limits is not None:
+        ax.dataLim.set_points(np.array([figure.limits, panel.limits]).T)
+        ax.margins(0)
+    _write_labels(ax, panel)
+
+
+def _write_labels(ax: Axes, panel: Panel) -> None:
+    """Write labels beside the points, on the outer side of their curve, where there is room."""
+    room = max(ax.dataLim.width, ax.dataLim.height) / 14
+    look = {"fontsize": 8.5, "color": "0.25", "ha": "center", "va": "center"}
+    outline = [withStroke(linewidth=2, foreground="white")]
+    written: list[tuple[str, complex]] = []
+    for series in panel.series:
+        spots = series.x + 1j * series.y
+        for k, text in enumerate(series.labels):
+            spot = spots[k]
+            # Points of several tests at one frequency lie near each other: one number is enough.
+            if any(abs(spot - at) < room * (1 + 2 * (text == name)) for name, at in written):
+                continue
+
+            before, after = spots[max(k - 1, 0)], spots[min(k + 1, len(spots) - 1)]
+            outward = 2 * spot - before - after
+            if 0 < k < len(spots) - 1:
+                # Both axes have one scale, so a normal of the curve is one on paper too.
+                normal = 1j * (after - before)
+                outward = normal * np.sign(np.real(np.conj(normal) * outward))
+            outward /= abs(outward) or 1.0
+            offset = outward.real * (7 + 2.2 * len(text)), outward.imag * 11  # points
+            ax.annotate(
+                text if written else f"{text} rad/s",
+                (spot.real, spot.imag),
+                offset,
+                textcoords="offset points",
+                path_effects=outline,
+                **look,
+            )
+            written.append((text, spot))
 
 
 def _look(series: Series) -> dict[str, Any]:
     """Return the keywords of matplotlib's `plot`."""
     color = color_of(series.color)
     look = {"color": color, "label": plain(series.name) or "_"}
-    if series.kind == "line":
+    if series.kind in ("line", "rule"):
         dash = DASHES[series.style % len(DASHES)]
         return {**look, "linestyle": dash, "linewidth": series.width}
 
@@ -314,9 +354,6 @@ def _finite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-# --- colors, text and axes
-
-
 def color_of(number: int) -> str:
     """Return the color of this number."""
     named = {GRAY: "#999999", INK: "#222222"}
@@ -324,24 +361,11 @@ def color_of(number: int) -> str:
 
 
 def plain(text: str) -> str:
-    """Return text that matplotlib shows as it is: without mathematics, and not hidden from a legend."""
+    """Return text that matplotlib shows as it is: no mathematics, not hidden from a legend."""
     return text.lstrip("_").replace("$", r"\$")
 
 
-def finish(ax: Axes, ylabel: str) -> None:
-    """Label the vertical axis and give the panel the grid and the spines of every diagram."""
-    ax.set_ylabel(plain(ylabel), fontsize=11)
-    ax.tick_params(labelsize=10)
-    ax.grid(True, color="0.9", linewidth=0.8)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
-def label_horizontal(axes: Sequence[Axes] | AxesArray, label: str) -> None:
-    """Label the horizontal axes that show numbers: of stacked panels only the lowest."""
-    for ax in axes:
-        if ax.xaxis.get_tick_params().get("labelbottom", True):
-            ax.set_xlabel(plain(label), fontsize=11)
+# --- axes
 
 
 def _vertical_axis(ax: Axes, panel: Panel) -> None:
@@ -363,19 +387,19 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
         ax.yaxis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
 
 
-def _horizontal_axis(axes: Sequence[Axes] | AxesArray, figure: Figure) -> None:
-    label_horizontal(axes, figure.label)
-    if figure.limits is not None and not figure.is_plane:
-        for ax in axes:
+def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
+    for ax in axes:
+        if ax.xaxis.get_tick_params().get("labelbottom", True):  # of stacked panels, the lowest
+            ax.set_xlabel(plain(figure.label), fontsize=11)
+        if figure.limits is not None and not figure.is_plane:
             ax.set_xlim(figure.limits)
-    if figure.is_whole:
-        for ax in axes:
+        if figure.is_whole:
             ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     if figure.is_logarithmic:
-        _logarithmic(axes)
+        _make_logarithmic(axes)
 
 
-def _logarithmic(axes: Sequence[Axes] | AxesArray) -> None:
+def _make_logarithmic(axes: AxesArray) -> None:
     """Make horizontal axes logarithmic, with 1, 2 and 5 of every decade where there is room."""
     # Everything in the panels, including what a user drew before.
     low = min(ax.dataLim.minposx for ax in axes)
@@ -393,17 +417,15 @@ def _logarithmic(axes: Sequence[Axes] | AxesArray) -> None:
 # --- legends
 
 
-def legend_below(place: MatplotlibFigure | SubFigure, figures: Sequence[Figure]) -> None:
+def _legend_below(place: MatplotlibFigure | SubFigure, figures: Sequence[Figure]) -> None:
     """Draw the legend below everything, where it covers no data."""
-    entries = legend_entries(figures)
+    entries = _legend_entries(figures)
     if not entries:
         return
     inches = place.bbox.width / place.dpi
     # A letter of 10 points takes about 1/11 inch, a key six letters.
     columns = int(11 * inches / (max(map(len, entries)) + 6))
     place.legend(
-        handles=[*entries.values()],
-        labels=[*entries],
         loc="outside lower center",
         ncols=max(1, min(len(entries), columns)),
         fontsize=10,
@@ -412,29 +434,28 @@ def legend_below(place: MatplotlibFigure | SubFigure, figures: Sequence[Figure])
     )
 
 
-def legend_inside(ax: Axes, figures: Sequence[Figure]) -> None:
-    """Draw the legend inside a panel."""
-    entries = legend_entries(figures)
+def _legend_inside(ax: Axes, figure: Figure) -> None:
+    entries = _legend_entries([figure])
     if entries:
-        look = {"fontsize": 9, **_keys_side_by_side(entries)}
-        ax.legend(handles=[*entries.values()], labels=[*entries], **look)
+        ax.legend(fontsize=9, **_keys_side_by_side(entries))
 
 
-def legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
-    """Return the keys by label: points, then lines, then bands; one label has the keys of all its colors."""
+def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
+    """Return the keys by label: points, lines, then bands; a label has the keys of all its colors."""
     keys: dict[str, dict[tuple[int, int], Artist]] = {}
     bands: dict[str, dict[int, Artist]] = {}
-    for panel_figure, panel in ((figure, panel) for figure in figures for panel in figure.panels):
-        earlier = set(keys)  # names in panels above
-        for series in sorted(panel.series, key=lambda series: series.kind != "points"):
-            is_area = series.kind == "band" or (series.kind == "regions" and not series.is_hollow)
-            if is_area and panel_figure.bands:
-                patch = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
-                bands.setdefault(panel_figure.bands, {})[series.color] = patch
-            elif series.name and series.name not in earlier and not is_area:
-                kind = "line" if series.kind == "rule" else series.kind
-                key = Line2D([], [], **_look(replace(series, kind=kind)))
-                keys.setdefault(series.name, {})[series.color, series.style] = key
+    for figure in figures:
+        for panel in figure.panels:
+            earlier = set(keys)  # names in panels above, where they have other styles
+            for series in sorted(panel.series, key=lambda series: series.kind != "points"):
+                is_area = series.kind in ("band", "regions") and not series.is_hollow
+                if is_area and figure.bands:
+                    patch = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
+                    bands.setdefault(figure.bands, {})[series.color] = patch
+                elif series.name and series.name not in earlier and not is_area:
+                    key = Line2D([], [], **_look(series))
+                    keys.setdefault(series.name, {})[series.color, series.style] = key
+
     legend = {plain(label): tuple(artists.values()) for label, artists in keys.items()}
     for label, artists in bands.items():
         legend[plain(label)] = tuple(artists[color] for color in sorted(artists))
@@ -442,8 +463,9 @@ def legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
 
 
 def _keys_side_by_side(entries: dict[str, tuple[Artist, ...]]) -> dict[str, Any]:
-    most = max(map(len, entries.values()))
     return {
+        "handles": [*entries.values()],
+        "labels": [*entries],
         "handler_map": {tuple: HandlerTuple(ndivide=None, pad=0.4)},
-        "handlelength": max(2.0, 1.2 * most),
+        "handlelength": max(2.0, 1.2 * max(map(len, entries.values()))),
     }

@@ -10,19 +10,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.plotting.figure import Figure, Limits, Panel, Series
-from greybox.plotting.matplotlib_figure import (
-    TITLE_SIZE,
-    AxesArray,
-    GivenAxes,
-    draw_panels,
-    flat_axes,
-    grid,
-    legend_below,
-    legend_inside,
-    new_figure,
-    plain,
-)
-from greybox.plotting.point_numbers import number_points
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw_grid, flat_axes
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
 
 UNLIKE = 5.0  # ratio of magnitudes above which the smaller one would vanish beside the larger
@@ -69,24 +57,12 @@ def nyquist(
     """
     if level is not None:
         require_level(level)
-    if axes is None:
-        figures = nyquist_figures(fits, labels, level)
-        rows, columns = rows_and_columns(len(figures))
-        page = new_figure(1.8 + 4.6 * columns, 1.2 + 4.6 * rows)
-        drawn = grid(page, len(figures), columns)
-        page.suptitle(plain(title(fits)), fontsize=TITLE_SIZE)
-        if legend:
-            legend_below(page, figures)
-    else:
-        drawn = flat_axes(axes)
-        figures = nyquist_figures(fits, labels, level, drawn.size)
-
-    for ax, figure in zip(drawn, figures, strict=True):
-        draw_panels([ax], figure)
-        if axes is not None and legend:
-            legend_inside(ax, [figure])
-    number_points(drawn, figures)
-    return drawn
+    count = None if axes is None else flat_axes(axes).size
+    figures = nyquist_figures(fits, labels, level, count)
+    columns = columns_of(len(figures))
+    return draw_grid(
+        figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits), legend=legend
+    )
 
 
 def nyquist_figures(
@@ -118,10 +94,9 @@ def nyquist_figures(
     return [_figure(group, level) for group in (pairs if count > 1 else [responses])]
 
 
-def rows_and_columns(count: int) -> tuple[int, int]:
-    """Return the rows and columns of a grid of `count` panels."""
-    columns = int(np.ceil(np.sqrt(count)))
-    return -(-count // columns), columns
+def columns_of(count: int) -> int:
+    """Return the columns of a grid of `count` panels that is about as wide as high."""
+    return int(np.ceil(np.sqrt(count)))
 
 
 def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:

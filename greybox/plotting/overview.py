@@ -6,24 +6,12 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from greybox.estimate.result import Fit
 from greybox.plotting.bode import bode_figure
-from greybox.plotting.figure import Figure
-from greybox.plotting.matplotlib_figure import (
-    draw_into,
-    draw_panels,
-    grid,
-    height_of,
-    legend_below,
-    new_figure,
-    plain,
-)
-from greybox.plotting.nyquist import nyquist_figures, rows_and_columns
-from greybox.plotting.point_numbers import number_points
+from greybox.plotting.matplotlib_figure import draw_grid_into, draw_into, height_of, new_figure
+from greybox.plotting.nyquist import columns_of, nyquist_figures
 from greybox.plotting.responses import title
 from greybox.plotting.spectrum import spectrum_figure
 from greybox.plotting.starts import starts_figure
 from greybox.plotting.time_history import history_figure
-
-BODE_WIDTH = 6.2  # inches
 
 
 def plot(fit: Fit) -> MatplotlibFigure:
@@ -38,52 +26,27 @@ def plot(fit: Fit) -> MatplotlibFigure:
         Not axes, as from the other functions, since it arranges several diagrams. pyplot does not
         know it: show it as the last line of a notebook cell, or save it with ``savefig``.
     """
-    return _plot_records(fit) if fit.records or fit.spectra else _plot_responses(fit)
-
-
-def _plot_records(fit: Fit) -> MatplotlibFigure:
-    """Draw records, manoeuvres and starts below one another, and a Bode diagram to their right."""
+    nyquist = [] if fit.records or fit.spectra else nyquist_figures((fit,))
     histories = [history_figure((fit,), k) for k in range(len(fit.records))]
-    spectra = [spectrum_figure(fit, k) for k in range(len(fit.spectra))]
     if len(histories) == 1:
         histories = [replace(histories[0], subject="Time history")]
+    spectra = [spectrum_figure(fit, k) for k in range(len(fit.spectra))]
     diagrams = [*histories, *spectra, starts_figure(fit)]
-    heights = [height_of(figure, 2.0) for figure in diagrams]
-    widths = (9.5, BODE_WIDTH) if fit.responses else (9.5,)
 
-    page = new_figure(sum(widths), sum(heights) + 0.4)
-    page.suptitle(plain(title((fit,))), fontsize=13)
-    columns = page.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
-    rows = columns[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    columns = columns_of(len(nyquist))
+    width = 2.8 + 3.4 * columns if nyquist else 9.5
+    widths = (width, 6.2) if fit.responses else (width,)  # inches
+    heights = [height_of(figure, 2.0) for figure in diagrams]
+    if nyquist:
+        heights.insert(0, 1.8 + 3.4 * -(-len(nyquist) // columns))
+
+    page = new_figure(sum(widths), sum(heights) + 0.4, title((fit,)))
+    sides = page.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
+    rows = [*sides[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]]
+    if nyquist:
+        draw_grid_into(rows.pop(0), nyquist, columns, legend=True)
     for row, figure in zip(rows, diagrams, strict=True):
         draw_into(row, figure)
-    for column in columns[1:]:
-        draw_into(column, _bode(fit))
+    if fit.responses:
+        draw_into(sides[1], replace(bode_figure((fit,)), subject="Bode diagram"))
     return page
-
-
-def _plot_responses(fit: Fit) -> MatplotlibFigure:
-    figures = nyquist_figures((fit,))
-    starts = starts_figure(fit)
-    rows, columns = rows_and_columns(len(figures))
-    widths = (2.8 + 3.4 * columns, BODE_WIDTH)
-    heights = (1.8 + 3.4 * rows, height_of(starts, 1.9))
-
-    page = new_figure(sum(widths), sum(heights))
-    page.suptitle(plain(title((fit,))), fontsize=13)
-    sides = page.subfigures(1, 2, wspace=0.03, width_ratios=widths, squeeze=False)[0]
-    top, bottom = sides[0].subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
-
-    drawn = grid(top, len(figures), columns)
-    for ax, figure in zip(drawn, figures, strict=True):
-        draw_panels([ax], figure)
-    top.suptitle("Nyquist diagram", fontsize=12)
-    legend_below(top, figures)
-    draw_into(sides[1], _bode(fit))
-    draw_into(bottom, starts)
-    number_points(drawn, figures)  # last, when the layout of the page is known
-    return page
-
-
-def _bode(fit: Fit) -> Figure:
-    return replace(bode_figure((fit,)), subject="Bode diagram")

@@ -13,6 +13,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, INK, Series
+from greybox.plotting.signals import distinct_labels
 
 Pair = tuple[str, str]
 """Names of input and output."""
@@ -75,12 +76,17 @@ def drawn_responses(
     TypeError, ValueError
         For an item that is not a response, for no items, or for a wrong number of labels.
     """
-    _check(items, labels)
-    names = labels or _labels(items)
-    data = {}
+    names = distinct_labels([_label(item) for item in items], labels)
+    if all(isinstance(item, Fit) and not item.responses for item in items):
+        raise ValueError(
+            "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
+        )
+    data: dict[str, tuple[FrequencyResponse, str]] = {}
     for item, name in zip(items, names, strict=True):
-        for response, label in _data(item, name):
-            data[response.checksum] = (response, label)
+        if isinstance(item, Fit):
+            data |= {part.data.checksum: (part.data, part.name) for part in item.responses}
+        elif item.source != "model":
+            data[item.checksum] = (item, name)
     pairs = _pairs(items)
 
     measured = [
@@ -91,7 +97,7 @@ def drawn_responses(
             style=k,
             is_measured=True,
             checksum=checksum,
-            pair=pairs.get(checksum) or _pair(response, pairs),
+            pair=_pair(response, pairs),
         )
         for k, (checksum, (response, label)) in enumerate(data.items())
     ]
@@ -173,51 +179,28 @@ def _band(fit: Fit, checksum: str, level: float) -> ResponseBand | None:
 
 
 def _pairs(items: Sequence[Fit | FrequencyResponse]) -> dict[str, Pair]:
-    """Return the names of input and output by checksum; missing ones come from the curve."""
+    """Return the names of input and output by checksum of the data."""
     pairs = {}
-    for item in items:
-        if isinstance(item, Fit):
-            for part in item.responses:
-                named = part.curve or part.data
-                pairs[part.data.checksum] = (named.input, named.output)
     for item in items:
         if isinstance(item, FrequencyResponse):
             pairs.setdefault(item.checksum, (item.input, item.output))
+            continue
+        for part in item.responses:
+            named = part.curve or part.data
+            pairs[part.data.checksum] = (named.input, named.output)
     return {checksum: pair for checksum, pair in pairs.items() if all(pair)}
 
 
 def _pair(response: FrequencyResponse, pairs: Mapping[str, Pair]) -> Pair:
-    """Return the names of input and output; missing ones are those of the only pair that matches."""
+    """Return the names of input and output; missing ones come from the curve of these data.
+
+    Data without a curve of their own have the names of the only pair, if there is one.
+    """
     pair = response.input, response.output
-    matching = {
-        other
-        for other in pairs.values()
-        if all(a in ("", b) for a, b in zip(pair, other, strict=True))
-    }
-    return matching.pop() if len(matching) == 1 else pair
-
-
-def _check(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> None:
-    for item in items:
-        if not isinstance(item, Fit | FrequencyResponse):
-            raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a FrequencyResponse.")
-    if not items:
-        raise ValueError("there is nothing to draw: give at least one Fit or FrequencyResponse.")
-    if all(isinstance(item, Fit) and not item.responses for item in items):
-        raise ValueError(
-            "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
-        )
-    if labels and len(labels) != len(items):
-        raise ValueError(
-            f"there are {len(labels)} labels for {len(items)} fits: give one for each."
-        )
-
-
-def _data(item: Fit | FrequencyResponse, name: str) -> list[tuple[FrequencyResponse, str]]:
-    """Return the measured responses of an item with their labels."""
-    if isinstance(item, Fit):
-        return [(part.data, part.name) for part in item.responses]
-    return [] if item.source == "model" else [(item, name)]
+    if all(pair):
+        return pair
+    only = next(iter(pairs.values())) if len(set(pairs.values())) == 1 else pair
+    return pairs.get(response.checksum, only)
 
 
 def _curves_of(item: Fit | FrequencyResponse) -> list[tuple[str, FrequencyResponse]]:
@@ -238,39 +221,27 @@ def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, Fr
     longest_first = sorted(curves, key=lambda pair: pair[1].omega.min() / pair[1].omega.max())
     distinct: list[tuple[str, FrequencyResponse]] = []
     for checksum, curve in longest_first:
-        if not any(_lies_on(curve, other) for _, other in distinct):
+        if not any(_lies_on(curve, longer) for _, longer in distinct):
             distinct.append((checksum, curve))
     return distinct
 
 
-def _lies_on(curve: FrequencyResponse, other: FrequencyResponse) -> bool:
-    if (curve.input, curve.output) != (other.input, other.output):
+def _lies_on(curve: FrequencyResponse, longer: FrequencyResponse) -> bool:
+    if (curve.input, curve.output) != (longer.input, longer.output):
         return False
-    low = 0.999 * other.omega.min()  # rounding
-    high = 1.001 * other.omega.max()
-    reference = interpolated(curve.omega, other.omega, other.response)
+    low, high = 0.999 * longer.omega.min(), 1.001 * longer.omega.max()  # rounding
+    reference = interpolated(curve.omega, longer.omega, longer.response)
     # Curves that differ by less than 1 % look like one line.
     is_near = np.abs(curve.response - reference) <= 0.01 * np.abs(reference)
     return bool(np.all((low <= curve.omega) & (curve.omega <= high) & is_near))
 
 
-def _labels(items: Sequence[Fit | FrequencyResponse]) -> list[str]:
-    """Name the items by their models; if these are alike by their problems, else by numbers."""
-    models = [
-        _joined(part.label for part in item.parts) if isinstance(item, Fit) else item.name
-        for item in items
-    ]
-    for names in (models, [item.name for item in items]):
-        labels = [
-            f"fit of {name}" if isinstance(item, Fit) else name or "data"
-            for item, name in zip(items, names, strict=True)
-        ]
-        if len(set(labels)) == len(labels):
-            return labels
-    return [
-        f"{'fit' if isinstance(item, Fit) else item.name or 'data'} {k}"
-        for k, item in enumerate(items, 1)
-    ]
+def _label(item: Fit | FrequencyResponse) -> str:
+    if isinstance(item, Fit):
+        return f"fit of {_joined(part.label for part in item.parts)}"
+    if isinstance(item, FrequencyResponse):
+        return item.name or "data"
+    raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a FrequencyResponse.")
 
 
 def _joined(names: Iterable[str]) -> str:

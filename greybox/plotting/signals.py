@@ -41,3 +41,22 @@ def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
     if not -len(items) <= number < len(items):
         raise ValueError(f"there is no {kind} {number}: the fit has {len(items)}, counted from 0.")
     return items[number]
+
+
+def distinct_labels(defaults: Sequence[str], labels: Sequence[str]) -> list[str]:
+    """Return one label for each item, by default numbered where two are alike.
+
+    Raises
+    ------
+    ValueError
+        If there are no items, or the number of `labels` is wrong.
+    """
+    if not defaults:
+        raise ValueError("there is nothing to draw: give at least one fit.")
+    if labels and len(labels) != len(defaults):
+        raise ValueError(
+            f"there are {len(labels)} labels for {len(defaults)} items: give one for each."
+        )
+    if labels or len(set(defaults)) == len(defaults):
+        return list(labels or defaults)
+    return [f"{name} {k}" for k, name in enumerate(defaults, 1)]

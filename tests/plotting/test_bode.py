@@ -59,14 +59,6 @@ def test_whole_curves_are_moved_together_within_their_pair_only():
     np.testing.assert_allclose(other.get_ydata() - one.get_ydata(), np.degrees(0.5))
 
 
-def test_phases_that_no_curve_guides_are_unwrapped_by_themselves():
-    omega = np.geomspace(1, 10, 60)
-    data = gb.FrequencyResponse(omega, np.exp(-1j * np.radians(60 + 40 * omega)), "u", "y")
-    off = replace(data, response=np.ones(60), source="model", name="off")
-    (line,) = points(gb.plotting.bode(off, data)[1])
-    np.testing.assert_allclose(np.diff(line.get_ydata()), -40 * np.diff(omega))
-
-
 def test_a_wrong_sign_stays_within_half_a_turn_of_the_curve(rotors):
     axes = gb.plotting.bode(rotors)[1]
     (line,) = curves(axes)

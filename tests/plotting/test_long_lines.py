@@ -36,8 +36,3 @@ def test_of_long_lines_the_extremes_of_every_column_are_drawn(count):
         drawn = x[(t >= first) & (t < first + size)]
         assert np.nanmax(drawn) == np.nanmax(column)
         assert np.nanmin(drawn) == np.nanmin(column)
-
-
-def test_thinning_can_be_left_out():
-    time = np.arange(50_000.0)
-    assert drawn_line(time, time, [np.arange(50_000)], thin=False)[0].size == 50_000

@@ -49,10 +49,8 @@ def test_an_overlay_draws_shared_data_once(draw, pitch):
 
 
 def test_overlaid_fits_without_labels_are_told_apart(pitch):
-    other = replace(pitch, name="pitch again")
-    one, two = (gb.plotting.nyquist(pitch, second, level=None)[0] for second in (other, pitch))
-    assert legend(one) == ["pitch", "fit of pitch", "fit of pitch again"]
-    assert legend(two) == ["pitch", "fit 1", "fit 2"]
+    (axes,) = gb.plotting.nyquist(pitch, pitch, level=None)
+    assert legend(axes) == ["pitch", "fit of Tilt 1", "fit of Tilt 2"]
 
 
 @pytest.mark.parametrize("draw", [gb.plotting.nyquist, gb.plotting.bode])
@@ -107,7 +105,7 @@ def test_wrong_use_is_said_in_a_sentence(pitch):
         gb.plotting.nyquist()
     with pytest.raises(TypeError, match="give a Fit or a FrequencyResponse"):
         gb.plotting.bode([pitch])
-    with pytest.raises(ValueError, match="1 labels for 2 fits"):
+    with pytest.raises(ValueError, match="1 labels for 2 items"):
         gb.plotting.bode(pitch, pitch, labels=("one",))
 
 

@@ -66,7 +66,7 @@ def test_of_a_short_record_every_sample_is_a_dot_and_angles_are_in_degrees():
     expected = np.degrees(position - short.record["position"])
     at = np.isfinite(expected)
     assert residual.y[drawn] == pytest.approx(np.interp(residual.x[drawn], time[at], expected[at]))
-    half = np.degrees(1.959964 * short.record["position_error"])
+    half = np.degrees(1.96 * short.record["position_error"])
     shade = named(below, "Spring", "band")
     assert np.nanmax(shade.high) == -np.nanmin(shade.low) == pytest.approx(np.nanmax(half))
     assert force.series[0].y == pytest.approx(record["force"])
