@@ -2,18 +2,17 @@
 
 import argparse
 from pathlib import Path
-from typing import get_args
 
 from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.bootstrap import Resampling, bootstrap
+from greybox.study.bootstrap import bootstrap
 
 EXAMPLES = (
     "pitch.h5",
-    "pitch.h5 --resampling parametric --replicates 400 --out replicates --workers 2",
+    "pitch.h5 --replicates 400 --out replicates --workers 2",
 )
 
 
@@ -21,21 +20,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add_fit_argument(parser)
-    add(
-        "--resampling",
-        choices=get_args(Resampling),
-        help="what is drawn: parametric errors (default) or residuals of responses; residuals in time, "
-        "blocks of them with --block (default), or parametric errors of records; parts: whole records or responses",
-    )
     add("--replicates", type=positive, default=1000, metavar="N", help="1000 by default")
     add("--seed", type=nonnegative, default=0, help="of what is drawn, 0 by default")
-    add(
-        "--block",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="samples of a block of residuals, 1 by default",
-    )
     add(
         "--level",
         type=float,
@@ -63,11 +49,9 @@ def run(options: argparse.Namespace) -> Answer:
         with stated_executor(options) as executor:
             found = bootstrap(
                 fit,
-                options.resampling,
                 options.replicates,
                 problem=problem,
                 seed=options.seed,
-                block=options.block,
                 executor=executor,
                 folder=options.out,
             )

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -77,12 +76,6 @@ class RecordPart(SegmentedPart):
         counts = np.isfinite(data.measured).sum(axis=1)
         covariance = replace(self.covariance, counts=counts)
         return self._like(self.model, data, self.substeps, step=self.step, covariance=covariance)
-
-    def with_weight(self, factor: float) -> "RecordPart":
-        """Return the part with its cost counted so many times."""
-        part = copy(self)
-        part.weight = factor * self.weight
-        return part
 
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":

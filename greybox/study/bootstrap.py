@@ -12,7 +12,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -36,25 +36,10 @@ from greybox.solve.local_solver import Runner
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import multistart, solver_for
 from greybox.solve.outcome import Outcome
-from greybox.statistics.error_spectrum import ErrorSpectrum
+from greybox.study.open_data import open_program
 from greybox.study.record_replicates import RecordReplicates, record_draws
-from greybox.study.response_replicates import (
-    ResponseReplicates,
-    response_draws,
-    response_replicates,
-)
+from greybox.study.response_replicates import ResponseReplicates, response_draws
 from greybox.study.store import StoredRuns, locked
-
-Resampling = Literal["residuals", "parametric", "parts", "blocks"]
-
-FEWEST_PARTS = 3  # two parts would leave half of the replicates with one of them alone
-
-WORDS = {
-    "residuals": "residuals drawn over the frequencies, turned at random in the complex plane",
-    "parametric": "normal errors of the fitted size",
-    "parts": "whole parts drawn with replacement",
-    "blocks": "residuals drawn",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +50,8 @@ class Bootstrap:
     ----------
     name : str
         Name of the problem.
-    resampling, about : str
-        What was drawn, as the option and in words.
+    about : str
+        What was drawn, in words.
     seed : int
     names, units : tuple of str
         Free and tied parameters, then derived quantities.
@@ -85,7 +70,6 @@ class Bootstrap:
     """
 
     name: str
-    resampling: str
     about: str
     seed: int
     names: tuple[str, ...]
@@ -171,7 +155,7 @@ class Bootstrap:
         return self.values[np.isfinite(self.values).all(axis=1)]
 
     def __repr__(self) -> str:
-        return one_line(self, self.name, self.resampling, counted(len(self.values), "replicate"))
+        return one_line(self, self.name, counted(len(self.values), "replicate"))
 
     def __str__(self) -> str:
         return self.text()
@@ -211,7 +195,6 @@ class Bootstrap:
         intervals = self.interval(level)
         return {
             "problem": self.name,
-            "resampling": self.resampling,
             "about": self.about,
             "seed": self.seed,
             "replicates": len(self.values),
@@ -268,14 +251,12 @@ def interval_text(ends: Sequence[float | None] | None) -> str:
     return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
 
 
-def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
+def bootstrap(
     fit: Fit,
-    resampling: Resampling | None = None,
     replicates: int = 1000,
     *,
     problem: AnyProblem | None = None,
     seed: int = 0,
-    block: int = 1,
     method: Transcription | None = None,
     executor: Executor | None = None,
     folder: str | Path | None = None,
@@ -283,44 +264,29 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
 ) -> Bootstrap:
     """Repeat a fit on data that are drawn anew, and return the spread of its estimates.
 
-    ================  ============================================================================
-    ``"parametric"``  Responses: the fitted response with normal errors of the size of the
-                      residuals. Records: the fitted outputs with white normal errors of the fitted,
-                      or given, covariance.
-    ``"residuals"``   Responses: the fitted response with errors of the magnitudes of the residuals,
-                      at any frequency and any angle. The errors are taken as isotropic in the
-                      complex plane, in proportion to what the criterion assumes.
-    ``"blocks"``      Records: the fitted outputs with errors that are correlated in time as the
-                      residuals are, and from output to output. Residuals are whitened by the
-                      spectrum that the standard errors use, drawn, and colored again.
-    ``"parts"``       Sums: whole records or responses, drawn with replacement. Only the parameters
-                      that all parts share have replicates.
-    ================  ============================================================================
+    For responses, the data are the fitted response with normal errors of the size, and of the
+    correlation along frequency, of the residuals. For records, they are the fitted outputs with
+    residuals that are whitened by the spectrum that the standard errors use, drawn, and colored
+    again.
 
     Residuals are enlarged for the degrees of freedom that the fit took from them. Constants that an
     earlier fit gave with errors are drawn, too. Every replicate is solved from the estimate: it
     shows the spread of this minimum, not a choice among several.
 
-    Widened percentile intervals of 5 to 24 points covered 92 to 95 % with ``"parametric"``, 90 to
-    95 % with ``"residuals"``, 91 to 93 % for a pole that the data bound on one side alone, and 92 %
-    in time with errors of correlation 0.8 (± 2 %, by ``benchmarks/bootstrap_coverage.py``).
-    Bias-corrected (BCa) intervals covered up to 6 % less, and points drawn with replacement no
-    more: neither is offered.
+    Widened percentile intervals of 5 to 24 points covered 92 to 95 %, those of a pole that the data
+    bound on one side alone 91 to 93 %, and 92 % in time with errors of correlation 0.8 (± 2 %, by
+    ``benchmarks/bootstrap_coverage.py``). Residuals drawn over the frequencies covered 90 to 95 %,
+    and bias-corrected (BCa) intervals up to 6 % less: neither is offered.
 
     Parameters
     ----------
     fit : Fit
-    resampling : str, optional
-        By default ``"parametric"`` for frequency responses and ``"blocks"`` for records.
     replicates : int
         A thousand give the ends of 95 % intervals to about a tenth of a standard error.
     problem : Problem or Sum, optional
         The fitted problem; needed if it has ties, constraints, or values fixed by an earlier fit.
     seed : int
         The replicates follow from it alone, whatever the number of workers.
-    block : int
-        Number of samples of the blocks in which whitened residuals are drawn, all outputs together.
-        One is enough, unless errors come in bursts.
     method : Transcription, optional
         That of the fit, for records.
     executor : concurrent.futures.Executor, optional
@@ -333,7 +299,7 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     Raises
     ------
     ValueError
-        If these data do not allow the resampling, or the problem is not that of the fit.
+        If these data cannot be drawn, or the problem is not that of the fit.
     LookupError
         If a loaded fit does not know its model.
     RuntimeError
@@ -351,11 +317,11 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ValueError(f"seed={seed!r:.40} must be a whole number of at least 0.")
     require_executor(executor)
-    drawn = _resampling(fit, resampling)
+    _require_drawable(fit)
     nlp = compiled_again(fit, problem, method)
     refits = _record_refits if fit.records else _response_refits
-    runner, about = refits(fit, nlp, drawn, seed, block)
-    lines, function = _quantities(fit, nlp, only_shared=drawn == "parts")
+    runner, about = refits(fit, nlp, seed)
+    lines, function = _quantities(fit, nlp)
 
     outcomes = _made(runner, replicates, executor, folder, progress)
     points = [
@@ -366,7 +332,6 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     statuses = tuple("" if outcome.converged else outcome.status for outcome in outcomes)
     return Bootstrap(
         name=fit.name,
-        resampling=drawn,
         about=about,
         seed=seed,
         names=tuple(q.name for q in lines),
@@ -382,8 +347,7 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     )
 
 
-def _resampling(fit: Fit, asked: str | None) -> Any:
-    """Return what is drawn, if these data allow it."""
+def _require_drawable(fit: Fit) -> None:
     if fit.spectra:
         raise ValueError(
             f"the fit {fit.name!r} has manoeuvres, which are not drawn yet: use fit.interval()."
@@ -394,58 +358,36 @@ def _resampling(fit: Fit, asked: str | None) -> Any:
         )
     if fit.records and fit.responses:
         raise ValueError(
-            f"the fit {fit.name!r} has records and responses, which are drawn in no common way: use one."
+            f"the fit {fit.name!r} has records and responses, which cannot be drawn together: use "
+            "fit.interval()."
         )
-    in_time = bool(fit.records)
-    allowed = ("blocks", "parametric", "parts") if in_time else ("parametric", "residuals", "parts")
-    if asked is None:
-        return allowed[0]
-    if asked not in get_args(Resampling):
-        raise ValueError(
-            f"resampling is {asked!r:.40}: give one of {', '.join(map(repr, get_args(Resampling)))}."
-        )
-    if asked not in allowed:
-        data = "records" if in_time else "frequency responses"
-        raise ValueError(
-            f"resampling {asked!r} is not for {data}: give one of {', '.join(map(repr, allowed))}."
-        )
-    if asked == "parts" and len(fit.parts) < FEWEST_PARTS:
-        raise ValueError(
-            f"the fit {fit.name!r} has {counted(len(fit.parts), 'part')}, and parts are drawn from at least "
-            f"{FEWEST_PARTS}: use resampling={allowed[0]!r}."
-        )
-    return asked
 
 
-def _response_refits(
-    fit: Fit, nlp: CompiledProblem, resampling: Any, seed: int, block: int
-) -> tuple[ResponseReplicates, str]:
-    """Return the refits of responses, and the resampling in words."""
+def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[ResponseReplicates, str]:
+    """Return the refits of responses, and what is drawn, in words."""
     x = np.array([fit.estimate[name] for name in nlp.free])
     is_at_bound = {q.name: q.at_bound for q in fit.quantities}
     at_bound = np.array([is_at_bound[name] for name in nlp.free])
     nothing = np.zeros((len(nlp.names), len(nlp.names)))
     constants = sum((covariance for covariance, _ in known_covariances(nlp)), nothing)
-    neighbors = []
-    if resampling == "parametric":
-        neighbors = [pair and (pair.correlation, pair.scale) for pair in assess(nlp, x).neighbors]
-    covariance = constants[len(x) :, len(x) :]
-    draws = response_draws(nlp, x, at_bound, covariance, resampling, seed, neighbors)
-    about = WORDS[resampling]
+    neighbors = [pair and (pair.correlation, pair.scale) for pair in assess(nlp, x).neighbors]
+    draws = response_draws(nlp, x, at_bound, constants[len(x) :, len(x) :], seed, neighbors)
+
+    about = "normal errors of the fitted size"
     if any(neighbors):
         about += " with their correlation along frequency"
-    return response_replicates(nlp, draws, x), about
+    start = nlp.scaling.to_solver(x)
+    program = open_program(nlp)
+    return ResponseReplicates(draws, program, start, nlp.lower, nlp.upper, nlp.scaling), about
 
 
-def _record_refits(
-    fit: Fit, nlp: CompiledProblem, resampling: Any, seed: int, block: int
-) -> tuple[RecordReplicates, str]:
-    """Return the refits of records, and the resampling in words."""
+def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordReplicates, str]:
+    """Return the refits of records, and what is drawn, in words."""
     if nlp.problem.held_estimates:
         names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
-            f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are compiled into records as "
-            "constants: fit them along, or bootstrap that fit."
+            f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are compiled "
+            "into records as constants: fit them along, or bootstrap that fit."
         )
     x = np.array([fit.estimate[name] for name in nlp.free])
     solver = solver_for(nlp)
@@ -454,29 +396,24 @@ def _record_refits(
     highest = fit.cost + same_cost(nlp, fit.cost)
     if not search.minima or search.nodes is None or search.minima[0].cost > highest:
         raise ValueError(
-            f"the fit of {nlp.problem.name!r} is not found again from its estimate: give its method=..."
+            f"the estimate of {nlp.problem.name!r} is no minimum with this method: give the method "
+            "of the fit, method=..."
         )
 
     x = search.minima[0].estimate
     trajectories = solver.profile(x, search.nodes).trajectories
-    spectra: list[ErrorSpectrum | None] = [None] * len(nlp.parts)
-    if resampling == "blocks":
-        correlations = assess(nlp, x, trajectories).correlation
-        spectra = [correlation and correlation.spectrum for correlation in correlations]
-    draws = record_draws(nlp, trajectories, spectra, resampling, seed, block)
-    about = WORDS[resampling]
+    correlations = assess(nlp, x, trajectories).correlation
+    spectra = [correlation and correlation.spectrum for correlation in correlations]
+    draws = record_draws(nlp, trajectories, spectra, seed)
+    about = "residuals drawn"
     if any(spectra):
         about += " with their correlation in time"
-    if resampling == "blocks" and block > 1:
-        about += f", in blocks of {block} samples"
     return RecordReplicates(nlp, draws, x, search.nodes), about
 
 
 @one_thread_at_a_time
-def _quantities(
-    fit: Fit, nlp: CompiledProblem, *, only_shared: bool
-) -> tuple[list[Quantity], ca.Function]:
-    """Return the quantities of a fit and their function of all values; or those of shared parameters alone."""
+def _quantities(fit: Fit, nlp: CompiledProblem) -> tuple[list[Quantity], ca.Function]:
+    """Return the quantities of a fit and their function of all values."""
     formula_of = {formula.name: formula for formula in formulas(nlp.problem)}
     symbols = ca.SX.sym("x", len(nlp.names))
     named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
@@ -485,20 +422,6 @@ def _quantities(
         ca.SX(formula_of[q.name].evaluate(named)) if q.name in formula_of else named[q.name]
         for q in lines
     ]
-    if only_shared:
-        shared = set.intersection(*({*part.parameters} for part in nlp.problem.parts))
-        single = ca.vertcat(ca.SX(0, 1), *[named[name] for name in nlp.free if name not in shared])
-        pairs = [
-            (line, expression)
-            for line, expression in zip(lines, expressions, strict=True)
-            if not single.numel() or not ca.depends_on(expression, single)
-        ]
-        if not pairs:
-            raise ValueError(
-                f"the parts of {fit.name!r} share no parameter: use another resampling."
-            )
-        lines = [line for line, _ in pairs]
-        expressions = [expression for _, expression in pairs]
     return lines, ca.Function("quantities", [symbols], [ca.vertcat(*expressions)])
 
 
@@ -512,13 +435,15 @@ def _made(
     """Make the replicates and return their outcomes by number."""
     outcomes: list[Outcome] = []
     rows = ((k, np.array([float(k)])) for k in range(replicates))
-    with _kept(folder) as kept, listening(), _shown(replicates, progress) as report:
+    with _kept(folder) as kept, listening(), _bar(replicates, progress) as bar:
         try:
             memory = Memory() if kept is None else Memory(kept, packed(runner)[0])
             with responding(Response.STOP):
                 for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
                     outcomes.append(outcome)
-                    report(len(outcomes), replicates)
+                    bar.update()
+                    if callable(progress):
+                        progress(len(outcomes), replicates)
             if take_interrupt():
                 raise KeyboardInterrupt
         finally:
@@ -538,17 +463,9 @@ def _kept(folder: str | Path | None) -> Iterator[StoredRuns | None]:
         yield StoredRuns(Path(folder), "bootstrap")
 
 
-@contextmanager
-def _shown(
-    count: int, progress: bool | Callable[[int, int], None]
-) -> Iterator[Callable[[int, int], None]]:
-    if callable(progress):
-        yield progress
-    elif not progress:
-        yield lambda done, count: None
-    else:
-        with tqdm(total=count, disable=None, delay=2, unit="replicate", leave=False) as bar:
-            yield lambda done, count: (bar.update(done - bar.n), None)[1]
+def _bar(count: int, progress: bool | Callable[[int, int], None]) -> Any:
+    hidden = None if progress is True else True  # None: on a terminal only
+    return tqdm(total=count, disable=hidden, delay=2, unit="replicate", leave=False)
 
 
 def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:

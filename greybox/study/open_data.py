@@ -22,10 +22,10 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 
-def program_input(constants: Array, counts: Array, measured: Sequence[ComplexArray]) -> Array:
-    """Return the third input of an `open_program`: constants, the count of every part, and its measured values."""
+def program_input(constants: Array, measured: Sequence[ComplexArray]) -> Array:
+    """Return the third input of an `open_program`: constants, and the measured values of every part."""
     return np.concatenate(
-        [constants, counts, *(part for values in measured for part in (values.real, values.imag))]
+        [constants, *(part for values in measured for part in (values.real, values.imag))]
     )
 
 
@@ -43,9 +43,9 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
     z = kind.sym("z", len(nlp.free))
     smoothing = kind.sym("smoothing")
     sizes = [len(part.data) for part in parts for _ in ("real", "imaginary")]
-    lengths = [len(nlp.constants), len(parts), *sizes]
+    lengths = [len(nlp.constants), *sizes]
     data = kind.sym("data", sum(lengths))
-    constants, counts, *measured = ca.vertsplit(data, np.cumsum([0, *lengths]).tolist())
+    constants, *measured = ca.vertsplit(data, np.cumsum([0, *lengths]).tolist())
 
     values = [*nlp.scaling.expressions(z), *ca.vertsplit(constants)]
     modeled = ca.vertsplit(nlp.responses(ca.vertcat(*values)), _places(parts))
@@ -53,7 +53,7 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
     for k, (part, weight) in enumerate(zip(parts, solver_weights(parts), strict=True)):
         response = Complex(modeled[k], modeled[len(parts) + k])
         open_data = _OpenData(part.response, _Measured(measured[2 * k], measured[2 * k + 1]))
-        cost += counts[k] * weight * _cost(part, response, open_data, smoothing)
+        cost += weight * _cost(part, response, open_data, smoothing)
     named = dict(zip(nlp.names, values, strict=True))
     limits = stacked(limits_of(nlp.problem, kind), named, kind)
     return ca.Function("program", [z, smoothing, data], [cost, limits])

@@ -9,20 +9,18 @@ import time
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
-
-Drawn = Literal["blocks", "parametric", "parts"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,34 +43,30 @@ class DrawnRecord:
         is missing, NaN, a replicate draws from the others of this output.
     spectrum : ErrorSpectrum or None
         Gives whitened residuals their color again.
-    root : (k, k) array
-        Square root of the covariance of the errors of the outputs.
     """
 
     stretches: tuple[Stretched, ...]
     residuals: Array
     spectrum: ErrorSpectrum | None
-    root: Array
 
-    def outputs(self, random: np.random.Generator, block: int, *, normal: bool) -> list[Array]:
-        """Return drawn outputs (k, n) of every stretch, with normal errors or residuals in blocks."""
+    def outputs(self, random: np.random.Generator) -> list[Array]:
+        """Return the fitted outputs (k, n) of every stretch with drawn residuals."""
         outputs = []
         for stretch in self.stretches:
-            k, n = stretch.measured.shape
-            if normal:
-                errors = self.root @ random.standard_normal((k, n))
-            elif self.spectrum is None:
-                errors = self._drawn_residuals(random, n, block)
+            count = stretch.measured.shape[1]
+            if self.spectrum is None:
+                errors = self._drawn_residuals(random, count)
             else:
-                # Of a circle twice as long, so that no sample is the neighbor of the last one.
-                errors = self.spectrum.colored(self._drawn_residuals(random, 2 * n, block))[:, :n]
+                # Color a circle twice as long, so that no sample is the neighbor of the last one.
+                white = self._drawn_residuals(random, 2 * count)
+                errors = self.spectrum.colored(white)[:, :count]
             is_measured = np.isfinite(stretch.measured)
             outputs.append(np.where(is_measured, stretch.fitted + errors, np.nan))
         return outputs
 
-    def _drawn_residuals(self, random: np.random.Generator, count: int, block: int) -> Array:
+    def _drawn_residuals(self, random: np.random.Generator, count: int) -> Array:
         """Draw `count` residuals of all outputs together."""
-        drawn = self.residuals[:, drawn_blocks(random, count, self.residuals.shape[1], block)]
+        drawn = self.residuals[:, random.integers(0, self.residuals.shape[1], count)]
         for row, residuals in zip(drawn, self.residuals, strict=True):
             missing = np.isnan(row)
             row[missing] = random.choice(residuals[np.isfinite(residuals)], int(missing.sum()))
@@ -81,33 +75,22 @@ class DrawnRecord:
 
 @dataclass(frozen=True, eq=False)
 class RecordDraws:
-    """How the outputs of replicates of a problem of records are drawn: `block` samples at a time."""
+    """How the outputs of replicates of a problem of records are drawn."""
 
-    drawn: Drawn
     seed: int
     records: tuple[DrawnRecord, ...]
-    block: int
 
     def outputs(self, number: int) -> list[list[Array]]:
         """Return the outputs (k, n) of every stretch of every part for a replicate."""
         random = np.random.default_rng([self.seed, number])
-        normal = self.drawn == "parametric"
-        return [record.outputs(random, self.block, normal=normal) for record in self.records]
-
-    def counts(self, number: int) -> Array:
-        """Return how often every part is in a replicate of whole parts."""
-        random = np.random.default_rng([self.seed, number])
-        count = len(self.records)
-        return np.bincount(random.integers(0, count, count), minlength=count).astype(float)
+        return [record.outputs(random) for record in self.records]
 
 
 def record_draws(
     nlp: CompiledProblem,
     trajectories: tuple[Trajectory, ...],
     spectra: Sequence[ErrorSpectrum | None],
-    drawn: Drawn,
     seed: int,
-    block: int,
 ) -> RecordDraws:
     """Return how replicates of a problem of records are drawn, along its best `trajectories`.
 
@@ -117,26 +100,19 @@ def record_draws(
     Raises
     ------
     ValueError
-        If the residuals correct the states, if a block is longer than the records, or if the data
-        are fitted exactly.
+        If the residuals correct the states, or if the data are fitted exactly.
     """
     share = len(nlp.free) / len(nlp.parts)
     records = []
     for part, trajectory, spectrum in zip(nlp.parts, trajectories, spectra, strict=True):
         assert isinstance(part, RecordPart)
-        if part.gains and drawn != "parts":
+        if part.gains:
             raise ValueError(
-                f"the residuals of {part.name!r} correct its states, so that they cannot be drawn and added: use "
-                "OutputError, or resampling='parts' of several records."
+                f"the residuals of {part.name!r} correct its states, so that they cannot be drawn "
+                "and added: use OutputError, or fit.interval()."
             )
-        record = _drawn_record(part, trajectory, spectrum, share)
-        longest = max(stretch.measured.shape[1] for stretch in record.stretches)
-        if not 1 <= block <= longest:
-            raise ValueError(
-                f"block={block} must be a number of samples from 1 to {longest}, those of the record."
-            )
-        records.append(record)
-    return RecordDraws(drawn, seed, tuple(records), block)
+        records.append(_drawn_record(part, trajectory, spectrum, share))
+    return RecordDraws(seed, tuple(records))
 
 
 def _drawn_record(
@@ -153,24 +129,12 @@ def _drawn_record(
     if not np.nan_to_num(residuals).any(axis=1).all():
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
 
-    numbers = max(part.numbers, 1)
-    dof = max(numbers - parameters - part.unknown_initial_states, 1)
     if spectrum is None:
-        residuals = math.sqrt(numbers / dof) * residuals
-    else:
-        residuals = _centered([spectrum.whitened(values) for values in differences])
-        spectrum = spectrum.of_draws(residuals)
-    covariance = part.covariance.covariance(trajectory.products)
-    if part.covariance.known is None:
-        covariance = covariance * numbers / dof
-    root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
-    return DrawnRecord(stretches, residuals, spectrum, root)
-
-
-def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int) -> IntArray:
-    """Return `count` places in a series of `size` samples, in blocks of this length; the series is a circle."""
-    first = random.integers(0, size, -(-count // length))
-    return ((first[:, None] + np.arange(length)) % size).ravel()[:count]
+        numbers = max(part.numbers, 1)
+        dof = max(numbers - parameters - part.unknown_initial_states, 1)
+        return DrawnRecord(stretches, math.sqrt(numbers / dof) * residuals, None)
+    white = _centered([spectrum.whitened(values) for values in differences])
+    return DrawnRecord(stretches, white, spectrum.of_draws(white))
 
 
 def _centered(stretches: Sequence[Array]) -> Array:
@@ -181,7 +145,7 @@ def _centered(stretches: Sequence[Array]) -> Array:
 
 
 class RecordReplicates(Runner):
-    """Gauss-Newton steps from the estimate, for records with drawn outputs or for drawn records.
+    """Gauss-Newton steps from the estimate, for records with drawn outputs.
 
     Parameters
     ----------
@@ -211,21 +175,16 @@ class RecordReplicates(Runner):
     def run(self, start: Array) -> Outcome:
         """Make the run of a number, (1,)."""
         began = time.perf_counter()
-        number = int(start[0])
-        if self._draws.drawn == "parts":
-            counts = self._draws.counts(number)
-            drawn = np.flatnonzero(counts).tolist()
-            parts = [self._part(k).with_weight(float(counts[k])) for k in drawn]
-            nodes = tuple(self._nodes[k] for k in drawn)
-        else:
-            outputs = self._draws.outputs(number)
-            parts = [self._part(k).with_outputs(values) for k, values in enumerate(outputs)]
-            nodes = self._nodes
+        records = [part for part in self._nlp.parts if isinstance(part, RecordPart)]
+        outputs = self._draws.outputs(int(start[0]))
+        parts = [part.with_outputs(o) for part, o in zip(records, outputs, strict=True)]
 
         nlp = copy(self._nlp)
         object.__setattr__(nlp, "parts", tuple(parts))
         solver = GaussNewton(nlp)
-        outcome = solver.run_simulated(self._start, nodes, self._nlp.strategies.max_iterations)
+        outcome = solver.run_simulated(
+            self._start, self._nodes, self._nlp.strategies.max_iterations
+        )
         if outcome is None or not outcome.converged:
             outcome = solver.run(self._start)
         return Outcome(
@@ -236,8 +195,3 @@ class RecordReplicates(Runner):
             converged=outcome.converged,
             cost=outcome.cost,
         )
-
-    def _part(self, k: int) -> RecordPart:
-        part = self._nlp.parts[k]
-        assert isinstance(part, RecordPart)
-        return part

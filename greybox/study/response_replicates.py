@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,9 +24,7 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import IMPROVED, Outcome
-from greybox.study.open_data import open_program, program_input
-
-Drawn = Literal["residuals", "parametric", "parts"]
+from greybox.study.open_data import program_input
 
 # Share of the variance of an error that is left in its residual, at least: a fit that nearly passes
 # through a point shows nothing of the error there, and must not make it infinite.
@@ -40,46 +38,35 @@ class DrawnPart:
     Attributes
     ----------
     omega : (n,) array, rad/s
-    measured, response : (n,) complex arrays
-        The measured and the fitted response.
+    response : (n,) complex array
+        The fitted response.
     size : (n,) array
         To which the errors are proportional.
-    errors : (n,) complex array
-        Residuals over `size`, each enlarged to the size of an error.
     deviation : float
         Standard deviation of one component of an error over `size`.
     dof : (n,) array or None
         Degrees of freedom of `size` where it was estimated.
     common : (m, n) complex array or None
-        Errors that all points have in common; `size` and `errors` do not contain them.
+        Errors that all points have in common; `size` does not contain them.
     neighbors : (float, float) or None
         If the errors are correlated along frequency: the correlation of neighbors, and the variance
         over that of `deviation`.
     """
 
     omega: Array
-    measured: ComplexArray
     response: ComplexArray
     size: Array
-    errors: ComplexArray
     deviation: float
     dof: Array | None = None
     common: ComplexArray | None = None
     neighbors: tuple[float, float] | None = None
 
-    def drawn(self, random: np.random.Generator, *, from_residuals: bool) -> ComplexArray:
-        """Return the fitted response with errors that are drawn."""
-        draw = self._drawn_residuals if from_residuals else self._normal_errors
-        measured = self.response + self.size * draw(random)
+    def drawn(self, random: np.random.Generator) -> ComplexArray:
+        """Return the fitted response with normal errors."""
+        measured = self.response + self.size * self._normal_errors(random)
         if self.common is not None:
             measured = measured + random.standard_normal(len(self.common)) @ self.common
         return measured
-
-    def _drawn_residuals(self, random: np.random.Generator) -> ComplexArray:
-        """Return errors with the magnitudes of the residuals, at any angle."""
-        count = len(self.response)
-        turn = np.exp(2j * math.pi * random.random(count))
-        return self.errors[random.integers(0, count, count)] * turn
 
     def _normal_errors(self, random: np.random.Generator) -> ComplexArray:
         count = len(self.response)
@@ -107,7 +94,6 @@ class ResponseDraws:
 
     Attributes
     ----------
-    drawn : "residuals", "parametric" or "parts"
     seed : int
     parts : tuple of DrawnPart
     constants : (c,) array
@@ -116,7 +102,6 @@ class ResponseDraws:
         A square root of their covariance.
     """
 
-    drawn: Drawn
     seed: int
     parts: tuple[DrawnPart, ...]
     constants: Array
@@ -126,13 +111,7 @@ class ResponseDraws:
         """Return the data of a replicate as input (g,) of the program."""
         random = np.random.default_rng([self.seed, number])
         constants = self._constants(random)
-        count = len(self.parts)
-        if self.drawn == "parts":
-            counts = np.bincount(random.integers(0, count, count), minlength=count).astype(float)
-            return program_input(constants, counts, [part.measured for part in self.parts])
-        from_residuals = self.drawn == "residuals"
-        drawn = [part.drawn(random, from_residuals=from_residuals) for part in self.parts]
-        return program_input(constants, np.ones(count), drawn)
+        return program_input(constants, [part.drawn(random) for part in self.parts])
 
     def constants_of(self, number: int) -> Array:
         """Return the constants (c,) of a replicate."""
@@ -147,7 +126,6 @@ def response_draws(
     x: Array,
     at_bound: BoolArray,
     covariance: Array,
-    drawn: Drawn,
     seed: int,
     neighbors: Sequence[tuple[float, float] | None] = (),
 ) -> ResponseDraws:
@@ -165,7 +143,7 @@ def response_draws(
         Parameters that are held by a bound.
     covariance : (c, c) array
         Covariance of the constants.
-    drawn, seed
+    seed
         See `ResponseDraws`.
     neighbors
         For every part, see `DrawnPart`.
@@ -179,8 +157,7 @@ def response_draws(
     parts = [part for part in nlp.parts if isinstance(part, ResponsePart)]
     fitted = [_fitted(part, values) for part in parts]
     slopes = [
-        part.sensitivity(values)[:, : len(x)][:, ~at_bound]
-        / (points.size * points.deviation)[:, None]
+        part.sensitivity(values)[:, : len(x)][:, ~at_bound] / (points.size * points.rms)[:, None]
         for part, points in zip(parts, fitted, strict=True)
     ]
     leverages = _leverages(slopes, nlp.scaling.slope(x)[~at_bound])
@@ -188,42 +165,50 @@ def response_draws(
     eigenvalues, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
     return ResponseDraws(
-        drawn=drawn,
-        seed=seed,
-        parts=tuple(
-            replace(_enlarged(points, leverage, part.criterion.known_noise), neighbors=pair)
-            for part, points, leverage, pair in zip(parts, fitted, leverages, pairs, strict=True)
-        ),
+        seed,
+        tuple(map(_drawn_part, parts, fitted, leverages, pairs)),
         constants=nlp.constant_values,
         root=root,
     )
 
 
-def _fitted(part: ResponsePart, values: Array) -> DrawnPart:
-    """Return the fitted response of a part with its residuals as they are; the deviation is that of both components."""
+class _Fitted(NamedTuple):
+    """The fitted response of a part, and its residuals over the `size` of the errors."""
+
+    response: ComplexArray
+    size: Array
+    residuals: ComplexArray
+    rms: float
+
+
+def _fitted(part: ResponsePart, values: Array) -> _Fitted:
     response = part.response(values)
     size = part.criterion.error_size(response, part.data)
     if part.criterion.known_noise:
         size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
     residuals = (part.data.response - response) / size
-    spread = math.sqrt(float(np.mean(np.abs(residuals) ** 2)))
-    if not spread > math.sqrt(np.finfo(float).eps):
+    rms = math.sqrt(float(np.mean(np.abs(residuals) ** 2)))
+    if not rms > math.sqrt(np.finfo(float).eps):
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
-    dof = part.data.dof if part.criterion.known_noise else None
-    data = part.data
+    return _Fitted(response, size, residuals, rms)
+
+
+def _drawn_part(
+    part: ResponsePart, fitted: _Fitted, leverage: Array, neighbors: tuple[float, float] | None
+) -> DrawnPart:
+    known = part.criterion.known_noise
+    square = float(np.mean(np.abs(fitted.residuals) ** 2 / np.maximum(1 - leverage, LEAST_LEFT)))
+    if known:  # given variances are believed, unless the residuals are larger
+        square = max(square, 1.0)
     return DrawnPart(
-        data.omega, data.response, response, size, residuals, spread, dof, data.common_errors
+        part.data.omega,
+        fitted.response,
+        fitted.size,
+        math.sqrt(square / 2),
+        dof=part.data.dof if known else None,
+        common=part.data.common_errors,
+        neighbors=neighbors,
     )
-
-
-def _enlarged(points: DrawnPart, leverage: Array, known_noise: bool) -> DrawnPart:
-    """Return the residuals as large as errors, and the deviation of one component of these."""
-    errors = points.errors / np.sqrt(np.maximum(1 - leverage, LEAST_LEFT))
-    square = float(np.mean(np.abs(errors) ** 2))
-    if known_noise and square < 1:  # given variances are believed
-        errors = errors / math.sqrt(square)
-        square = 1.0
-    return replace(points, errors=errors, deviation=math.sqrt(square / 2))
 
 
 def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
@@ -235,21 +220,6 @@ def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
     leverage = (seen**2).sum(axis=1)
     ends = np.cumsum([len(row) for row in rows])[:-1]
     return [part.reshape(2, -1).mean(axis=0) for part in np.split(leverage, ends)]
-
-
-def response_replicates(
-    nlp: CompiledProblem, draws: ResponseDraws, x: Array
-) -> "ResponseReplicates":
-    """Return the refits of a problem of responses, with its cost compiled for data as an input.
-
-    Raises
-    ------
-    ValueError
-        If a criterion accepts numbers alone.
-    """
-    start = nlp.scaling.to_solver(x)
-    program = open_program(nlp)
-    return ResponseReplicates(draws, program, start, nlp.lower, nlp.upper, nlp.scaling)
 
 
 class ResponseReplicates(Runner):

@@ -21,8 +21,8 @@ def test_fewer_than_two_replicates_are_no_answer(capsys, monkeypatch, failed, st
     )
     asked = {}
 
-    def bootstrap(fit, resampling, replicates, **options):
-        asked.update(options, fit=fit, resampling=resampling, replicates=replicates)
+    def bootstrap(fit, replicates, **options):
+        asked.update(options, fit=fit, replicates=replicates)
         return found
 
     monkeypatch.setattr(command, "stated_fit", lambda options: ("fit", "problem"))
@@ -35,15 +35,13 @@ def test_fewer_than_two_replicates_are_no_answer(capsys, monkeypatch, failed, st
         "5",
         "--seed",
         "7",
-        "--block",
-        "3",
         "--level",
         "0.9",
     )
     assert (got, out) == (status, "said at 0.9\n")
     assert err == ("greybox: too few.\n" if status else "")
     assert asked == {
-        "fit": "fit", "problem": "problem", "resampling": None, "replicates": 5, "seed": 7, "block": 3,
+        "fit": "fit", "problem": "problem", "replicates": 5, "seed": 7,
         "executor": None, "folder": None,
     }  # fmt: skip
 

@@ -10,7 +10,7 @@ from command_line import QUICK, refused, run
     "command",
     [
         ("profile", "fit.h5", "K"),
-        ("bootstrap", "fit.h5", "--replicates", "4", "--resampling", "parametric"),
+        ("bootstrap", "fit.h5", "--replicates", "4"),
     ],
     ids=lambda command: command[0],
 )

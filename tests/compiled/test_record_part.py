@@ -291,7 +291,6 @@ def test_facts_of_a_part(made):
     assert part.has_nodes
     assert part.has_states
     assert part.discontinuous_delays == {}
-    assert part.with_weight(3.0).weight == 3 * part.weight
     assert part.samples == part.data.segments * part.data.segment_length
     known, _ = part_of(spring(60), gb.OutputError(inputs="held", initial={"x": lambda p: 0.0}))
     assert known.unknown_initial_states == 1

@@ -18,6 +18,7 @@ from scipy.stats import t as student
 import greybox as gb
 from greybox.cli.main import main
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.estimate.covariance import assess
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
 from greybox.study.response_replicates import response_draws
@@ -57,13 +58,12 @@ def lag():
     return gb.fit(gb.Problem(Lag(), data, gb.SquaredRelativeError()), starts=8, progress=False)
 
 
-@pytest.mark.parametrize("resampling", ["residuals", "parametric"])
-def test_the_spread_of_a_mean_is_that_of_theory(resampling):
+def test_the_spread_of_a_mean_is_that_of_theory():
     # Of n points with errors σ in each component, the real parts tell of the gain: σ / √n.
     n, sigma = 80, 0.005
     data = measured(Gain(), np.geomspace(1, 10, n), {"K": 1.0}, noise=sigma, seed=0)
     fit = gb.fit(gb.Problem(Gain(), data, gb.SquaredRelativeError()), starts=6, progress=False)
-    found = gb.bootstrap(fit, resampling, 400, progress=False)
+    found = gb.bootstrap(fit, 400, progress=False)
     assert_allclose(found.standard_error["K"], sigma / np.sqrt(n), rtol=0.15)
     low, high = found.interval()["K"]
     assert_allclose((high - low) / 2, 1.98 * sigma / np.sqrt(n), rtol=0.2)
@@ -74,12 +74,13 @@ def test_a_replicate_is_the_fit_to_its_data(criterion):
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA[::3], TWO_LAGS, noise=0.03, seed=3)
     problem = gb.Problem(LagLagDelay(), data, criterion)
     fit = gb.fit(problem, starts=10, progress=False)
-    found = gb.bootstrap(fit, "residuals", 20, progress=False)
+    found = gb.bootstrap(fit, 20, progress=False)
     nlp = compile_problem(problem)
     x = np.array([fit.estimate[name] for name in nlp.free])
     nothing = np.zeros((len(nlp.constants),) * 2)
-    draws = response_draws(nlp, x, np.zeros(len(x), bool), nothing, "residuals", 0)
-    numbers = draws.replicate(7)[len(nlp.constants) + 1 :].reshape(2, len(data))
+    neighbors = [pair and (pair.correlation, pair.scale) for pair in assess(nlp, x).neighbors]
+    draws = response_draws(nlp, x, np.zeros(len(x), bool), nothing, 0, neighbors)
+    numbers = draws.replicate(7)[len(nlp.constants) :].reshape(2, len(data))
     drawn = gb.FrequencyResponse(
         data.omega, numbers[0] + 1j * numbers[1], input=data.input, output=data.output
     )
@@ -124,7 +125,7 @@ def test_what_was_interrupted_goes_on(lag, tmp_path):
 
 def test_a_parameter_that_the_data_leave_open_has_no_upper_end():
     fit = gb.fit(yaw_hover.problem(), starts=12, progress=False)
-    found = gb.bootstrap(fit, "residuals", 200, progress=False)
+    found = gb.bootstrap(fit, 200, progress=False)
     low, high = found.interval()["a2"]
     assert low > 50
     assert high == np.inf
@@ -156,44 +157,18 @@ def test_errors_that_are_correlated_in_time_are_drawn_so():
         blocks.standard_error["K"], white_error * np.sqrt((1 + fade) / (1 - fade)), rtol=0.3
     )
     assert blocks.about == "residuals drawn with their correlation in time"
-    assert gb.bootstrap(fit, replicates=2, block=9, progress=False).about.endswith(
-        "in time, in blocks of 9 samples"
-    )
-    assert_allclose(
-        gb.bootstrap(fit, "parametric", 40, progress=False).standard_error["K"],
-        white_error,
-        rtol=0.3,
-    )
-
-
-def test_whole_parts_are_drawn_where_they_differ_by_more_than_their_noise():
-    # Every response has a gain of its own: the mean of ten has the error of the gains, which no
-    # residual shows.
-    random = np.random.default_rng(5)
-    gains = 1 + 0.1 * random.normal(size=10)
-    data = [
-        measured(Gain(), OMEGA, {"K": gain}, noise=0.01, seed=k) for k, gain in enumerate(gains)
-    ]
-    problem = sum(gb.Problem(Gain(), one, gb.SquaredRelativeError()) for one in data)
-    fit = gb.fit(problem, starts=6, progress=False)
-    found = gb.bootstrap(fit, "parts", 400, progress=False)
-    assert_allclose(found.standard_error["K"], np.std(gains) / np.sqrt(10), rtol=0.25)
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
     coverage = benchmark("bootstrap_coverage")
-    make, truth, _ = coverage.response_case(*coverage.RESPONSES[0][1:])
-    counts, failed = coverage.held(make, truth, "residuals", 8, 200)
+    make, truth = coverage.response_case(*coverage.RESPONSES[0][1:])
+    counts, failed = coverage.held(make, truth, 8, 200)
     # Of 16 intervals of nominally 95 % at least 12 hold (99.9 % of the time).
     assert sum(counts["percentile"].values()) >= 12
     assert failed == 0
 
 
 def test_what_cannot_be_drawn_is_refused(lag):
-    with pytest.raises(ValueError, match="'blocks' is not for frequency responses"):
-        gb.bootstrap(lag, "blocks")
-    with pytest.raises(ValueError, match="has 1 part"):
-        gb.bootstrap(lag, "parts")
     with pytest.raises(ValueError, match="replicates=1 must be"):
         gb.bootstrap(lag, replicates=1)
     exact = gb.fit(
@@ -210,13 +185,11 @@ def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):
         str(tmp_path / "pitch.h5"),
         "--replicates",
         "150",
-        "--resampling",
-        "parametric",
         "--json",
     ]
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out)
-    expected = gb.bootstrap(pitch, "parametric", 150, progress=False)
+    expected = gb.bootstrap(pitch, 150, progress=False)
     assert answer["quantities"]["a1"]["interval"] == list(expected.interval()["a1"])
     assert answer["failed"] == 0
     assert main([*words, "--level", "2"]) == 2
@@ -238,7 +211,6 @@ def replicates():
     )
     values[[3, 7]] = np.nan
     given = {
-        "resampling": "residuals",
         "about": "residuals drawn",
         "seed": 3,
         "names": ("a", "b"),
@@ -398,24 +370,6 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
             ValueError,
             "'made' has records and responses",
         ),
-        (
-            {},
-            {"resampling": "sites"},
-            ValueError,
-            "resampling is 'sites': give one of 'residuals', 'param",
-        ),
-        (
-            {"records": ("one",)},
-            {"resampling": "residuals"},
-            ValueError,
-            "'residuals' is not for records: give one of 'bl",
-        ),
-        (
-            {"parts": (SimpleNamespace(is_prior=False),) * 2},
-            {"resampling": "parts"},
-            ValueError,
-            "has 2 parts, and",
-        ),
     ],
 )
 def test_what_cannot_be_repeated_is_said(change, options, error, sentence):
@@ -444,25 +398,11 @@ def test_what_has_no_replicates_is_named(replicates):
     assert_array_equal(replicates["b"], np.delete(replicates.values[:, 1], [3, 7]))
 
 
-def test_parts_that_share_no_parameter_are_not_drawn():
-    data = [measured(Gain(), OMEGA, {"K": 1.0}, noise=0.01, seed=k) for k in range(3)]
-    own = (
-        gb.Problem(Gain(), one, gb.SquaredRelativeError(), rename={"K": f"K_{k}"})
-        for k, one in enumerate(data)
-    )
-    fit = gb.fit(sum(own), starts=1, progress=False, profiles=False)
-    with pytest.raises(
-        ValueError,
-        match="share no parameter",
-    ):
-        gb.bootstrap(fit, "parts", 2, progress=False)
-
-
 def test_intervals_are_quantiles_as_far_out_as_those_of_students_t():
     """Normal replicates of deviation 1, as a bootstrap of a mean gives them."""
     values = norm.ppf((np.arange(100_000) + 0.5) / 100_000)[:, None]
     infinite = np.array([[-np.inf, np.inf]])
-    names = {"names": ("a",), "units": ("",), "resampling": "residuals", "about": "", "seed": 0}
+    names = {"names": ("a",), "units": ("",), "about": "", "seed": 0}
     for dof in (5.0, np.inf):
         made = Bootstrap(
             "made",

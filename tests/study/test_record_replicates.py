@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.study.record_replicates import RecordReplicates, drawn_blocks, record_draws
+from greybox.study.record_replicates import RecordReplicates, record_draws
 
 VALUES = 2 + 0.1 * np.random.default_rng(1).normal(size=12)
 
@@ -25,17 +25,16 @@ class Ramp(gb.StateSpace):
         return (p.K * u.u,)
 
 
-def draws_of(drawn, values=VALUES, block=1):
+def draws_of(values=VALUES):
     record = gb.Record(np.arange(len(values)) / 10, {"u": np.ones(len(values)), "y": values})
     nlp = compile_problem(gb.Problem(Ramp(), record))
     (part,) = nlp.parts
     z = nlp.scaling.to_solver(np.array([np.nanmean(values)]))
-    return record_draws(nlp, (part.initial_trajectory(z),), (None,), drawn, 0, block)
+    return record_draws(nlp, (part.initial_trajectory(z),), (None,), 0)
 
 
 def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():
-    draws = draws_of("parametric")
-    assert_allclose(draws.records[0].root, [[np.std(VALUES, ddof=1)]])
+    draws = draws_of()
     (one,) = draws.records[0].stretches
     assert_allclose(draws.records[0].residuals.std(), np.std(VALUES, ddof=1))
     assert_allclose(one.fitted, VALUES.mean())
@@ -60,7 +59,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
         estimate = np.array([row @ y])
         trajectories = (nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(estimate)),)
         spectra = [each.spectrum for each in assess(nlp, estimate, trajectories).correlation]
-        draws = record_draws(nlp, trajectories, spectra, "blocks", 0, 1)
+        draws = record_draws(nlp, trajectories, spectra, 0)
         errors = [row @ np.nan_to_num(draws.outputs(number)[0][0][0]) for number in range(60)]
         logarithms.append(np.log(np.std(errors) / expected))
     assert_allclose(np.exp(np.mean(logarithms)), 1, atol=0.15)
@@ -68,7 +67,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
 
 def test_missing_samples_stay_missing_and_do_not_count():
     values = np.where(np.arange(12) % 3 == 1, np.nan, VALUES)
-    draws = draws_of("residuals", values, block=2)
+    draws = draws_of(values)
     assert_allclose(np.nanstd(draws.records[0].residuals), np.nanstd(values, ddof=1))
     for number in range(5):
         ((drawn,),) = draws.outputs(number)
@@ -85,36 +84,14 @@ def levels():
     return records, nlp, start, tuple(part.initial_trajectory(start) for part in nlp.parts)
 
 
-def test_records_that_are_drawn_twice_count_twice():
-    """Three of five records, two of them twice, against the fit of five."""
-    records, nlp, start, trajectories = levels()
-    draws = record_draws(nlp, trajectories, (None,) * 5, "parts", 0, 1)
-    number = next(k for k in range(100) if sorted(draws.counts(k)) == [0, 0, 1, 2, 2])
-    found = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories)).run(
-        np.array([float(number)])
-    )
-    drawn = [
-        record
-        for record, count in zip(records, draws.counts(number), strict=True)
-        for _ in range(int(count))
-    ]
-    fit = gb.fit(gb.several(Ramp(), drawn), starts=[{}], progress=False)
-    assert_allclose(found.estimate, fit.estimate["K"], rtol=1e-6)
-
-
 def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_behind():
     _, nlp, start, trajectories = levels()
-    draws = record_draws(nlp, trajectories, (None,) * 5, "parametric", 0, 1)
+    draws = record_draws(nlp, trajectories, (None,) * 5, 0)
     here = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories))
     there = pickle.loads(pickle.dumps(here))
     assert_allclose(
         there.run(np.array([3.0])).estimate, here.run(np.array([3.0])).estimate, rtol=1e-12
     )
-
-
-def test_a_block_is_no_longer_than_the_record():
-    with pytest.raises(ValueError, match="block=13 must be a number of samples from 1 to 12"):
-        draws_of("residuals", block=13)
 
 
 class Pair(gb.StateSpace):
@@ -127,7 +104,7 @@ class Pair(gb.StateSpace):
         return (p.K * u.u, 3 * p.K * u.u)
 
 
-def pair_draws(drawn, block=1, missing=(), noise="full"):
+def pair_draws(missing=(), noise="full"):
     random = np.random.default_rng(4)
     errors = np.linalg.cholesky([[0.04, -0.03], [-0.03, 0.09]]) @ random.normal(size=(2, 30))
     u = 1 + 0.1 * np.arange(30)
@@ -141,30 +118,18 @@ def pair_draws(drawn, block=1, missing=(), noise="full"):
         )
     )
     trajectory = nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(np.array([2.0])))
-    return record_draws(nlp, (trajectory,), (None,), drawn, 5, block), np.array(
-        [y - 2 * u, z - 6 * u]
-    )
+    return record_draws(nlp, (trajectory,), (None,), 5), np.array([y - 2 * u, z - 6 * u])
 
 
-def test_errors_of_two_outputs_are_drawn_together():
-    """With their covariance, enlarged for one parameter of sixty numbers."""
-    draws, errors = pair_draws("parametric")
-    covariance = errors @ errors.T / 30 * 60 / 59
-    assert_allclose(draws.records[0].root @ draws.records[0].root.T, covariance, rtol=1e-9)
-    assert_allclose(
-        draws.records[0].residuals,
-        np.sqrt(60 / 59) * (errors - errors.mean(axis=1, keepdims=True)),
-        rtol=1e-9,
-    )
-    drawn = np.array(
-        [draws.outputs(k)[0][0] - draws.records[0].stretches[0].fitted for k in range(150)]
-    )
-    found = np.einsum("rkn,rln->kl", drawn, drawn) / (150 * 30)
-    assert_allclose(found, covariance, rtol=0.1)
+def test_residuals_are_enlarged_for_the_fitted_parameters():
+    """One parameter of sixty numbers."""
+    draws, errors = pair_draws()
+    expected = np.sqrt(60 / 59) * (errors - errors.mean(axis=1, keepdims=True))
+    assert_allclose(draws.records[0].residuals, expected, rtol=1e-9)
 
 
-def test_blocks_of_residuals_are_drawn_of_both_outputs_at_once_and_what_is_missing_from_the_others():
-    draws, _ = pair_draws("blocks", block=5, missing=(3, 4, 17), noise="diagonal")
+def test_residuals_are_drawn_of_both_outputs_at_once_and_missing_ones_from_the_others():
+    draws, _ = pair_draws(missing=(3, 4, 17), noise="diagonal")
     residuals = draws.records[0].residuals
     known = residuals[0][np.isfinite(residuals[0])]
     replaced = 0
@@ -173,8 +138,6 @@ def test_blocks_of_residuals_are_drawn_of_both_outputs_at_once_and_what_is_missi
         assert np.flatnonzero(np.isnan(drawn[0])).tolist() == [3, 4, 17]
         places = [int(np.argmin(np.abs(residuals[1] - value))) for value in drawn[1]]
         assert_allclose(residuals[1][places], drawn[1], atol=1e-12)
-        in_blocks = [(places[k + 1] - places[k]) % 30 == 1 for k in range(29) if k % 5 != 4]
-        assert all(in_blocks)
         for k in np.flatnonzero(np.isfinite(drawn[0])):
             own = residuals[0][places[k]]
             if np.isnan(own):
@@ -183,14 +146,3 @@ def test_blocks_of_residuals_are_drawn_of_both_outputs_at_once_and_what_is_missi
             else:
                 assert drawn[0][k] == pytest.approx(own, abs=1e-12)
     assert replaced > 0
-
-
-@pytest.mark.parametrize(
-    ("count", "size", "length"), [(12, 5, 4), (13, 30, 4), (3, 30, 7), (4, 4, 1), (100, 30, 7)]
-)
-def test_blocks_follow_each_other_on_a_circle(count, size, length):
-    places = drawn_blocks(np.random.default_rng(1), count, size, length)
-    assert len(places) == count
-    assert places.min() >= 0
-    assert places.max() < size
-    assert np.all((np.diff(places) % size == 1) | (np.arange(1, count) % length == 0))

@@ -10,34 +10,26 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.outcome import SEARCH_OVER
 from greybox.solve.time_limits import TimeLimits, limited
+from greybox.study.open_data import open_program
 from greybox.study.response_replicates import (
     DrawnPart,
     ResponseDraws,
     ResponseReplicates,
     response_draws,
-    response_replicates,
 )
 
 
-def draws(drawn, *, parts=1, points=3, constants=(), root=(), **changes):
-    """Draws of parts of so many points each, without noise."""
+def draws(*, points=3, constants=(), root=(), **changes):
+    """Draws of one part of so many points, without noise."""
     ones = np.ones(points, complex)
-    part = DrawnPart(1.0 + np.arange(points), ones, ones, np.ones(points), 0 * ones, deviation=0.0)
+    part = DrawnPart(1.0 + np.arange(points), ones, np.ones(points), deviation=0.0)
     root = np.zeros((0, 0)) if len(root) == 0 else root
-    return ResponseDraws(
-        drawn, 0, (replace(part, **changes),) * parts, np.array(constants, float), root
-    )
-
-
-def test_parts_are_drawn_as_often_as_there_are_parts():
-    counts = np.array([draws("parts", parts=4).replicate(number)[:4] for number in range(200)])
-    assert np.all(counts.sum(axis=1) == 4)
-    assert np.var(counts) == pytest.approx(4 * 1 / 4 * 3 / 4, abs=0.15)  # binomial
+    return ResponseDraws(0, (replace(part, **changes),), np.array(constants, float), root)
 
 
 def measured_points(found, points=3):
     """The measured responses in the data of replicates of one part without constants: (replicates, points)."""
-    real, imaginary = np.array(found)[:, 1:].reshape(len(found), 2, points).transpose(1, 0, 2)
+    real, imaginary = np.array(found).reshape(len(found), 2, points).transpose(1, 0, 2)
     return real + 1j * imaginary
 
 
@@ -45,7 +37,6 @@ def measured_points(found, points=3):
 def test_parametric_errors_are_normal_or_of_student_and_what_points_have_in_common_is_added(dof):
     """In proportion to the sizes, of one variance in both components; Student's is larger by f / (f - 2)."""
     made = draws(
-        "parametric",
         response=np.array([1.0, 2j, -3.0]),
         size=np.array([1.0, 0.5, 2.0]),
         deviation=0.3,
@@ -62,19 +53,9 @@ def test_parametric_errors_are_normal_or_of_student_and_what_points_have_in_comm
     assert [*made.replicate(3)] == [*made.replicate(3)]
 
 
-def test_residuals_are_drawn_with_their_magnitudes_at_any_angle():
-    made = draws("residuals", errors=np.array([0.1, 0.2j, -0.3]), size=np.array([1.0, 10.0, 100.0]))
-    errors = (measured_points([made.replicate(k) for k in range(600)]) - 1) / made.parts[0].size
-    magnitudes, counts = np.unique(np.abs(errors).round(9), return_counts=True)
-    assert magnitudes.tolist() == [0.1, 0.2, 0.3]
-    assert counts == pytest.approx(np.full(3, 600), abs=100)
-    turns = np.angle(errors)
-    assert np.histogram(turns, 4, (-np.pi, np.pi))[0] == pytest.approx(np.full(4, 450), abs=90)
-
-
 def test_constants_of_an_earlier_fit_are_drawn_with_their_covariance():
     root = np.array([[0.3], [-0.6]])
-    made = draws("parametric", constants=[5.0, 7.0], root=root)
+    made = draws(constants=[5.0, 7.0], root=root)
     found = np.array([made.constants_of(k) for k in range(2000)])
     assert found.mean(axis=0) == pytest.approx([5, 7], abs=0.05)
     assert np.cov(found.T) == pytest.approx(root @ root.T, rel=0.1)
@@ -101,7 +82,7 @@ def lag_draws(noise, criterion, *, at_bound=(False, False), covariance=None, **c
     data = gb.FrequencyResponse(OMEGA, model * (1 + left), "u", "y", **columns)
     nlp = compile_problem(gb.Problem(Lag(), data, criterion))
     covariance = np.zeros((0, 0)) if covariance is None else covariance
-    made = response_draws(nlp, np.array([2.0, 0.5]), np.array(at_bound), covariance, "residuals", 4)
+    made = response_draws(nlp, np.array([2.0, 0.5]), np.array(at_bound), covariance, 4)
     return made, model, left, np.transpose([model / 2, -1j * OMEGA * model**2 / 2])
 
 
@@ -113,7 +94,7 @@ def leverage(slopes, size):
 
 def test_residuals_of_several_parts_have_leverages_in_one_fit():
     sets = two_parts()
-    _, made, (gain, lag) = runner_of("residuals", sets)
+    _, made, (gain, lag) = runner_of(sets)
     slopes, left = [], []
     for data in sets:
         model = gain / (lag * 1j * data.omega + 1)
@@ -129,7 +110,8 @@ def test_residuals_of_several_parts_have_leverages_in_one_fit():
     each = np.diag(stacked @ np.linalg.pinv(stacked))
     found = each[:10].reshape(2, 5).mean(axis=0), each[10:].reshape(2, 4).mean(axis=0)
     for part, own, h in zip(made.parts, left, found, strict=True):
-        assert_allclose(part.errors, own / np.sqrt(1 - h), rtol=1e-6)
+        expected = np.sqrt(np.mean(np.abs(own) ** 2 / (1 - h)) / 2)
+        assert part.deviation == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(("at_bound", "free"), [((False, False), [0, 1]), ((True, False), [1])])
@@ -138,7 +120,6 @@ def test_residuals_are_enlarged_by_their_leverage(at_bound, free):
     assert_allclose(made.parts[0].response, model)
     assert_allclose(made.parts[0].size, np.abs(model))
     wanted = left * model / np.abs(model) / np.sqrt(1 - leverage(slopes[:, free], np.abs(model)))
-    assert_allclose(made.parts[0].errors, wanted, rtol=1e-6)
     assert made.parts[0].deviation == pytest.approx(
         np.sqrt(np.mean(np.abs(wanted) ** 2) / 2), rel=1e-6
     )
@@ -156,12 +137,8 @@ def test_given_variances_are_believed_where_residuals_are_smaller(given, believe
     size = np.sqrt(variance * [1.0, 0.5, 0.5, 0.1, 1.0])  # a tenth of the variance is left at least
     assert_allclose(made.parts[0].size, size)
     wanted = left * model / size / np.sqrt(1 - leverage(slopes, size))
-    if believed:
-        wanted /= np.sqrt(np.mean(np.abs(wanted) ** 2))
-        assert made.parts[0].deviation == pytest.approx(np.sqrt(0.5))
-    else:
-        assert made.parts[0].deviation > 1
-    assert_allclose(made.parts[0].errors, wanted, rtol=1e-6)
+    expected = np.sqrt(0.5) if believed else np.sqrt(np.mean(np.abs(wanted) ** 2) / 2)
+    assert made.parts[0].deviation == pytest.approx(expected, rel=1e-6)
     assert made.parts[0].dof.tolist() == dof.tolist()
     assert_allclose(made.parts[0].common, common)
 
@@ -188,7 +165,7 @@ def test_a_replicate_is_refitted_as_its_data_would_be(monkeypatch, by_ipopt):
             gb.SquaredRelativeError(),
         )
     )
-    runner = response_replicates(nlp, made, np.array([2.0, 0.5]))
+    runner = runner_from(nlp, made, np.array([2.0, 0.5]))
     assert runner.constants_of(3).size == 0
     if by_ipopt:
         monkeypatch.setattr(ResponseReplicates, "_newton", None)
@@ -209,14 +186,14 @@ def test_errors_of_neighbors_in_frequency_are_correlated_along_and_across_the_re
     response = np.array([1.0, 2j, -3.0, 2 - 1j])
     size = np.array([1.0, 0.5, 2.0, 1.5])
     part = {"omega": omega, "response": response, "size": size, "deviation": 0.3}
-    made = draws("parametric", points=4, neighbors=(0.8, 2.5), **part)
+    made = draws(points=4, neighbors=(0.8, 2.5), **part)
     errors = (measured_points([made.replicate(k) for k in range(2000)], 4) - response) / size
     turned = errors * np.exp(-1j * np.angle(response))
     wanted = 2.5 * 0.09 * 0.8 ** np.abs(omega - omega[:, None])
     for component in (turned.real, turned.imag):
         assert component.T @ component / 2000 == pytest.approx(wanted, abs=0.025)
     assert turned.real.T @ turned.imag / 2000 == pytest.approx(np.zeros((4, 4)), abs=0.025)
-    plain = draws("parametric", points=4, **part)
+    plain = draws(points=4, **part)
     errors = (measured_points([plain.replicate(k) for k in range(2000)], 4) - response) / size
     assert errors.real.T @ errors.real / 2000 == pytest.approx(0.09 * np.eye(4), abs=0.012)
 
@@ -245,27 +222,21 @@ def refitted(problem):
     return [fit.estimate["K"], fit.estimate["T"]]
 
 
-def runner_of(drawn, sets):
+def runner_from(nlp, made, x):
+    start = nlp.scaling.to_solver(x)
+    return ResponseReplicates(made, open_program(nlp), start, nlp.lower, nlp.upper, nlp.scaling)
+
+
+def runner_of(sets):
     nlp = compile_problem(joint(sets))
     x = np.array(refitted(joint(sets)))
-    made = response_draws(nlp, x, np.zeros(2, bool), np.zeros((0, 0)), drawn, 4)
-    return response_replicates(nlp, made, x), made, x
-
-
-def test_a_part_that_is_not_drawn_does_not_count():
-    sets = two_parts()
-    runner, made, _ = runner_of("parts", sets)
-    number = next(k for k in range(50) if made.replicate(k)[:2].tolist() == [0, 2])
-    (outcome,) = runner.run_together(np.array([[float(number)]]))
-    alone = refitted(gb.Problem(Lag(), sets[1], gb.SquaredRelativeError()))
-    assert outcome.converged
-    assert outcome.estimate == pytest.approx(alone, rel=1e-5)
-    assert outcome.seconds > 0
+    made = response_draws(nlp, x, np.zeros(2, bool), np.zeros((0, 0)), 4)
+    return runner_from(nlp, made, x), made, x
 
 
 def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
     monkeypatch.setattr("greybox.study.response_replicates.fits_a_batch", lambda program: False)
-    runner, _, _ = runner_of("residuals", two_parts())
+    runner, _, _ = runner_of(two_parts())
     with limited(TimeLimits(end=0.0)):
         (outcome,) = runner.run_together(np.array([[5.0]]))
     assert (outcome.status, outcome.converged, outcome.iterations) == (SEARCH_OVER, False, 0)
