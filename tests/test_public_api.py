@@ -42,7 +42,7 @@ NAMESPACES = {
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies UntilFoundAgain WorkerPool",
-    "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response response_matrix "
+    "spectral": "FiniteFrequency Quality check finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",
     "validation": "Comparison Differences NestedTest StepwiseSelection compare differences nested_test "

@@ -141,7 +141,7 @@ def commands(result: Identification, log: str, prefix: str, columns: Sequence[st
     response = f"{prefix}_response.csv"
     measuring = ["response", log, "--input", settings.input, "--output", settings.output, *finding]
     usual = Settings(settings.input, settings.output)
-    for name in ("axis", "tests", "instrument", "rate", "settle", "period", "method", "points"):
+    for name in ("axis", "tests", "instrument", "rate", "settle", "period", "points"):
         value = getattr(settings, name)
         measuring += _given(name, "" if value == getattr(usual, name) else value)
     if settings.band:

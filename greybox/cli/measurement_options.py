@@ -64,11 +64,6 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--whole", action="store_true", help="use the whole log if no test is found")
     add(
-        "--method",
-        default="least-squares",
-        help="for sines: least-squares or quadrature (default: least-squares)",
-    )
-    add(
         "--points",
         type=int,
         default=40,

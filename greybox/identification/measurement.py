@@ -14,7 +14,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import to_si
-from greybox.files.text_table import alternatives, counted, number, one_line
+from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in
 from greybox.identification.systematic_errors import (
     motor_saturation,
@@ -26,7 +26,6 @@ from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
 from greybox.logs.segment_detection import announcing, find_segments
-from greybox.spectral.demodulation import METHODS
 from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
@@ -66,8 +65,6 @@ class Settings:
         Use the whole log if no test is found.
     open_loop : bool
         Make the direct estimate, whatever controller the log shows.
-    method : "least-squares" or "quadrature"
-        Of sines.
     points : int
         Number of frequencies of a sweep.
     """
@@ -86,7 +83,6 @@ class Settings:
     period: float | None = None
     whole: bool = False
     open_loop: bool = False
-    method: str = "least-squares"
     points: int = 40
 
     def __post_init__(self) -> None:
@@ -94,10 +90,6 @@ class Settings:
         for name, value in (("settle", self.settle), ("period", self.period)):
             if value is not None and not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}={value} must be a number of seconds of at least 0.")
-        if self.method not in METHODS:
-            raise ValueError(
-                f"method={self.method!r} is not known: use {alternatives(self.method, METHODS)}"
-            )
         if not 2 <= self.points <= 10_000:
             raise ValueError(f"points={self.points} must lie between 2 and 10000.")
         if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
@@ -239,7 +231,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
 
     def quality_of(response: FrequencyResponse | None) -> Quality:
         quality = check(record, response, judged, input=u, output=y)
-        return Quality((*quality.findings, *jitter(during)), quality.bands)
+        return Quality((*quality.findings, *jitter(during)))
 
     quality, response, detail, points = quality_of(None), None, "", None
     pieces = [record.between(s.start, s.end) for s in used] or [record]
@@ -369,7 +361,6 @@ def _estimated(
             output=y,
             setpoint=setpoint,
             settle=settings.settle,
-            method=settings.method,
         )
         dropped = (
             {"dropped": f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"}
@@ -444,7 +435,7 @@ def _about(
 
 def _kind(signals: Mapping[str, str], used: Sequence[Segment], settings: Settings) -> str:
     if used and used[0].kind == "sine":
-        return f"single sines, {settings.method}"
+        return "single sines"
     way = "periodic" if settings.period else "spectral"
     return (
         f"{way}, joint input-output with {signals[INSTRUMENT]}"

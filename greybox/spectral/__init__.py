@@ -16,7 +16,6 @@ Before the fit
     `test_quality` judges whether a test is worth one; `saturation` finds samples at a limit.
 """
 
-from greybox.spectral.demodulation import demodulate as demodulate
 from greybox.spectral.frequency_points import FiniteFrequency as FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response as periodic_response
 from greybox.spectral.orthogonal_multisines import response_matrix as response_matrix

@@ -4,11 +4,8 @@ import math
 
 import numpy as np
 
-from greybox.data.record import Record
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted
-
-METHODS = ("least-squares", "quadrature")
 
 # Fewest samples of a window: as many as the least squares have unknowns (a constant, a trend and
 # three harmonics).
@@ -24,67 +21,6 @@ HIGHEST = 0.8
 
 class UnusableSegmentError(ValueError):
     """The reason why a stretch of a signal cannot be demodulated."""
-
-
-def demodulate(
-    time: Array,
-    values: Array,
-    omega: float,
-    settle: float = 0.0,
-    periods: int | None = None,
-    method: str = "least-squares",
-    harmonics: int = 1,
-) -> complex:
-    """Return the complex amplitude alpha + j beta of a signal at `omega`, (3.16) with η = 1.
-
-    The signal is alpha sin ω(t - t0) + beta cos ω(t - t0) with t0 = time[0], so that the ratio of
-    two of them has the sign of a transfer function at +jω: a lag has a negative phase. The last
-    whole periods after `settle` are used.
-
-    Parameters
-    ----------
-    time, values : (n,) arrays, s and any unit
-        Any sampling; NaN samples are left out.
-    omega : float, rad/s
-    settle : float, s
-        Time left out at the start, at least.
-    periods : int, optional
-        Number of periods, counted from the end; by default all.
-    method : "least-squares" or "quadrature"
-        Sine, cosine, constant, trend (and harmonics) fitted together, exact on any sampling; or the
-        sums of (3.16), exact where a period is a whole number of equal samples.
-    harmonics : int
-        Highest harmonic in the least squares; beyond the first, it matters only on uneven sampling.
-
-    Raises
-    ------
-    ValueError
-        If there is no whole period, or fewer than four samples in a period, or the method is
-        unknown.
-    """
-    record = Record(time, {"values": values})  # checks both
-    time, values = record.time, record["values"]
-    present = np.isfinite(values)
-    try:
-        rows, _ = whole_periods(time[present], omega, settle, periods)
-    except UnusableSegmentError as reason:
-        raise ValueError(
-            f"the signal cannot be demodulated at {omega:g} rad/s: {reason}."
-        ) from None
-
-    t = time[present][rows]
-    x = values[present][rows]
-    origin = float(time[0])
-    if known_method(method) == "quadrature":
-        return complex(quadrature(t, x, omega, origin))
-    return complex(least_squares(t, x[None], omega, origin, harmonics)[0][0, 0])
-
-
-def known_method(method: str) -> str:
-    """Return the name of a method; ValueError for an unknown one."""
-    if method not in METHODS:
-        raise ValueError(f"the method is {method!r}: it must be {' or '.join(map(repr, METHODS))}.")
-    return method
 
 
 def whole_periods(
@@ -144,14 +80,6 @@ def least_squares(
     # The columns are few and well scaled, so the normal equations are as good as QR.
     c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
     return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
-
-
-def quadrature(t: Array, x: Array, omega: float, origin: float) -> ComplexArray:
-    """Return the sums of (3.16), each sample weighted by half the distance of its neighbors."""
-    step = np.diff(t)
-    weight = np.concatenate([[step[0]], (step[1:] + step[:-1]) / 2, [step[-1]]])
-    sums = 2 / weight.sum() * (x * weight) @ sine_and_cosine(t, omega, origin).T
-    return sums[..., 0] + 1j * sums[..., 1]
 
 
 def spectral_line(t: Array, x: Array, omega: float, origin: float) -> ComplexArray:

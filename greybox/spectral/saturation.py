@@ -6,26 +6,19 @@ import numpy as np
 
 from greybox.files.arrays import Array, BoolArray
 
-# A signal is at a stated limit within this share of the distance between the limits.
-AT_LIMIT = 1e-3
-
 # Steps, doublets and binary sequences take fewer levels than this: they rest at their extremes by
 # design, and nothing in them tells a limit from an amplitude.
 LEVELS = 12
 
 
-def at_limit(values: Array, limits: tuple[float, float] | None = None) -> BoolArray:
+def at_limit(values: Array) -> BoolArray:
     """Return which of the values (n,) are at a limit.
 
-    Without stated limits, a limit is a flat top: the signal rests at an extreme value for at least
+    A limit is a flat top: the signal rests at an extreme value for at least
     three samples and three times as long as it usually rests elsewhere (a control may be held for
     several samples throughout). NaN is never at a limit.
     """
-    low, high = limits or (np.nanmin(values), np.nanmax(values))
-    if limits is not None:
-        margin = AT_LIMIT * (high - low)
-        return (values <= low + margin) | (values >= high - margin)
-
+    low, high = np.nanmin(values), np.nanmax(values)
     reach = high - low
     starts = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(values)) <= 1e-9 * reach)])
     lengths = np.diff(np.r_[starts, values.size])

@@ -13,9 +13,7 @@ from greybox.data.test_segment import Segment, checked_segments
 from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.demodulation import (
     UnusableSegmentError,
-    known_method,
     least_squares,
-    quadrature,
     spectral_line,
     whole_periods,
 )
@@ -34,6 +32,9 @@ from greybox.spectral.saturation import at_limit
 # Lines on either side of the frequency from which the noise is estimated: six lines give 20 degrees
 # of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
 LINES = 6
+
+# The first three harmonics: a symmetric nonlinearity has odd ones, a rounded or biased one even ones.
+HARMONICS = 3
 
 # Standard errors of a complex amplitude. Noise alone exceeds three with a probability of exp(-9) =
 # 1e-4.
@@ -64,12 +65,9 @@ class _Settings(NamedTuple):
     signals: Array
     settle: float
     periods: int | None
-    method: str
-    harmonics: int
-    limits: tuple[float, float] | None
 
 
-def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
+def finite_frequency(
     record: Record,
     segments: Iterable[Segment],
     *,
@@ -78,23 +76,18 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     setpoint: str = "",
     settle: float = 2.0,
     periods: int | None = None,
-    method: str = "least-squares",
-    harmonics: int = 3,
-    limits: tuple[float, float] | None = None,
 ) -> FiniteFrequency:
     """Estimate the response at the frequencies of single-sine tests, (3.15)-(3.16).
 
-    With "least-squares", sine, cosine, constant, trend and harmonics are fitted to control and
-    output over all q periods together. The residual e = y - P u is examined beside ω, on the lines
+    Sine, cosine, constant, trend and two harmonics are fitted to control and output over all q
+    periods together, which is exact on any sampling; the sums of (3.16) are exact only if a period
+    is a whole number of samples. The residual e = y - P u is examined beside ω, on the lines
     ω(1 ± m/q), m = 1 ... M: a periodic signal has no power there, noise and transients do. A
     straight line through these values is the leakage of a plant whose state differs between the
     ends of the window (integrators, unstable poles); its value at ω is subtracted. The scatter about
     the line is the noise near ω. The variance follows from it, with 2(2M - 2) degrees of freedom
     (two periods: 2). In a closed loop, the plain scatter of periods would overstate the variance
     several times.
-
-    With "quadrature", amplitudes are the sums of (3.16) as printed, and the variance is the scatter
-    of y - P u between periods over q, with 2(q - 1) degrees of freedom.
 
     Noise that the feedback brings into the control is in both y and P u, and cancels in e. Both
     amplitudes refer to the phase of the setpoint, so the ratio has no closed-loop bias, unlike a
@@ -108,10 +101,10 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
         Unusable segments, and those that are not sines, are left out.
     input, output, setpoint : str
         Signal names. With a setpoint, its amplitude is reported and its true frequency is used.
-    settle, periods, method, harmonics
-        As in `demodulate`.
-    limits : (low, high), optional
-        Limits of the control; by default, they are detected by flat tops.
+    settle : float, s
+        Time left out at the start of each test, at least.
+    periods : int, optional
+        Number of periods, counted from the end; by default all.
 
     Returns
     -------
@@ -125,7 +118,6 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     """
     require_time(record, "a frequency response")
     segments = checked_segments(segments)
-    known_method(method)
     axes = sorted({s.axis for s in segments if s.usable and s.kind == "sine"})
     if len(axes) > 1:
         raise ValueError(
@@ -136,9 +128,7 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
         [record[name] for name in ((input, output, setpoint) if setpoint else (input, output))]
     )
     present = np.isfinite(signals).all(axis=0)
-    settings = _Settings(
-        record.time[present], signals[:, present], settle, periods, method, harmonics, limits
-    )
+    settings = _Settings(record.time[present], signals[:, present], settle, periods)
     points = []
     measured = []
     left_out = []
@@ -152,8 +142,7 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     if not points:
         reasons = "; ".join(dict.fromkeys(reason for _, reason in left_out)) or "there is none"
         raise ValueError(f"no segment gives a point of the response: {reasons}.")
-    if method == "least-squares":
-        points = _with_pooled_noise(points)
+    points = _with_pooled_noise(points)
 
     frequencies = sorted({p.omega for p in points})
     merged = [averaged([p for p in points if p.omega == omega]) for omega in frequencies]
@@ -187,12 +176,8 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
 
     t = time[rows]
     x = signals[:, rows]
-    amplitudes, drift, residual = least_squares(t, x, omega, segment.start, settings.harmonics)
-    if settings.method == "quadrature":
-        amplitudes[:, 0] = quadrature(t, x, omega, segment.start)
-        estimate = estimate_by_periods(t, x, amplitudes[:, 0], omega, segment.start, q)
-    else:
-        estimate = estimate_by_lines(t, amplitudes[:, 0], residual, omega, segment.start, q)
+    amplitudes, drift, residual = least_squares(t, x, omega, segment.start, HARMONICS)
+    estimate = estimate_by_lines(t, amplitudes[:, 0], residual, omega, segment.start, q)
 
     u, y, *r = map(complex, amplitudes[:, 0])
     noise = estimate.control_noise
@@ -217,7 +202,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
         r=r[0] if r else complex(math.nan, math.nan),
         distortion=(float(distortion[0]), float(distortion[1])),
         drift=(float(drift[0]), float(drift[1])),
-        saturation=saturation(x[0], settings.limits),
+        saturation=saturation(x[0]),
         notes=tuple(notes),
     )
     missing = 1 - t.size * float(np.median(np.diff(t))) * omega / (q * 2 * math.pi)
@@ -279,34 +264,12 @@ def estimate_by_lines(
     return SinePoint(complex(response), float(variance), 2.0 * free, control_noise)
 
 
-def estimate_by_periods(
-    t: Array, x: Array, amplitudes: ComplexArray, omega: float, origin: float, q: int
-) -> SinePoint:
-    """Estimate as printed in the paper, with the variance from the scatter of the periods."""
-    u, y = amplitudes[:2]
-    response = complex(y / u) if u else 0j
-    if q == 1:
-        return SinePoint(response, math.nan, 0.0, 0.0)
-    step = float(np.median(np.diff(t)))
-    period = np.clip(((t - t[-1] - step / 2) * omega / (2 * math.pi) + q).astype(int), 0, q - 1)
-    by_period = np.stack(
-        [quadrature(t[period == k], x[:, period == k], omega, origin) for k in range(q)], axis=-1
-    )
-    error = by_period[1] - response * by_period[0]
-    variance = (
-        np.sum(np.abs(error - error.mean()) ** 2) / (q - 1) / q / abs(u) ** 2 if u else math.nan
-    )
-    control = by_period[0]
-    control_noise = np.sqrt(np.sum(np.abs(control - control.mean()) ** 2) / (q - 1) / q)
-    return SinePoint(response, float(variance), 2.0 * (q - 1), float(control_noise))
-
-
-def saturation(u: Array, limits: tuple[float, float] | None = None) -> float:
+def saturation(u: Array) -> float:
     """Return the share of samples at the control's limits; NaN where rounding hides a flat top."""
     reach = float(np.ptp(u))
-    if limits is None and np.diff(np.unique(u)).min(initial=reach) > RESOLUTION * reach:
+    if np.diff(np.unique(u)).min(initial=reach) > RESOLUTION * reach:
         return math.nan
-    return float(at_limit(u, limits).mean())
+    return float(at_limit(u).mean())
 
 
 def _response(

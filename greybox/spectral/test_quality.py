@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -10,8 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array
-from greybox.files.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, one_line
 from greybox.spectral.saturation import at_limit
 
 Severity = Literal["note", "warning", "refusal"]
@@ -64,34 +63,10 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Band:
-    """An octave of the measured response.
-
-    Attributes
-    ----------
-    low, high : float, rad/s
-    points : int
-    coherence, error : float
-        Medians; the error is the standard deviation of one component over the magnitude. NaN where
-        the response has none.
-    samples : float
-        Samples per period of the highest frequency.
-    """
-
-    low: float
-    high: float
-    points: int
-    coherence: float
-    error: float
-    samples: float
-
-
-@dataclass(frozen=True)
 class Quality:
-    """The verdict on a test: findings, most serious first, and a table by octave."""
+    """The verdict on a test: findings, most serious first."""
 
     findings: tuple[Finding, ...]
-    bands: tuple[Band, ...] = ()
 
     @property
     def usable(self) -> bool:
@@ -105,7 +80,7 @@ class Quality:
 
     def with_findings(self, *findings: Finding) -> "Quality":
         """Return the verdict with more findings, sorted by severity."""
-        return replace(self, findings=_by_severity((*self.findings, *findings)))
+        return Quality(_by_severity((*self.findings, *findings)))
 
     def __repr__(self) -> str:
         return one_line(
@@ -113,21 +88,8 @@ class Quality:
         )
 
     def __str__(self) -> str:
-        lines = [f"{f.severity}: {f.text}" for f in self.findings] or ["no problems found"]
-        if self.bands:
-            header = ["band rad/s", "points", "coherence", "error %", "samples per period"]
-            rows = [
-                [
-                    f"{b.low:.3g} to {b.high:.3g}",
-                    str(b.points),
-                    number(b.coherence, 3),
-                    number(100 * b.error, 2),
-                    number(b.samples, 3),
-                ]
-                for b in self.bands
-            ]
-            lines += ["", text_table(header, rows)]
-        return "\n".join(lines)
+        lines = [f"{f.severity}: {f.text}" for f in self.findings]
+        return "\n".join(lines or ["no problems found"])
 
 
 def check(
@@ -137,48 +99,54 @@ def check(
     *,
     input: str = "u",
     output: str = "theta",
-    limits: tuple[float, float] | None = None,
 ) -> Quality:
     """Judge a test before the fit.
 
     Parameters
     ----------
     record : Record
-        Holds control and output.
+        Has the control and the output.
     response : FrequencyResponse, optional
-        The response estimated from the record; its coherence and variances are judged by octave.
+        The response estimated from the record; its coherence and variances are judged.
     segments : sequence of Segment
         The excited stretches; by default, the whole record is judged.
     input, output : str
         Signal names.
-    limits : (low, high), optional
-        Limits of the control; by default, flat tops are searched for.
 
     Returns
     -------
     Quality
-        Findings and a table by octave; `usable` is False if the test cannot identify anything.
+        The findings; `usable` is False if the test cannot identify anything.
 
     Raises
     ------
     KeyError
-        For a signal that the record does not hold.
+        For a signal that the record does not have.
     """
     require_time(record, "a test")
     findings = [
         *_filters(record, (input, output)),
         *_gaps(record, segments),
         *jitter(record),
-        *_saturation(_excited(record, segments), input, limits),
+        *_saturation(_excited(record, segments), input),
         *_amplitude(record, (input, output)),
         *_segments(segments),
         *_spread(response, segments),
         *_length(record, response, segments),
         *_rate(record, response, segments),
-        *_precision(response),
     ]
-    bands = () if response is None else tuple(_bands(record, response))
-    return Quality(_by_severity(findings), bands)
+    if response is not None:
+        findings += [*_coherence(response), *_noise(response)]
+    return Quality(_by_severity(findings))
+
+
+def _graded(about: str, value: float, limits: tuple[float, float], text: str) -> Iterator[Finding]:
+    """Yield a warning beyond the first limit, and a refusal beyond the second."""
+    warning, refusal = limits
+    sign = 1 if refusal > warning else -1  # too much, or too little
+    if sign * value > sign * warning:
+        severity: Severity = "refusal" if sign * value > sign * refusal else "warning"
+        yield Finding(about, severity, value, text)
 
 
 def _by_severity(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -229,32 +197,25 @@ def _excited(record: Record, segments: Sequence[Segment]) -> Record:
     return record.rows(np.flatnonzero(inside)) if inside.any() else record
 
 
-def _saturation(record: Record, name: str, limits: tuple[float, float] | None) -> Iterator[Finding]:
-    u = record[name][np.isfinite(record[name])]
-    share = float(at_limit(u, limits).mean())
-    if share > SATURATED[0]:
-        severity: Severity = "refusal" if share > SATURATED[1] else "warning"
-        text = (
-            f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model "
-        )
-        text += "is wrong there; use a smaller amplitude."
-        yield Finding("saturation", severity, share, text)
+def _saturation(record: Record, name: str) -> Iterator[Finding]:
+    share = float(at_limit(record[name][np.isfinite(record[name])]).mean())
+    text = f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model "
+    yield from _graded(
+        "saturation", share, SATURATED, text + "is wrong there; use a smaller amplitude."
+    )
 
 
 def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
     for name in names:
-        values = record[name][np.isfinite(record[name])]
-        levels = np.unique(values)
+        levels = np.unique(record[name][np.isfinite(record[name])])
         if levels.size == 1:
-            text = (
-                f"{name} is constant ({levels[0]:g} throughout): nothing can be identified from it."
-            )
+            text = f"{name} is constant ({levels[0]:g} throughout): it has no information."
             yield Finding("amplitude", "refusal", 0.0, text)
-        elif levels.size < LEVELS[0]:
-            severity: Severity = "refusal" if levels.size < LEVELS[1] else "warning"
-            text = f"{name} takes only {levels.size} values: its amplitude is close to its resolution; "
-            text += "excite more."
-            yield Finding("amplitude", severity, float(levels.size), text)
+        else:
+            text = f"{name} takes only {levels.size} values: its amplitude is close to its "
+            yield from _graded(
+                "amplitude", float(levels.size), LEVELS, text + "resolution; excite more."
+            )
 
 
 def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
@@ -317,11 +278,13 @@ def _length(
         _, lowest = _highest_lowest(response, segments)
         longest = max(piece.duration for piece in record.pieces)
         periods = longest * lowest / (2 * math.pi)
-    start = f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s"
-    if periods < PERIODS[1]:
-        yield Finding("length", "refusal", periods, f"{start}: fly longer.")
-    elif periods < PERIODS[0]:
-        yield Finding("length", "warning", periods, f"{start}: the errors there are large.")
+    yield from _graded(
+        "length",
+        periods,
+        PERIODS,
+        f"the record has {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: the "
+        "errors there are large; fly longer.",
+    )
 
 
 def _rate(
@@ -341,63 +304,36 @@ def _rate(
         yield Finding("rate", "note", swept, text)
 
     samples = 2 * math.pi * record.rate / highest
-    if samples < SAMPLES[0]:
-        severity: Severity = "refusal" if samples < SAMPLES[1] * (1 - ROUNDING) else "warning"
-        text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} "
-        text += "rad/s: log faster, or leave out the highest frequencies."
-        yield Finding("rate", severity, samples, text)
+    text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} "
+    yield from _graded(
+        "rate",
+        samples,
+        (SAMPLES[0], SAMPLES[1] * (1 - ROUNDING)),
+        text + "rad/s: log faster, or leave out the highest frequencies.",
+    )
 
 
-def _precision(response: FrequencyResponse | None) -> Iterator[Finding]:
-    if response is None:
+def _noise(response: FrequencyResponse) -> Iterator[Finding]:
+    if response.variance is None:
         return
-    if response.coherence is not None:
-        yield from _coherence(response.omega, response.coherence)
-    if response.variance is not None:
-        error = float(np.median(_error(response)))
-        if error > ERROR[0]:
-            severity: Severity = "refusal" if error > ERROR[1] else "warning"
-            text = (
-                f"half of the points have a standard deviation above {100 * error:.0f} %: excite "
-            )
-            text += "more or longer."
-            yield Finding("noise", severity, error, text)
+    size = np.maximum(np.abs(response.response), 1e-300)
+    error = float(np.median(np.sqrt(response.variance / 2) / size))
+    text = f"half of the points have a standard deviation above {100 * error:.0f} %: excite "
+    yield from _graded("noise", error, ERROR, text + "more or longer.")
 
 
-def _coherence(omega: Array, coherence: Array) -> Iterator[Finding]:
-    weak = omega[coherence < COHERENCE[0]]
-    if 0 < weak.size < omega.size:
+def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
+    if response.coherence is None:
+        return
+    weak = response.omega[response.coherence < COHERENCE[0]]
+    if 0 < weak.size < response.omega.size:
         places = ", ".join(f"{w:.3g}" for w in weak[:5]) + (" ..." if weak.size > 5 else "")
         text = f"the coherence is below {COHERENCE[0]} at {places} rad/s: leave out these points, "
         text += "whose errors are understated."
         yield Finding("coherence", "warning", float(weak.size), text)
 
-    median = float(np.median(coherence))
-    if median < COHERENCE[0]:
-        severity: Severity = "refusal" if median < COHERENCE[1] else "warning"
-        text = (
-            f"half of the points have a coherence below {median:.2f}: the output is mostly noise "
-        )
-        text += "or the effect of other inputs; excite more."
-        yield Finding("coherence", severity, median, text)
-
-
-def _error(response: FrequencyResponse) -> Array:
-    assert response.variance is not None
-    return np.sqrt(response.variance / 2) / np.maximum(np.abs(response.response), 1e-300)
-
-
-def _bands(record: Record, response: FrequencyResponse) -> Iterator[Band]:
-    octave = np.floor(np.log2(response.omega / response.omega.min()) + 1e-9).astype(int)
-    for k in np.unique(octave):
-        rows = octave == k
-        coherence = math.nan if response.coherence is None else np.median(response.coherence[rows])
-        error = math.nan if response.variance is None else np.median(_error(response)[rows])
-        yield Band(
-            low=float(response.omega.min() * 2.0**k),
-            high=float(response.omega.min() * 2.0 ** (k + 1)),
-            points=int(rows.sum()),
-            coherence=float(coherence),
-            error=float(error),
-            samples=2 * math.pi * record.rate / float(response.omega[rows].max()),
-        )
+    median = float(np.median(response.coherence))
+    text = f"half of the points have a coherence below {median:.2f}: the output is mostly noise "
+    yield from _graded(
+        "coherence", median, COHERENCE, text + "or the effect of other inputs; excite more."
+    )

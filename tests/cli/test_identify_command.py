@@ -125,7 +125,7 @@ def test_the_single_commands_say_what_was_chosen_and_stated(flown):
     )
     stated = replace(
         flown.measurement.settings, announced="", fields={"omega": "W"}, setpoint="ATT.DesPitch", axis="pitch",
-        tests="1-3", instrument="SIDD.Targ", rate=50.0, settle=1.0, period=20.0, method="quadrature", points=30,
+        tests="1-3", instrument="SIDD.Targ", rate=50.0, settle=1.0, period=20.0, points=30,
         band=(1.0, 8.5), whole=True,
     )  # fmt: skip
     other = replace(
@@ -150,7 +150,7 @@ def test_the_single_commands_say_what_was_chosen_and_stated(flown):
             *finding,
         ),
         *"--axis pitch --tests 1-3 --instrument SIDD.Targ --rate 50.0 --settle 1.0 --period 20.0".split(),
-        *"--method quadrature --points 30 --band 1.0 8.5 --whole --out mine_response.csv".split(),
+        *"--points 30 --band 1.0 8.5 --whole --out mine_response.csv".split(),
     ]
     assert fitted == [
         *"greybox fit --model tilt:Tilt --data mine_response.csv --through gyro-filter gyro-notch".split(),

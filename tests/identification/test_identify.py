@@ -49,7 +49,7 @@ def test_the_chain_says_what_it_chose(flown):
         "converted": "theta from deg to rad with half a step of 0.01 deg, which the log truncates",
         "sampling": "57.166 Hz",
         "excitation": "10 sines of 2, amplitude 3, 1 to 20.11 rad/s, 65.70 to 309.99 s",
-        "estimate": "single sines, least-squares",
+        "estimate": "single sines",
         "gyro-filter": "LowPass(20.0, 0.7071067811865476)",
         "d-term-filter": "FirstOrderLowPass(20.0)",
         "target-filter": "FirstOrderLowPass(20.0)",

@@ -97,31 +97,9 @@ def test_a_response_of_the_size_of_the_noise_is_refused(measured, expected):
     assert found(check(record(), measured, GOOD)) == expected
 
 
-def test_the_bands_are_octaves_that_hold_every_point():
-    quality = check(record(), response(0.02, 0.9), GOOD)
-    assert [(b.low, b.high) for b in quality.bands] == [
-        (1.0, 2.0),
-        (2.0, 4.0),
-        (4.0, 8.0),
-        (8.0, 16.0),
-    ]
-    assert quality.bands[-1].samples == pytest.approx(2 * np.pi * 50 / 10)
-    assert sum(b.points for b in quality.bands) == 12
-    assert quality.bands[0].coherence == pytest.approx(0.9)
-    assert quality.bands[0].error == pytest.approx(0.02)
-    assert "samples per period" in str(quality)
-
-
 def test_a_signal_that_is_not_there_is_named():
     with pytest.raises(KeyError, match="no signal 'q'; it has u, theta"):
         check(record(), input="q")
-
-
-@pytest.mark.parametrize(("at", "severity"), [(0.999, "refusal"), (0.99, None)])
-def test_stated_limits_are_reached_within_a_thousandth_of_their_distance(at, severity):
-    """Wherever the limits lie: the control swings around 100, between limits at 99 and 101."""
-    made = record(u=lambda t: 100 + np.clip(1.5 * np.sin(3 * t), -at, at))
-    assert found(check(made, None, GOOD, limits=(99.0, 101.0))).get("saturation") == severity
 
 
 def test_without_tests_the_length_counts_periods_of_the_lowest_frequency_of_the_response():
@@ -353,7 +331,6 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
     assert quality.refusals == (told["saturation"][2],)
     lines = str(quality).splitlines()
     assert lines[0] == f"refusal: {told['saturation'][2]}"
-    assert lines[10].split() == ["1", "to", "2", "3", "0.55", "15", f"{2 * np.pi * 100 / 1.9:.3g}"]
     assert repr(quality) == "<Quality not usable, 7 findings>"
     worse = quality.with_findings(
         Finding("test", "note", 1.0, "a"), Finding("test", "refusal", 2.0, "b")
@@ -397,8 +374,6 @@ def test_sequences_of_steps_are_not_called_saturated(levels):
     steps = np.repeat(RANDOM.choice(levels, 150), 20)
     quality = check(record(u=lambda t: 0.1 * steps[: t.size]), None, GOOD)
     assert "saturation" not in found(quality)
-    stated = check(record(u=lambda t: 0.1 * steps[: t.size]), None, GOOD, limits=(-0.1, 0.1))
-    assert found(stated)["saturation"] == "refusal"
 
 
 def test_a_clipped_control_that_is_held_between_updates_is_called_saturated():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from sampled_sines import amplitude
 
 import greybox as gb
 from greybox.data.record import Record, Recording
@@ -20,7 +21,7 @@ def prepared(cut, message="ATT[0]", offset=0.0):
 
 
 def gain(values):
-    return abs(gb.spectral.demodulate(TIME, values, OMEGA)) / AMPLITUDE
+    return abs(amplitude(TIME, values, OMEGA)) / AMPLITUDE
 
 
 def truncated(angle):
