@@ -12,9 +12,8 @@ Begin with `record` and `frequency_response`.
 | `units` | conversion of units to SI |
 | `magnitude_phase` | complex responses from decibels and degrees |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
-| `record_file` | records in HDF5 |
-| `response_file` | frequency responses in CSV and HDF5 |
-| `transient_file` | spectra of manoeuvres in CSV and HDF5 |
+| `response_file` | frequency responses in CSV |
+| `transient_file` | spectra of manoeuvres in CSV |
 | `response_columns` | the columns of a table that are a frequency response |
 | `pandas_frames` | pandas data frames from and to records and responses |
 """

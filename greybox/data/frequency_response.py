@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -62,7 +62,7 @@ class FrequencyResponse:
         A label for tables and figures.
     source : str
         Where the numbers come from.
-    stretches : sequence of Stretch
+    stretches : tuple of Stretch
         The stretches of records that it was estimated from, if known: a fit to these and to the
         response would use the same data twice.
     units : mapping of signal name to str
@@ -91,7 +91,7 @@ class FrequencyResponse:
     dof: Array | None = None
     name: str = ""
     source: str = field(default="", repr=False)
-    stretches: Sequence[Stretch] = field(default=(), repr=False)
+    stretches: tuple[Stretch, ...] = field(default=(), repr=False)
     units: Mapping[str, str] = field(default_factory=dict, repr=False)
     about: Mapping[str, str] = field(default_factory=dict, repr=False)
     common_errors: ComplexArray | None = field(default=None, repr=False)

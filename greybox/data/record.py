@@ -23,6 +23,7 @@ GAP = 2.5
 # Two records are of one measurement if more than this share of the samples at common times are equal
 # in all common signals.
 SAME_MEASUREMENT = 0.5
+NOT_STORED = {"stored": False}  # in the file of a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +71,12 @@ class Record:
     name: str = ""
     source: str = ""
     checksum: str = field(default="", repr=False)
-    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
+    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False, metadata=NOT_STORED)
+    filters: Mapping[str, tuple[Any, ...]] = field(
+        default_factory=dict, repr=False, metadata=NOT_STORED
+    )
     hold: Mapping[str, float] = field(default_factory=dict, repr=False)
-    findings: tuple[str, ...] = ()
+    findings: tuple[str, ...] = field(default=(), metadata=NOT_STORED)
     has_time: bool = True
 
     def __post_init__(self) -> None:

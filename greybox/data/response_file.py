@@ -1,4 +1,4 @@
-"""Writes and reads frequency responses as CSV files, and in groups of HDF5 files."""
+"""Writes and reads frequency responses as CSV files."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -7,12 +7,9 @@ from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.response_columns import (
-    COMMON,
-    EXTRAS,
     OMEGA,
     assembled,
     columns_by_role,
-    extras,
     written_columns,
 )
 from greybox.files.delimited_text import read_delimited, write_delimited
@@ -21,7 +18,6 @@ from greybox.files.safe_files import require_file
 UNIT = "unit of "  # begins the key of a unit
 STRETCH = "stretch "  # begins the key of a stretch
 NAMES = ("input", "output", "name", "source")
-Node = Any
 
 
 def read_response(
@@ -112,31 +108,6 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     write_delimited(path, {}, columns)
 
 
-def write_group(group: Node, response: FrequencyResponse) -> None:
-    """Write `response` into an HDF5 group."""
-    for name in NAMES:
-        group.attrs[name] = getattr(response, name)
-    facts = [f"{key}: {text}" for key, text in facts_of(response).items()]
-    if facts:
-        import h5py  # noqa: PLC0415  (reading does not need it)
-
-        group.create_dataset("facts", data=facts, dtype=h5py.string_dtype())
-    for column, values in {"omega": response.omega, **response.columns}.items():
-        group[column] = values
-
-
-def read_group(group: Node) -> FrequencyResponse:
-    """Read a `FrequencyResponse` from an HDF5 group."""
-    columns = {
-        name: item[()] for name, item in group.items() if name in EXTRAS or COMMON.fullmatch(name)
-    }
-    facts = [fact.partition(": ") for fact in group["facts"][()]] if "facts" in group else []
-    about = described({key: text for key, _, text in facts})
-    about |= {name: str(group.attrs[name]) for name in NAMES}
-    response = group["alpha"][()] + 1j * group["beta"][()]
-    return FrequencyResponse(group["omega"][()], response, **about, **extras(columns))
-
-
 def require_csv(path: Path) -> None:
     """Refuse a name that does not end in .csv: the numbers would be taken for something else."""
     if path.suffix.lower() != ".csv":
@@ -173,14 +144,14 @@ def units_in(facts: Mapping[str, str]) -> dict[str, str]:
     return {key.removeprefix(UNIT): unit for key, unit in facts.items() if key.startswith(UNIT)}
 
 
-def stretches_in(facts: Mapping[str, str]) -> list[Stretch]:
+def stretches_in(facts: Mapping[str, str]) -> tuple[Stretch, ...]:
     """Return the stretches of records; a comment that only begins like one is not a stretch."""
     stretches = []
     for key, text in facts.items():
         if key.startswith(STRETCH):
             with contextlib.suppress(ValueError):
                 stretches.append(stretch_from(text))
-    return stretches
+    return tuple(stretches)
 
 
 def stretch_text(stretch: Stretch) -> str:

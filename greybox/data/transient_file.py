@@ -1,18 +1,13 @@
-"""Writes and reads the spectra of manoeuvres as CSV files, and in groups of HDF5 files."""
+"""Writes and reads the spectra of manoeuvres as CSV files."""
 
 import json
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from greybox.data.record_file import escaped, unescaped
 from greybox.data.response_columns import OMEGA
 from greybox.data.response_file import (
     STRETCH,
     UNIT,
     require_csv,
-    stretch_from,
     stretch_text,
     stretches_in,
     units_in,
@@ -24,7 +19,6 @@ from greybox.files.safe_files import require_file
 KIND = "transient spectrum"
 CHANGE = "change of "  # begins the key of the last less the first value of an input
 PARTS = ("alpha", "beta")  # real and imaginary part, as in the file of a response
-Node = Any
 
 
 def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
@@ -87,49 +81,6 @@ def claims_spectrum(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(4096)
     return b"\0" not in head and read_delimited(path, head).facts.get("kind") == KIND
-
-
-def write_group(group: Node, spectrum: TransientSpectrum) -> None:
-    """Write a spectrum into an HDF5 group: every signal as two rows, its real and its imaginary parts."""
-    for name in ("name", "source", "duration", "step"):
-        group.attrs[name] = getattr(spectrum, name)
-    if spectrum.stretch is not None:
-        group.attrs["stretch"] = stretch_text(spectrum.stretch)
-    group["omega"] = spectrum.omega
-    for kind in ("inputs", "outputs"):
-        signals = group.create_group(kind, track_order=True)
-        for name, values in getattr(spectrum, kind).items():
-            dataset = signals.create_dataset(
-                escaped(name), data=np.array([values.real, values.imag])
-            )
-            dataset.attrs["unit"] = spectrum.units.get(name, "")
-            dataset.attrs["change"] = spectrum.change(name)
-
-
-def read_group(group: Node) -> TransientSpectrum:
-    """Read what `write_group` wrote."""
-    signals: dict[str, dict[str, Any]] = {"inputs": {}, "outputs": {}}
-    units, change = {}, {}
-    for kind, spectra in signals.items():
-        for key, dataset in group[kind].items():
-            name = unescaped(key)
-            real, imaginary = dataset[()]
-            spectra[name] = real + 1j * imaginary
-            if dataset.attrs["unit"]:
-                units[name] = str(dataset.attrs["unit"])
-            if kind == "inputs":
-                change[name] = float(dataset.attrs["change"])
-    return TransientSpectrum(
-        group["omega"][()],
-        **signals,
-        duration=float(group.attrs["duration"]),
-        step=float(group.attrs["step"]),
-        input_change=change,
-        units=units,
-        name=str(group.attrs["name"]),
-        source=str(group.attrs["source"]),
-        stretch=stretch_from(str(group.attrs["stretch"])) if "stretch" in group.attrs else None,
-    )
 
 
 def _from_table(table: DelimitedText) -> TransientSpectrum:

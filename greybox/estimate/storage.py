@@ -43,7 +43,7 @@ from greybox.solve.minima import Minimum
 from greybox.solve.runs import Runs
 
 KIND = "fit"
-LAYOUT = 4
+LAYOUT = 5
 
 # What is not stored (the models), or not field by field.
 TABLES = ("parts", "quantities", "minima")

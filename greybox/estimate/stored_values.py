@@ -5,8 +5,7 @@
 | `str`, `float`, `int`, `bool`, `Literal` | attribute |
 | array, tuple of floats | dataset of numbers; a complex one has two rows, real and imaginary |
 | tuple or array of `str` | dataset of texts |
-| `FrequencyResponse`, `Record`, `TransientSpectrum` | group, as their own files have it |
-| other dataclass, mapping of arrays | group with a member for each field or name |
+| dataclass, mapping of arrays | group with a member for each field or name |
 | tuple of values of different kinds, or of dataclasses | group with members 0, 1 ... |
 | other mappings, tuples and a `Sine` | attribute in JSON, in which null is NaN |
 
@@ -24,22 +23,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
-from greybox.data.record_file import escaped, read_record, unescaped, write_record
-from greybox.data.response_file import read_group, write_group
-from greybox.data.transient_file import read_group as read_spectrum
-from greybox.data.transient_file import write_group as write_spectrum
-from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.sealed_files import Node, Stored
 from greybox.files.text_table import printable
 from greybox.modeling.sine import Sine
 
-DATA: dict[Any, tuple[Any, Any]] = {
-    FrequencyResponse: (write_group, read_group),
-    Record: (write_record, read_record),
-    TransientSpectrum: (write_spectrum, read_spectrum),
-}
 ITEMS = {np.bool_: bool, np.integer: int, np.floating: float}
 LINES = "\n\t"  # control characters of docstrings, source and warnings
 
@@ -52,9 +39,10 @@ def require(condition: bool, message: str) -> None:
 
 @cache
 def fields_of(kind: type) -> dict[str, Any]:
-    """Return the annotations of the fields of a dataclass by name."""
+    """Return the annotations of the fields of a dataclass by name, except those that are not stored."""
     hints = get_type_hints(kind)
-    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+    stored = [field for field in dataclasses.fields(kind) if field.metadata.get("stored", True)]
+    return {field.name: hints[field.name] for field in stored}
 
 
 def write_fields(group: Node, value: Any, kinds: Mapping[str, Any]) -> None:
@@ -73,9 +61,7 @@ def write(group: Node, name: str, value: Any, kind: Any) -> None:
     kind = _without_none(kind)
     if value is None:
         return
-    if kind in DATA:
-        DATA[kind][0](group.create_group(name), value)
-    elif _is_scalar(kind):
+    if _is_scalar(kind):
         group.attrs[name] = value
     elif _is_text_list(kind):
         _write_texts(group, name, value)
@@ -106,8 +92,6 @@ def read(group: Stored, name: str, kind: Any) -> Any:
         return as_kind(value if _is_scalar(inner) else json.loads(value), inner)
 
     stored = group[name]
-    if inner in DATA:
-        return DATA[inner][1](stored)
     if _is_text_list(inner):
         texts = [as_kind(text, str) for text in stored[()]]
         return np.array(texts, dtype=object) if _item(inner) is not None else tuple(texts)
@@ -255,8 +239,18 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
+        return None if math.isnan(value) else float(value)
     return value.item() if isinstance(value, np.integer) else value
+
+
+def escaped(name: str) -> str:
+    """Return a name without the slash, which HDF5 reads as a path."""
+    return name.replace("%", "%25").replace("/", "%2F")
+
+
+def unescaped(key: str) -> str:
+    """Return the name that was escaped."""
+    return key.replace("%2F", "/").replace("%25", "%")
 
 
 def _write_texts(group: Node, name: str, texts: Any) -> None:

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -26,9 +27,9 @@ from hardening_spring import Spring, driven
 from numpy.testing import assert_array_equal, assert_equal
 
 import greybox as gb
-from greybox.data.record_file import read_record, write_record
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.files.sealed_files import seal
+from greybox.estimate.stored_values import read_fields, write_fields
+from greybox.files.sealed_files import open_sealed, seal, write_sealed
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
@@ -218,18 +219,29 @@ def test_which_gains_a_record_was_fitted_with_comes_back(tmp_path):
     assert gb.load(tmp_path / "a.h5").parts[0].gains == (("velocity", "position"),)
 
 
-def test_names_of_signals_may_hold_what_hdf5_takes_for_a_path(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        write_record(
-            file,
-            gb.Record(
-                np.arange(3), {"b/c%2F": np.arange(3), "a": np.ones(3)}, {"a": "m/s"}, name="r"
-            ),
-        )
-    with h5py.File(tmp_path / "a.h5") as file:
-        found = read_record(file)
-    assert list(found.signals) == ["b/c%2F", "a"]
-    assert (found.units, found.name) == ({"a": "m/s"}, "r")
+def test_names_units_and_holds_of_a_record_come_back(tmp_path):
+    """HDF5 reads slashes in names as paths; the signs that replace them may be in names, too."""
+    record = gb.Record(
+        np.cumsum([0.1, 0.2, 0.1]),
+        {"b/c%2F": np.array([1.0, np.nan, 3.0]), "a": np.ones(3)},
+        {"a": "m/s"},
+        "r",
+        "log.bin",
+        hold={"a": np.inf},
+        findings=("a gap",),
+    )
+    kinds = {"record": gb.Record}
+    write_sealed(
+        tmp_path / "a.h5",
+        "fit",
+        lambda file: write_fields(file, SimpleNamespace(record=record), kinds),
+    )
+    with open_sealed(tmp_path / "a.h5", "fit") as file:
+        back = read_fields(file, kinds)["record"]
+    assert list(back.signals) == ["b/c%2F", "a"]
+    assert_array_equal(back["b/c%2F"], record["b/c%2F"])
+    assert (back.units, back.hold, back.findings) == ({"a": "m/s"}, {"a": np.inf}, ())
+    assert (back.name, back.source, back.checksum) == ("r", "log.bin", record.checksum)
 
 
 def test_a_failed_fit_comes_back(tmp_path):
@@ -320,7 +332,7 @@ def replace(place, values):
 
 
 def shifted(file):
-    file["parts/0/data/alpha"][0] += 1e-12
+    file["parts/0/data/response"][0, 0] += 1e-12
 
 
 def forget(place):
@@ -347,8 +359,8 @@ def forget(place):
         (replace("warnings", np.zeros(2)), "damaged"),
         (replace("runs/cost", np.zeros(1)), "damaged"),
         (replace("quantities/value", np.zeros(1)), "damaged"),
-        (replace("parts/0/data/alpha", np.full(30, np.nan)), "damaged"),
-        (replace("parts/0/data/alpha", np.zeros(3)), "damaged"),
+        (replace("parts/0/data/response", np.full((2, 30), np.nan)), "damaged"),
+        (replace("parts/0/data/response", np.zeros((2, 3))), "damaged"),
     ],
 )
 def test_a_file_that_is_no_result_is_refused_in_a_sentence(tmp_path, change, words):
