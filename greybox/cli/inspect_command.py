@@ -57,9 +57,8 @@ def run(options: argparse.Namespace) -> Answer:
     answer = {
         "log": recording.source,
         "checksum": recording.checksum,
-        **{key: recording.metadata.get(key) for key in ("vehicle", "firmware", "frame", "board")},
+        **{key: recording.metadata.get(key) for key in ("vehicle", "firmware")},
         "modes": [[time, name] for time, name in recording.metadata.get("modes", ())],
-        "armed": [list(span) for span in recording.metadata.get("armed", ())],
         "messages": [_message(name, record) for name, record in recording.items()],
         "segments": [segment_as_json(segment) for segment in segments],
         "manoeuvres": [segment_as_json(segment) for segment in manoeuvres],
@@ -107,14 +106,12 @@ def next_command(
 
 
 def about(recording: Recording) -> str:
-    """Return source, vehicle, modes and armed times, one a line."""
+    """Return source, vehicle and modes, one a line."""
     metadata = recording.metadata
     lines = [recording.source, f"SHA-256 {recording.checksum[:16]}..."]
     lines += [str(metadata[key]) for key in ("vehicle", "firmware") if metadata.get(key)]
-    lines += [f"{key} {metadata[key]}" for key in ("frame", "board") if metadata.get(key)]
     modes = [f"{name} from {time:.1f} s" for time, name in metadata.get("modes", ())]
     lines += [f"modes {', '.join(modes)}"] if modes else []
-    lines += [f"armed {start:.1f} to {end:.1f} s" for start, end in metadata.get("armed", ())]
     parameters = metadata.get("parameters")
     lines += [f"{len(parameters)} parameters"] if parameters else []
     return "\n".join(lines)

@@ -311,9 +311,8 @@ class Recording(Mapping[str, Record]):
     source, checksum : str
         File name and SHA-256 of the file.
     metadata : mapping
-        As far as known: ``vehicle, firmware, frame, board`` (str), ``parameters`` (name to value,
-        the last set), ``defaults``, ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time,
-        name)), ``armed`` (tuple of (start, end), s).
+        As far as known: ``vehicle, firmware`` (str), ``parameters`` (name to value, the last set),
+        ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)), s.
     findings : tuple of str
         Problems and omissions of the file, in words.
     """

@@ -2,28 +2,18 @@
 
 A unit is a product of powers of the names below, as in ``deg/s/s``, ``slug*ft^2``, ``m s⁻²`` and
 ``N·m``. Libraries of units read g as gram, kt as kilotonne and C as coulomb; in flight tests these
-are the acceleration of gravity, knots and degrees Celsius. Hence this table. Its factors are exact,
-or else those of B. N. Taylor and A. Thompson, Guide for the Use of the International System of
-Units, NIST Special Publication 811 (2008), appendix B.
+are the acceleration of gravity, knots and degrees Celsius. Hence this table. Its factors are exact
+to the last digit, or else those of B. N. Taylor and A. Thompson, Guide for the Use of the
+International System of Units, NIST Special Publication 811 (2008), appendix B.
 """
 
-import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
 from greybox.files.arrays import Array
-
-FOOT = 0.3048  # m, exact, SP 811 B.8, as the next four
-MILE = 5280 * FOOT  # m
-NAUTICAL_MILE = 1852.0  # m
-POUND = 0.45359237  # kg
-GRAVITY = 9.80665  # m/s², standard acceleration of free fall
-POUND_FORCE = POUND * GRAVITY  # N
-SLUG = POUND_FORCE / FOOT  # kg, which a pound of force accelerates by 1 ft/s²
-INCH_OF_MERCURY = 3386.389  # Pa, conventional
-CELSIUS = 273.15  # K, exact
 
 
 class _Unit(NamedTuple):
@@ -32,38 +22,42 @@ class _Unit(NamedTuple):
     zero: float = 0.0  # of its scale, in SI
 
 
-def _same(names: str, *unit: float | str) -> dict[str, _Unit]:
-    """Return one unit under several names."""
-    return dict.fromkeys(names.split(), _Unit(*unit))  # type: ignore[arg-type]
+def _units(table: Mapping[str, str], zero: float = 0.0) -> dict[str, _Unit]:
+    """Return the units by each of their names, from the value in SI of the names in a line."""
+    units = {}
+    for names, value in table.items():
+        factor, _, si = value.partition(" ")
+        units |= dict.fromkeys(names.split(), _Unit(float(factor), si, zero))
+    return units
 
 
+CELSIUS, FAHRENHEIT = 273.15, 459.67 * 5 / 9  # K, zeros of these scales
 # Those that take prefixes.
-PREFIXED = {
-    **_same("m meter meters metre metres", 1.0, "m"),
-    **_same("s sec second seconds", 1.0, "s"),
-    **_same("rad radian radians", 1.0, "rad"),
-    **_same("deg degree degrees ° º degheading deglatitude deglongitude", math.pi / 180, "rad"),
-    **_same("degC °C ºC degc", 1.0, "K", CELSIUS),
-    **_same("gram grams", 1e-3, "kg"),
-    **_same("K", 1.0, "K"),
-    **_same("N", 1.0, "N"),
-    **_same("Nm", 1.0, "N m"),
-    **_same("Pa", 1.0, "Pa"),
-    **_same("bar", 1e5, "Pa"),
-    **_same("J", 1.0, "J"),
-    **_same("W Watt watt", 1.0, "W"),
-    **_same("Wh", 3600.0, "J"),
-    **_same("A amp", 1.0, "A"),
-    **_same("Ah", 3600.0, "A s"),
-    **_same("V volt", 1.0, "V"),
-    **_same("Ohm ohm Ω", 1.0, "Ω"),
-    **_same("T", 1.0, "T"),
-    **_same("gauss Gauss", 1e-4, "T"),
-    **_same("Hz", 1.0, "Hz"),
-    **_same("l L liter litre", 1e-3, "m3"),
-    **_same("%", 0.01, "1"),
-    **_same("G", GRAVITY, "m/s2"),
-}
+PREFIXED = _units({
+    "m meter meters metre metres": "1 m",
+    "s sec second seconds": "1 s",
+    "rad radian radians": "1 rad",
+    "deg degree degrees ° º degheading deglatitude deglongitude": "0.017453292519943295 rad",
+    "gram grams": "1e-3 kg",
+    "K": "1 K",
+    "N": "1 N",
+    "Nm": "1 N m",
+    "Pa": "1 Pa",
+    "bar": "1e5 Pa",
+    "J": "1 J",
+    "W Watt watt": "1 W",
+    "Wh": "3600 J",
+    "A amp": "1 A",
+    "Ah": "3600 A s",
+    "V volt": "1 V",
+    "Ohm ohm Ω": "1 Ω",
+    "T": "1 T",
+    "gauss Gauss": "1e-4 T",
+    "Hz": "1 Hz",
+    "l L liter litre": "1e-3 m3",
+    "%": "0.01 1",
+    "G": "9.80665 m/s2",
+}) | _units({"degC °C ºC degc": "1 K"}, CELSIUS)  # fmt: skip
 PREFIXES = {
     "M": 1e6,
     "k": 1e3,
@@ -78,43 +72,45 @@ PREFIXES = {
 
 NAMED = {
     **PREFIXED,
-    **_same("kg", 1.0, "kg"),
-    **_same("ns", 1e-9, "s"),
-    **_same("min minute minutes", 60.0, "s"),
-    **_same("h hr hrs hour hours", 3600.0, "s"),
-    **_same("ft foot feet", FOOT, "m"),
-    **_same("in inch inches", FOOT / 12, "m"),
-    **_same("yd", 3 * FOOT, "m"),
-    **_same("mi mile miles", MILE, "m"),
-    **_same("NM nm nmi", NAUTICAL_MILE, "m"),
-    **_same("fps", FOOT, "m/s"),
-    **_same("fpm", FOOT / 60, "m/s"),
-    **_same("mph", MILE / 3600, "m/s"),
-    **_same("kph kmh", 1 / 3.6, "m/s"),
-    **_same("kt kts kn knot knots KIAS KCAS KEAS KTAS", NAUTICAL_MILE / 3600, "m/s"),
-    **_same("g", GRAVITY, "m/s2"),
-    **_same("lbm", POUND, "kg"),
-    **_same("slug slugs", SLUG, "kg"),
-    **_same("lbf", POUND_FORCE, "N"),
-    **_same("kgf", GRAVITY, "N"),
-    **_same("psf", POUND_FORCE / FOOT**2, "Pa"),
-    **_same("psi", POUND_FORCE / (FOOT / 12) ** 2, "Pa"),
-    **_same("mb", 100.0, "Pa"),
-    **_same("atm", 101325.0, "Pa"),
-    **_same("inHg", INCH_OF_MERCURY, "Pa"),
-    **_same("hp", 550 * POUND_FORCE * FOOT, "W"),
-    **_same("degF °F ºF", 5 / 9, "K", 459.67 * 5 / 9),
-    **_same("degR °R", 5 / 9, "K"),
-    **_same("degK °K", 1.0, "K"),
-    **_same("C", 1.0, "K", CELSIUS),
-    **_same("rpm", math.pi / 30, "rad/s"),
-    **_same("rps", 2 * math.pi, "rad/s"),
-    **_same("rev revs revolution revolutions", 2 * math.pi, "rad"),
-    **_same("degE5", 1e-5 * math.pi / 180, "rad"),
-    **_same("degE7", 1e-7 * math.pi / 180, "rad"),
-    **_same("ppm", 1e-6, "1"),
-    **_same("1 - none unitless dimensionless", 1.0, "1"),
-}
+    **_units({"C": "1 K"}, CELSIUS),
+    **_units({"degF °F ºF": "0.5555555555555556 K"}, FAHRENHEIT),
+    **_units({
+        "kg": "1 kg",
+        "ns": "1e-9 s",
+        "min minute minutes": "60 s",
+        "h hr hrs hour hours": "3600 s",
+        "ft foot feet": "0.3048 m",
+        "in inch inches": "0.0254 m",
+        "yd": "0.9144 m",
+        "mi mile miles": "1609.344 m",
+        "NM nm nmi": "1852 m",
+        "fps": "0.3048 m/s",
+        "fpm": "0.00508 m/s",
+        "mph": "0.44704 m/s",
+        "kph kmh": "0.2777777777777778 m/s",
+        "kt kts kn knot knots KIAS KCAS KEAS KTAS": "0.5144444444444445 m/s",
+        "g": "9.80665 m/s2",
+        "lbm": "0.45359237 kg",
+        "slug slugs": "14.593902937206364 kg",
+        "lbf": "4.4482216152605 N",
+        "kgf": "9.80665 N",
+        "psf": "47.88025898033584 Pa",
+        "psi": "6894.757293168361 Pa",
+        "mb": "100 Pa",
+        "atm": "101325 Pa",
+        "inHg": "3386.389 Pa",
+        "hp": "745.6998715822702 W",
+        "degR °R": "0.5555555555555556 K",
+        "degK °K": "1 K",
+        "rpm": "0.10471975511965977 rad/s",
+        "rps": "6.283185307179586 rad/s",
+        "rev revs revolution revolutions": "6.283185307179586 rad",
+        "degE5": "1.7453292519943295e-07 rad",
+        "degE7": "1.7453292519943295e-09 rad",
+        "ppm": "1e-6 1",
+        "1 - none unitless dimensionless": "1 1",
+    }),
+}  # fmt: skip
 NAMED |= {"deg C": NAMED["degC"], "deg F": NAMED["degF"], "r/min": NAMED["rpm"]}
 
 # Units that are also written in capitals, as in RPM or KTS; shorter ones are other units then, as

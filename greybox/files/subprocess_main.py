@@ -323,7 +323,6 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
     }
     collector.about = {
         "parameters": parameters,
-        "defaults": log.get_default_parameters(0),
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],
         "info": {
             key: value

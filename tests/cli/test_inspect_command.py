@@ -25,7 +25,6 @@ def test_inspect_says_what_a_log_holds(capsys, tmp_path):
     assert out.splitlines()[-1] == f"next: greybox identify {LOG} --announced SINE"
     for words in (
         "ArduCopter",
-        "frame QUAD/PLUS",
         "modes GUIDED from",
         "ATT",
         "RATE",
@@ -94,8 +93,8 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
         "made.bin",
         checksum="0123456789abcdef0123",
         metadata={
-            "vehicle": "ArduCopter", "frame": "QUAD/X", "modes": ((10.04, "LOITER"), (12.0, "LAND")),
-            "armed": ((10.5, 11.5),), "parameters": {"A": 1.0, "B": 2.0},
+            "vehicle": "ArduCopter", "modes": ((10.04, "LOITER"), (12.0, "LAND")),
+            "parameters": {"A": 1.0, "B": 2.0},
         },
     )  # fmt: skip
     rows = [" ".join(line.split()) for line in contents(log).splitlines()]
@@ -109,9 +108,7 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
         "made.bin",
         "SHA-256 0123456789abcdef...",
         "ArduCopter",
-        "frame QUAD/X",
         "modes LOITER from 10.0 s, LAND from 12.0 s",
-        "armed 10.5 to 11.5 s",
         "2 parameters",
     ]
 

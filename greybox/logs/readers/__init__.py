@@ -10,10 +10,10 @@ loads neither pymavlink nor h5py nor scipy.
 | `dataflash_index` | positions of the messages in a binary ArduPilot log |
 | `dataflash_text` | ArduPilot logs, text |
 | `dataflash_units` | unit tables of ArduPilot logs |
-| `ardupilot_metadata` | vehicle, firmware, parameters, modes and arming of ArduPilot logs |
+| `ardupilot_metadata` | vehicle, firmware, parameters and modes of ArduPilot logs |
 | `telemetry` | MAVLink telemetry logs |
 | `telemetry_packets` | packets in a telemetry log |
-| `telemetry_metadata` | vehicle, parameters, modes and arming of telemetry logs |
+| `telemetry_metadata` | vehicle, parameters and modes of telemetry logs |
 | `ulog` | PX4 logs |
 | `csv_table` | tables as text |
 | `betaflight` | tables of Betaflight's blackbox |

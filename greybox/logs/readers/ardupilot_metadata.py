@@ -1,15 +1,15 @@
-"""Metadata of an ArduPilot log: vehicle, firmware, parameters, modes, arming; its names of units."""
+"""Metadata of an ArduPilot log: vehicle, firmware, parameters, texts, modes; its names of units."""
 
 import math
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pymavlink.mavutil import mode_mapping_bynumber
 
 from greybox.logs.readers.messages import Messages
 
-VEHICLES = {  # the firmware's name for itself, and its MAV_TYPE of MAVLink, by which pymavlink knows the modes
+# The firmware's names for itself, and its MAV_TYPE of MAVLink, by which pymavlink knows the modes.
+VEHICLES = {
     "ArduCopter": 2,
     "ArduPlane": 1,
     "ArduRover": 10,
@@ -17,20 +17,11 @@ VEHICLES = {  # the firmware's name for itself, and its MAV_TYPE of MAVLink, by 
     "ArduSub": 12,
     "AntennaTracker": 5,
     "Blimp": 7,
+    "APM:Copter": 2,  # this and the next until 2017
+    "APM:Plane": 1,
+    "APM:Rover": 10,
+    "APM:Sub": 12,
 }
-FORMER_NAMES = {
-    "APM:Copter": "ArduCopter",
-    "APM:Plane": "ArduPlane",
-    "APM:Rover": "ArduRover",
-    "APM:Sub": "ArduSub",
-}
-FRAME_CLASSES: Mapping[float, str] = dict(
-    enumerate(("QUAD", "HEXA", "OCTA", "OCTAQUAD", "Y6", "HELI", "TRI", "SINGLE", "COAX"), start=1)
-)
-FRAME_TYPES: Mapping[float, str] = {0: "PLUS", 1: "X", 2: "V", 3: "H"}
-# The board and the serial number of its processor, as ``CubeOrange 0036002A 30325105 37383433``.
-BOARD = re.compile(r"(\S+) [0-9A-F]{8} [0-9A-F]{8} [0-9A-F]{8}")
-EVENT_ARMED, EVENT_DISARMED = 10, 11  # EV.Id, ArduPilot's LogEvent
 UNITS = {  # of the log, where greybox writes them differently
     "degheading": "deg",
     "deglatitude": "deg",
@@ -52,21 +43,15 @@ def unit(label: str) -> str:
     return UNITS.get(label, label.replace("/s/s", "/s²"))
 
 
-def metadata(groups: Iterable[Messages], span: tuple[float, float]) -> dict[str, Any]:
-    """Return the metadata of a recording from MSG, VER, PARM, MODE, ARM and EV; only what is known.
-
-    The `span` is the first and the last time of the log, s.
-    """
+def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
+    """Return the metadata of a recording from MSG, VER, PARM and MODE; only what is known."""
     by_name = {group.name: group for group in groups}
-    about = {
+    about: dict[str, Any] = {
         **_firmware(by_name),
-        **_parameters(by_name.get("PARM")),
+        "parameters": _parameters(by_name.get("PARM")),
         "texts": _texts(by_name.get("MSG")),
     }
-    texts = by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
-    about |= frame_and_board(texts, about.get("parameters", {}))
     about["modes"] = _modes(by_name.get("MODE"), about.get("vehicle", ""))
-    about["armed"] = armed_intervals(_arming(by_name), span)
     return {key: value for key, value in about.items() if value}
 
 
@@ -74,21 +59,6 @@ def mode_name(vehicle: str, number: int) -> str:
     """Return the name of a flight mode, such as ``SYSTEMID``; ``mode 25`` when it is not known."""
     table = mode_mapping_bynumber(VEHICLES.get(vehicle, -1)) or {}
     return str(table.get(number, f"mode {number}"))
-
-
-def armed_intervals(
-    changes: Sequence[tuple[float, bool]], span: tuple[float, float]
-) -> tuple[tuple[float, float], ...]:
-    """Return (start, end), s, of the armed times; a log that starts with a disarming was armed before."""
-    intervals: list[tuple[float, float]] = []
-    start: float | None = None
-    for i, (time, armed) in enumerate(sorted(changes)):
-        if armed and start is None:
-            start = time
-        elif not armed and (start is not None or i == 0):
-            intervals.append((span[0] if start is None else start, time))
-            start = None
-    return (*intervals, (start, span[1])) if start is not None else tuple(intervals)
 
 
 def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
@@ -105,37 +75,13 @@ def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
 def vehicle_in(text: str) -> str:
     """Return the vehicle whose firmware a text names, as ``APM:Copter V3.4-rc2`` does; empty for other texts."""
     name = text.partition(" ")[0]
-    name = FORMER_NAMES.get(name, name)
     return name if name in VEHICLES else ""
 
 
-def frame_and_board(texts: Iterable[str], parameters: Mapping[str, float]) -> dict[str, str]:
-    """Return the frame, as ``QUAD/X``, and the board, as far as texts or parameters tell."""
-    frame = board = ""
-    for text in texts:
-        frame = frame or (text.removeprefix("Frame: ") if text.startswith("Frame: ") else "")
-        match = BOARD.fullmatch(text.strip())
-        board = board or (match[1] if match else "")
-    if not frame and "FRAME_CLASS" in parameters:
-        kind = FRAME_CLASSES.get(parameters["FRAME_CLASS"], "")
-        shape = FRAME_TYPES.get(parameters.get("FRAME_TYPE", math.nan), "")
-        frame = "/".join(part for part in (kind, shape) if part)
-    elif (
-        not frame and "FRAME" in parameters
-    ):  # before version 3.5, whose firmware is made for one class
-        frame = FRAME_TYPES.get(parameters["FRAME"], "")
-    return {"frame": frame, "board": board}
-
-
-def _parameters(parm: Messages | None) -> dict[str, Any]:
+def _parameters(parm: Messages | None) -> dict[str, float]:
     if parm is None or "Name" not in parm.texts or "Value" not in parm.columns:
         return {}
-    names = parm.texts["Name"]
-    result = {"parameters": dict(zip(names, parm.columns["Value"].tolist(), strict=True))}
-    if "Default" in parm.columns:
-        defaults = zip(names, parm.columns["Default"].tolist(), strict=True)
-        result["defaults"] = {name: value for name, value in defaults if not math.isnan(value)}
-    return result
+    return dict(zip(parm.texts["Name"], parm.columns["Value"].tolist(), strict=True))
 
 
 def _texts(msg: Messages | None) -> tuple[tuple[float, str], ...]:
@@ -158,19 +104,3 @@ def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]
     else:
         return ()
     return tuple(zip(mode.time.tolist(), names, strict=True))
-
-
-def _arming(by_name: Mapping[str, Messages]) -> list[tuple[float, bool]]:
-    """Return (time, armed) from ARM and from EV; most vehicles log both."""
-    changes: list[tuple[float, bool]] = []
-    arm = by_name.get("ARM")
-    event = by_name.get("EV")
-    if arm is not None and arm.time is not None and "ArmState" in arm.columns:
-        changes += [
-            (t, bool(s))
-            for t, s in zip(arm.time.tolist(), arm.columns["ArmState"].tolist(), strict=True)
-        ]
-    if event is not None and event.time is not None and "Id" in event.columns:
-        pairs = zip(event.time.tolist(), event.columns["Id"].tolist(), strict=True)
-        changes += [(t, i == EVENT_ARMED) for t, i in pairs if i in (EVENT_ARMED, EVENT_DISARMED)]
-    return [(time, state) for time, state in changes if not math.isnan(time)]

@@ -25,7 +25,7 @@ from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_on
 
 # About the log or the vehicle: no time histories.
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "ISBH", "ISBD")
-ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, read whatever is requested
+ALWAYS = ("PARM", "MSG", "MODE", "VER")  # metadata, read whatever is requested
 TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
 
@@ -68,11 +68,10 @@ def recording(
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
     restarts = log.findings
-    span = log.span
     groups, assumed = with_usual_units(log.groups)
     groups, conflicts = merged(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
-    metadata = ardupilot_metadata.metadata(groups, span)
+    metadata = ardupilot_metadata.metadata(groups)
     missing = _missing({g.name for g in groups}, messages)
     wanted = with_holds(wanted, metadata.get("parameters", {}))
     by_name, problems = records(wanted, path.name, checksum)

@@ -85,11 +85,10 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Clocked:
-    """Messages on one clock that never restarts, what was found, and the first and last time of the log, s."""
+    """Messages on one clock that never restarts, and what was found."""
 
     groups: list[Messages]
     findings: tuple[str, ...]
-    span: tuple[float, float]
 
 
 def on_one_clock(groups: Iterable[Messages]) -> Clocked:
@@ -100,12 +99,7 @@ def on_one_clock(groups: Iterable[Messages]) -> Clocked:
         group if group.time is None else replace(group, time=shifted[group.order])
         for group in groups
     ]
-    finite = np.isfinite(shifted)
-    span = (
-        float(shifted.min(where=finite, initial=np.inf)),
-        float(shifted.max(where=finite, initial=-np.inf)),
-    )
-    return Clocked(groups, findings, span if finite.any() else (0.0, 0.0))
+    return Clocked(groups, findings)
 
 
 def _stamps(groups: Iterable[Messages]) -> Array:

@@ -1,4 +1,4 @@
-"""Metadata of a telemetry log: firmware, parameters, texts, modes, arming."""
+"""Metadata of a telemetry log: firmware, parameters, texts, modes."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
 from greybox.files.arrays import Array
-from greybox.logs.readers.ardupilot_metadata import VEHICLES, armed_intervals, mode_name
+from greybox.logs.readers.ardupilot_metadata import mode_name, vehicle_in
 from greybox.logs.readers.telemetry_packets import Kind
 
 HULLS = {  # MAV_TYPE of a vehicle with ArduPilot, and its firmware
@@ -46,7 +46,6 @@ def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str,
         "texts": texts,
     }
     about["modes"] = _modes(beats, about.get("vehicle", ""))
-    about["armed"] = _armed(beats)
     return {key: value for key, value in about.items() if value}
 
 
@@ -69,8 +68,8 @@ def _heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartb
 
 def _firmware(beats: Heartbeats, texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
-        vehicle = text.partition(" ")[0]
-        if vehicle in VEHICLES:
+        vehicle = vehicle_in(text)
+        if vehicle:
             return {"vehicle": vehicle, "firmware": text}
     if not beats.time.size:
         return {}
@@ -97,26 +96,10 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
 
 
 def _texts(sent: Kind | None, times: Mapping[str, Array]) -> tuple[tuple[float, str], ...]:
-    """Return (time, text); long texts are sent in pieces of one id and sender."""
+    """Return (time, text); texts of more than 50 characters come in pieces."""
     if sent is None:
         return ()
-    fields = sent.columns
-    joined: list[tuple[float, str]] = []
-    last = None
-    for time, text, sender, number, piece in zip(
-        times["STATUSTEXT"].tolist(),
-        sent.texts["text"],
-        sent.senders,
-        fields["id"],
-        fields["chunk_seq"],
-        strict=True,
-    ):
-        if number and piece and (sender, number) == last:
-            joined[-1] = (joined[-1][0], joined[-1][1] + text)
-        else:
-            joined.append((time, text))
-        last = (sender, number)
-    return tuple(joined)
+    return tuple(zip(times["STATUSTEXT"].tolist(), sent.texts["text"], strict=True))
 
 
 def _modes(beats: Heartbeats, vehicle: str) -> tuple[tuple[float, str], ...]:
@@ -130,13 +113,3 @@ def _modes(beats: Heartbeats, vehicle: str) -> tuple[tuple[float, str], ...]:
         if not modes or modes[-1][1] != name:
             modes.append((time, name))
     return tuple(modes)
-
-
-def _armed(beats: Heartbeats) -> tuple[tuple[float, float], ...]:
-    """Return (start, end), s, from the first armed heartbeat to the first disarmed one."""
-    if not beats.time.size:
-        return ()
-    armed = (beats.fields["base_mode"].astype(int) & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) > 0
-    since = int(armed.argmax()) if armed.any() else armed.size
-    states = list(zip(beats.time[since:].tolist(), armed[since:].tolist(), strict=True))
-    return armed_intervals(states, (states[0][0], states[-1][0])) if states else ()

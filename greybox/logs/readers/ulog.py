@@ -1,7 +1,7 @@
 """PX4 logs (.ulg), through pyulog, which the extra ``px4`` installs."""
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,10 +11,8 @@ import numpy as np
 
 from greybox.data.record import Record, Recording
 from greybox.logs.readers import named_arrays
-from greybox.logs.readers.ardupilot_metadata import armed_intervals
 from greybox.logs.readers.messages import bare
 
-ARMED = 2  # vehicle_status.arming_state
 MODES = {  # vehicle_status.nav_state
     0: "MANUAL",
     1: "ALTCTL",
@@ -80,7 +78,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     topics = {name: name.partition("[")[0] for name in recording}
     about = {
         **_about(contents.about),
-        **(states_of(recording[STATUS]) if STATUS in topics.values() else {}),
+        **(modes_of(recording[STATUS]) if STATUS in topics.values() else {}),
     }
     by_name = {
         name: with_angles(topics[name], record)
@@ -101,12 +99,7 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
     about = {
         "vehicle": info.get("sys_name"),
         "firmware": firmware_of(info),
-        "board": info.get("ver_hw"),
-        "frame": f"airframe {airframe:g}"
-        if (airframe := said["parameters"].get("SYS_AUTOSTART"))
-        else None,
         "parameters": {name: float(value) for name, value in said["parameters"].items()},
-        "defaults": {name: float(value) for name, value in said["defaults"].items()},
         "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
     }
     return {key: value for key, value in about.items() if value}
@@ -147,23 +140,11 @@ def with_angles(name: str, record: Record) -> Record:
     )
 
 
-def states_of(status: Record) -> dict[str, Any]:
-    """Return modes and armed times from the vehicle's status."""
-    states: dict[str, Any] = {}
-    time = status.time.tolist()
-    if "nav_state" in status.signals:
-        names = [MODES.get(int(state), f"mode {state:g}") for state in status["nav_state"]]
-        states["modes"] = tuple(_changes(zip(time, names, strict=True)))
-    if "arming_state" in status.signals:
-        armed = (status["arming_state"] == ARMED).tolist()
-        changes = list(_changes(zip(time, armed, strict=True)))
-        states["armed"] = armed_intervals(changes if armed[0] else changes[1:], (time[0], time[-1]))
-    return states
-
-
-def _changes(states: Iterable[tuple[float, Any]]) -> Iterable[tuple[float, Any]]:
-    last = object()
-    for time, state in states:
-        if state != last:
-            yield time, state
-        last = state
+def modes_of(status: Record) -> dict[str, tuple[tuple[float, str], ...]]:
+    """Return the time of every change of the flight mode, s, and the new mode."""
+    if "nav_state" not in status.signals:
+        return {}
+    states = status["nav_state"]
+    changes = np.flatnonzero(np.append(True, np.diff(states) != 0))
+    names = [MODES.get(int(state), f"mode {state:g}") for state in states[changes]]
+    return {"modes": tuple(zip(status.time[changes].tolist(), names, strict=True))}

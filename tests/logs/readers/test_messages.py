@@ -118,18 +118,6 @@ def test_gaps_and_dropped_samples_of_a_record_are_said_once():
     )
 
 
-def test_the_span_of_a_log_is_that_of_all_stamps():
-    first, second = (
-        messages(order=(0, 3), time=(2.0, 9.0)),
-        messages("GPS", order=(1, 2), time=(np.nan, 4.0)),
-    )
-    clocked = on_one_clock([first, second, messages("MSG", order=(0,), time=None)])
-    assert clocked.span == (2.0, 9.0)
-    assert [group.name for group in clocked.groups] == ["ATT", "GPS", "MSG"]
-    assert on_one_clock([messages("MSG", time=None)]).span == (0.0, 0.0)
-    assert on_one_clock([]).span == (0.0, 0.0)
-
-
 @pytest.mark.parametrize(("number", "lines"), [(1, 1), (3, 3), (4, 1)])
 def test_gaps_of_many_messages_are_one_line(number, lines):
     time = np.r_[0:5:0.1, 8:12:0.1]

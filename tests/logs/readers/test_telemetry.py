@@ -74,7 +74,6 @@ def test_metadata(saved):
     assert about["firmware"] == "ArduCopter V4.5.7 (2a3dc4b7)"
     assert about["parameters"] == {"ATC_RAT_PIT_P": pytest.approx(0.135), "INS_GYRO_FILTER": 20}
     assert [name for _, name in about["modes"]] == ["LOITER", "SYSTEMID"]
-    assert about["armed"] == ((pytest.approx(2, abs=0.1), pytest.approx(4, abs=0.1)),)
 
 
 def test_only_what_is_asked_for_is_read(saved):
@@ -158,23 +157,6 @@ def test_px4_sends_the_bytes_of_integer_parameters(saved, kind, code, number):
     assert about["modes"] == ((0, "POSCTL"),)
 
 
-def test_long_texts_are_put_together(saved):
-    said = [
-        (b"a text of more than fifty characters comes in two p", 9, 0),
-        (b"ieces", 9, 1),
-        (b"short", 0, 0),
-    ]
-    packets = [
-        (BOOT + 1000 * i, 1, 1, mavlink.MAVLink_statustext_message(6, text[:50], number, chunk))
-        for i, (text, number, chunk) in enumerate(said)
-    ]
-    packets.append(
-        (BOOT + 9000, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5))
-    )
-    texts = [text for _, text in saved(tlog(packets)).metadata["texts"]]
-    assert texts == ["a text of more than fifty characters comes in two ieces", "short"]
-
-
 def test_a_file_without_packets_is_refused(saved):
     with pytest.raises(ValueError, match="holds no MAVLink packet that can be read"):
         saved(BOOT.to_bytes(8, "big") + b"\xfd" * 300)
@@ -221,7 +203,7 @@ def test_the_firmware_of_a_vehicle_is_that_of_its_type_in_mavlink(saved):
 
 
 def test_the_vehicle_is_the_first_sender_that_is_an_autopilot(saved):
-    """A ground station, a gimbal without one and a second vehicle neither name it, nor change its modes or arming."""
+    """A ground station, a gimbal without one and a second vehicle neither name it, nor change its modes."""
     packets = [
         beat(0.0, 255, 190, kind=6, autopilot=8, mode=9),
         beat(0.1, 255, 191, kind=6, autopilot=3, mode=9),
@@ -232,13 +214,6 @@ def test_the_vehicle_is_the_first_sender_that_is_an_autopilot(saved):
     about = saved(tlog(sorted(packets, key=lambda p: p[0]))).metadata
     assert about["vehicle"] == "ArduCopter"
     assert about["modes"] == ((1.0, "LOITER"), (3.0, "SYSTEMID"), (4.0, "LOITER"))
-    assert about["armed"] == ((2.0, 4.0),)
-
-
-def test_a_vehicle_that_stays_armed_is_so_until_its_last_heartbeat(saved):
-    packets = [beat(0.5 * k, base=81 | 128 * (k in (0, 1, 4, 5))) for k in range(6)]
-    assert saved(tlog(packets)).metadata["armed"] == ((0.0, 1.0), (2.0, 2.5))
-    assert "armed" not in saved(tlog([beat(0.5 * k) for k in range(3)])).metadata
 
 
 def test_packets_without_a_time_of_their_own_lie_by_their_reception(saved):

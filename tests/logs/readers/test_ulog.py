@@ -7,7 +7,7 @@ from synthetic_logs import ulog
 
 from greybox.data.record import Record
 from greybox.logs.readers import read
-from greybox.logs.readers.ulog import firmware_of, states_of, with_angles
+from greybox.logs.readers.ulog import firmware_of, modes_of, with_angles
 
 installed = pytest.mark.skipif(
     importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed"
@@ -51,11 +51,9 @@ def test_metadata(saved):
     assert recording.findings == ("there is no topic vehicle_gps_position.",)
     about = recording.metadata
     assert (about["vehicle"], about["firmware"]) == ("PX4", "v1.14.3 (29f5e2a1)")
-    assert about["board"] == "PX4_FMU_V5"
     assert about["parameters"] == {"MC_PITCH_P": 7, "CBRK_IO": 4}
     assert about["texts"] == ((2.1, "[commander] Takeoff detected"),)
     assert about["modes"] == ((2, "POSCTL"), (3, "STAB"))
-    assert about["armed"] == ((2.5, 3.5),)
 
 
 @installed
@@ -91,21 +89,7 @@ def test_modes_are_those_of_px4s_status():
     names += "AUTO_TAKEOFF AUTO_LAND AUTO_FOLLOW_TARGET AUTO_PRECLAND ORBIT AUTO_VTOL_TAKEOFF ."
     expected = [f"mode {k}" if name == "." else name for k, name in enumerate(names.split())]
     status = Record(np.arange(48) / 2, {"nav_state": np.repeat(np.arange(24.0), 2)})
-    assert states_of(status) == {"modes": tuple(zip(np.arange(24.0), expected, strict=True))}
-
-
-@pytest.mark.parametrize(
-    ("states", "armed"),
-    [
-        ([1, 2, 2, 1, 1, 2], ((1.0, 3.0), (5.0, 5.0))),
-        ([2, 2, 1, 3, 2, 1], ((0.0, 2.0), (4.0, 5.0))),
-        ([1, 1, 3, 4, 1, 1], ()),
-        ([2, 2, 2, 2, 2, 2], ((0.0, 5.0),)),
-    ],
-)
-def test_armed_is_the_second_state_of_arming(states, armed):
-    """ARMING_STATE_ARMED of vehicle_status.msg; a log may begin and end in it."""
-    assert states_of(Record(np.arange(6.0), {"arming_state": states})) == {"armed": armed}
+    assert modes_of(status) == {"modes": tuple(zip(np.arange(24.0), expected, strict=True))}
 
 
 @pytest.mark.parametrize(
