@@ -25,10 +25,6 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
 
-TIME_BINS = (
-    200  # parts of a record by which it is said what tells of a parameter: what a figure can show
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -203,14 +199,6 @@ class Information:
         Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
-    by_point : function of directions (p, q)
-        The information of each point of the data on these directions of the free parameters, for
-        independent errors: its share (q, m) of their squared lengths by the bread. The m points are
-        frequencies, of a manoeuvre those of one output after the other, or outputs one after the
-        other, each over `TIME_BINS` equal parts of the record.
-    output_errors : function of the covariance (k, k) of all values and the colored errors or None, or None
-        Of a record, the standard errors (outputs, rows) of the fitted outputs; NaN where none was
-        compared.
     """
 
     part: "Part"
@@ -223,8 +211,6 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
-    by_point: Callable[[Array], Array] | None = None
-    output_errors: Callable[[Array, ColoredErrors | None], Array] | None = None
 
 
 class Program(ABC):

@@ -194,15 +194,10 @@ class ResponsePart(PartWithoutNodes):
         # Isotropic normal errors with deviation s in each component have the mean magnitude
         # s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
-        bread = spread(1.0)[0]
 
         def offset(correction: float) -> Array:
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
-
-        def by_point(directions: Array) -> Array:
-            along = jacobian[:, : len(directions)] @ directions
-            return bread * (along**2).reshape(2, -1, directions.shape[1]).sum(axis=0).T
 
         reach = np.linalg.norm(jacobian, axis=0)
         return Information(
@@ -214,7 +209,6 @@ class ResponsePart(PartWithoutNodes):
             reach,
             correlated=correlated,
             offset=offset,
-            by_point=by_point,
         )
 
     def neighbors(

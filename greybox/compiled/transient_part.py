@@ -405,20 +405,8 @@ class TransientPart(PartWithoutNodes):
         def spread(correction: float) -> tuple[float, Array]:
             return 1.0, meat * correction**2
 
-        def by_point(directions: Array) -> Array:
-            free = len(directions)
-            by_errors = (mean[..., :free] @ directions).reshape(
-                len(self.outputs), 2, len(self.data), -1
-            )
-            by_variance = (variance[:, :free] @ directions).reshape(
-                len(self.data), -1, directions.shape[1]
-            )
-            # The information of a variance is that of all outputs together.
-            shared = (by_variance**2).sum(axis=1) / len(self.outputs)
-            return ((by_errors**2).sum(axis=1) + shared).reshape(-1, directions.shape[1]).T
-
         left = self.numbers - len(self.states)
-        return Information(self, jacobian, left, spread, math.nan, reach, by_point=by_point)
+        return Information(self, jacobian, left, spread, math.nan, reach)
 
 
 def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> TransientPart:

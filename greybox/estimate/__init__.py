@@ -17,7 +17,6 @@ Begin with `fit`.
 | `identifiability` | how well each parameter is determined, and which combinations are |
 | `structural_identifiability` | the same before there are data |
 | `equivalent_minima` | different parameters that give one response |
-| `sensitivity` | where the information on each parameter comes from |
 | `response_band` | confidence band of a fitted response |
 | `profile`, `profiles`, `held_quantity` | likelihood profiles, their values, and minima with a quantity held |
 | `harmonic_numbers` | how many harmonics a sine test needs |

@@ -56,8 +56,6 @@ class Accuracy:
         Free parameters that ended at a bound.
     active : tuple of str
         Constraints, and bounds of tied parameters, that hold with equality.
-    noise : (parts,) array
-        The standard deviation of one component of the relative error, of every part.
     bias : (k,) array
         Of the estimate, by what the criteria normalize with: see `AnyCriterion.gain_bias`. What an
         earlier fit has is not in it.
@@ -86,13 +84,31 @@ class Accuracy:
     combinations: tuple[Combination, ...]
     at_bound: tuple[str, ...]
     active: tuple[str, ...]
-    noise: Array
     bias: Array
     white: Array | None = None
     independent: tuple[Array, float] | None = None
     correlation: tuple[ColoredErrors | None, ...] = ()
     neighbors: tuple[CorrelatedPoints | None, ...] = ()
     informations: tuple[Information, ...] = ()
+
+    @classmethod
+    def unknown(cls, nlp: CompiledProblem) -> "Accuracy":
+        """Return an accuracy of which nothing is known."""
+        k = len(nlp.names)
+        return cls(
+            names=nlp.names,
+            covariance=np.full((k, k), np.nan),
+            blind=np.zeros((k, 0)),
+            size=np.ones(k),
+            dof=0.0,
+            shares=(),
+            combinations=(),
+            at_bound=(),
+            active=(),
+            bias=np.zeros(k),
+            correlation=(None,) * len(nlp.parts),
+            neighbors=(None,) * len(nlp.parts),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +178,7 @@ def assess(
     """
     p, k = len(nlp.free), len(nlp.names)
     parts = informations(nlp, x, trajectories)
-    shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in parts]
+    shares = [_share(part, p=p) for part in parts]
     jacobian = np.vstack([share.jacobian for share in shares])
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
@@ -187,20 +203,13 @@ def assess(
     blind = np.zeros((k, invisible.shape[1] + len(bounded)))
     blind[:p] = np.hstack([invisible, np.eye(p)[:, bounded]])
     suspect = collinear_groups(jacobian, active, nlp.free, at_bound, invisible)
-    accuracy = Accuracy(
-        names=nlp.names,
-        covariance=np.full((k, k), np.nan),
+    accuracy = replace(
+        Accuracy.unknown(nlp),
         blind=blind,
         size=np.concatenate([size, np.ones(k - p)]),
         dof=math.inf if known_noise else float(max(numbers, 0)),
-        shares=(),
-        combinations=(*combinations, *suspect),
         at_bound=at_bound,
         active=holding,
-        noise=np.array([part.relative_noise for part in parts]),
-        bias=np.zeros(k),
-        correlation=(None,) * len(parts),
-        neighbors=(None,) * len(parts),
         informations=tuple(parts),
     )
     if accuracy.dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
@@ -260,98 +269,64 @@ def _with_covariance(
     )
 
 
-def information_by_point(nlp: CompiledProblem, accuracy: Accuracy) -> list[tuple[Array, Array]]:
-    """Return for every part the share (p, m) of each data point in the information on each parameter.
+def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
+    """Return the share of priors in the information on each free parameter, by name.
 
-    First with the other parameters estimated too, then with them known; `Information.by_point` has
-    the points. Errors are taken as independent. NaN for a parameter without a standard error, or at
-    a bound.
+    The other parameters are estimated too, and errors are taken as independent. NaN for a parameter
+    without a standard error; empty without a prior.
     """
     p = len(nlp.free)
+    is_prior = [part.problem.criterion.is_prior for part in nlp.parts]
+    if not any(is_prior):
+        return {}
     if accuracy.white is None:
-        return [(np.zeros((p, 0)), np.zeros((p, 0)))] * len(nlp.parts)
-    errors = propagate(accuracy, np.eye(p, len(nlp.names)))
-    determined = ~np.isnan(errors) & [name not in accuracy.at_bound for name in nlp.free]
-    size = np.sqrt(np.maximum(np.diag(accuracy.white), 1e-300))
-    shares = []
-    for directions in (accuracy.white / size, np.eye(p)):
-        parts = []
-        for part in accuracy.informations:
-            assert part.by_point is not None
-            parts.append(part.part.weight * part.by_point(directions))
-        total = np.maximum(sum(part.sum(axis=1) for part in parts), 1e-300)
-        shares.append([np.where(determined, part.T / total, np.nan).T for part in parts])
-    return list(zip(*shares, strict=True))
+        return dict.fromkeys(nlp.free, math.nan)
+    roots = [_share(part, p=p).root @ accuracy.white for part in accuracy.informations]
+    information = np.array([np.sum(root**2, axis=0) for root in roots])
+    share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
+    share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
+    return dict(zip(nlp.free, share.tolist(), strict=True))
 
 
 def known_directions(
-    nlp: CompiledProblem,
-    x: Array,
-    accuracy: Accuracy,
-    trajectories_at: Callable[[Array], Sequence[Trajectory | None]],
-) -> KnownDirections | None:
-    """Return what the data tell of the free parameters at the estimate `x` (p,); None without a covariance.
-
-    Where a direction is unseen, a point beside the estimate is asked too, at which
-    `trajectories_at` are the best.
-    """
-    at = _directions_at(x, accuracy)
-    inside = [k for k, name in enumerate(nlp.free) if name not in accuracy.at_bound]
-    if at is None or not np.any(at.unseen[inside]):
-        return at
-    # Each parameter moves by another share: equal ones become different.
-    share = 0.1 * (1 + np.arange(len(x)) / len(x))
-    span = nlp.upper - nlp.lower
-    step = share * np.where(x == 0, np.where(np.isfinite(span), 0.1 * span, 1.0), np.abs(x))
-    beside = np.clip(
-        np.where(nlp.upper - x > x - nlp.lower, x + step, x - step), nlp.lower, nlp.upper
-    )
-    beside = np.where(np.isin(nlp.free, accuracy.at_bound), x, beside)
-    trajectories = trajectories_at(beside)
-    if len(trajectories) and any(trajectory is None for trajectory in trajectories):
-        return at
-    return replace(at, elsewhere=_directions_at(beside, assess(nlp, beside, trajectories)))
-
-
-def known_of(
     nlp: CompiledProblem, accuracy: Accuracy, values: Array, slopes: Array
 ) -> KnownDirections | None:
-    """Return what is known of values (m,) by their derivatives (m, k) with respect to all; None without a covariance.
+    """Return what the data determine of values (m,), by their derivatives (m, k) by all values.
 
-    What ended at its bound counts as known, as in all errors of the fit.
+    None without a covariance. A parameter at its bound counts as known, as in all errors of a fit.
     """
     if not np.all(np.isfinite(accuracy.covariance)) or not accuracy.shares:
         return None
     scaled = slopes * accuracy.size
-    open_rows = np.array([name not in accuracy.at_bound for name in nlp.names], dtype=bool)
-    unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[open_rows]) > 0, axis=0)]
+    inside = np.array([name not in accuracy.at_bound for name in nlp.names], dtype=bool)
+    unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[inside]) > 0, axis=0)]
     size = np.maximum(np.linalg.norm(scaled, axis=1), 1e-300)
-    return KnownDirections(
-        slopes @ accuracy.covariance @ slopes.T, scaled @ unseen / size[:, None], size, values
-    )
+    covariance = slopes @ accuracy.covariance @ slopes.T
+    return KnownDirections(covariance, scaled @ unseen / size[:, None], size, values)
 
 
-def _directions_at(x: Array, accuracy: Accuracy) -> KnownDirections | None:
-    p = len(x)
-    covariance = accuracy.covariance[:p, :p]
-    if not np.all(np.isfinite(covariance)):
-        return None
-    return KnownDirections(covariance, accuracy.blind[:p], accuracy.size[:p], x)
+def directions_beside(
+    nlp: CompiledProblem,
+    x: Array,
+    at_bound: Sequence[str],
+    trajectories_at: Callable[[Array], Sequence[Trajectory | None]],
+) -> KnownDirections | None:
+    """Return the directions of the free parameters at a point beside the estimate `x` (p,).
 
-
-def steepness(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
-    """Return how far (p,) the cost falls on along each parameter alone, in the standard errors it would have alone.
-
-    Infinite where the data see nothing of a parameter along which the cost falls.
+    `trajectories_at` gives the best trajectories there; None where there are none.
     """
-    p = len(nlp.free)
-    shares = [
-        _share(part, p=p, correction=1.0, dof=math.inf)
-        for part in informations(nlp, x, trajectories)
-    ]
-    curvature = sum((np.diag(share.bread[:, :p]) for share in shares), np.zeros(p))
-    gradient = _gradient(nlp, x, trajectories)
-    return np.abs(gradient) / np.sqrt(np.maximum(curvature, 1e-300))
+    # Each parameter moves by another share, so that equal ones become different.
+    share = 0.1 * (1 + np.arange(len(x)) / len(x))
+    span = nlp.upper - nlp.lower
+    step = share * np.where(x == 0, np.where(np.isfinite(span), 0.1 * span, 1.0), np.abs(x))
+    moved = np.where(nlp.upper - x > x - nlp.lower, x + step, x - step)
+    beside = np.where(np.isin(nlp.free, at_bound), x, np.clip(moved, nlp.lower, nlp.upper))
+
+    trajectories = trajectories_at(beside)
+    if len(trajectories) and any(trajectory is None for trajectory in trajectories):
+        return None
+    accuracy = assess(nlp, beside, trajectories)
+    return known_directions(nlp, accuracy, beside, np.eye(len(x), len(nlp.names)))
 
 
 def informations(
@@ -484,7 +459,7 @@ def determined_directions(
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 
-def _share(part: Information, *, p: int, correction: float, dof: float) -> _Share:
+def _share(part: Information, *, p: int, correction: float = 1.0, dof: float = math.inf) -> _Share:
     """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
     scale, meat = part.spread(correction)
     free, weight = part.jacobian[:, :p], part.part.weight

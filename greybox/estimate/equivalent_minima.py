@@ -9,7 +9,7 @@ from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import number, text_table
 from greybox.solve.minima import Multistart
 
-SHOWN = 4  # vectors in the table; `Fit.equivalents` has all
+SHOWN = 4  # vectors in the table
 
 
 def equivalent_estimates(nlp: CompiledProblem, search: Multistart) -> Array:

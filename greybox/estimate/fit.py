@@ -21,19 +21,18 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import (
     Accuracy,
     assess,
-    information_by_point,
+    directions_beside,
     known_directions,
-    known_of,
+    prior_shares,
 )
 from greybox.estimate.diagnostics.general import notes, warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
 from greybox.estimate.diagnostics.not_finite import explained
-from greybox.estimate.equivalent_minima import equivalent_estimates
-from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse
+from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.profile import profiled_where_misleading
-from greybox.estimate.quantities import quantities, slopes_of_parameters
+from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
@@ -346,88 +345,58 @@ def assemble(
 
     `starts` describes their rule, `error` is the error of discretization where it is known.
     """
-    if not search.minima:
-        return _failed(nlp, search, solver, seed, starts)
-    best = search.minima[0].estimate
-    trajectories = solver.profile(best, search.nodes).trajectories
-    accuracy = assess(nlp, best, trajectories)
+    best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
+    accuracy = Accuracy.unknown(nlp)
+    trajectories: tuple[Any, ...] = (None,) * len(nlp.parts)
+    if search.minima:
+        trajectories = solver.profile(best, search.nodes).trajectories
+        accuracy = assess(nlp, best, trajectories)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
-    lines, names, covariance = quantities(nlp, accuracy, estimate)
-    parts = tuple(_with_errors(nlp, _parts(nlp, best, trajectories), accuracy))
-
+    lines, covariance, slopes = quantities(nlp, accuracy, estimate)
+    parts = _parts(nlp, best, trajectories)
     answer = Fit(
         name=nlp.problem.name,
         parts=parts,
         quantities=lines,
-        free=nlp.free,
-        names=names,
         covariance=covariance,
         dof=accuracy.dof,
-        cost=search.minima[0].cost,
-        costs=_all_costs(parts),
+        cost=math.nan,
+        costs={},
         runs=search.runs,
         minima=search.minima,
-        warnings=warnings(nlp, search, accuracy, parts, trajectories, error),
-        notes=notes(nlp.problem),
+        warnings=(),
         seed=seed,
         starts=starts,
         seconds=0.0,
         versions=_versions(),
         models=tuple(part.model for part in nlp.problem.parts),
+        priors=_priors(nlp.problem),
+        prior_share=prior_shares(nlp, accuracy),
+    )
+    if not search.minima:
+        return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
+
+    directions = known_directions(
+        nlp, accuracy, np.array([answer.estimate[name] for name in answer.names]), slopes
+    )
+    if directions is not None and directions.unseen.any():
+        elsewhere = directions_beside(
+            nlp, best, accuracy.at_bound, lambda x: solver.profile(x, search.nodes).trajectories
+        )
+        directions = replace(directions, elsewhere=elsewhere)
+    answer = replace(
+        answer,
+        cost=search.minima[0].cost,
+        costs=_all_costs(parts),
+        warnings=warnings(nlp, search, accuracy, parts, trajectories, error),
+        notes=notes(nlp.problem),
         white=accuracy.white,
         independent=accuracy.independent,
-        directions=known_directions(
-            nlp, best, accuracy, lambda x: solver.profile(x, search.nodes).trajectories
-        ),
-        known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)),
-        equivalents=equivalent_estimates(nlp, search),
-        priors=_priors(nlp.problem),
+        directions=directions,
     )
     if accuracy.combinations:
         return replace(answer, notes=(*answer.notes, *determined_together(answer)))
     return answer
-
-
-def _failed(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, seed: int | None, starts: str
-) -> Fit:
-    """Return the answer where no run converged: values are NaN."""
-    unknown = np.full(len(nlp.free), np.nan)
-    nothing = Accuracy(
-        names=nlp.names,
-        covariance=np.full((len(nlp.names),) * 2, np.nan),
-        blind=np.zeros((len(nlp.names), 0)),
-        size=np.ones(len(nlp.names)),
-        dof=0.0,
-        shares=(),
-        combinations=(),
-        at_bound=(),
-        active=(),
-        noise=np.full(len(nlp.parts), np.nan),
-        bias=np.zeros(len(nlp.names)),
-    )
-    estimate = dict(zip(nlp.names, nlp.all_values(unknown).tolist(), strict=True))
-    lines, names, covariance = quantities(nlp, nothing, estimate)
-    return Fit(
-        name=nlp.problem.name,
-        parts=_parts(nlp, unknown, (None,) * len(nlp.parts)),
-        quantities=lines,
-        free=nlp.free,
-        names=names,
-        covariance=covariance,
-        dof=0.0,
-        cost=math.nan,
-        costs={},
-        runs=search.runs,
-        minima=(),
-        warnings=warnings_of_failure(nlp, search, solver),
-        seed=seed,
-        starts=starts,
-        seconds=0.0,
-        versions=_versions(),
-        models=tuple(part.model for part in nlp.problem.parts),
-        priors=_priors(nlp.problem),
-    )
 
 
 def _versions() -> dict[str, str]:
@@ -454,23 +423,6 @@ def _parts(
         fitted_part(part, trajectory, values, dict(part.problem.local_values(named)))
         for part, trajectory in zip(nlp.parts, trajectories, strict=True)
     )
-
-
-def _with_errors(
-    nlp: CompiledProblem, parts: Sequence[AnyFittedPart], accuracy: Accuracy
-) -> Iterator[AnyFittedPart]:
-    """Yield the parts with the information in their data, and records with the errors of their outputs."""
-    if accuracy.white is None:
-        yield from parts
-        return
-    shares = information_by_point(nlp, accuracy)
-    for part, (along, alone), information, colored in zip(
-        parts, shares, accuracy.informations, accuracy.correlation, strict=True
-    ):
-        changes: dict[str, Any] = {"information": along, "information_alone": alone}
-        if isinstance(part, FittedRecord) and information.output_errors is not None:
-            changes["error"] = information.output_errors(accuracy.covariance, colored)
-        yield replace(part, **changes)
 
 
 def _required_ipopt(solver: LocalSolver, executor: Executor | None) -> IpoptSolver:

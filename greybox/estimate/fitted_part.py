@@ -45,11 +45,6 @@ class FittedPart:
         The model's reference (module, class, arguments), see `greybox.modeling.model_reference`.
     label, equation : str
         Name and docstring of the model.
-    information, information_alone : (p, m) array or None
-        Share of every point in the information on each free parameter, with the others estimated or
-        known, for independent errors; NaN for a parameter without a standard error. The points are
-        the frequencies of a response, or the outputs of a record in turn, each over equal parts of
-        its rows.
     """
 
     name: str
@@ -68,8 +63,6 @@ class FittedPart:
     model: Mapping[str, Any]
     label: str
     equation: str
-    information: Array | None = None
-    information_alone: Array | None = None
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), self.label, self.criterion)
@@ -153,10 +146,6 @@ class FittedRecord(FittedPart):
         Number of initial states, variances and covariances of the noise that were estimated too.
     is_static : bool
         Whether the outputs depend only on the inputs of the same moment.
-    error : (outputs, n) array or None
-        Standard errors of the fitted outputs, from those of the parameters and of the estimated
-        initial states; without the noise of the sensors. NaN where nothing was compared; None if
-        unknown.
     """
 
     data: Record
@@ -173,7 +162,6 @@ class FittedRecord(FittedPart):
     gain_slope: Array | None = None
     nuisances: int = 0
     is_static: bool = False
-    error: Array | None = None
 
     @property
     def compared(self) -> int:

@@ -49,6 +49,23 @@ class KnownDirections:
     at: Array
     elsewhere: "KnownDirections | None" = None
 
+    def of(self, places: Sequence[int]) -> "KnownDirections":
+        """Return the directions of the parameters at these places alone."""
+        return KnownDirections(
+            self.covariance[np.ix_(places, places)],
+            self.unseen[places],
+            self.size[places],
+            self.at[places],
+            None if self.elsewhere is None else self.elsewhere.of(places),
+        )
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix (p, p); NaN for a parameter without a standard error."""
+        errors = self.errors(np.eye(len(self.at)))
+        errors = np.where(errors > 0, errors, np.nan)
+        return self.covariance / np.outer(errors, errors)
+
     @property
     def matrix(self) -> Array:
         """The inverse of the covariance within the determined directions, zero in the others, in multiples of size."""
@@ -169,35 +186,29 @@ def identifiability(
     at_bound: Sequence[str],
 ) -> Identifiability:
     """Judge every free parameter at the estimate, and find the combinations that are determined."""
-    value = directions.at
-    p = len(value)
-    inside = np.array([name not in at_bound for name in names], dtype=bool)
-    errors = directions.errors(np.eye(p))
-    matrix = directions.matrix[np.ix_(inside, inside)] if p else np.zeros((0, 0))
-    diagonal = np.full(p, np.nan)
-    diagonal[inside] = np.diag(matrix)
+    places = [k for k, name in enumerate(names) if name not in at_bound]
+    inside = directions.of(places)
+    inside_names = [names[k] for k in places]
+    errors = inside.errors(np.eye(len(places)))
+    matrix = inside.matrix
+    diagonal = np.diag(matrix)
+    is_seen = diagonal > UNSEEN**2 * diagonal.max(initial=0.0)
+
+    error = np.full(len(names), np.nan)
+    insensitivity = np.full(len(names), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        alone = directions.size / np.sqrt(
-            np.where(diagonal > UNSEEN**2 * np.nanmax(diagonal, initial=0.0), diagonal, 0.0)
-        )
-        share = np.where(inside, errors / np.abs(value), np.nan)
-        insensitivity = np.where(inside, alone / np.abs(value), np.nan)
+        alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
+        error[places] = errors / np.abs(inside.at)
+        insensitivity[places] = alone / np.abs(inside.at)
     return Identifiability(
         names=tuple(names),
-        error=share,
+        error=error,
         insensitivity=insensitivity,
         at_bound=tuple(at_bound),
-        correlated=tuple(_correlated(names, correlation(directions, inside))),
+        correlated=tuple(_correlated(inside_names, inside.correlation)),
         condition=_condition(matrix),
-        combinations=tuple(_combinations(names, units, directions, errors, inside)),
+        combinations=tuple(_combinations(inside_names, [units[k] for k in places], inside, errors)),
     )
-
-
-def correlation(directions: KnownDirections, inside: BoolArray) -> Array:
-    """Return the correlation matrix (p, p) of the estimates; NaN for those without a standard error."""
-    errors = np.where(inside, directions.errors(np.eye(len(inside))), np.nan)
-    errors = np.where(errors > 0, errors, np.nan)
-    return directions.covariance / np.outer(errors, errors)
 
 
 def _correlated(names: Sequence[str], matrix: Array) -> Iterator[tuple[str, str, float]]:
@@ -224,15 +235,10 @@ def _combinations(
     units: Sequence[str],
     directions: KnownDirections,
     errors: Array,
-    inside: BoolArray,
 ) -> list[DeterminedCombination]:
     """Return the simplest independent combinations of what is not determined that are determined."""
     value = directions.at
-    loose = [
-        k
-        for k in np.flatnonzero(inside).tolist()
-        if not errors[k] <= ERROR_GUIDELINE * abs(value[k])
-    ]
+    loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
     candidates = []
     for is_product in (True, False):
         members = [k for k in loose if value[k] != 0] if is_product else loose

@@ -28,11 +28,11 @@ class Formula(NamedTuple):
 
 def quantities(
     nlp: CompiledProblem, accuracy: Accuracy, estimate: Mapping[str, float]
-) -> tuple[tuple[Quantity, ...], tuple[str, ...], Array]:
-    """Return all lines, and the names and covariance matrix of free, fixed and tied parameters.
+) -> tuple[tuple[Quantity, ...], Array, Array]:
+    """Return all lines, and of free, fixed and tied parameters the covariance and the slopes (m, k).
 
-    The errors of tied and derived quantities are of first order. NaN where the data do not
-    determine a quantity.
+    The slopes are derivatives by all values. The errors of tied and derived quantities are of first
+    order. NaN where the data do not determine a quantity.
     """
     follow = formulas(nlp.problem)
     values, gradients = _evaluated(nlp, follow, estimate)
@@ -52,25 +52,11 @@ def quantities(
         )
     ]
 
-    parameters = [line.name for line in lines if line.kind != "derived"]
-    count = len(parameters)
-    covariance = slopes[:count] @ accuracy.covariance @ slopes[:count].T
-    unknown = np.isnan(errors[:count])
-    covariance[unknown] = np.nan
-    covariance[:, unknown] = np.nan
-    return tuple(lines), tuple(parameters), covariance
-
-
-def slopes_of_parameters(
-    nlp: CompiledProblem, estimate: Mapping[str, float]
-) -> tuple[Array, Array]:
-    """Return the values (m,) of free, fixed and tied parameters, and their derivatives (m, k) by all values."""
-    of_all = np.array([estimate[name] for name in nlp.names])
-    ties = _tied(nlp.problem)
-    if not ties:
-        return of_all, np.eye(len(nlp.names))
-    values, gradients = _evaluated(nlp, ties, estimate)
-    return np.concatenate([of_all, values]), np.vstack([np.eye(len(nlp.names)), gradients])
+    of_parameters = slopes[[line.kind != "derived" for line in lines]]
+    covariance = of_parameters @ accuracy.covariance @ of_parameters.T
+    unknown = np.isnan(errors[: len(covariance)])
+    covariance[unknown | unknown[:, None]] = np.nan
+    return tuple(lines), covariance, of_parameters
 
 
 def formulas(problem: AnyProblem) -> list[Formula]:

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,6 @@ from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpe
 from greybox.estimate.identifiability import (
     Identifiability,
     KnownDirections,
-    correlation,
     identifiability,
 )
 from greybox.estimate.printed import html, text
@@ -29,7 +29,6 @@ from greybox.estimate.response_band import (
     response_and_slope,
     t_quantile,
 )
-from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
 from greybox.files.arrays import Array
 from greybox.files.text_table import alternatives, counted, one_line, with_error
@@ -95,8 +94,8 @@ class Fit:
         Data and fitted values of each part of the problem.
     quantities : tuple of Quantity
         Free, fixed and tied parameters, then derived quantities.
-    names, covariance : tuple of str, (k, k) array
-        Free, fixed and tied parameters, and their covariance.
+    covariance : (k, k) array
+        Of the free, fixed and tied parameters, `names`.
     dof : float
         Degrees of freedom: numbers in the data less the parameters that they determine. A record
         counts as its equivalent number of independent residuals, less its unknown initial states.
@@ -115,18 +114,17 @@ class Fit:
         Covariance and degrees of freedom if the errors of responses were independent along
         frequency; None where they are.
     directions : KnownDirections or None
-        Covariance of the free parameters in the directions that the data determine, and the other
-        directions.
-    known : KnownDirections or None
-        The same for all `names`, with parameters at a bound as known: other errors follow from it.
+        Covariance of all `names` in the directions that the data determine, and the other
+        directions. Parameters at a bound count as known.
     profiles : Profiles or None
         Profiles of the parameters whose standard error misleads.
-    equivalents : (v, p) array or None
-        Clearly different parameter vectors with the best response, the estimate first: two lags
-        that change places, or signs that change together, make two.
     priors : mapping of name to (float, float)
         Mean and standard deviation of the a-priori knowledge; the estimate is then the maximum a
         posteriori one, and one of the `parts` represents the prior.
+    prior_share : mapping of name to float
+        Share of the prior in the information on each free parameter, 0 to 1; the rest comes from
+        the data. The other parameters are estimated too, and errors are taken as independent. NaN
+        for a parameter without a standard error; empty without a prior.
     warnings, notes : tuple of str
         Reasons to doubt the estimate; and what may be worth a look.
     seed, starts, seconds, versions
@@ -141,8 +139,6 @@ class Fit:
     name: str
     parts: tuple[FittedResponse | FittedRecord | FittedSpectrum, ...]
     quantities: tuple[Quantity, ...]
-    free: tuple[str, ...]
-    names: tuple[str, ...]
     covariance: Array
     dof: float
     cost: float
@@ -161,10 +157,19 @@ class Fit:
     notes: tuple[str, ...] = ()
     directions: KnownDirections | None = field(default=None, repr=False)
     profiles: Profiles | None = field(default=None, repr=False)
-    known: KnownDirections | None = field(default=None, repr=False)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    equivalents: Array | None = field(default=None, repr=False)
+    prior_share: Mapping[str, float] = field(default_factory=dict)
     command: tuple[str, ...] = field(default=(), repr=False)
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(q.name for q in self.quantities if q.kind == "free")
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free, fixed and tied parameters, in this order."""
+        return tuple(q.name for q in self.quantities if q.kind != "derived")
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:
@@ -203,17 +208,6 @@ class Fit:
         return len(
             agreeing_runs(self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood)
         )
-
-    @property
-    def prior_share(self) -> dict[str, float]:
-        """Share of the prior in the information on each free parameter, 0 to 1; the rest comes from the data.
-
-        The other parameters are estimated too, and errors are taken as independent. NaN where the
-        fit has no standard error; empty without a prior.
-        """
-        priors = [part.information for part in self.parts if part.is_prior]
-        shares = [info.sum(axis=1) for info in priors if info is not None]
-        return dict(zip(self.free, np.sum(shares, axis=0).tolist(), strict=True)) if shares else {}
 
     @property
     def criterion(self) -> str:
@@ -264,36 +258,34 @@ class Fit:
 
     @property
     def identifiability(self) -> Identifiability:
-        """Errors and insensitivities in percent, correlations, and combinations that alone are determined.
+        """Errors and insensitivities in percent, correlations, and the combinations that are determined.
 
         Raises
         ------
         ValueError
             If the fit has no estimate or no covariance.
         """
-        free = {q.name: q for q in self.quantities if q.kind == "free"}
+        free = [q for q in self.quantities if q.kind == "free"]
         return identifiability(
             self.free,
-            [free[name].unit for name in self.free],
-            self._known_directions(),
-            [name for name in self.free if free[name].at_bound],
+            [q.unit for q in free],
+            self._known_directions().of(range(len(free))),
+            [q.name for q in free if q.at_bound],
         )
 
     @property
     def correlation(self) -> Array:
         """Correlation matrix (p, p) of the free parameters; NaN for those without a standard error."""
-        at_bound = {q.name for q in self.quantities if q.at_bound}
-        return correlation(
-            self._known_directions(),
-            np.array([name not in at_bound for name in self.free], dtype=bool),
-        )
+        return self._known_directions().of(range(len(self.free))).correlation
 
     def _known_directions(self) -> KnownDirections:
+        """Return the covariance of all parameters in the directions that the data determine."""
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
         if self.directions is None:
             raise ValueError(
-                f"the fit {self.name!r} has no covariance from which to judge this: fit it again."
+                f"the fit {self.name!r} has no covariance: its data leave no degrees of freedom; "
+                "add data or fix parameters."
             )
         return self.directions
 
@@ -469,12 +461,12 @@ class Fit:
         Raises
         ------
         ValueError
-            If the fit has no estimate or no covariance, or the part is a record (`output_band`).
+            If the fit has no estimate or no covariance, or the part is a record.
         LookupError
             If a loaded fit does not know the model.
         """
         fitted, model = self._response_part(part, model)
-        known = self._known_errors()
+        known = self._known_directions()
         require_level(level)
         if omega is None:
             has_curve = not fitted.sine and fitted.curve is not None
@@ -492,85 +484,6 @@ class Fit:
         biases = {q.name: q.bias for q in self.quantities}
         bias = np.array([biases[name] for name in names])
         return band_of(response, slope, known, places, level, self._fewest_degrees(names), bias)
-
-    def output_band(
-        self, level: float = 0.95, part: int | None = None
-    ) -> dict[str, tuple[Array, Array]]:
-        """Return the lower and upper limit (n,) of the confidence band of every fitted output of a record, by its name.
-
-        At each sample by itself, the band contains the output without noise, if the model structure
-        is right. It is of first order in the errors of the parameters and of the initial states.
-        NaN where nothing was compared.
-
-        Parameters
-        ----------
-        level : float
-        part : int, optional
-            By default the first record.
-
-        Raises
-        ------
-        ValueError
-            If the fit has no estimate or no covariance, or the part is not a record.
-        """
-        if part is None:
-            records = [k for k, p in enumerate(self.parts) if isinstance(p, FittedRecord)]
-            part = records[0] if records else 0
-        fitted = self.parts[part]
-        if not isinstance(fitted, FittedRecord):
-            raise ValueError(
-                f"part {part} of the fit is a frequency response: use fit.response_band()."
-            )
-        self._known_errors()
-        if fitted.error is None:
-            raise ValueError(f"the fit {self.name!r} has no errors of its outputs: fit it again.")
-        half = t_quantile(level, self._fewest_degrees(self.names)) * fitted.error
-        values = np.array([fitted.simulated[name] for name in fitted.outputs])
-        return dict(
-            zip(fitted.outputs, zip(values - half, values + half, strict=True), strict=True)
-        )
-
-    def sensitivity(self, part: int = 0) -> Sensitivity:
-        """Return where the information on each free parameter comes from: frequencies or times of a part.
-
-        Raises
-        ------
-        ValueError
-            If the fit has no estimate or no degrees of freedom, or the part is a prior.
-        """
-        self._known_errors()
-        fitted = self.parts[part]
-        if fitted.is_prior:
-            raise ValueError(f"part {part} is a-priori knowledge, not data: see fit.prior_share.")
-        if fitted.information is None or fitted.information_alone is None:
-            raise ValueError(
-                f"the fit {self.name!r} does not know where its information comes from: fit it again."
-            )
-        if isinstance(fitted, FittedResponse):
-            unit, at, outputs = "rad/s", fitted.data.omega, (fitted.data.output or "response",)
-        elif isinstance(fitted, FittedSpectrum):
-            unit, at, outputs = "rad/s", fitted.data.omega, fitted.outputs
-        else:
-            unit, outputs = "s" if fitted.data.has_time else "row", fitted.outputs
-            edges = np.linspace(
-                0, len(fitted.data), fitted.information.shape[1] // len(outputs) + 1
-            )
-            middle = (edges[1:] + edges[:-1] - 1) / 2
-            at = np.interp(middle, np.arange(len(fitted.data)), fitted.data.time)
-        return sensitivity(
-            self.free, outputs, unit, at, fitted.information, fitted.information_alone
-        )
-
-    def _known_errors(self) -> KnownDirections:
-        """Return the covariance of all parameters in the directions that the data determine."""
-        if not self.converged:
-            raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
-        if self.known is None:
-            raise ValueError(
-                f"the fit {self.name!r} has no covariance from which a band could follow: its data leave no degrees of "
-                "freedom; add data or fix parameters."
-            )
-        return self.known
 
     def _fewest_degrees(self, names: Sequence[str]) -> float:
         """Return the fewest degrees of freedom of these parameters, or of the fit if they have no errors."""

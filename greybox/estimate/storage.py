@@ -181,20 +181,19 @@ def _require_consistent(fit: Fit) -> None:
     """
     names = [q.name for q in fit.quantities]
     require(len({*names}) == len(names), "two quantities have the same name")
-    require({*fit.free} <= {*fit.names} <= {*fit.estimate}, "a parameter has no value")
-    require(len({*fit.names}) == len(fit.names), "a parameter appears twice in the covariance")
     require(bool(fit.parts) and len(fit.runs.cost) > 0, "it has no data or no runs")
     require({*fit.priors} <= {*fit.free}, "a parameter with a prior was not free")
     for name, prior in fit.priors.items():
         as_prior(prior, f"the prior of {name!r:.40}")
 
     sizes = {"p": len(fit.free), "k": len(fit.names), "r": len(fit.runs.cost)}
-    _require_shapes(fit, {"covariance": "kk", "white": "pp", "equivalents": "*p"}, sizes)
+    _require_shapes(fit, {"covariance": "kk", "white": "pp"}, sizes)
     if fit.independent is not None:
         size = (sizes["p"], sizes["p"])
         require(fit.independent[0].shape == size, "independent has another shape")
-    _require_consistent_directions(fit.directions, sizes["p"])
-    _require_consistent_directions(fit.known, sizes["k"])
+    if fit.directions is not None:
+        _require_consistent_directions(fit.directions, sizes["k"])
+        _require_consistent_directions(fit.directions.elsewhere, sizes["p"])
     columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
     _require_shapes(fit.runs, columns | {"start": "rp", "estimate": "rp"}, sizes)
     require(np.array_equal(fit.runs.indices, np.arange(sizes["r"])), "its runs are not in order")
@@ -204,7 +203,7 @@ def _require_consistent(fit: Fit) -> None:
         require(len(ends) > 2, "no run ended at one of its minima")
         require(sorted(ends) == [*ends], "a minimum belongs to a run that it does not have")
     for part in fit.parts:
-        _require_consistent_part(part, sizes["p"])
+        _require_consistent_part(part)
     if fit.profiles is not None:
         for profile in fit.profiles.profiles:
             sizes = {"n": len(profile.values), "f": len(fit.profiles.free)}
@@ -215,12 +214,10 @@ def _require_consistent_directions(directions: KnownDirections | None, size: int
     if directions is not None:
         axes = {"covariance": "nn", "unseen": "n*", "size": "n", "at": "n"}
         _require_shapes(directions, axes, {"n": size})
-        _require_consistent_directions(directions.elsewhere, size)
 
 
-def _require_consistent_part(part: AnyFittedPart, p: int) -> None:
-    sizes = {"p": p, "n": len(part.data)}
-    _require_shapes(part, {"information": "p*", "information_alone": "p*"}, sizes)
+def _require_consistent_part(part: AnyFittedPart) -> None:
+    sizes = {"n": len(part.data)}
     if isinstance(part, FittedResponse):
         _require_shapes(part, {"response": "n"}, sizes)
         amplitudes = 1 if part.sine is None else np.size(part.sine.amplitude)
@@ -238,7 +235,7 @@ def _require_consistent_part(part: AnyFittedPart, p: int) -> None:
         is_same_time = np.array_equal(part.data.time, part.simulated.time)
         require(is_same_time, "the simulated record has other times than its data")
         sizes["g"] = len(part.gains)
-        _require_shapes(part, {"gain": "g", "gain_slope": "g*", "error": "on"}, sizes)
+        _require_shapes(part, {"gain": "g", "gain_slope": "g*"}, sizes)
         require(all(a.ndim == 1 for a in part.initial.values()), "an initial state is no list")
     require({*part.outputs} <= known, "an output is not in the data")
 

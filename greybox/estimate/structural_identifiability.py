@@ -159,7 +159,7 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
         )
 
     random = np.random.default_rng(seed)
-    best: tuple[int, CompiledProblem, Array, Accuracy, Sequence[Trajectory | None]] | None = None
+    best: tuple[int, CompiledProblem, Array, Accuracy] | None = None
     for _ in range(points):
         values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
         if in_frequency:
@@ -172,17 +172,17 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
         accuracy = assess(nlp, x, trajectories)
         lost = sum(c.directions for c in accuracy.combinations if math.isinf(c.index))
         if best is None or lost < best[0]:
-            best = (lost, nlp, x, accuracy, trajectories)
+            best = (lost, nlp, x, accuracy)
     if best is None:
         raise ValueError(
             f"{model.label} is finite at none of {counted(points, 'point')} of its start boxes: narrow `starts`."
         )
-    _, nlp, x, accuracy, trajectories = best
+    _, nlp, x, accuracy = best
     return StructuralIdentifiability(
         model=model.label,
         names=nlp.free,
         groups=tuple(c for c in accuracy.combinations if math.isinf(c.index)),
-        combinations=tuple(_determined(nlp, x, accuracy, trajectories)),
+        combinations=tuple(_determined(nlp, x, accuracy)),
         data=f"the {'response' if in_frequency else 'course'} of {listed(chosen)}",
     )
 
@@ -286,21 +286,9 @@ def _point(nlp: CompiledProblem, values: Mapping[str, float]) -> Array:
     return np.array([values.get(name, declared[name].start) for name in nlp.free])
 
 
-def _determined(
-    nlp: CompiledProblem, x: Array, accuracy: Accuracy, trajectories: Sequence[Trajectory | None]
-) -> Iterator[str]:
+def _determined(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
     """Yield the combinations of what is not identifiable that are."""
-
-    def beside(point: Array) -> Sequence[Trajectory | None]:
-        return tuple(
-            None
-            if old is None
-            else part.trajectory(nlp.scaling.to_solver(point), old.nodes, simulated=True)
-            for part, old in zip(nlp.parts, trajectories, strict=True)
-        )
-
-    has_states = any(trajectory is not None for trajectory in trajectories)
-    directions = known_directions(nlp, x, accuracy, beside if has_states else lambda _: ())
+    directions = known_directions(nlp, accuracy, x, np.eye(len(x), len(nlp.names)))
     if directions is None:
         return
     lost = {name for c in accuracy.combinations if math.isinf(c.index) for name in c.names}

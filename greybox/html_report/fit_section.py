@@ -15,11 +15,9 @@ from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.tables import Cell, number_cell, parameter_table, table
 from greybox.modeling.model import Model
 from greybox.plotting.bode import bode_figure
-from greybox.plotting.figure import Figure
 from greybox.plotting.nyquist import nyquist_figures
 from greybox.plotting.profile import profile_figures
 from greybox.plotting.residuals import residual_figures
-from greybox.plotting.sensitivity import information_figure
 from greybox.plotting.spectrum import spectrum_figure
 from greybox.plotting.starts import starts_figure
 from greybox.plotting.time_history import history_figure
@@ -47,9 +45,6 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
     if fit.spectra:
         count = min(len(fit.spectra), MOST)
         yield "Manoeuvres", [figure_grid([spectrum_figure(fit, k) for k in range(count)])]
-    information = _information(fit)
-    if information:
-        yield "Information in the data", [figure_grid(information)]
     yield "Starts", [figure_grid([starts_figure(fit)])]
     yield "Data and provenance", provenance(fit, entry.file, entry.command)
 
@@ -133,13 +128,6 @@ def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
     rename = fit.parts[k].rename
     values = {name: fit.estimate.get(rename.get(name, name)) for name in model.parameters}
     return {name: float(f"{value:.4g}") for name, value in values.items() if value is not None}
-
-
-def _information(fit: Fit) -> list[Figure]:
-    try:
-        return [information_figure(fit, k) for k in range(min(len(fit.parts), MOST))]
-    except ValueError:  # no estimate, or no standard errors
-        return []
 
 
 def _histories(fit: Fit, columns: int) -> Iterator[Element]:

@@ -17,7 +17,7 @@ and returns the Figure.
 | `starts` | the cost that each start reached |
 | `time_history`, `residuals` | fitted and predicted records |
 | `spectrum` | transforms of manoeuvres |
-| `profile`, `sensitivity` | profiles of the likelihood, information on parameters |
+| `profile` | profiles of the likelihood |
 | `flight_log` | logs and their tests |
 | `signals` | units, symbols, labels and shaded tests |
 | `long_lines` | draws no more points than can be seen |
@@ -32,7 +32,6 @@ from greybox.plotting.overview import plot as plot
 from greybox.plotting.profile import contour as contour
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
-from greybox.plotting.sensitivity import sensitivity as sensitivity
 from greybox.plotting.spectrum import spectrum as spectrum
 from greybox.plotting.starts import starts as starts
 from greybox.plotting.time_history import time_history as time_history

@@ -169,7 +169,7 @@ def _curves(
 
 def _band(fit: Fit, checksum: str, level: float) -> ResponseBand | None:
     """Return the band of the curve that was fitted to these data, if its covariance is known."""
-    if fit.known is None:
+    if fit.directions is None:
         return None
     part = next(k for k, part in enumerate(fit.parts) if part.data.checksum == checksum)
     with contextlib.suppress(LookupError):  # a loaded fit of a model that greybox does not include

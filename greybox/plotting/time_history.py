@@ -190,29 +190,15 @@ def _history(item: Fit | Prediction, record: int) -> History:
         )
 
     part = chosen(item.records, record, "record")
-    bands = {}
-    if part.error is not None and item.known is not None:
-        bands = item.output_band(part=item.parts.index(part))
     return History(
         label=f"fit of {part.label}",
         data=part.data,
         outputs=part.outputs,
         inputs=tuple(name for name in part.data.signals if name not in part.outputs),
         values={name: part.simulated[name] for name in part.outputs},
-        half_width={
-            name: _without_gaps((high - low) / 2)
-            for name, (low, high) in bands.items()
-            if np.isfinite(high - low).any()
-        },
+        half_width={},
         pieces=_gapless(part.data),
     )
-
-
-def _without_gaps(values: Array) -> Array:
-    """Interpolate between the samples that were compared: an output may have a lower rate."""
-    rows = np.arange(values.size)
-    is_known = np.isfinite(values)
-    return np.interp(rows, rows[is_known], values[is_known], np.nan, np.nan)
 
 
 def _gapless(data: Record) -> list[IntArray]:

@@ -172,20 +172,6 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> tuple["_Mixture", bool]:
     return mixture, True
 
 
-def score_covariance(weighted: Sequence[Array], spectrum: ErrorSpectrum | None) -> Array:
-    """Return Σ J' Σ_e J (p, p) for errors of a spectrum from residuals of as many samples; zero for None.
-
-    `weighted` (k, p, n) of every stretch is as in `colored_information`.
-    """
-    p = weighted[0].shape[1]
-    if spectrum is None:
-        return np.zeros((p, p))
-    grid = FrequencyGrid.of(max(J.shape[2] for J in weighted))
-    return grid.score_covariance(
-        (grid.transform(J, spectrum.deviation) for J in weighted), spectrum.density
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class _Mixture:
     """An average of spectra.

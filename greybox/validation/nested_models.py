@@ -201,7 +201,11 @@ def with_independent_errors(fit: Fit) -> Fit:
     rows = np.ix_(*[[fit.names.index(name) for name in fit.free]] * 2)
     changed = fit.covariance.copy()
     changed[rows] = np.where(np.isnan(changed[rows]), np.nan, covariance)
-    directions = None if fit.directions is None else replace(fit.directions, covariance=covariance)
+    directions = fit.directions
+    if directions is not None:
+        known = directions.covariance.copy()
+        known[rows] = covariance
+        directions = replace(directions, covariance=known)
     return replace(fit, covariance=changed, dof=dof, directions=directions, independent=None)
 
 
@@ -213,11 +217,12 @@ def cost_scale(fit: Fit) -> float:
     """
     if fit.white is None or fit.directions is None:
         return math.nan
-    size = np.outer(fit.directions.size, fit.directions.size)
+    directions = fit.directions.of(range(len(fit.free)))
+    size = np.outer(directions.size, directions.size)
     # 1e-14, rounding twice: below it the data do not see a direction.
     inverse = np.linalg.pinv(fit.white / size, rcond=1e-14, hermitian=True)
     rank = int(np.linalg.matrix_rank(inverse, tol=0.0))
-    return float(np.trace(inverse @ (fit.directions.covariance / size))) / max(rank, 1)
+    return float(np.trace(inverse @ (directions.covariance / size))) / max(rank, 1)
 
 
 def f_tail(statistic: float, r: int, dof: float, *, on_bound: bool = False) -> float:

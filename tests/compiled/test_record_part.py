@@ -14,7 +14,6 @@ from spring_lag_tilt import HELD, SPRING, Spring, spring
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.record_sensitivity import sensitivity
-from greybox.statistics.error_spectrum import ErrorSpectrum
 
 
 def compiled(record, criterion=HELD, **options):
@@ -426,51 +425,6 @@ def test_initial_states_follow_the_parameters_that_are_told_apart_by_what_is_lef
         assert_allclose(
             rows[:, :p], changes[:, "xv".index(name)], rtol=1e-3, atol=1e-4 * np.abs(changes).max()
         )
-
-
-def test_what_is_told_stands_in_its_part_of_the_record(informed):
-    """In bins of equal length, for each output; of a full covariance for all of them together."""
-    part, J = informed.part, informed.J
-    directions = np.random.default_rng(3).normal(size=(J.shape[1], 2))
-    told = informed.found.by_point(directions).reshape(2, 2, -1)
-    along = np.stack([np.hstack(part.data.unpadded(v.reshape(2, -1))) for v in (J @ directions).T])
-    bins = np.zeros_like(told)
-    for sample, row in enumerate(np.concatenate([stretch.rows for stretch in part.data.stretches])):
-        bins[:, :, int(row * told.shape[2] / 120)] += along[:, :, sample] ** 2
-    if informed.is_full:
-        told, bins = told.sum(axis=1), bins.sum(axis=1)
-    assert_allclose(told, bins, rtol=1e-3, atol=1e-6 * bins.max())
-
-
-def test_errors_of_outputs_are_those_of_parameters_and_of_initial_states_at_these(informed):
-    part, by_first = informed.part, informed.by_first
-    p, k = informed.J.shape[1], 2
-    root = np.random.default_rng(4).normal(size=(informed.size, informed.size))
-    covariance = root @ root.T
-    plain = np.linalg.inv(informed.weight)
-    slopes = np.einsum("ka,anp->knp", plain, informed.J.reshape(k, -1, p))
-    apart = np.einsum("ka,anp->knp", plain, by_first.reshape(k, -1, 4))
-    variance = np.einsum("knp,pq,knq->kn", slopes, covariance[:p, :p], slopes)
-    variance += np.einsum(
-        "knp,pq,knq->kn", apart, np.linalg.pinv(by_first.T @ by_first, rcond=1e-10), apart
-    )
-    wanted = np.full((k, 120), np.nan)
-    at = np.concatenate([stretch.rows for stretch in part.data.stretches])
-    wanted[:, at] = np.hstack(
-        part.data.unpadded(np.where(informed.measured, np.sqrt(variance), np.nan))
-    )
-    assert_allclose(informed.found.output_errors(covariance, None), wanted, rtol=1e-3)
-
-    # With errors three times as large as the noise that weighs them, and of parameters that are
-    # known.
-    size, colored = np.sqrt(np.diag(plain @ plain.T)), informed.found.colored(np.eye(p))
-    omega = colored.spectrum.omega
-    density = (plain @ plain.T / size / size[:, None])[:, :, None] * np.ones(len(omega))
-    larger = replace(colored, spectrum=ErrorSpectrum(omega, density, 3 * size))
-    alone, thrice = (
-        informed.found.output_errors(0 * covariance, errors) for errors in (None, larger)
-    )
-    assert_allclose(thrice, 3 * alone, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -146,9 +146,6 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
     assert one == 1
     assert np.all((ratio > 0.5) & (ratio < 1.7))
     assert_allclose(found.spread(2.0)[1], 4 * meat)
-    told = found.by_point(np.eye(len(x)))
-    assert told.shape == (len(x), len(part.data) * len(part.outputs))
-    assert_allclose(told.sum(axis=1), np.diag(information), rtol=1e-6)
 
 
 def test_errors_by_output_follow_the_parameters(made):

@@ -20,11 +20,9 @@ from greybox.estimate.covariance import (
     assess,
     degrees,
     determined_directions,
-    information_by_point,
+    directions_beside,
     known_directions,
-    known_of,
     propagate,
-    steepness,
 )
 from greybox.estimate.undetermined import collinear_groups, invisible_groups
 from greybox.models.rotor import Rotor
@@ -468,7 +466,8 @@ def test_each_part_of_a_sum_has_its_own_noise():
     fit = fitted(problem)
     nlp = compile_problem(problem)
     accuracy = assess(nlp, vector(fit, fit.free))
-    assert_allclose(accuracy.noise, [0.01, 0.08], rtol=0.25)
+    noise = [information.relative_noise for information in accuracy.informations]
+    assert_allclose(noise, [0.01, 0.08], rtol=0.25)
     bread, meat = 0, 0
     for part, d in zip(fit.parts, data, strict=True):
         error = np.abs(part.response - d.response) / np.abs(d.response)
@@ -714,7 +713,6 @@ BARE = Accuracy(
     combinations=(),
     at_bound=(),
     active=(),
-    noise=np.zeros(1),
     bias=np.zeros(3),
 )
 
@@ -741,7 +739,7 @@ def test_values_are_known_by_their_derivatives_within_what_is_determined():
         at_bound=("b",),
     )
     nlp = SimpleNamespace(names=("a", "b", "c"))
-    found = known_of(nlp, accuracy, np.array([3.0, 4.0]), slopes)
+    found = known_directions(nlp, accuracy, np.array([3.0, 4.0]), slopes)
     assert_allclose(found.covariance, slopes @ BARE.covariance @ slopes.T)
     scaled = slopes * BARE.size
     size = np.linalg.norm(scaled, axis=1)
@@ -749,13 +747,15 @@ def test_values_are_known_by_their_derivatives_within_what_is_determined():
     assert_allclose(found.unseen, scaled @ [[0.0], [0.6], [0.8]] / size[:, None])
     assert found.at.tolist() == [3, 4]
     only_bound = replace(accuracy, blind=np.array([[0.0], [1.0], [0.0]]))
-    assert known_of(nlp, only_bound, np.zeros(2), slopes).unseen.shape == (
+    assert known_directions(nlp, only_bound, np.zeros(2), slopes).unseen.shape == (
         2,
         0,
     )  # what ended at its bound is known
-    assert known_of(nlp, BARE, np.zeros(2), slopes) is None
+    assert known_directions(nlp, BARE, np.zeros(2), slopes) is None
     assert (
-        known_of(nlp, replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes)
+        known_directions(
+            nlp, replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes
+        )
         is None
     )
 
@@ -839,54 +839,6 @@ class Plane(gb.StateSpace):
         return (p.a * u.u + p.b * u.w,)
 
 
-def test_steepness_is_how_many_standard_errors_each_parameter_alone_would_go():
-    random = np.random.default_rng(0)
-    regressors, sigma = random.normal(size=(30, 2)) * [1.0, 4.0], 0.3
-    y = regressors @ [2.0, -0.5] + sigma * random.normal(size=30)
-    record = gb.Record(
-        np.arange(30.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False
-    )
-    nlp = compile_problem(
-        gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), weight=2.0)
-    )
-    x = np.array([1.7, -0.4])
-    trajectories = [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
-    left = y - regressors @ x
-    alone = regressors.T @ left / np.sum(regressors**2, axis=0)  # the step of each
-    errors = sigma / np.linalg.norm(regressors, axis=0)
-    assert_allclose(steepness(nlp, x, trajectories), np.sqrt(2.0) * np.abs(alone) / errors)
-
-
-def test_what_each_row_tells_is_its_share_of_the_information():
-    """Of a regression: row i has (xᵢ cⱼ)² over the sum of these, cⱼ a column of the inverse; of each alone, xᵢⱼ²."""
-    random = np.random.default_rng(1)
-    regressors = random.normal(size=(400, 2)) @ [[1.0, 0.5], [0.0, 3.0]]
-    y = regressors @ [2.0, -0.5] + 0.3 * random.normal(size=400)
-    record = gb.Record(
-        np.arange(400.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False
-    )
-    nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError()))
-    x = np.linalg.lstsq(regressors, y, rcond=None)[0]
-    accuracy = assess(
-        nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
-    )
-    ((along, alone),) = information_by_point(nlp, accuracy)
-    columns = regressors @ np.linalg.inv(regressors.T @ regressors)
-    count = along.shape[1]
-    for found, squares in ((along, columns**2), (alone, regressors**2)):
-        wanted = np.add.reduceat(
-            squares / squares.sum(axis=0), np.linspace(0, 400, count + 1)[:-1].astype(int), axis=0
-        )
-        assert_allclose(found, wanted.T)
-    held = information_by_point(nlp, replace(accuracy, at_bound=("a",)))[0]
-    assert np.isnan(held[0][0]).all()
-    assert_allclose(held[0][1], along[1])
-    assert [each.shape for each in information_by_point(nlp, replace(accuracy, white=None))[0]] == [
-        (2, 0),
-        (2, 0),
-    ]
-
-
 def test_an_unseen_direction_is_looked_at_again_beside_the_estimate():
     """Each value a tenth to a fifth of itself away, each by another share, to where its bounds leave more room."""
     problem = gb.Problem(Product(), measured(Lags(), OMEGA, LAGS, 0.02), fixed={"idle": 0.5})
@@ -895,27 +847,18 @@ def test_an_unseen_direction_is_looked_at_again_beside_the_estimate():
         x = np.array(
             [{"K1": 1.0, "K2": 2.0, "T1": 0.4, "T2": 0.05, "T": delay}[name] for name in nlp.free]
         )
-        accuracy = assess(nlp, x)
-        found = known_directions(nlp, x, replace(accuracy, at_bound=()), lambda _: ())
-        assert_allclose(found.at, x)
+        found = directions_beside(nlp, x, (), lambda _: ())
         share = 1 + 0.1 * (1 + np.arange(5) / 5)
         wanted = np.where(np.array(nlp.free) == "T", moved, x * share)
         assert nlp.free[-1] == "T"
-        assert_allclose(found.elsewhere.at, wanted)
-        assert found.elsewhere.unseen.shape[1] == 1
+        assert_allclose(found.at, wanted)
+        assert found.unseen.shape[1] == 1
         # The product stays seen there too: its unseen direction is that of both logarithms apart.
-        direction = found.elsewhere.unseen[:, 0] * found.elsewhere.size / wanted
+        direction = found.unseen[:, 0] * found.size / wanted
         first, second = (direction[nlp.free.index(name)] for name in ("K1", "K2"))
         assert first == pytest.approx(-second, rel=1e-3)
-    held = known_directions(nlp, x, replace(accuracy, at_bound=("T",)), lambda _: ())
-    assert held.elsewhere.at[-1] == x[-1]
-    assert (
-        known_directions(nlp, x, replace(accuracy, at_bound=()), lambda _: (None,)).elsewhere
-        is None
-    )
-    plain = compile_problem(gb.Problem(Lags(), measured(Lags(), OMEGA, LAGS, 0.02)))
-    at = np.array(list(LAGS.values()))
-    assert known_directions(plain, at, assess(plain, at), lambda _: ()).elsewhere is None
+    assert directions_beside(nlp, x, ("T",), lambda _: ()).at[-1] == x[-1]
+    assert directions_beside(nlp, x, (), lambda _: (None,)) is None
 
 
 @pytest.mark.parametrize("side", [-1, 1])

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
-from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.estimate.equivalent_minima import equivalents_warning
@@ -15,23 +14,20 @@ def same_response(fit):
     return [warning for warning in fit.warnings if "same response" in warning]
 
 
-def test_lags_that_swap_are_shown_and_a_constraint_chooses_one(tmp_path):
+def test_lags_that_swap_are_shown_and_a_constraint_chooses_one():
     fit = gb.fit(gb.Problem(LagLagDelay(), DATA), progress=False)
-    first, second = fit.equivalents
-    i, j = fit.free.index("T1"), fit.free.index("T2")
-    assert_allclose(second[[i, j]], first[[j, i]], rtol=1e-3)
-    assert len(same_response(fit)) == 1
+    (text,) = same_response(fit)
+    rows = {line.split()[0]: line.split()[1:] for line in text.splitlines()[3:]}
+    values = [[float(value) for value in rows[name]] for name in ("T1", "T2")]
+    assert values[0] == pytest.approx(values[1][::-1], rel=1e-3)
     high, low = ("T1", "T2") if fit.estimate["T1"] > fit.estimate["T2"] else ("T2", "T1")
     ordered = gb.fit(
         gb.Problem(LagLagDelay(), DATA, constraints=[lambda p: p[high] - p[low]]),
         starts=4,
         progress=False,
     )
-    assert len(ordered.equivalents) == 1
     assert not same_response(ordered)
     assert ordered.estimate[high] == pytest.approx(fit.estimate[high], rel=1e-3)
-    gb.save(fit, tmp_path / "fit.h5")
-    assert_allclose(gb.load(tmp_path / "fit.h5").equivalents, fit.equivalents)
 
 
 def test_the_table_shows_what_differs_in_the_first_four_vectors():

@@ -1,7 +1,6 @@
 """A fit that failed says why, what came closest, what blocks it and what to try."""
 
 import numpy as np
-import pytest
 
 import greybox as gb
 
@@ -77,27 +76,6 @@ def test_the_best_end_is_given_without_errors_with_what_blocks_it():
     )
     started = {name: fit.best_effort[name] for name in ("a", "k")}
     assert gb.fit(problem, starts=[started], progress=False).converged
-
-
-def test_the_parameters_along_which_the_cost_falls_are_named():
-    """Far from the minimum of a lag in both parameters; the distance is that to the minimum along one alone."""
-    clean = gb.simulate(Lag(), {"a": 3.0, "k": 6.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
-    problem = gb.Problem(
-        Lag(),
-        gb.Record(TIME, {"u": U, "x": clean + NOISE}),
-        gb.OutputError(inputs="held", noise={"x": 0.02}, initial={"x": 0.0}),
-        fixed={"mass": 1.0, "a": 3.0},
-    )
-    method = gb.MultipleShooting(strategies=gb.solve.Strategies(continued_runs=False))
-    fit = gb.fit(
-        problem, starts=[{"k": 1.0}], method=method, solver_options={"max_iter": 1}, progress=False
-    )
-    best = gb.fit(problem, starts=1, progress=False)
-    assert not fit.converged
-    (text,) = [text for text in fit.warnings if "still falls" in text]
-    said = float(text.partition("k (")[2].partition(")")[0])
-    away = abs(fit.best_effort["k"] - best.estimate["k"]) / 0.02 * np.linalg.norm(best_slope(best))
-    assert said == pytest.approx(away, rel=0.02)
 
 
 def best_slope(best):

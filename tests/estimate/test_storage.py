@@ -536,7 +536,6 @@ def flown(**changes):
         "method": "",
     }
     given |= {"inputs": "held", "biases": (), "gains": (), "driven": (), "nuisances": 1}
-    given |= {"information": None, "information_alone": None}
     return FittedRecord(**(given | changes))
 
 
@@ -544,22 +543,12 @@ def flown(**changes):
     ("change", "said"),
     [
         (
-            lambda fit: {"quantities": (*fit.quantities, fit.quantities[0])},
+            lambda fit: {"quantities": (fit.quantities[0],) * 2},
             "two quantities have the same name",
         ),
-        (lambda fit: {"names": (*fit.names, "lost")}, "a parameter has no value"),
-        (
-            lambda fit: {"names": (*fit.names, fit.names[0])},
-            "a parameter appears twice in the covariance",
-        ),
+        (lambda fit: {"covariance": fit.covariance[1:]}, "covariance has another shape"),
         (lambda fit: {"parts": ()}, "damaged"),
         (lambda fit: {"runs": fit.runs[fit.runs.cost < 0]}, "it has no data or no runs"),
-        (lambda fit: part(fit, information=np.zeros(2)), "shape"),
-        (lambda fit: part(fit, information=np.zeros((3, 4))), "shape"),
-        (
-            lambda fit: part(fit, information_alone=np.zeros((1, 4))),
-            "shape",
-        ),
         (
             lambda fit: part(fit, response=np.zeros(2, complex)),
             "shape",
@@ -584,7 +573,6 @@ def flown(**changes):
         ),
         (lambda fit: {"parts": (flown(),)}, ""),
         (lambda fit: part(fit, sine=gb.modeling.Sine("u", 1.0)), ""),
-        (lambda fit: part(fit, information=None, information_alone=np.zeros((2, 4))), ""),
     ],
 )
 def test_what_does_not_fit_together_is_refused(tmp_path, change, said):

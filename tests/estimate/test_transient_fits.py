@@ -242,10 +242,3 @@ def test_a_report_of_a_manoeuvre(fit, tmp_path):
     """It is written, and says what was fitted."""
     gb.report(fit, tmp_path / "report.html")
     assert "12 lines in 1 manoeuvre" in (tmp_path / "report.html").read_text(encoding="utf-8")
-
-
-def test_what_each_line_tells_is_a_share(fit):
-    """They add up to one."""
-    told = fit.spectra[0].information
-    np.testing.assert_allclose(told.sum(axis=1), 1.0)
-    assert fit.sensitivity().unit == "rad/s"

@@ -113,8 +113,6 @@ def test_a_fit_as_prior_is_the_fit_to_both():
         assert_allclose(after.standard_error[name], both.standard_error[name], rtol=0.1)
         assert 0.05 < after.prior_share[name] < 0.95
     assert len(after.records) == 0
-    with pytest.raises(ValueError, match="prior_share"):
-        after.sensitivity(1)
     assert after.response([1.0]).response.size == 1
 
 

@@ -20,7 +20,6 @@ from greybox.statistics.residual_spectrum import (
     ResidualSpectra,
     colored_information,
     remaining_products,
-    score_covariance,
     unmasked,
 )
 from greybox.statistics.spectral_families import (
@@ -249,16 +248,6 @@ def test_values_of_bands_are_interpolated_between_their_mean_frequencies():
     assert grid.mean(grid.banded(np.cos(omega) ** 2)) == pytest.approx(0.5, abs=1e-3)
 
 
-def test_the_covariance_of_another_score_is_that_of_the_spectrum_of_the_errors():
-    """Of the same sensitivities that of the estimate itself, and nothing where there are no errors."""
-    random = np.random.default_rng(0)
-    e = lfilter([1], [1, -0.9], random.normal(size=(2, 400)))
-    J = random.normal(size=(2, 3, 400))
-    found = colored_information([J], [e], np.linalg.inv(np.einsum("kpn,kqn->pq", J, J)), np.eye(2))
-    assert_allclose(score_covariance([J], found.spectrum), found.meat)
-    assert np.all(score_covariance([J], None) == 0)
-
-
 def pushed(n, seed):
     """Position and velocity of a mass on a spring, driven by commands and pushed by noise, under white noise.
 
@@ -321,7 +310,6 @@ def test_no_errors_say_nothing_and_hide_nothing():
     assert_allclose(found.meat, np.zeros((3, 3)))
     assert (found.taken, found.uncertainty, found.corrected, found.spectrum) == (0, 0, True, None)
     assert found.correlation_times.tolist() == [0, 0]
-    assert_allclose(score_covariance([random.normal(size=(2, 3, 50))], None), np.zeros((3, 3)))
 
 
 # By dense matrices of few samples.

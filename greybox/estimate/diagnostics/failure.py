@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.estimate.covariance import assess, steepness
+from greybox.estimate.covariance import assess
 from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.files.text_table import counted, listed
 from greybox.solve.local_solver import LocalSolver, Profile
@@ -41,17 +41,6 @@ def failure_warnings(
             "parameter."
         )
     yield from not_determined(nlp, accuracy)
-
-    # "Converged" allows a tenth of a standard error to the minimum along each parameter.
-    steep = steepness(nlp, run.estimate, profile.trajectories)
-    steep[[name in accuracy.at_bound for name in nlp.free]] = 0
-    order = [k for k in np.argsort(-steep)[:4] if steep[k] > 0.1]
-    if order:
-        names = listed([f"{nlp.free[k]} ({steep[k]:.2g})" for k in order])
-        yield (
-            f"the cost still falls there along {names}; in parentheses the distance to the minimum along each, in "
-            "standard errors."
-        )
 
 
 def _cure(run: Run) -> str:

@@ -70,7 +70,7 @@ def warnings(
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(nlp, pade_errors),
-        *biased_gains(nlp, accuracy),
+        *biased_gains(accuracy),
         *unlikely_noise(nlp, trajectories),
         *correlated_frequencies(nlp, best.estimate, accuracy),
         *discontinuous_costs(nlp),

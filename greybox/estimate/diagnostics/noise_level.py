@@ -14,9 +14,10 @@ from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.formulation.frequency_criteria import Criterion
 
 
-def biased_gains(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
+def biased_gains(accuracy: Accuracy) -> Iterator[str]:
     """Warn where noise biases the gain of a relative criterion by about 1 % or more."""
-    for part, noise in zip(nlp.parts, accuracy.noise, strict=True):
+    for information in accuracy.informations:
+        part, noise = information.part, information.relative_noise
         # Noise of 10 % in each component biases the gain by 1 %.
         bias = part.problem.criterion.gain_bias(noise, part.numbers // 2) if noise > 0.1 else 0.0
         if bias:
