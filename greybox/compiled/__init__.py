@@ -5,7 +5,7 @@ Begin with `compiled_problem`.
 | file | contents |
 | --- | --- |
 | `compiled_problem` | what a solver is given: parts, limits, scaling |
-| `part`, `part_without_nodes` | the interface of every part of a problem, and what parts without states at nodes share |
+| `part` | the interface of every part of a problem |
 | `response_part`, `response_map` | a frequency response; many points as one mapped function |
 | `response_programs` | all frequency responses as programs for a solver |
 | `transient_part` | the spectrum of a manoeuvre |

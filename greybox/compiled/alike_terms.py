@@ -18,70 +18,43 @@ from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 
-# Instructions of cost, gradient and Hessian from which terms are grouped also for few columns: a
-# step of eight searches on ten points (5000) takes a fifth longer then, on forty (25 000) half the
-# time.
-LARGE = 10_000
-
 # Columns from which registers of numpy pay within a few calls: their layout takes 1.5 µs for every
-# operation. From here on terms are always grouped: without, a thousand searches on ten points take
-# 1.3 times as long.
+# operation.
 FEWEST_COLUMNS = 512
 
 
 class SecondOrder:
-    """A scalar function with gradient and Hessian by its first input, for many columns of inputs."""
+    """A scalar function with gradient and Hessian by its first input, for many columns of inputs.
 
-    def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX) -> None:
-        """Take the symbols of the inputs and the cost."""
-        self._inputs, self._cost = inputs, cost
-        self._is_built = False
+    Without groups, searches on 40 to 100 frequencies take twice as long.
+    """
 
     @one_thread_at_a_time
-    def _build(self, m: int) -> None:
-        """Build the functions; similar terms are grouped for many columns m, or in large sums."""
-        operations = ca.Function("cost", [*self._inputs], [self._cost]).n_instructions()
-        # Gradient and Hessian have some two instructions for every operation and unknown.
-        is_large = m >= FEWEST_COLUMNS or 2 * operations * self._inputs[0].numel() >= LARGE
-        groups, others = grouped(self._inputs, self._cost) if is_large else ([], self._cost)
+    def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX) -> None:
+        """Take the symbols of the inputs and the cost."""
+        groups, others = grouped(inputs, cost)
         self._groups = [
-            (Columns(_derivatives([*self._inputs, g.symbols], g.term)), g.constants) for g in groups
+            (Columns(_derivatives([*inputs, symbols], term)), constants)
+            for term, symbols, constants in groups
         ]
-        # The constants of every group, by the number of columns.
-        self._repeated: dict[int, list[list[Array]]] = {}
-        self._others: Columns | None = None
-        if not (groups and others.is_zero()):
-            self._others = Columns(_derivatives(self._inputs, others), fewest=FEWEST_COLUMNS)
-        self._is_built = True
+        self._others = Columns(_derivatives(inputs, others), fewest=FEWEST_COLUMNS)
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
-        p, m = inputs[0].shape
-        if not self._is_built:
-            self._build(m)
-        values = (
-            [np.zeros((size, m)) for size in (1, p, p * p)]
-            if self._others is None
-            else self._others(*inputs)
-        )
-        for (function, _), shares in zip(self._groups, self._constants(m), strict=True):
-            for constants in shares:
-                count = constants.shape[1] // m
-                repeated = (np.concatenate([value] * count, axis=1) for value in inputs)
-                for k, terms in enumerate(function(*repeated, constants)):
-                    values[k] += terms.reshape(-1, count, m).sum(axis=1)
+        m = inputs[0].shape[1]
+        values = self._others(*inputs)
+        for function, constants in self._groups:
+            # All terms at once would not fit into the cache.
+            pieces = math.ceil(constants.shape[1] / max(CHUNK // m, 1))
+            for piece in np.array_split(constants, pieces, axis=1):
+                count = piece.shape[1]
+                repeated = (np.tile(value, count) for value in inputs)
+                terms = function(*repeated, np.repeat(piece, m, axis=1))
+                for value, of_terms in zip(values, terms, strict=True):
+                    value += of_terms.reshape(-1, count, m).sum(axis=1)
+
         cost, gradient, hessian = values
         return cost[0], gradient, hessian
-
-    def _constants(self, m: int) -> list[list[Array]]:
-        """Return the constants of every group for m columns, in shares of terms that fit into the cache."""
-        if m not in self._repeated:
-            self._repeated[m] = []
-            for _, constants in self._groups:
-                count = math.ceil(constants.shape[1] / max(CHUNK // m, 1))
-                shares = np.array_split(constants, count, axis=1)
-                self._repeated[m].append([np.repeat(share, m, axis=1) for share in shares])
-        return self._repeated[m]
 
 
 class _Group(NamedTuple):

@@ -62,7 +62,7 @@ def condense(
         gradient[record] += change[:, 0]
 
     hessian = (hessian + hessian.transpose(0, 2, 1)) / 2
-    slope = trajectory.detail.placed.slope
+    slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
     by_z = slopes.reshape(-1, slope.shape[-1])
     return Condensed(

@@ -73,8 +73,8 @@ class KalmanGain:
 
     def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
         """Return the transition over a sample of the errors of those states that innovations reach."""
-        at: Placed = placed or trajectory.detail.placed
-        A, _ = self.part.segments.mean_transition(trajectory.detail.states, at.q, at.data)
+        at: Placed = placed or trajectory.detail
+        A, _ = self.part.segments.mean_transition(trajectory.states, at.q, at.data)
         return self._reached(A)
 
     def pole_derivatives(self, trajectory: Trajectory, z: Array) -> tuple[Array, Array]:
@@ -129,10 +129,10 @@ class KalmanGain:
         The process noise has variances (n,) per sample in the corrected or driven states; the
         residuals of the trajectory are the measurement noise.
         """
-        placed = trajectory.detail.placed
+        placed = trajectory.detail
         q = placed.q.copy()
         q[self.places] = 0
-        F, C = self.part.segments.mean_transition(trajectory.detail.states, q, placed.data)
+        F, C = self.part.segments.mean_transition(trajectory.states, q, placed.data)
         covariance = self.part.covariance.covariance(trajectory.products)
         return [self._steady_state(F, C, covariance, q, variance) for variance in process]
 
@@ -159,7 +159,7 @@ class KalmanGain:
 
     def placed(self, trajectory: Trajectory, z: Array, values: Array) -> Array:
         """Return the point z (p,) with these values (u,) of the unknowns that a single variable sets."""
-        slope, z = trajectory.detail.placed.slope, z.copy()
+        slope, z = trajectory.detail.slope, z.copy()
         active = self.part.model.active.tolist()
         for k, value in zip(self.unknowns.tolist(), values, strict=True):
             row = slope[active.index(k)] if k in active else np.zeros(len(z))

@@ -3,9 +3,9 @@
 A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns
 besides: the states at the beginning of its segments, its *nodes*. They belong to the part, which
 eliminates them from its linearization (condensing), so that a solver adds up Hessians and gradients
-in z whatever the data are. A frequency response has none, and what is hidden in a spectrum is
-eliminated within its cost: their arrays over nodes are empty, see
-`greybox.compiled.part_without_nodes`.
+in z whatever the data are. A frequency response has none, and a spectrum eliminates its hidden
+unknowns within its cost. `Part` answers for them: their arrays over nodes are empty, no gap is
+closed, and their residuals need no weights.
 
 What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima
 (`signature`), the check of the discretization (`refined`), IPOPT (`program`, where there are
@@ -24,6 +24,9 @@ from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
+
+
+NO_NODES = np.zeros((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +48,10 @@ class Trajectory:
     simulated : bool
         True where the trajectory was simulated from the first node of every stretch: no other node
         counts.
+    states : (n, columns) array
+        States at all samples.
     detail : object
-        What else the part needs to linearize here.
+        What else the part needs to linearize here: of a record, where it is placed.
     """
 
     z: Array
@@ -55,6 +60,7 @@ class Trajectory:
     gaps: Array
     products: Array
     simulated: bool
+    states: Array = field(default_factory=lambda: NO_NODES)
     detail: Any = None
 
     @property
@@ -266,7 +272,29 @@ class Part(ABC):
         True when the cost is a negative log-likelihood.
     is_smoothed : bool
         True when the cost has kinks, which a solver rounds off while it is at work.
+    numbers : int
+        Real numbers of the data that are compared.
+    samples : int
+        Samples that are simulated.
+    substeps : int
+        Steps of the integrator in a sample; 0 where nothing is integrated.
+    has_states : bool
+        True when there are hidden unknowns, which IPOPT sees only after transcription.
+    has_nodes : bool
+        True when segments begin at nodes, whose gaps a homotopy closes.
+    unknown_initial_states : int
+        Initial states that are estimated with the parameters.
+    gains : tuple of (str, str)
+        State and output of every estimated entry of a Kalman gain.
     """
+
+    numbers: int
+    samples: int = 0
+    substeps: int = 0
+    has_states: bool = False
+    has_nodes: bool = False
+    unknown_initial_states: int = 0
+    gains: tuple[tuple[str, str], ...] = ()
 
     def __init__(self, source: "Problem | Part") -> None:
         """Keep the problem and the facts that outlive it, or those of another part."""
@@ -286,71 +314,57 @@ class Part(ABC):
         """Leave the problem behind."""
         return {name: value for name, value in vars(self).items() if name != "problem"}
 
-    # --- facts
-
-    @property
-    def samples(self) -> int:
-        """How many samples are simulated."""
-        return 0
-
-    @property
-    def substeps(self) -> int:
-        """How many steps the integrator takes in a sample; 0 where nothing is integrated."""
-        return 0
-
     # --- what the Gauss-Newton driver asks
-
-    @property
-    @abstractmethod
-    def has_states(self) -> bool:
-        """True when there are hidden unknowns, which IPOPT sees only after transcription."""
-
-    @property
-    def has_nodes(self) -> bool:
-        """True when there are nodes of segments, whose gaps a homotopy closes."""
-        return False
 
     @property
     def travels_whole(self) -> bool:
         """True when its `information` is known in another process too, where the user's classes are not."""
         return True
 
-    @abstractmethod
     def initial_trajectory(self, z: Array) -> Trajectory:
         """Return the trajectory at z (p,) with nodes from the data."""
+        return self.trajectory(z, NO_NODES)
 
     @abstractmethod
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
-        """Return the trajectory at z (p,) from nodes (s, n); `simulated` from the first one of every stretch alone."""
+        """Return the trajectory at z (p,) from nodes (s, n).
+
+        If it is `simulated`, the first node of every stretch determines all others.
+        """
 
     @abstractmethod
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the cost along a trajectory, unweighted; `smoothing` rounds kinks off."""
 
-    @abstractmethod
     def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
-        """Return the cost with a given residual weight (k, k): half the sum of weighted squares, of a record."""
+        """Return the cost with a fixed residual weight (k, k).
 
-    @abstractmethod
+        For a record, this is half the sum of the weighted squares.
+        """
+        return self.cost(trajectory, smoothing)
+
     def residual_weight(self, trajectory: Trajectory) -> Array:
         """Return W (k, k) with WᵀW the inverse of the residual covariance along a trajectory."""
+        return NO_NODES
 
-    @abstractmethod
     def initial_weight(self, share: float) -> Array:
         """Return W (k, k) for residuals of a `share` of each signal's spread."""
+        return NO_NODES
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory, weight: Array) -> Any:
-        """Linearize along a trajectory, the residuals multiplied by `weight` (k, k)."""
+        """Linearize along a trajectory, the residuals multiplied by `weight` (k, k).
 
-    @abstractmethod
+        Without nodes, return the gradient (p,) and a Hessian (p, p) without negative eigenvalues.
+        """
+
     def continuity_variance(self, linearization: Any, spread: float) -> Array:
-        """Return variances (n,) by which states must jump to change the outputs of a segment by `spread`.
+        """Return the variances (n,) of jumps of the states that change a segment's outputs by `spread`.
 
         In units of the residuals that the linearization was weighted with.
         """
+        return np.zeros(0)
 
-    @abstractmethod
     def condense(
         self,
         linearization: Any,
@@ -359,14 +373,20 @@ class Part(ABC):
         damping: float = 0.0,
     ) -> Condensed:
         """Eliminate the nodes; continuity is exact where its variances (n,) are zero."""
+        gradient, hessian = linearization
+        nothing = np.zeros((0, 0, len(gradient)))
+        return Condensed(hessian, gradient, NO_NODES, nothing, NO_NODES, nothing, NO_NODES, 0.0)
 
-    @abstractmethod
     def close_gaps(self, linearization: Any, trajectory: Trajectory) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
+        return NO_NODES
 
-    @abstractmethod
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
-        """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
+        """Return whether the rms residual of every output is below `factor` times its signal's spread.
+
+        True for what is not simulated: it cannot diverge on the way.
+        """
+        return True
 
     def explains_data(self, trajectory: Trajectory) -> bool:
         """Tell whether the residuals look like noise, so that there is nothing left to explain."""
@@ -420,22 +440,7 @@ class Part(ABC):
 
     # --- what the diagnostics ask
 
-    @property
-    @abstractmethod
-    def numbers(self) -> int:
-        """How many real numbers of the data are compared."""
-
-    @property
-    def unknown_initial_states(self) -> int:
-        """How many initial states are estimated along."""
-        return 0
-
     @cached_property
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
         """Delays at whose whole samples the cost jumps, with the held input and the output that it reaches directly."""
         return {}
-
-    @property
-    def gains(self) -> tuple[tuple[str, str], ...]:
-        """State and output of every estimated entry of a Kalman gain."""
-        return ()

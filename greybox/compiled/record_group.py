@@ -18,7 +18,7 @@ from greybox.compiled.part import Information, Part, Program, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.sampled_data import joined
-from greybox.compiled.segmented_part import Along, Placed, SegmentedPart
+from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -70,8 +70,7 @@ class RecordGroup(SegmentedPart):
 
     def split(self, trajectory: Trajectory) -> list[Trajectory]:
         """Return the trajectories of the records."""
-        along: Along = trajectory.detail
-        placed = along.placed
+        placed: Placed = trajectory.detail
         has_own = placed.slope.ndim == 3
         result = []
         for k, rows in enumerate(self.segments.record_rows):
@@ -89,7 +88,8 @@ class RecordGroup(SegmentedPart):
                     ends=trajectory.ends[rows],
                     gaps=trajectory.gaps[rows],
                     products=trajectory.products[k],
-                    detail=Along(of_record, self._columns_of(along.states, rows)),
+                    states=self._columns_of(trajectory.states, rows),
+                    detail=of_record,
                 )
             )
         return result
@@ -160,8 +160,8 @@ class RecordGroup(SegmentedPart):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return up to some 500 simulated samples of every output, in units of the spread in their records."""
-        along: Along = trajectory.detail
-        outputs = self.segments.outputs(along.states, along.placed.q, along.placed.data)
+        placed: Placed = trajectory.detail
+        outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
         outputs = self.segments.by_segment(outputs)
         scaled = outputs / self.covariance.spread[self.segments.records, None]
         samples = scaled.reshape(-1, len(self.outputs))

@@ -21,7 +21,7 @@ from greybox.compiled.residual_covariance import (
 from greybox.compiled.riccati import NoiseModel, noise_model
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
-from greybox.compiled.segmented_part import Along, Placed, SegmentedPart
+from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
@@ -58,6 +58,9 @@ class RecordPart(SegmentedPart):
             Segments(step, data.segments, data.segment_length, model.active),
             covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
+        self.gains = model.gains
+        known = int(data.begins_record.sum()) * int(model.known_states.sum())
+        self.unknown_initial_states = int(data.begins_stretch.sum()) * self.states - known
 
     # --- parts made of this one
 
@@ -97,20 +100,9 @@ class RecordPart(SegmentedPart):
     # --- facts
 
     @property
-    def unknown_initial_states(self) -> int:
-        """Unknown initial states of all stretches."""
-        known = int(self.data.begins_record.sum()) * int(self.model.known_states.sum())
-        return int(self.data.begins_stretch.sum()) * self.states - known
-
-    @property
     def is_static(self) -> bool:
         """True when outputs depend only on the inputs of the same sample: neither states nor delays."""
         return not self.states and not self.system.delayed
-
-    @property
-    def gains(self) -> tuple[tuple[str, str], ...]:
-        """State and output of every estimated entry of the Kalman gain."""
-        return self.model.gains
 
     @cached_property
     @one_thread_at_a_time
@@ -215,10 +207,10 @@ class RecordPart(SegmentedPart):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return up to some 500 simulated samples of every output, in units of the measured signal's spread."""
-        along: Along = trajectory.detail
-        columns = slice(None, None, max(along.placed.data.shape[1] // 500, 1))
-        states, data = along.states[:, columns], along.placed.data[:, columns]
-        outputs = self.segments.outputs(states, along.placed.q, data)
+        placed: Placed = trajectory.detail
+        columns = slice(None, None, max(placed.data.shape[1] // 500, 1))
+        states, data = trajectory.states[:, columns], placed.data[:, columns]
+        outputs = self.segments.outputs(states, placed.q, data)
         return (outputs / self.covariance.spread[:, None]).ravel()
 
     # --- for IPOPT and for the covariance of the estimate

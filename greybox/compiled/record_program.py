@@ -49,7 +49,7 @@ class RecordProgram(Program):
 
     def initial_unknowns(self, trajectory: Trajectory) -> Array:
         """Return the unknowns for the states along a trajectory."""
-        return self._transcribed.start(self._part.segments.in_order(trajectory.detail.states))
+        return self._transcribed.start(self._part.segments.in_order(trajectory.states))
 
     def initial_parameters(self, z: Array, share: float) -> Array:
         """Return weights for residuals of a `share` of each signal's spread, and the data at z (p,)."""

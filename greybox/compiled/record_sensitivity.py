@@ -48,7 +48,7 @@ class Sensitivity:
 def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> Sensitivity:
     """Return how the residuals times `weight` follow the parameters along a trajectory."""
     data, segments, n = part.data, part.segments, part.states
-    placed: Placed = trajectory.detail.placed
+    placed: Placed = trajectory.detail
     linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory, np.zeros(n)).node_sensitivity.copy()
     initial_directions = _initial_directions(part, linearization)
@@ -65,7 +65,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle, white, squares = np.zeros((0, p)), np.zeros((p, p)), np.zeros(p)
     for batch in segments.batches(s):
-        _, J, _ = segments.sensitivities(trajectory.detail.states, placed.q, placed.data, batch)
+        _, J, _ = segments.sensitivities(trajectory.states, placed.q, placed.data, batch)
         J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
         by_states = np.einsum("lknc,cnp->lkpc", J[:, :, :n], by_nodes[batch])
         by_parameters = placed.slope.T @ J[:, :, n:]

@@ -6,8 +6,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import CorrelatedPoints, Information, Program, Trajectory
-from greybox.compiled.part_without_nodes import NO_NODES, PartWithoutNodes
+from greybox.compiled.part import (
+    NO_NODES,
+    CorrelatedPoints,
+    Information,
+    Part,
+    Program,
+    Trajectory,
+)
 from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
@@ -24,7 +30,7 @@ from greybox.statistics.neighbor_correlation import (
 SMOOTHING = 1e-8
 
 
-class ResponsePart(PartWithoutNodes):
+class ResponsePart(Part):
     """One frequency response of a problem.
 
     Attributes
@@ -52,6 +58,7 @@ class ResponsePart(PartWithoutNodes):
         assert isinstance(problem.criterion, Criterion)
         self.criterion = problem.criterion
         self.data = problem.response
+        self.numbers = 2 * len(self.data)
         self.objective = objective
         self.model_response = model_response
         self.scaled_response = scaled_response
@@ -70,16 +77,6 @@ class ResponsePart(PartWithoutNodes):
     def travels_whole(self) -> bool:
         """True with one of the included criteria."""
         return type(getattr(self, "criterion", None)) in {type(criterion) for criterion in CRITERIA}
-
-    @property
-    def has_states(self) -> bool:
-        """A frequency response has no nodes."""
-        return False
-
-    @property
-    def numbers(self) -> int:
-        """Two real numbers for every frequency."""
-        return 2 * len(self.data)
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""

@@ -50,14 +50,6 @@ class Placed:
     filter: SteadyFilter | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Along:
-    """Details of a trajectory of records: where it is placed, and its states (n, columns)."""
-
-    placed: Placed
-    states: Array
-
-
 class SegmentedPart(Part):
     """Records of one model, cut into segments, and the step from sample to sample.
 
@@ -70,6 +62,8 @@ class SegmentedPart(Part):
     segments : Segments
     covariance : ResidualCovariance
     """
+
+    has_states = has_nodes = True
 
     def __init__(
         self,
@@ -91,35 +85,10 @@ class SegmentedPart(Part):
         self.system = model.system
         self.outputs = model.outputs
         self.states = len(model.system.states)
-        self._substeps = substeps
+        self.substeps = substeps
+        self.samples = data.samples  # padding of segments included
+        self.numbers = int(covariance.counts.sum())
         self._placed_data: tuple[Array, Array] | None = None
-
-    # --- facts
-
-    @property
-    def has_nodes(self) -> bool:
-        """Segments begin at nodes."""
-        return True
-
-    @property
-    def has_states(self) -> bool:
-        """The states at the nodes are unknown."""
-        return True
-
-    @property
-    def samples(self) -> int:
-        """Number of samples, padding of segments included."""
-        return self.data.samples
-
-    @property
-    def substeps(self) -> int:
-        """Steps of the integrator in a sample."""
-        return self._substeps
-
-    @property
-    def numbers(self) -> int:
-        """Measured values that are compared."""
-        return int(self.covariance.counts.sum())
 
     # --- placement
 
@@ -182,17 +151,15 @@ class SegmentedPart(Part):
         gaps[~self.data.coupled] = 0
         residuals = self.segments.residuals(states, placed.q, placed.data)
         products = self._products(self.segments.products(residuals))
-        along = Along(placed, states)
-        return Trajectory(z, nodes, ends, gaps, products, simulated=False, detail=along)
+        return Trajectory(z, nodes, ends, gaps, products, False, states, placed)
 
     def _simulated(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
         nodes = self._with_known_states(nodes, placed)
         nodes, states, ends, products = self.segments.simulate_stretches(
             self.data.segment_counts, nodes, placed.q, placed.data
         )
-        products, along = self._products(products), Along(placed, states)
-        gaps = np.zeros_like(ends)
-        return Trajectory(z, nodes, ends, gaps, products, simulated=True, detail=along)
+        products, gaps = self._products(products), np.zeros_like(ends)
+        return Trajectory(z, nodes, ends, gaps, products, True, states, placed)
 
     def _products(self, by_record: Array) -> Array:
         """Return the products of residuals (r, k, k) of all records, or (k, k) of a single one."""
@@ -200,14 +167,14 @@ class SegmentedPart(Part):
 
     def residuals(self, trajectory: Trajectory) -> Array:
         """Return measured less simulated outputs (k, samples) in the order of the samples, zero where missing."""
-        along: Along = trajectory.detail
-        residuals = self.segments.residuals(along.states, along.placed.q, along.placed.data)
+        placed: Placed = trajectory.detail
+        residuals = self.segments.residuals(trajectory.states, placed.q, placed.data)
         return self.segments.in_order(residuals)
 
     def simulated_outputs(self, trajectory: Trajectory) -> Array:
         """Return the outputs (k, samples) along a trajectory, in the order of the samples."""
-        along: Along = trajectory.detail
-        outputs = self.segments.outputs(along.states, along.placed.q, along.placed.data)
+        placed: Placed = trajectory.detail
+        outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
         return self.segments.in_order(outputs)
 
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
@@ -227,7 +194,7 @@ class SegmentedPart(Part):
 
     def covariance_along(self, trajectory: Trajectory) -> ResidualCovariance:
         """Return the residual covariance, that of the steady filter along the trajectory, if any."""
-        steady = trajectory.detail.placed.filter
+        steady = trajectory.detail.filter
         if steady is None:
             return self.covariance
         return replace(self.covariance, predicted=steady.covariance)
@@ -244,8 +211,8 @@ class SegmentedPart(Part):
 
     def linearize(self, trajectory: Trajectory, weight: Array) -> Linearization:
         """Linearize along a trajectory, known initial states eliminated."""
-        placed: Placed = trajectory.detail.placed
-        b = self.segments.linearize(trajectory.detail.states, placed.q, weight, placed.data)
+        placed: Placed = trajectory.detail
+        b = self.segments.linearize(trajectory.states, placed.q, weight, placed.data)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)

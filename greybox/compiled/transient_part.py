@@ -23,8 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import Information, Program, Trajectory
-from greybox.compiled.part_without_nodes import NO_NODES, PartWithoutNodes
+from greybox.compiled.part import NO_NODES, Information, Part, Program, Trajectory
 from greybox.compiled.residual_covariance import ResidualCovariance, require_independent
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Array, ComplexArray
@@ -99,7 +98,7 @@ class Along:
     logarithms: float
 
 
-class TransientPart(PartWithoutNodes):
+class TransientPart(Part):
     """The spectrum of one manoeuvre.
 
     Attributes
@@ -112,6 +111,8 @@ class TransientPart(PartWithoutNodes):
         (z) -> the declared parameters q, and their derivatives (q, p).
     """
 
+    has_states = True  # the states at both ends are unknown
+
     def __init__(self, problem: Problem, locate: ca.Function) -> None:
         """Compile the matrices of the model."""
         super().__init__(problem)
@@ -122,6 +123,8 @@ class TransientPart(PartWithoutNodes):
         self.outputs = outputs_in_spectrum(problem.criterion, problem.model, problem.data)
         system = dynamics(problem.model, delay_order(problem.delay))
         self.states, self.inputs = system.states, system.inputs
+        self.numbers = 2 * len(self.data) * len(self.outputs)
+        self.unknown_initial_states = len(self.states)  # those of the end term
         self._entries, self._slopes = _matrix_functions(
             problem.model, system, problem.at, self.outputs
         )
@@ -131,21 +134,6 @@ class TransientPart(PartWithoutNodes):
         self._unit = math.sqrt(self.data.step * self.data.duration / 2)
         if self._noise == "full":
             require_independent(self.outputs, self._real(self._measured))
-
-    @property
-    def has_states(self) -> bool:
-        """The states at the ends are not known."""
-        return True
-
-    @property
-    def numbers(self) -> int:
-        """Two for every frequency and output."""
-        return 2 * len(self.data) * len(self.outputs)
-
-    @property
-    def unknown_initial_states(self) -> int:
-        """Those of the end term."""
-        return len(self.states)
 
     @cached_property
     def _measured(self) -> ComplexArray:

@@ -19,19 +19,11 @@ CHUNK = 4096  # columns at once: so many fit into the cache
 
 
 def _if_else_zero(condition: Array, value: Array, out: Array) -> None:
-    np.copyto(out, np.where(condition, value, 0.0))
-
-
-def _assign(value: Array, out: Array) -> None:
-    np.copyto(out, value)
-
-
-def _twice(value: Array, out: Array) -> None:
-    np.add(value, value, out)
+    np.copyto(out, np.where(condition, value, 0.0))  # a product would make NaN of zero times infinity
 
 
 _OPERATIONS: dict[int, Callable[..., Any]] = {
-    ca.OP_ASSIGN: _assign,
+    ca.OP_ASSIGN: np.positive,
     ca.OP_ADD: np.add,
     ca.OP_SUB: np.subtract,
     ca.OP_MUL: np.multiply,
@@ -43,7 +35,7 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_CONSTPOW: np.power,
     ca.OP_SQRT: np.sqrt,
     ca.OP_SQ: np.square,
-    ca.OP_TWICE: _twice,
+    ca.OP_TWICE: lambda value, out: np.add(value, value, out),
     ca.OP_SIN: np.sin,
     ca.OP_COS: np.cos,
     ca.OP_TAN: np.tan,
@@ -83,9 +75,9 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 class Columns:
     """A function of dense inputs, evaluated for many columns; `shared` inputs (by position) are the same in all.
 
-    CasADi evaluates fewer columns than `fewest`, since the layout of registers for another number of
-    columns takes some milliseconds, and functions that are not SX or contain an operation without a
-    ufunc.
+    CasADi evaluates fewer columns than `fewest`, because the layout of registers for another number
+    of columns takes some milliseconds. It also evaluates functions that are not SX or contain an
+    operation without a ufunc.
     """
 
     def __init__(
@@ -93,49 +85,46 @@ class Columns:
     ) -> None:
         function = _dense(function)
         self._function, self._shared, self._fewest = function, shared, fewest
-        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
-        self._bound: dict[int, _Bound] = {}
-        self._mapped: dict[int, _Mapped] = {}
+        self._layouts: dict[int, _Mapped | _Registers] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what builds the same evaluation: the memory that CasADi writes to cannot be pickled."""
         return Columns, (self._function, self._shared, self._fewest)
 
-    @cached_property
-    def _program(self) -> list[tuple[int, list[int], list[int], float]] | None:
-        return _read(self._function) if self._function.is_a("SXFunction") else None
-
     def __call__(self, *inputs: Array) -> list[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
-        outputs = [np.empty((size, m)) for size in self._sizes]
-        # In equal shares, so that all need one layout of the registers.
+        sizes = range(self._function.n_out())
+        outputs = [np.empty((self._function.numel_out(k), m)) for k in sizes]
+        # Equal shares need only one layout of the registers.
         size = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
+
         for begin in range(0, m, size):
             columns = slice(begin, min(begin + size, m))
             part = [v if k in self._shared else v[:, columns] for k, v in enumerate(inputs)]
-            count = columns.stop - begin
-            # A ufunc takes 0.2 µs whatever the number of columns, CasADi's operation 1.6 ns for each.
-            if count < self._fewest or count <= 128 or self._program is None:
-                for out, value in zip(outputs, self._evaluated(part, count), strict=True):
-                    out[:, columns] = value
-            else:
-                layout = self._bound.get(count) or self._bind(count)
-                layout.run(part, [out[:, columns] for out in outputs])
+            values = self._layout(columns.stop - begin).run(part)
+            for out, value in zip(outputs, values, strict=True):
+                out[:, columns] = value
         return outputs
 
-    def _evaluated(self, inputs: list[Array], m: int) -> list[Array]:
-        if m not in self._mapped:
-            if len(self._mapped) > 12:
-                self._mapped.clear()
-            self._mapped[m] = _Mapped(self._function, self._shared, m)
-        return self._mapped[m].run(inputs)
+    def _layout(self, m: int) -> "_Mapped | _Registers":
+        if m not in self._layouts:
+            if len(self._layouts) > 12:
+                self._layouts.clear()
+            # A ufunc takes 0.2 µs whatever the number of columns, CasADi's operation 1.6 ns for each.
+            use_casadi = m <= 128 or m < self._fewest or not self._has_ufuncs
+            kind = _Mapped if use_casadi else _Registers
+            self._layouts[m] = kind(self._function, self._shared, m)
+        return self._layouts[m]
 
-    def _bind(self, m: int) -> "_Bound":
-        if len(self._bound) > 12:
-            self._bound.clear()
-        self._bound[m] = _Bound(self._program or [], self._function, self._shared, m)
-        return self._bound[m]
+    @cached_property
+    def _has_ufuncs(self) -> bool:
+        """True when numpy can do every operation."""
+        f = self._function
+        return f.is_a("SXFunction") and all(
+            f.instruction_id(k) in _OPERATIONS or f.instruction_id(k) in _READING
+            for k in range(f.n_instructions())
+        )
 
 
 @one_thread_at_a_time
@@ -179,109 +168,44 @@ class _Mapped:
         return [value.T for value in self._outputs]
 
 
-def _read(function: ca.Function) -> list[tuple[int, list[int], list[int], float]] | None:
-    """Return operation, inputs, outputs and constant of every instruction; None if one has no ufunc."""
-    program = []
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        if operation not in _OPERATIONS and operation not in _READING:
-            return None
-        value = function.instruction_constant(k) if operation == ca.OP_CONST else 0.0
-        program.append(
-            (operation, function.instruction_input(k), function.instruction_output(k), value)
-        )
-    return program
+class _Registers:
+    """The instructions of an SX function as calls of numpy, with registers laid out for m columns."""
 
-
-class _Bound:
-    """A program with its registers laid out for m columns."""
-
-    def __init__(
-        self, program: list[Any], function: ca.Function, shared: tuple[int, ...], m: int
-    ) -> None:
+    def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
         self._reads: list[tuple[int, int, Array]] = []
-        self._writes: list[tuple[int, int, Array]] = []
         self._calls: list[tuple[Callable[..., Any], tuple[Array, ...]]] = []
+        self._outputs = [np.empty((function.numel_out(k), m)) for k in range(function.n_out())]
         wide: dict[int, Array] = {}
-        flags: dict[int, Any] = {}
-        narrow: dict[int, Array] = {}
-        now: dict[int, Array] = {}
-        for operation, sources, targets, constant in program:
+        current: dict[int, Array] = {}
+
+        for k in range(function.n_instructions()):
+            operation = function.instruction_id(k)
+            sources, targets = function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_OUTPUT:
-                # A copy, because the register may be used again.
-                copy = np.empty(m)
-                self._calls.append((_assign, (now[sources[0]], copy)))
-                self._writes.append((targets[0], targets[1], copy))
-                continue
-            target = targets[0]
-            if operation == ca.OP_CONST:
-                now[target] = np.array(constant)
-                continue
-            if operation == ca.OP_INPUT:
-                value = np.empty(()) if sources[0] in shared else np.empty(m)
+                row = self._outputs[targets[0]][targets[1]]
+                self._calls.append((np.positive, (current[sources[0]], row)))
+            elif operation == ca.OP_CONST:
+                current[targets[0]] = np.array(function.instruction_constant(k))
+            elif operation == ca.OP_INPUT:
+                value = np.empty(() if sources[0] in shared else m)
                 self._reads.append((sources[0], sources[1], value))
-                now[target] = value
-                continue
-            arguments = tuple(now[source] for source in sources[: _arity(operation)])
-            if operation not in _TAKING_FLAGS:
-                arguments = tuple(self._number(argument) for argument in arguments)
-            if all(a.ndim == 0 for a in arguments):
-                # A register of its own, because the result may be read much later.
-                out = narrow.setdefault(len(narrow), np.empty(()))
-            elif operation in _GIVING_FLAGS:
-                out = flags.setdefault(target, np.empty(m, bool))
+                current[targets[0]] = value
             else:
-                out = wide.setdefault(target, np.empty(m))
-            self._calls.append((_OPERATIONS[operation], (*arguments, out)))
-            now[target] = out
+                arguments = [current[source] for source in sources]
+                is_narrow = all(argument.ndim == 0 for argument in arguments)
+                # The result of shared numbers may be read much later: it gets a register of its own.
+                out = np.empty(()) if is_narrow else wide.setdefault(targets[0], np.empty(m))
+                self._calls.append((_OPERATIONS[operation], (*arguments, out)))
+                current[targets[0]] = out
 
-    def _number(self, value: Array) -> Array:
-        """Return flags as numbers."""
-        if value.dtype != bool:
-            return value
-        number = np.empty(value.shape)
-        self._calls.append((_assign, (value, number)))
-        return number
-
-    def run(self, inputs: list[Array], outputs: list[Array]) -> None:
-        """Evaluate into `outputs`."""
+    def run(self, inputs: list[Array]) -> list[Array]:
+        """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
         for source, row, register in self._reads:
             register[...] = inputs[source][row]
         with np.errstate(all="ignore"):
             for call, arguments in self._calls:
                 call(*arguments)
-        for target, row, register in self._writes:
-            outputs[target][row] = register
+        return self._outputs
 
 
-def _arity(operation: int) -> int:
-    return 2 if operation in _BINARY else 1
-
-
-_BINARY = {
-    ca.OP_ADD,
-    ca.OP_SUB,
-    ca.OP_MUL,
-    ca.OP_DIV,
-    ca.OP_POW,
-    ca.OP_CONSTPOW,
-    ca.OP_ATAN2,
-    ca.OP_LT,
-    ca.OP_LE,
-    ca.OP_EQ,
-    ca.OP_NE,
-    ca.OP_AND,
-    ca.OP_OR,
-    ca.OP_FMOD,
-    ca.OP_COPYSIGN,
-    ca.OP_IF_ELSE_ZERO,
-    ca.OP_FMIN,
-    ca.OP_FMAX,
-    ca.OP_HYPOT,
-}
-
-_READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER}
-
-# Comparisons return boolean arrays: as numbers, they take three times as long for many columns.
-_GIVING_FLAGS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
-_TAKING_FLAGS = {ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO}
+_READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}

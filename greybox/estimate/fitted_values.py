@@ -123,7 +123,7 @@ def _(
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
     if trajectory is not None:
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
-        steady = trajectory.detail.placed.filter
+        steady = trajectory.detail.filter
         if steady is not None:
             gain = steady.gain.ravel()
             # The gains themselves follow the parameters from which they follow.

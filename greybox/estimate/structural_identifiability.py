@@ -240,7 +240,7 @@ def _of_record(
         nodes = size * random.normal(size=(part.data.segments, part.states))
         with np.errstate(all="ignore"):
             trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
-            states = trajectory.detail.states
+            states = trajectory.states
             if (
                 trajectory.finite
                 and np.all(np.isfinite(states))

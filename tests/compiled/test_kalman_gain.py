@@ -57,7 +57,7 @@ def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
     followed = part.trajectory(z, nodes, simulated=True)
     joined = part.trajectory(z, followed.nodes)
     assert np.abs(joined.gaps).max() < 1e-12
-    assert_allclose(followed.detail.states, joined.detail.states, atol=1e-12)
+    assert_allclose(followed.states, joined.states, atol=1e-12)
     assert_allclose(followed.ends, joined.ends, atol=1e-12)
     assert_allclose(followed.products, joined.products, rtol=1e-10)
 

@@ -96,9 +96,9 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
     for ours, one in zip(groups.split(together), each, strict=True):
         for name in ("nodes", "ends", "gaps", "products"):
             assert_allclose(getattr(ours, name), getattr(one, name), rtol=1e-9, atol=1e-11)
-        assert_allclose(ours.detail.states, one.detail.states, rtol=1e-9, atol=1e-11)
-        assert_allclose(ours.detail.placed.slope, one.detail.placed.slope)
-        assert_allclose(ours.detail.placed.data, one.detail.placed.data)
+        assert_allclose(ours.states, one.states, rtol=1e-9, atol=1e-11)
+        assert_allclose(ours.detail.slope, one.detail.slope)
+        assert_allclose(ours.detail.data, one.detail.data)
     for simulated in (False, True):
         systems = (
             [_system(part, t, simulated) for part, t in zip(parts, trajectories, strict=True)]

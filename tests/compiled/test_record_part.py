@@ -78,7 +78,7 @@ def test_the_linearization_is_that_of_finite_differences(made):
     part, z, trajectory = made
     weight = part.initial_weight(0.1)
     linear = part.linearize(trajectory, weight)
-    slope = trajectory.detail.placed.slope
+    slope = trajectory.detail.slope
     by_nodes, by_z = dense(part, z, trajectory.nodes, residuals)
     W = np.kron(weight, np.eye(part.data.samples))
     e = W @ residuals(part, z, trajectory.nodes)
@@ -490,8 +490,8 @@ def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood
     gradient = numeric_jacobian(lambda v: np.array([part.cost(run(v))]), z)[0]
     assert_allclose(condensed.gradient, gradient, rtol=1e-4, atol=1e-5 * np.abs(gradient).max())
     J = numeric_jacobian(lambda v: (weight @ part.residuals(run(v))).ravel(), z)
-    S = run(z).detail.placed.filter.covariance
-    change = numeric_jacobian(lambda v: run(v).detail.placed.filter.covariance.ravel(), z).reshape(
+    S = run(z).detail.filter.covariance
+    change = numeric_jacobian(lambda v: run(v).detail.filter.covariance.ravel(), z).reshape(
         2, 2, -1
     )
     relative = np.einsum("ab,bcp->acp", np.linalg.inv(S), change)

@@ -106,7 +106,7 @@ def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     at_nodes = _of_formulas(part, trajectory, samples[:: part.data.segment_length])
     if at_nodes is not None:
         return at_nodes
-    states_are_finite = np.all(np.isfinite(trajectory.detail.states))
+    states_are_finite = np.all(np.isfinite(trajectory.states))
     if not (states_are_finite and np.all(np.isfinite(trajectory.ends))):
         return _of_integration(part, trajectory)
     return _of_formulas(part, trajectory, samples)
@@ -115,10 +115,10 @@ def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
 def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) -> Trouble | None:
     """Return the first derivative or output that is not finite at one of the samples."""
     system = part.system
-    placed = trajectory.detail.placed
+    placed = trajectory.detail
     x, data = (
         part.segments.in_order(values)[:, samples]
-        for values in (trajectory.detail.states, placed.data)
+        for values in (trajectory.states, placed.data)
     )
     _, u, _, residual, _ = (value.full() for value in part.step.measurement(x, placed.q, data))
     rows = {f"the output {name}": row for name, row in zip(part.outputs, residual, strict=True)}
@@ -141,7 +141,7 @@ def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) ->
 
 def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
     """Return the states that diverge between samples."""
-    states = part.segments.in_order(trajectory.detail.states).T
+    states = part.segments.in_order(trajectory.states).T
     within = states.reshape(len(trajectory.ends), -1, part.states)
     lost = ~np.isfinite(np.concatenate([within, trajectory.ends[:, None]], axis=1))
     segment, sample = (int(k) for k in np.argwhere(lost.any(axis=2))[0])
