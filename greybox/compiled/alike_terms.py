@@ -26,13 +26,17 @@ FEWEST_COLUMNS = 512
 class SecondOrder:
     """A scalar function with gradient and Hessian by its first input, for many columns of inputs.
 
-    Without groups, searches on 40 to 100 frequencies take twice as long.
+    Similar terms are grouped in large sums only: searches on 40 to 100 frequencies take half the
+    time then, a step of eight searches on ten frequencies a fifth longer.
     """
 
     @one_thread_at_a_time
     def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX) -> None:
         """Take the symbols of the inputs and the cost."""
-        groups, others = grouped(inputs, cost)
+        operations = ca.Function("cost", [*inputs], [cost]).n_instructions()
+        # Gradient and Hessian have some two instructions for every operation and unknown.
+        is_large = 2 * operations * inputs[0].numel() >= 10_000
+        groups, others = grouped(inputs, cost) if is_large else ([], cost)
         self._groups = [
             (Columns(_derivatives([*inputs, symbols], term)), constants)
             for term, symbols, constants in groups
@@ -50,8 +54,8 @@ class SecondOrder:
                 count = piece.shape[1]
                 repeated = (np.tile(value, count) for value in inputs)
                 terms = function(*repeated, np.repeat(piece, m, axis=1))
-                for value, of_terms in zip(values, terms, strict=True):
-                    value += of_terms.reshape(-1, count, m).sum(axis=1)
+                for k, of_terms in enumerate(terms):
+                    values[k] += of_terms.reshape(-1, count, m).sum(axis=1)
 
         cost, gradient, hessian = values
         return cost[0], gradient, hessian

@@ -6,15 +6,13 @@ residual covariances and delays that differ between them are an axis of arrays. 
 sees parts, one for every problem; `Groups` translates.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import Information, Part, Program, Trajectory
+from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.sampled_data import joined
@@ -61,45 +59,6 @@ class RecordGroup(SegmentedPart):
     def excerpt(self, samples: int) -> "RecordGroup":
         """Return the group on excerpts of about so many samples in all."""
         return RecordGroup(excerpts(self.parts, samples))
-
-    def refined(self, factor: int) -> "RecordGroup":
-        """Return the group with `factor` times the steps per sample."""
-        return RecordGroup([part.refined(factor) for part in self.parts])
-
-    # --- between the group and its records
-
-    def split(self, trajectory: Trajectory) -> list[Trajectory]:
-        """Return the trajectories of the records."""
-        placed: Placed = trajectory.detail
-        has_own = placed.slope.ndim == 3
-        result = []
-        for k, rows in enumerate(self.segments.record_rows):
-            of_record = Placed(
-                q=placed.q[:, rows.start] if has_own else placed.q,
-                slope=placed.slope[k] if has_own else placed.slope,
-                data=self._columns_of(placed.data, rows),
-                initial=placed.initial[k] if has_own else placed.initial,
-                initial_slope=placed.initial_slope[k] if has_own else placed.initial_slope,
-            )
-            result.append(
-                replace(
-                    trajectory,
-                    nodes=trajectory.nodes[rows],
-                    ends=trajectory.ends[rows],
-                    gaps=trajectory.gaps[rows],
-                    products=trajectory.products[k],
-                    states=self._columns_of(trajectory.states, rows),
-                    detail=of_record,
-                )
-            )
-        return result
-
-    def _columns_of(self, values: Array, segments: slice) -> Array:
-        """Return the columns (r, c) of some segments."""
-        by_segment = values.reshape(len(values), self.data.segment_length, self.data.segments)
-        chosen = by_segment[:, :, segments]
-        # A static model has no rows, from which reshape could not infer the columns.
-        return chosen.reshape(len(values), math.prod(chosen.shape[1:]))
 
     def by_part(self, nodes: Array) -> list[Array]:
         """Return the nodes of the records."""
@@ -151,32 +110,6 @@ class RecordGroup(SegmentedPart):
             nodes.append(part.nodes_from_data(q, known))
         return np.concatenate(nodes)
 
-    # --- judging a trajectory
-
-    def explains_data(self, trajectory: Trajectory) -> bool:
-        """Tell whether the residuals of every record are white."""
-        pairs = zip(self.parts, self.split(trajectory), strict=True)
-        return all(part.explains_data(of_record) for part, of_record in pairs)
-
-    def signature(self, trajectory: Trajectory) -> Array:
-        """Return up to some 500 simulated samples of every output, in units of the spread in their records."""
-        placed: Placed = trajectory.detail
-        outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
-        outputs = self.segments.by_segment(outputs)
-        scaled = outputs / self.covariance.spread[self.segments.records, None]
-        samples = scaled.reshape(-1, len(self.outputs))
-        return samples[:: max(len(samples) // 500, 1)].T.ravel()
-
-    # --- asked of the records one by one
-
-    def program(self, z: ca.MX) -> Program:
-        """Refuse: every record is transcribed by itself."""
-        raise NotImplementedError
-
-    def information(self, *args: Any, **kwargs: Any) -> Information:
-        """Refuse: every record has information of its own."""
-        raise NotImplementedError
-
 
 class Groups:
     """The parts of a problem as a solver takes them: records that can be evaluated together are one."""
@@ -186,10 +119,11 @@ class Groups:
         lots: dict[Any, list[int]] = {}
         for k, part in enumerate(parts):
             lots.setdefault(_kind(part, k), []).append(k)
+        self._all = tuple(parts)
         self._members = list(lots.values())
-        self._number = len(parts)
         self.parts: tuple[Part, ...] = tuple(
-            _as_one([parts[k] for k in members]) for members in self._members
+            RecordGroup([parts[k] for k in members]) if len(members) > 1 else parts[members[0]]  # type: ignore[misc]
+            for members in self._members
         )
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:
@@ -199,41 +133,23 @@ class Groups:
 
     def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every part, given those of every group."""
-        return self._by_part(
-            [
-                group.by_part(own) if isinstance(group, RecordGroup) else [own]
-                for group, own in self._each(nodes)
-            ]
-        )
+        result: list[Any] = [None] * len(self._all)
+        for group, members, of_group in zip(self.parts, self._members, nodes, strict=True):
+            lot = group.by_part(of_group) if isinstance(group, RecordGroup) else [of_group]
+            for k, of_part in zip(members, lot, strict=True):
+                result[k] = of_part
+        return result
 
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Return the trajectories of every part, given those of every group."""
-        return self._by_part(
-            [
-                group.split(t) if isinstance(group, RecordGroup) else [t]
-                for group, t in self._each(trajectories)
-            ]
-        )
-
-    def rejoined(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-        """Return the trajectory of every group, given those of every part."""
-        result = []
-        for group, members in zip(self.parts, self._members, strict=True):
-            first = trajectories[members[0]]
-            if isinstance(group, RecordGroup):
-                nodes = np.concatenate([trajectories[k].nodes for k in members])
-                first = group.trajectory(first.z, nodes, simulated=first.simulated)
-            result.append(first)
-        return result
-
-    def _each(self, values: Sequence[Any]) -> Any:
-        return zip(self.parts, values, strict=True)
-
-    def _by_part(self, lots: Sequence[Sequence[Any]]) -> list[Any]:
-        result: list[Any] = [None] * self._number
-        for members, values in zip(self._members, lots, strict=True):
-            for k, value in zip(members, values, strict=True):
-                result[k] = value
+        result: list[Any] = [None] * len(self._all)
+        nodes = self.nodes_by_part([t.nodes for t in trajectories])
+        for members, t in zip(self._members, trajectories, strict=True):
+            for k in members:
+                alone = len(members) == 1
+                result[k] = (
+                    t if alone else self._all[k].trajectory(t.z, nodes[k], simulated=t.simulated)
+                )
         return result
 
 
@@ -253,8 +169,4 @@ def _kind(part: Part, number: int) -> Any:
     if not isinstance(part, RecordPart) or part.gains:
         return number
     active = tuple(part.model.active.tolist())
-    return (id(part.step), part.data.segment_length, active, part.weight)
-
-
-def _as_one(parts: Sequence[Any]) -> Part:
-    return parts[0] if len(parts) == 1 else RecordGroup(parts)
+    return (id(part.step), part.data.segment_length, active, part.weight, part.model.has_time)

@@ -28,7 +28,6 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.statistics.metrics import whiteness
 
 
 class RecordPart(SegmentedPart):
@@ -59,6 +58,8 @@ class RecordPart(SegmentedPart):
             covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
         self.gains = model.gains
+        # Outputs depend only on the inputs of the same sample.
+        self.is_static = not self.states and not self.system.delayed
         known = int(data.begins_record.sum()) * int(model.known_states.sum())
         self.unknown_initial_states = int(data.begins_stretch.sum()) * self.states - known
 
@@ -69,7 +70,9 @@ class RecordPart(SegmentedPart):
         data = self.data.excerpts(samples)
         # The criterion stays behind when a part is sent to a worker.
         covariance = self.covariance.along(data.measured)
-        return self._like(self.model, data, self.substeps, step=self.step, covariance=covariance)
+        return RecordPart(
+            self.model, data, self.substeps, step=self.step, covariance=covariance, like=self
+        )
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN where there are none."""
@@ -78,31 +81,17 @@ class RecordPart(SegmentedPart):
         data = replace(self.data, stretches=stretches)
         counts = np.isfinite(data.measured).sum(axis=1)
         covariance = replace(self.covariance, counts=counts)
-        return self._like(self.model, data, self.substeps, step=self.step, covariance=covariance)
+        return RecordPart(
+            self.model, data, self.substeps, step=self.step, covariance=covariance, like=self
+        )
 
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":
         """Return the part with `factor` times the substeps."""
-        return self._like(self.model, self.data, factor * self.substeps)
-
-    def _like(
-        self,
-        model: RecordModel,
-        data: SampledData,
-        substeps: int,
-        *,
-        step: SampleStep | None = None,
-        covariance: ResidualCovariance | None = None,
-    ) -> "RecordPart":
-        covariance = covariance or self.covariance
-        return RecordPart(model, data, substeps, step=step, covariance=covariance, like=self)
+        substeps = factor * self.substeps
+        return RecordPart(self.model, self.data, substeps, covariance=self.covariance, like=self)
 
     # --- facts
-
-    @property
-    def is_static(self) -> bool:
-        """True when outputs depend only on the inputs of the same sample: neither states nor delays."""
-        return not self.states and not self.system.delayed
 
     @cached_property
     @one_thread_at_a_time
@@ -189,29 +178,6 @@ class RecordPart(SegmentedPart):
         p = q[: len(self.system.parameters)]
         outputs, inputs = self.at_nodes
         return self.model.initial_states.at(outputs, inputs, p, known).T
-
-    # --- judging a trajectory
-
-    def explains_data(self, trajectory: Trajectory) -> bool:
-        """Tell whether the residuals of every output are white; rows without a time have no order."""
-        if not self.model.has_time:
-            return False
-        residuals = self.data.unpadded(self.residuals(trajectory))
-        stretches = [
-            np.where(np.isfinite(stretch.outputs), values, np.nan)
-            for stretch, values in zip(self.data.stretches, residuals, strict=True)
-        ]
-        tests = (whiteness([rows[k] for rows in stretches]) for k in range(len(self.outputs)))
-        # One of a hundred records with white residuals is not recognized.
-        return all(test.p_value > 0.01 / len(self.outputs) for test in tests)
-
-    def signature(self, trajectory: Trajectory) -> Array:
-        """Return up to some 500 simulated samples of every output, in units of the measured signal's spread."""
-        placed: Placed = trajectory.detail
-        columns = slice(None, None, max(placed.data.shape[1] // 500, 1))
-        states, data = trajectory.states[:, columns], placed.data[:, columns]
-        outputs = self.segments.outputs(states, placed.q, data)
-        return (outputs / self.covariance.spread[:, None]).ravel()
 
     # --- for IPOPT and for the covariance of the estimate
 

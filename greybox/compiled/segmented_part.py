@@ -20,6 +20,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
+from greybox.statistics.metrics import whiteness
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +182,28 @@ class SegmentedPart(Part):
         """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
         limit = self.covariance.counts * (factor * self.covariance.spread) ** 2
         return bool(np.all(of_diagonal(trajectory.products) <= limit))
+
+    def explains_data(self, trajectory: Trajectory) -> bool:
+        """Return whether the residuals of every output are white; rows without a time have no order."""
+        if not self.model.has_time:
+            return False
+        residuals = self.data.unpadded(self.residuals(trajectory))
+        stretches = [
+            np.where(np.isfinite(stretch.outputs), values, np.nan)
+            for stretch, values in zip(self.data.stretches, residuals, strict=True)
+        ]
+        tests = (whiteness([rows[k] for rows in stretches]) for k in range(len(self.outputs)))
+        # One of a hundred records with white residuals is not recognized.
+        return all(test.p_value > 0.01 / len(self.outputs) for test in tests)
+
+    def signature(self, trajectory: Trajectory) -> Array:
+        """Return up to some 500 samples of every simulated output, in units of the signal's spread."""
+        placed: Placed = trajectory.detail
+        outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
+        spread = np.atleast_2d(self.covariance.spread)[self.segments.records].T
+        scaled = outputs.reshape(len(outputs), -1, self.data.segments) / spread[:, None]
+        scaled = scaled.reshape(len(outputs), -1)
+        return scaled[:, :: max(scaled.shape[1] // 500, 1)].ravel()
 
     # --- cost
 

@@ -19,7 +19,9 @@ CHUNK = 4096  # columns at once: so many fit into the cache
 
 
 def _if_else_zero(condition: Array, value: Array, out: Array) -> None:
-    np.copyto(out, np.where(condition, value, 0.0))  # a product would make NaN of zero times infinity
+    np.copyto(
+        out, np.where(condition, value, 0.0)
+    )  # a product would make NaN of zero times infinity
 
 
 _OPERATIONS: dict[int, Callable[..., Any]] = {
@@ -119,7 +121,7 @@ class Columns:
 
     @cached_property
     def _has_ufuncs(self) -> bool:
-        """True when numpy can do every operation."""
+        """Whether numpy can do every operation."""
         f = self._function
         return f.is_a("SXFunction") and all(
             f.instruction_id(k) in _OPERATIONS or f.instruction_id(k) in _READING

@@ -15,7 +15,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
-from greybox.compiled.record_group import Groups
 from greybox.files.arrays import Array
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
@@ -75,16 +74,14 @@ def discretization_error(
 ) -> DiscretizationError:
     """Return how twice the steps would shift the estimate of the best `trajectories`, to first order.
 
-    `fine` are the grouped parts with twice the steps, if they exist already.
+    `fine` are the parts with twice the steps, if they exist already.
     """
     p = len(nlp.free)
-    groups = Groups(nlp.parts)
     fine = fine or _finer_parts(nlp)
-    trajectories = groups.rejoined(trajectories)
     finer = [
         refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)
     ]
-    pairs = list(zip(groups.parts, trajectories, fine, finer, strict=True))
+    pairs = list(zip(nlp.parts, trajectories, fine, finer, strict=True))
     unchanged = [part is refined or _is_rounding(t, u) for part, t, refined, u in pairs]
     hessian, hessian_fine = np.zeros((p, p)), np.zeros((p, p))
     change = np.zeros(p)
@@ -133,8 +130,8 @@ def refine_discretization(
 
 
 def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
-    """Return the grouped parts with twice the steps."""
-    return tuple(part.refined(2) for part in Groups(nlp.parts).parts)
+    """Return the parts with twice the steps."""
+    return tuple(part.refined(2) for part in nlp.parts)
 
 
 def _without_aliases(

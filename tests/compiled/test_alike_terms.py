@@ -22,9 +22,11 @@ def cost(z, smoothing):
 
 
 @pytest.mark.parametrize("m", [1, 8, 5000])
-def test_derivatives_are_those_of_the_sum(m):
+@pytest.mark.parametrize("copies", [1, 30])
+def test_derivatives_are_those_of_the_sum(m, copies):
+    """Of a small sum, and of one whose terms are grouped."""
     z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
-    whole = cost(z, smoothing)
+    whole = sum(cost(z + 0.1 * k, smoothing) for k in range(copies))
     hessian, gradient = ca.hessian(whole, z)
     expected = ca.Function(
         "expected", [z, smoothing], [whole, gradient, ca.vec(ca.densify(hessian))]

@@ -13,7 +13,6 @@ from rate_lag import Lag
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.record_group import Groups
 from greybox.solve.discretization_error import (
     DiscretizationError,
     _distinct_ends,
@@ -305,6 +304,6 @@ def test_the_shift_is_that_of_a_fit_with_twice_the_steps():
     same = discretization_error(
         nlp,
         solver.profile(end.estimate, end.nodes).trajectories,
-        Groups(nlp.parts).parts,
+        nlp.parts,
     )
     assert same.shift.tolist() == [0.0]

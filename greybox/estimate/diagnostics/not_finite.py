@@ -117,8 +117,7 @@ def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) ->
     system = part.system
     placed = trajectory.detail
     x, data = (
-        part.segments.in_order(values)[:, samples]
-        for values in (trajectory.states, placed.data)
+        part.segments.in_order(values)[:, samples] for values in (trajectory.states, placed.data)
     )
     _, u, _, residual, _ = (value.full() for value in part.step.measurement(x, placed.q, data))
     rows = {f"the output {name}": row for name, row in zip(part.outputs, residual, strict=True)}
