@@ -25,7 +25,6 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
 
-
 NO_NODES = np.zeros((0, 0))
 
 
