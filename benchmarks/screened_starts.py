@@ -26,8 +26,7 @@ import numpy as np  # noqa: E402
 import greybox as gb  # noqa: E402
 from greybox.compiled.compiled_problem import compile_problem  # noqa: E402
 from greybox.solve.gauss_newton.driver import GaussNewton  # noqa: E402
-from greybox.solve.multistart import multistart  # noqa: E402
-from greybox.solve.waves import PromisingFirst  # noqa: E402
+from greybox.solve.multistart import PromisingFirst, multistart  # noqa: E402
 
 VALUES = {
     "CD0": 0.12, "CDV": -0.065, "CDa": 0.32, "CL0": -0.093, "CLV": 0.15, "CLa": 4.3,

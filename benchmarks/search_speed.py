@@ -38,8 +38,7 @@ from greybox.problems import (
     rotors,
     yaw_hover,
 )
-from greybox.solve.multistart import multistart, solver_for
-from greybox.solve.waves import PromisingFirst
+from greybox.solve.multistart import PromisingFirst, multistart, solver_for
 
 PAPER = (pitch_hover, roll_hover, yaw_hover, pitch_5deg, rotors)
 SUCCESS = 1.001  # of the lowest cost

@@ -54,7 +54,7 @@ def clock(monkeypatch):
             cls.now += 1.0
             return cls.now
 
-    monkeypatch.setattr("greybox.solve.time_limits.time", Clock)
+    monkeypatch.setattr("greybox.solve.interruption.time", Clock)
     return Clock
 
 

@@ -26,10 +26,16 @@ from greybox.estimate.summary import summary
 from greybox.files.text_table import counted
 from greybox.formulation.starts import UntilFoundAgain
 from greybox.solve.executors import ExecutorLostError
-from greybox.solve.interruption import Response, responding, take_interrupt
+from greybox.solve.interruption import (
+    Response,
+    TimeLimits,
+    is_search_over,
+    limited,
+    responding,
+    take_interrupt,
+)
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED, SEARCHES
-from greybox.solve.time_limits import TimeLimits, is_search_over, limited
 from greybox.study.store import StoredRuns, folder_beside, runs_beside
 
 EXAMPLES = (
@@ -64,8 +70,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--search",
         choices=SEARCHES,
         default=BATCHED,
-        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start; "
-        "global-search: the scatter search of MATLAB's GlobalSearch",
+        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start",
     )
     add_out_option(parser, "save the result to this HDF5 file; killed, the same command goes on")
     parser.add_argument(

@@ -45,22 +45,31 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import packed, require_executor
-from greybox.solve.global_search import TRIAL_POINTS, global_search
 from greybox.solve.interruption import (
     Response,
+    TimeLimits,
+    current_limits,
+    is_search_over,
+    limited,
     listening,
     responding,
     stop_requested,
     take_interrupt,
 )
-from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import BATCHED, GLOBAL_SEARCH, SEARCHES, multistart, solver_for
-from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
-from greybox.solve.time_limits import TimeLimits, current_limits, is_search_over, limited
-from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, Waves
+from greybox.solve.multistart import (
+    BATCHED,
+    SEARCHES,
+    AllAtOnce,
+    FoundAgain,
+    PromisingFirst,
+    Waves,
+    multistart,
+    solver_for,
+)
+from greybox.solve.runs import RUN_OVER, SEARCH_OVER
 
 
 class Interrupted(KeyboardInterrupt):
@@ -101,8 +110,6 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     Newton's method searches frequency responses from all starts at once (``search="batched"``), and
     IPOPT polishes every minimum. Problems that do not fit into a batch (finite amplitudes, large
     problems) are solved by IPOPT from every start, as with ``search="multistart"``.
-    ``search="global-search"`` is the scatter search of MATLAB's GlobalSearch, with 1000 trial
-    points by default, see `greybox.solve.global_search`.
 
     Parameters
     ----------
@@ -119,7 +126,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
-    search : "batched", "multistart" or "global-search"
+    search : "batched" or "multistart"
         See above.
     solver_options : mapping
         ``{"max_iter": 100, "tol": 1e-9}``, and all other options of IPOPT where IPOPT solves. For
@@ -266,24 +273,18 @@ def _fitted_from(
     began = time.perf_counter()
     nlp = compile_problem(with_enough_harmonics(problem), by.method)
     solver = by.solver(nlp)
-    is_global = by.search == GLOBAL_SEARCH
-    rule = _rule(TRIAL_POINTS if is_global and starts is None else starts, seed, solver)
+    rule = _rule(starts, seed, solver)
     points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
-
-    if is_global:
-        ipopt = _required_ipopt(solver, executor)
-        run = partial(global_search, nlp, ipopt, points, seed=rule.seed or 0, kept=kept)
-    else:
-        run = partial(
-            multistart,
-            nlp,
-            solver,
-            points,
-            movable=not isinstance(rule, Listed),
-            executor=executor,
-            kept=kept,
-            waves=_waves(starts, rule, solver),
-        )
+    run = partial(
+        multistart,
+        nlp,
+        solver,
+        points,
+        movable=not isinstance(rule, Listed),
+        executor=executor,
+        kept=kept,
+        waves=_waves(starts, rule, solver),
+    )
     with responding(Response.STOP):
         search = _with_progress(run, progress, len(points))
         interrupted = stop_requested()
@@ -423,19 +424,6 @@ def _parts(
         fitted_part(part, trajectory, values, dict(part.problem.local_values(named)))
         for part, trajectory in zip(nlp.parts, trajectories, strict=True)
     )
-
-
-def _required_ipopt(solver: LocalSolver, executor: Executor | None) -> IpoptSolver:
-    """Return the solver; raise ValueError if the scatter search cannot use it."""
-    if not isinstance(solver, IpoptSolver):
-        raise ValueError(
-            "search='global-search' is for frequency responses alone: leave it out for records."
-        )
-    if executor is not None:
-        raise ValueError(
-            "search='global-search' decides after every run what to try next: leave out the executor."
-        )
-    return solver
 
 
 def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:

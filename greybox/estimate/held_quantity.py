@@ -18,10 +18,10 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.batched_solver import TOLERANCE, BatchedSolver
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
-from greybox.solve.outcome import Outcome
+from greybox.solve.response_solver import TOLERANCE, ResponseSolver
+from greybox.solve.runs import Outcome
 
 
 class NoMinimumError(ValueError):
@@ -62,7 +62,7 @@ class _Programs:
     def newton(self) -> BatchedNewton | None:
         """Newton's method, where there are only bounds; it takes a tenth of IPOPT's time."""
         program = self._nlp.programs[-1]
-        if self._quantity is not None or not BatchedSolver.serves(self._nlp):
+        if self._quantity is not None or not ResponseSolver.serves(self._nlp):
             return None
         assert program.explicit is not None
         return BatchedNewton(program.explicit, self.lower, self.upper, program.roots)

@@ -45,7 +45,7 @@ from greybox.files.progress import counted_off
 from greybox.files.text_table import alternatives, number
 from greybox.formulation.starts import Sobol
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.solve.batched_solver import BatchedSolver
+from greybox.solve.response_solver import ResponseSolver
 
 STEP = (
     0.35  # share of the limit of |r| from point to point: three points to a crossing show a curve
@@ -138,7 +138,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
     if fit.white is None or nlp.limits or nlp.programs[-1].roots or fit.priors:
         return None
     static = all(isinstance(part, RecordPart) and part.is_static for part in nlp.parts)
-    if not (static or (len(fit.responses) == len(fit.parts) and BatchedSolver.serves(nlp))):
+    if not (static or (len(fit.responses) == len(fit.parts) and ResponseSolver.serves(nlp))):
         return None
     intervals = fit.interval(0.95)
     lines = [

@@ -8,8 +8,7 @@ import numpy as np
 
 from greybox.estimate.verdict import verdict
 from greybox.files.json_numbers import all_finite, finite
-from greybox.solve.outcome import SCREENED
-from greybox.solve.runs import Runs
+from greybox.solve.runs import SCREENED, Runs
 
 
 def summary(result: Any, level: float = 0.95) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.files.text_table import counted, listed, number, some
-from greybox.solve.outcome import SCREENED
+from greybox.solve.runs import SCREENED
 from greybox.statistics.metrics import rms
 
 Grade = Literal["good", "doubt", "failed"]

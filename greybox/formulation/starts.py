@@ -82,7 +82,7 @@ class UntilFoundAgain(Sobol):
     """Sobol points until another minimum is unlikely.
 
     The search doubles their number until the probability of another minimum falls to `error`, see
-    `greybox.solve.waves`, or until there are `number`.
+    `greybox.solve.multistart`, or until there are `number`.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import counted
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Limits, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
-from greybox.solve.outcome import SCREENED, Run
+from greybox.solve.runs import SCREENED, Run
 
 COLORED = 5  # minima with a color of their own; the others are gray
 

@@ -4,19 +4,17 @@ Begin with `multistart`.
 
 | file | contents |
 | --- | --- |
-| `multistart` | which solver a problem gets, and its runs from many starts |
-| `waves` | in which order starts are tried, and when there were enough |
+| `multistart` | the solver of a problem, the order of its starts, and its runs from them |
 | `local_solver` | what every solver answers |
-| `ipopt` | IPOPT on frequency responses |
-| `batched_solver` | the default for frequency responses: many starts improved at once, minima confirmed by IPOPT |
+| `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
 | `batched_newton`, `newton_iteration` | Newton's method from many points, and its iteration |
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |
-| `global_search` | the scatter search of MATLAB's GlobalSearch |
+| `ipopt` | IPOPT on one program |
 | `local_search`, `discretization_error` | further starts near an end; finer integration steps |
-| `outcome`, `runs`, `minima` | what one run leaves; all runs in columns; distinct minima |
-| `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes on this machine; stored runs |
-| `interruption`, `time_limits` | Ctrl-C; how long a search may take |
+| `runs`, `minima` | the results of runs; distinct minima |
+| `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes here; stored runs |
+| `interruption` | Ctrl-C, and how long a search may take |
 | `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
 | `cost` | the cost at given parameters |
 """

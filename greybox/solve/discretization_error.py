@@ -19,9 +19,8 @@ from greybox.files.arrays import Array
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Minimum, Multistart, find_minima
-from greybox.solve.outcome import TOO_COARSE, Outcome, Run
-from greybox.solve.runs import Runs
+from greybox.solve.minima import Minimum, Multistart, count_variants, find_minima
+from greybox.solve.runs import TOO_COARSE, Outcome, Run, Runs
 
 # Minima that are followed to the finer steps, at least a run each: one within this cost of the best
 # may change places with it.
@@ -77,27 +76,30 @@ def discretization_error(
     `fine` are the parts with twice the steps, if they exist already.
     """
     p = len(nlp.free)
-    fine = fine or _finer_parts(nlp)
-    finer = [
-        refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)
-    ]
-    pairs = list(zip(nlp.parts, trajectories, fine, finer, strict=True))
-    unchanged = [part is refined or _is_rounding(t, u) for part, t, refined, u in pairs]
-    hessian, hessian_fine = np.zeros((p, p)), np.zeros((p, p))
-    change = np.zeros(p)
-    if not all(unchanged):
-        for (part, trajectory, refined, u), is_same in zip(pairs, unchanged, strict=True):
-            weight = part.residual_weight(trajectory)
-            H, g = _quadratic_model(part, trajectory, weight)
-            H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
-            if not is_same and u.finite:
-                H_fine, g_fine = _quadratic_model(refined, u, weight)
-            hessian += part.weight * H
-            hessian_fine += part.weight * H_fine
-            change += part.weight * (g_fine - g)
+    accepted = nlp.strategies.negligible_shift
+    hessian, hessian_fine, change = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
+    pairs = []
+    for part, trajectory, finer in zip(
+        nlp.parts, trajectories, fine or _finer_parts(nlp), strict=True
+    ):
+        refined = finer.trajectory(trajectory.z, trajectory.nodes)
+        is_same = part is finer or _is_rounding(trajectory, refined)
+        pairs.append((part, trajectory, finer, refined, is_same))
+    if all(is_same for *_, is_same in pairs):  # two linearizations take most of the time
+        return DiscretizationError(change, nlp.method.scheme.order, accepted)
+
+    for part, trajectory, finer, refined, is_same in pairs:
+        weight = part.residual_weight(trajectory)
+        H, g = _quadratic_model(part, trajectory, weight)
+        H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
+        if not is_same and refined.finite:
+            H_fine, g_fine = _quadratic_model(finer, refined, weight)
+        hessian += part.weight * H
+        hessian_fine += part.weight * H_fine
+        change += part.weight * (g_fine - g)
     shift, widened = _in_standard_errors(hessian, change), _widened(hessian, hessian_fine)
     shift = np.where(widened > np.abs(shift), widened, shift)
-    return DiscretizationError(shift, nlp.method.scheme.order, nlp.strategies.negligible_shift)
+    return DiscretizationError(shift, nlp.method.scheme.order, accepted)
 
 
 def refine_discretization(
@@ -121,12 +123,13 @@ def refine_discretization(
             break
         finer = replace(nlp, parts=tuple(part.refined(error.growth) for part in nlp.parts))
         finer_solver = solver.refined(finer)
-        followed = _followed(finer, search, finer_solver)
+        followed = with_finer_steps(finer, search, finer_solver)
         if followed is None:
             break
         nlp, search, solver, fine = finer, followed, finer_solver, _finer_parts(finer)
-    search, is_same_best = _without_aliases(nlp, search, solver, fine)
-    return nlp, search, solver, error if is_same_best else None
+    sound = without_aliases(nlp, search, solver, fine)
+    is_same_best = sound.minima[0].runs[0] == search.minima[0].runs[0]
+    return nlp, sound, solver, error if is_same_best else None
 
 
 def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
@@ -134,54 +137,44 @@ def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
     return tuple(part.refined(2) for part in nlp.parts)
 
 
-def _without_aliases(
+def without_aliases(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver, fine: Sequence[Part]
-) -> tuple[Multistart, bool]:
-    """Return the search without minima that finer steps move by standard errors, and whether the best is the same.
+) -> Multistart:
+    """Return the search without minima that finer steps, of the parts `fine`, move by standard errors.
 
     Too long steps can turn a fast mode into a slow one. Such an alias costs no more than the true
-    parameters, or even less, and may have their response. It stays only where nothing else was
-    found.
+    parameters, or even less, and may have their response. It stays only where all are aliases.
     """
     limit = search.minima[0].cost + RIVAL_COST
-    rivals = [
-        run for m in search.minima if m.cost <= limit for run in (search.runs[k] for k in m.runs)
-    ]
-    ends = _distinct_ends(nlp, rivals)
+    rivals = [search.runs[k] for m in search.minima if m.cost <= limit for k in m.runs]
+    ends = _distinct_ends(nlp, rivals)[:10]  # judging one takes as long as two iterations
     if len(ends) < 2:
-        return search, True
-    aliases, sound = set(), False
-    for group in ends[:10]:  # judging one takes as long as two iterations
-        at_end = solver.profile(group[0].estimate)
-        is_alias = (
-            at_end.converged
-            and discretization_error(nlp, at_end.trajectories, fine).largest > ALIAS
-        )
-        sound = sound or not is_alias
-        aliases |= {run.index for run in group} if is_alias else set()
-    if not aliases or not sound:
-        return search, True
+        return search
+    aliases = []
+    for group in ends:
+        end = solver.profile(group[0].estimate)
+        if end.converged and discretization_error(nlp, end.trajectories, fine).largest > ALIAS:
+            aliases.append(group)
+    if len(aliases) in (0, len(ends)):
+        return search
 
+    lost = {run.index for group in aliases for run in group}
     runs = Runs.of(
-        replace(run, converged=False, status=TOO_COARSE) if run.index in aliases else run
+        replace(run, converged=False, status=TOO_COARSE) if run.index in lost else run
         for run in search.runs
     )
-    minima, nodes = [], search.nodes
+    minima = []
     for minimum in search.minima:
-        remaining = tuple(k for k in minimum.runs if k not in aliases)
-        if remaining:
-            first = runs[remaining[0]]
-            variants = len(_distinct_ends(nlp, [runs[k] for k in remaining]))
-            is_first = minimum.runs[0] == remaining[0]
-            estimate, cost = (
-                (minimum.estimate, minimum.cost) if is_first else (first.estimate, first.cost)
-            )
-            minima.append(Minimum(cost, estimate, remaining, min(minimum.variants, variants)))
+        sound = tuple(k for k in minimum.runs if k not in lost)
+        if sound:
+            best = runs[sound[0]]
+            variants = count_variants(nlp, runs.estimate[np.array(sound)])
+            minima.append(Minimum(best.cost, best.estimate, sound, variants))
     minima.sort(key=lambda m: m.cost)
-    is_same_best = minima[0].runs[0] == search.minima[0].runs[0]
-    if not is_same_best:
+    nodes = search.nodes
+    if minima[0].runs[0] != search.minima[0].runs[0]:
         nodes = tuple(t.nodes for t in solver.profile(minima[0].estimate).trajectories)
-    return replace(search, runs=runs, minima=tuple(minima), nodes=nodes), is_same_best
+    return replace(search, runs=runs, minima=tuple(minima), nodes=nodes)
 
 
 def _distinct_ends(nlp: CompiledProblem, runs: Sequence[Run]) -> list[list[Run]]:
@@ -189,19 +182,18 @@ def _distinct_ends(nlp: CompiledProblem, runs: Sequence[Run]) -> list[list[Run]]
     groups: list[tuple[Array, list[Run]]] = []
     for run in runs:
         z = nlp.scaling.to_solver(run.estimate)
-        group = next((group for end, group in groups if _is_same_end(z, end)), None)
-        if group is None:
-            groups.append((z, [run]))
+        for end, group in groups:
+            if np.all(np.abs(z - end) <= 0.01 * (np.abs(end) + 1e-3)):
+                group.append(run)
+                break
         else:
-            group.append(run)
+            groups.append((z, [run]))
     return [group for _, group in groups]
 
 
-def _is_same_end(a: Array, b: Array) -> bool:
-    return bool(np.all(np.abs(a - b) <= 0.01 * (np.abs(b) + 1e-3)))
-
-
-def _followed(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Multistart | None:
+def with_finer_steps(
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
+) -> Multistart | None:
     """Return the search with its best minima moved to those of `nlp`; None where none of them converges.
 
     The runs that ended there move with them, so that runs and minima have the same costs. Minima
@@ -209,41 +201,30 @@ def _followed(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> 
     """
     limit = search.minima[0].cost + RIVAL_COST
     ends: dict[int, Outcome] = {}
-    count = 0
-    least = math.inf
+    count, least = 0, math.inf
     for minimum in search.minima:
         is_rival = count < RIVALS and minimum.cost <= limit
         if not (is_rival or minimum.cost < least < math.inf):
             break
-        ends |= _ends(nlp, solver, [search.runs[k] for k in minimum.runs])
+        for group in _distinct_ends(nlp, [search.runs[k] for k in minimum.runs]):
+            outcome = solver.run(group[0].estimate)
+            ends |= {run.index: outcome for run in group}
         count += 1
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)
     if math.isinf(least):
         return None
+
+    changes = ("estimate", "cost", "converged", "status")
     runs = Runs.of(
-        _moved(run, ends[run.index]) if run.index in ends else run for run in search.runs
+        replace(run, **{name: getattr(ends[run.index], name) for name in changes})
+        if run.index in ends
+        else run
+        for run in search.runs
     )
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
-    minima = (
-        *find_minima(nlp, [run for run in runs if run.index in ends], signatures),
-        *search.minima[count:],
-    )
-    minima = tuple(sorted(minima, key=lambda m: m.cost))
-    return replace(search, runs=runs, minima=minima, nodes=ends[minima[0].runs[0]].nodes)
-
-
-def _ends(nlp: CompiledProblem, solver: LocalSolver, runs: Sequence[Run]) -> dict[int, Outcome]:
-    """Return where the runs of one minimum end with the steps of `nlp`; runs with one end move together."""
-    ends = {}
-    for group in _distinct_ends(nlp, runs):
-        outcome = solver.run(group[0].estimate)
-        ends |= {run.index: outcome for run in group}
-    return ends
-
-
-def _moved(run: Run, end: Outcome) -> Run:
-    converged, cost = end.converged, float(end.cost)
-    return replace(run, estimate=end.estimate, cost=cost, converged=converged, status=end.status)
+    moved = find_minima(nlp, [run for run in runs if run.index in ends], signatures)
+    minima = sorted([*moved, *search.minima[count:]], key=lambda m: m.cost)
+    return replace(search, runs=runs, minima=tuple(minima), nodes=ends[minima[0].runs[0]].nodes)
 
 
 def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:

@@ -31,11 +31,17 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.solve.interruption import interrupt_noted, stop_requested
+from greybox.solve.interruption import (
+    TimeLimits,
+    current_limits,
+    interrupt_noted,
+    limited,
+    one_run,
+    stop_requested,
+)
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
-from greybox.solve.outcome import INTERRUPTED, SEARCH_OVER, WORKER_LOST, Outcome
-from greybox.solve.time_limits import TimeLimits, current_limits, limited, one_run
+from greybox.solve.runs import INTERRUPTED, SEARCH_OVER, WORKER_LOST, Outcome
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 Batch = list[tuple[int, Array]]

@@ -1,23 +1,17 @@
-"""IPOPT on a problem without hidden unknowns, such as frequency responses: a dense program in the parameters."""
+"""IPOPT on one program: its options, what ends a run early, and variants with other options."""
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
-from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.minima import AT_ONCE, Minimum, Multistart
-from greybox.solve.outcome import CUT_SHORT, STAGNATED, Outcome
+from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.solve.interruption import reason_to_end
+from greybox.solve.runs import STAGNATED
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
@@ -42,14 +36,6 @@ WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200
 # errors of 1e-4, 10 then ended at the minimum. From the start on, the barrier would outweigh such a
 # cost.
 WITHOUT_BARRIER = {**WARM, "mu_init": 1e-11, "max_iter": 50, "obj_scaling_factor": 0.01}
-
-
-def merits(nlp: CompiledProblem, z: Array) -> Array:
-    """Return the smoothed costs at the columns of z (p, m), with a penalty on missed constraints: (m,)."""
-    costs, limits = (value.full() for value in nlp.programs[0].function(z, SMOOTHING))
-    # The weight of the penalty: a constraint missed by a thousandth weighs as much as a cost of one.
-    values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
-    return np.where(np.isfinite(values), values, np.inf)
 
 
 class StopCheck(ca.Callback):
@@ -140,6 +126,7 @@ class Ipopt:
         derivatives: Mapping[str, ca.Function] = MappingProxyType({}),
     ) -> None:
         self._statement, self._options = dict(statement), options
+        self._variants: dict[tuple[Any, ...], Ipopt] = {}
         self._check = StopCheck(statement)  # a reference, since CasADi holds only its address
         settings = {
             **_settings({**QUIET, **options}),
@@ -163,140 +150,20 @@ class Ipopt:
             status, end = self._check.reason, end if self._check.best is None else self._check.best
         return np.asarray(end).ravel(), status, int(stats["iter_count"])
 
-    @cached_property
-    def without_barrier(self) -> "Ipopt":
-        """IPOPT on the same problem without a barrier."""
-        return Ipopt(self._statement, {**self._options, **WITHOUT_BARRIER}, self.derivatives)
-
-    @property
-    def derivatives(self) -> dict[str, ca.Function]:
-        """The derivatives that were built, as options of another solver of the same problem."""
-        names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
-        built = self._solver.get_function()
-        return {
-            option: self._solver.get_function(name)
-            for option, name in names.items()
-            if name in built
-        }
-
-
-class IpoptSolver(LocalSolver):
-    """IPOPT on one compiled problem: with the criterion that locates the minimum, if any, then with its own."""
-
-    # A run takes some milliseconds, and the declared values of a transfer function are rarely better
-    # than random ones.
-    starts = 200
-    tries_declared_values = False
-
-    def __init__(
-        self,
-        nlp: CompiledProblem,
-        options: Mapping[str, Any] = MappingProxyType({}),
-        like: "IpoptSolver | None" = None,
-    ) -> None:
-        """Build the solver, with the derivatives of the one it is `like`."""
-        self._nlp = nlp
-        self._options = options
-        derivatives = [program.derivatives for program in nlp.programs]
-        if like:
-            derivatives = [stage.derivatives for stage in like._stages]
-        self._stages = [
-            Ipopt(_statement(program.function), options, known)
-            for program, known in zip(nlp.programs, derivatives, strict=True)
-        ]
-        scale = nlp.scaling.to_solver
-        self._bounds = {
-            "lbx": scale(nlp.lower),
-            "ubx": scale(nlp.upper),
-            "lbg": np.zeros(nlp.constraint.numel_out()),
-            "ubg": np.full(nlp.constraint.numel_out(), np.inf),
-        }
-
-    def __reduce__(self) -> tuple[Callable[..., "IpoptSolver"], tuple[Any, ...]]:
-        """Return what builds the same solver."""
-        return IpoptSolver, (self._nlp, dict(self._options))
-
-    def run(self, start: Array, smoothing: float = SMOOTHING) -> Outcome:
-        """Solve from the parameters `start` (p,)."""
-        began = time.perf_counter()
-        z = self._nlp.scaling.to_solver(start)
-        iterations, status, located = 0, "", False
-        for stage in self._stages:
-            located = status in CONVERGED
-            z, status, count = stage.solve(z, smoothing, self._bounds)
-            iterations += count
-            if status == STAGNATED:
-                end, again, count = stage.without_barrier.solve(z, smoothing, self._bounds)
-                iterations += count
-                z, status = (end, again) if again in CONVERGED else (z, status)
-            if status in (*CUT_SHORT, STAGNATED):
-                break
-        estimate = np.clip(self._nlp.scaling.to_parameters(z), self._nlp.lower, self._nlp.upper)
-        converged = status in CONVERGED or (located and status == ROUNDED)
-        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
-
-    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
-        """Return the point x (p,): there are no hidden unknowns."""
-        z = self._nlp.scaling.to_solver(x)
-        trajectories = tuple(part.initial_trajectory(z) for part in self._nlp.parts)
-        return Profile(z, trajectories, float(self._nlp.costs(x[None])[0]), converged=True)
-
-    def cost(self, values: Array) -> float:
-        """Return the cost without smoothing at all values (k,)."""
-        return self._nlp.cost(values)
-
-    def judged(self, estimates: Array) -> tuple[Array, Any]:
-        """Return the costs, without smoothing, and signatures."""
-        if not len(estimates):
-            return np.zeros(0), np.zeros((0, 0), np.float32)
-        batches = [estimates[k : k + AT_ONCE] for k in range(0, len(estimates), AT_ONCE)]
-        costs = np.concatenate([self._nlp.costs(batch) for batch in batches])
-        # In single precision: they are stored for every run, and compared to a percent.
-        signatures = [self._nlp.signatures(batch).astype(np.float32) for batch in batches]
-        return costs, np.concatenate(signatures)
-
-    def judged_run(self, outcome: Outcome) -> Outcome:
-        """Return the outcome of a run with its cost and signature."""
-        [cost], [signature] = self.judged(outcome.estimate[None])
-        return replace(outcome, cost=float(cost), signature=signature)
-
-    def refined(self, nlp: CompiledProblem) -> "IpoptSolver":
-        """Return the solver of another problem with the same options."""
-        return IpoptSolver(nlp, self._options)
-
-    def polished(self, search: Multistart) -> Multistart:
-        """Return the search with the minima close to the best solved with less smoothing; after Ctrl-C the best alone."""
-        minima = search.minima
-        if not minima or not any(part.is_smoothed for part in self._nlp.parts):
-            return search
-        # At a kink IPOPT can reach looser tolerances only.
-        options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
-        last = IpoptSolver(self._nlp, options, like=self)
-        # Smoothing moves costs by 6e-5 and may change the order of close minima.
-        close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
-        close = minima[:1] if stop_requested() else close
-        with responding(Response.FINISH):
-            polished = [*(last._polish(m) for m in close), *minima[len(close) :]]
-        return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
-
-    def _polish(self, best: Minimum) -> Minimum:
-        """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
-        # In steps: at the kink of a zero residual IPOPT stalls when the smoothing falls at once.
-        for smoothing in (1e-10, 1e-11, 1e-12, 1e-13):
-            outcome = self.run(best.estimate, smoothing)
-            cost = float(self._nlp.costs(outcome.estimate[None])[0])
-            if outcome.status not in CONVERGED or not cost <= best.cost:
-                break
-            best = replace(best, cost=cost, estimate=outcome.estimate)
-        return best
-
-
-def _statement(program: ca.Function) -> dict[str, Any]:
-    """Return ``x, p, f, g`` as `casadi.nlpsol` takes them, for a function (x, p) -> f, g."""
-    kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
-    x, p = (kind.sym(name, program.numel_in(k)) for k, name in enumerate("xp"))
-    f, g = program(x, p)
-    return {"x": x, "p": p, "f": f, "g": g}
+    def variant(self, options: Mapping[str, Any]) -> "Ipopt":
+        """Return IPOPT on the same problem with other `options` in addition, built at the first call."""
+        key = tuple(options.items())
+        if key not in self._variants:
+            names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
+            built = self._solver.get_function()
+            derivatives = {
+                option: self._solver.get_function(name)
+                for option, name in names.items()
+                if name in built
+            }
+            options = {**self._options, **options}
+            self._variants[key] = Ipopt(self._statement, options, derivatives)
+        return self._variants[key]
 
 
 def _settings(ipopt: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.solve.outcome import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
-from greybox.solve.time_limits import current_limits
+from greybox.solve.interruption import current_limits
+from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
 
 
 class KeptRunsError(ValueError):

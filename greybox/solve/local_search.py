@@ -14,12 +14,11 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
-from greybox.solve.interruption import stop_requested
+from greybox.solve.interruption import one_run, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import same_cost
-from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome
-from greybox.solve.time_limits import one_run
+from greybox.solve.runs import CUT_SHORT, NOT_FINITE, Outcome
 
 NEIGHBOR_ITERATIONS = 40  # of a run from the neighborhood of the best end
 

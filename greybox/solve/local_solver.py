@@ -9,8 +9,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array, IntArray
 from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.outcome import Outcome
-from greybox.solve.runs import Runs
+from greybox.solve.runs import Outcome, Runs
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, one_line
-from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
-from greybox.solve.runs import AT_ONCE, Runs
+from greybox.solve.runs import AT_ONCE, SCREENED, TOO_COARSE, Run, Runs
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
@@ -153,7 +152,7 @@ def find_minima(
         ungrouped[near] = False
         near = _best_first(nlp, costs[near], indices[near], columns.estimate[order[near]], near)
         k = int(near[0])
-        variants = _variants(nlp, columns.estimate[order[near]])
+        variants = count_variants(nlp, columns.estimate[order[near]])
         minima.append(
             Minimum(
                 float(costs[k]),
@@ -214,7 +213,7 @@ def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:
     return np.any(distance > 0.05 * np.maximum(np.abs(z), np.abs(reference)) + 1e-6, axis=1)
 
 
-def _variants(nlp: CompiledProblem, ends: Array) -> int:
+def count_variants(nlp: CompiledProblem, ends: Array) -> int:
     """Count the clearly different parameter vectors (r, p) of one minimum."""
     z = nlp.scaling.to_solver(ends)
     distinct = 0

@@ -21,7 +21,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.outcome import NOT_FINITE, Outcome
+from greybox.solve.runs import NOT_FINITE, Outcome
 
 # Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful rate
 # needs far fewer.

@@ -24,10 +24,16 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts
 from greybox.formulation.sum import Sum
 from greybox.solve.executors import ExecutorLostError, require_executor
-from greybox.solve.interruption import Response, listening, responding
+from greybox.solve.interruption import (
+    Response,
+    TimeLimits,
+    is_search_over,
+    limited,
+    listening,
+    responding,
+)
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED
-from greybox.solve.time_limits import TimeLimits, is_search_over, limited
 from greybox.study.store import StoredMember, StoredRuns, add_members, locked, write_answer
 from greybox.study.study import Study, read_study
 

@@ -35,7 +35,7 @@ from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import multistart, solver_for
-from greybox.solve.outcome import Outcome
+from greybox.solve.runs import Outcome
 from greybox.study.open_data import open_program
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.response_replicates import ResponseReplicates, response_draws

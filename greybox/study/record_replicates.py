@@ -19,7 +19,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
-from greybox.solve.outcome import Outcome
+from greybox.solve.runs import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
 
 

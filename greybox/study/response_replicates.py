@@ -19,11 +19,11 @@ from greybox.compiled.scaling import Scaling
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.batched_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, fits_a_batch
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
-from greybox.solve.outcome import IMPROVED, Outcome
+from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, fits_a_batch
+from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.open_data import program_input
 
 # Share of the variance of an error that is left in its residual, at least: a fit that nearly passes

@@ -26,7 +26,7 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import printable
 from greybox.solve.interruption import Response, responding
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
-from greybox.solve.outcome import IMPROVED, POLISHED, SCREENED, Outcome
+from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
 
 DATABASE = "study.sqlite"
 LOCK = "lock"

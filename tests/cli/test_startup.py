@@ -28,7 +28,7 @@ def pressed(self, *arguments):
 Solver.run = pressed
 """
 SOLVERS = {
-    "response": (OWN, PRESSED.format(module="ipopt", solver="IpoptSolver")),
+    "response": (OWN, PRESSED.format(module="response_solver", solver="ResponseSolver")),
     "record": (RECORD, PRESSED.format(module="gauss_newton.driver", solver="GaussNewton")),
 }
 

@@ -26,9 +26,9 @@ from greybox.estimate.fitted_values import refined_curve
 from greybox.formulation.starts import Chained, Listed, Sobol, UntilFoundAgain
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
-from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
-from greybox.solve.time_limits import TimeLimits, limited
-from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst
+from greybox.solve.interruption import TimeLimits, limited
+from greybox.solve.multistart import AllAtOnce, FoundAgain, PromisingFirst
+from greybox.solve.runs import RUN_OVER, SEARCH_OVER
 
 ORDERED = [lambda p: p.T1 - p.T2]
 LAG = gb.fit(

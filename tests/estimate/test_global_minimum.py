@@ -13,7 +13,7 @@ from greybox.estimate.diagnostics.global_minimum import (
     several_estimates_of_one_response,
     unfinished_runs,
 )
-from greybox.solve.outcome import TOO_COARSE
+from greybox.solve.runs import TOO_COARSE
 
 
 def said(is_likelihood, *costs):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.held_quantity import NoMinimumError, best_of_records, slope_of, steep_equation
-from greybox.solve.outcome import Outcome
+from greybox.solve.runs import Outcome
 
 
 def test_an_equation_is_as_steep_as_a_bound_is():

@@ -10,7 +10,7 @@ from sampled_lag import lag_problem
 import greybox as gb
 from greybox.estimate import fit as fitting
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.transcribed_program import TranscribedProgram
 
 RECORD_PROBLEM = lag_problem()
@@ -19,7 +19,7 @@ RESPONSE_PROBLEM = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 )
 CASES = [
-    pytest.param(RESPONSE_PROBLEM, None, IpoptSolver, id="response"),
+    pytest.param(RESPONSE_PROBLEM, None, ResponseSolver, id="response"),
     pytest.param(RECORD_PROBLEM, None, GaussNewton, id="record"),
     pytest.param(RECORD_PROBLEM, gb.Collocation(), TranscribedProgram, id="record by IPOPT"),
 ]

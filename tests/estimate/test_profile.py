@@ -272,7 +272,7 @@ def test_profiles_by_newtons_method_are_those_by_ipopt_which_is_built_once(monke
     monkeypatch.setattr("greybox.estimate.held_quantity.Ipopt", Counted)
     found = gb.profile(fit, list(fit.free)[:2])
     assert not built
-    monkeypatch.setattr("greybox.estimate.held_quantity.BatchedSolver.serves", lambda nlp: False)
+    monkeypatch.setattr("greybox.estimate.held_quantity.ResponseSolver.serves", lambda nlp: False)
     wanted = gb.profile(fit, list(fit.free)[:2])
     assert len(built) == 1
     for one, other in zip(found.profiles, wanted.profiles, strict=True):

@@ -16,7 +16,7 @@ from greybox.solve.minima import (
     find_minima,
     same_cost,
 )
-from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
+from greybox.solve.runs import SCREENED, TOO_COARSE, Run
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
 GAIN = measured(Parabola(), [0.5, 1.0, 2.0], {"x": 1.0, "slope": 0.0})

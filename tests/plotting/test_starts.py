@@ -8,7 +8,7 @@ from page_results import lag
 
 import greybox as gb
 from greybox.plotting.starts import starts_figure
-from greybox.solve.outcome import SCREENED
+from greybox.solve.runs import SCREENED
 
 
 @pytest.fixture(scope="module")

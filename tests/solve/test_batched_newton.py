@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from greybox.solve.batched_newton import SMOOTHINGS, BatchedNewton
-from greybox.solve.time_limits import TimeLimits, limited
+from greybox.solve.interruption import TimeLimits, limited
 
 FAR = np.full(2, 9.0)
 

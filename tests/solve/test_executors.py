@@ -32,10 +32,10 @@ from greybox.solve.executors import (
     run_all,
     run_starts,
 )
+from greybox.solve.interruption import current_limits
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.outcome import Outcome
-from greybox.solve.time_limits import current_limits
+from greybox.solve.runs import Outcome
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 RESPONSE = gb.Problem(

@@ -1,18 +1,12 @@
 """One IPOPT run: options, failures that stay results, poles on the imaginary axis, silence."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import casadi as ca
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Oscillator, measured
 
 import greybox as gb
-from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.ipopt import IpoptSolver, StopCheck
-from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.outcome import RUN_OVER, STAGNATED, Outcome
+from greybox.solve.ipopt import StopCheck
 
 PROBLEM = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS))
 OSCILLATOR = measured(Oscillator(), [1.0, 2.0, 4.0, 8.0], {"w0": 3.0, "K": 2.0})
@@ -85,44 +79,6 @@ def test_estimates_stay_inside_their_bounds_to_the_last_bit():
         assert np.all(run.estimate <= [100, 10, 10, 0.5])
 
 
-def test_minima_within_a_hundredth_of_the_best_are_polished_and_sorted_again(monkeypatch):
-    nlp = compile_problem(PROBLEM)
-    costs = (1.0, 1.009, 1.011, 2.0)
-    minima = tuple(Minimum(cost, np.zeros(len(nlp.free)), (k,), 1) for k, cost in enumerate(costs))
-    monkeypatch.setattr(
-        IpoptSolver, "_polish", lambda self, m: replace(m, cost=m.cost - 0.02 * (m.cost > 1))
-    )
-    found = IpoptSolver(nlp, {}).polished(Multistart((), minima, 0.0))
-    assert [m.cost for m in found.minima] == pytest.approx([0.989, 1.0, 1.011, 2.0])
-    assert [m.runs for m in found.minima] == [(1,), (0,), (2,), (3,)]
-
-
-@pytest.mark.parametrize(
-    ("ends", "kept"),
-    [
-        ([(0.9, True), (0.8, True), (0.85, True)], 0.8),  # the third is worse
-        ([(0.9, True), (0.8, False)], 0.9),
-        ([(1.1, True)], 1.0),
-        ([(np.nan, True)], 1.0),
-        ([(1.0, True), (1.0, True), (0.9, True), (0.7, True)], 0.7),
-    ],
-)
-def test_a_minimum_is_polished_as_long_as_runs_are_solutions_and_no_worse(monkeypatch, ends, kept):
-    nlp = compile_problem(PROBLEM)
-    left = iter([*ends, (0.0, False)])
-    reached = []
-
-    def run(self, start, smoothing):
-        cost, solved = next(left)
-        reached.append(cost)
-        return Outcome(start, "Solve_Succeeded" if solved else "lost", 1, 0.0, solved, cost)
-
-    monkeypatch.setattr(IpoptSolver, "run", run)
-    solver = IpoptSolver(nlp, {})
-    solver._nlp = SimpleNamespace(costs=lambda _: np.array([reached[-1]]))
-    assert solver._polish(Minimum(1.0, np.zeros(2), (0,), 1)).cost == kept
-
-
 def check(equations=0):
     """What stops a run on a problem of two variables."""
     sizes = {"x": 2, "p": 1, "f": 1, "g": equations}
@@ -157,75 +113,3 @@ def test_with_equations_nothing_is_stagnant():
     stop = check(equations=3)
     assert not any(stop._is_stagnant(np.zeros(2), 1.0) for _ in range(200))
     assert stop.best is None
-
-
-SOLVED, ROUNDED, LOST = (
-    "Solve_Succeeded",
-    "Search_Direction_Becomes_Too_Small",
-    "Restoration_Failed",
-)
-
-
-def stage(status, moved, iterations, begun, again=None):
-    """A solver that moves by so much; where it stagnates, the same without a barrier."""
-
-    def solve(z, smoothing, bounds):
-        begun.append((float(z[0]), smoothing))
-        return z + moved, status, iterations
-
-    return SimpleNamespace(solve=solve, without_barrier=again)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "status", "converged", "end", "iterations"),
-    [
-        ((SOLVED, 1.0, 5), (SOLVED, 0.5, 3), SOLVED, True, 2.5, 8),
-        (
-            (SOLVED, 1.0, 5),
-            (ROUNDED, 0.5, 3),
-            ROUNDED,
-            True,
-            2.5,
-            8,
-        ),  # rounding, from a minimum that was located
-        ((LOST, 1.0, 5), (ROUNDED, 0.5, 3), ROUNDED, False, 2.5, 8),
-        ((LOST, 1.0, 5), (SOLVED, 0.5, 3), SOLVED, True, 2.5, 8),
-        ((SOLVED, 1.0, 5), (LOST, 0.5, 3), LOST, False, 2.5, 8),
-        ((RUN_OVER, 1.0, 5), (SOLVED, 0.5, 3), RUN_OVER, False, 2.0, 5),
-        ((SOLVED, 9.0, 5), (SOLVED, 0.5, 3), SOLVED, True, 4.0, 8),  # within the bounds
-    ],
-)
-def test_the_criterion_that_locates_the_minimum_comes_before_its_own(
-    first, second, status, converged, end, iterations
-):
-    solver, begun = object.__new__(IpoptSolver), []
-    same = SimpleNamespace(to_solver=np.asarray, to_parameters=np.asarray)
-    solver._nlp = SimpleNamespace(scaling=same, lower=np.zeros(1), upper=np.full(1, 4.0))
-    solver._bounds, solver._stages = {}, [stage(*first, begun), stage(*second, begun)]
-    found = solver.run(np.array([1.0]), 0.25)
-    assert (found.status, found.converged, found.iterations) == (status, converged, iterations)
-    assert found.estimate.tolist() == [end]
-    assert begun == [(1.0, 0.25), (1.0 + first[1], 0.25)][: 1 if iterations == 5 else 2]
-    alone = object.__new__(IpoptSolver)
-    alone._nlp, alone._bounds, alone._stages = solver._nlp, {}, [stage(ROUNDED, 0.5, 3, begun)]
-    assert not alone.run(np.array([1.0])).converged
-
-
-@pytest.mark.parametrize(
-    ("again", "end", "status"), [(SOLVED, 3.0, SOLVED), (LOST, 2.0, STAGNATED)]
-)
-def test_a_run_that_stagnates_goes_on_without_a_barrier(again, end, status):
-    solver, begun = object.__new__(IpoptSolver), []
-    same = SimpleNamespace(to_solver=np.asarray, to_parameters=np.asarray)
-    solver._nlp = SimpleNamespace(scaling=same, lower=np.zeros(1), upper=np.full(1, 9.0))
-    without = stage(again, 1.0, 7, begun)
-    solver._bounds, solver._stages = (
-        {},
-        [stage(STAGNATED, 1.0, 5, begun, without), stage(SOLVED, 0.5, 3, begun)],
-    )
-    found = solver.run(np.array([1.0]))
-    went_on = again == SOLVED
-    assert found.iterations == 12 + 3 * went_on
-    assert found.estimate.tolist() == [end + 0.5 * went_on]
-    assert found.status == status
-    assert [z for z, _ in begun] == [1.0, 2.0, *([3.0] if went_on else [])]

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox.solve.interruption import TimeLimits, limited
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError, Memory
-from greybox.solve.outcome import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
-from greybox.solve.time_limits import TimeLimits, limited
+from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
 
 START = np.array([1.0, 2.0])
 DONE = Outcome(START + 1, "done", 3, 10.0, converged=True)

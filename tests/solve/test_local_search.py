@@ -15,7 +15,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_search import LocalSearch
 from greybox.solve.minima import Minimum, agreeing_runs
-from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome, Run
+from greybox.solve.runs import CUT_SHORT, NOT_FINITE, Outcome, Run
 
 
 def lanczos():

@@ -14,7 +14,7 @@ from greybox.solve.minima import (
     find_minima,
     same_cost,
 )
-from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
+from greybox.solve.runs import SCREENED, TOO_COARSE, Run
 
 
 def problem(*, is_likelihood=True, numbers=(40, 60)):

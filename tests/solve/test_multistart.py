@@ -11,10 +11,10 @@ from numpy.testing import assert_array_equal
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
-from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.minima import find_minima
 from greybox.solve.multistart import FiniteStarts, multistart, solver_for
-from greybox.solve.outcome import Outcome, Run
+from greybox.solve.response_solver import ResponseSolver
+from greybox.solve.runs import Outcome, Run
 
 NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05))
 CRITERIA = [
@@ -132,7 +132,7 @@ def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_mu
     home, away = (nlp.scaling.to_parameters(np.full(len(nlp.free), z)) for z in (0.2, 0.8))
     began = []
 
-    class Bounded(IpoptSolver):
+    class Bounded(ResponseSolver):
         """Finite within 0.2 of its home, in the solver's variables."""
 
         def is_finite_at(self, start):

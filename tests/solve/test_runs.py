@@ -8,8 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from greybox.solve import runs as runs_module
-from greybox.solve.outcome import IMPROVED, POLISHED, SCREENED, Outcome, Run
-from greybox.solve.runs import Ended, Runs
+from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Ended, Outcome, Run, Runs
 
 LISTED = [
     Run(4, np.array([0.1, 0.2]), np.array([1.0, 2.0]), 0.5, "Solve_Succeeded", True, 7, 0.25),

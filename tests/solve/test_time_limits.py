@@ -8,9 +8,7 @@ import pytest
 from sampled_lag import lag_problem
 
 import greybox as gb
-from greybox.solve.kept_runs import KeptRuns, Memory
-from greybox.solve.outcome import RUN_OVER, Outcome
-from greybox.solve.time_limits import (
+from greybox.solve.interruption import (
     TimeLimits,
     current_limits,
     is_run_over,
@@ -18,6 +16,8 @@ from greybox.solve.time_limits import (
     limited,
     one_run,
 )
+from greybox.solve.kept_runs import KeptRuns, Memory
+from greybox.solve.runs import RUN_OVER, Outcome
 
 OMEGA = np.geomspace(0.1, 10, 8)
 
@@ -116,7 +116,7 @@ def test_what_is_no_time_is_refused():
 def test_limits_are_reached_at_their_end(monkeypatch):
     """On a clock that stands at 100 s until it is set: of three starts at once of 5 s each, of which 2 s are spent."""
     now = [100.0]
-    monkeypatch.setattr("greybox.solve.time_limits.time", SimpleNamespace(time=lambda: now[0]))
+    monkeypatch.setattr("greybox.solve.interruption.time", SimpleNamespace(time=lambda: now[0]))
     assert TimeLimits.from_now(7, None) == TimeLimits(math.inf, 107.0)
     assert TimeLimits.from_now(None, 3) == TimeLimits(3, math.inf)
     for end, over in ((100.1, False), (100.0, True), (99.9, True)):

@@ -10,7 +10,7 @@ from rate_lag import Lag
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.outcome import NOT_FINITE
+from greybox.solve.runs import NOT_FINITE
 from greybox.solve.transcribed_program import TranscribedProgram
 
 

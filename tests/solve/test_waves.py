@@ -8,8 +8,8 @@ import pytest
 
 from greybox.solve.local_solver import Screened
 from greybox.solve.minima import Minimum
-from greybox.solve.outcome import Run
-from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, probability_of_no_other
+from greybox.solve.multistart import AllAtOnce, FoundAgain, PromisingFirst, probability_of_no_other
+from greybox.solve.runs import Run
 
 
 def runs_to(*costs):

@@ -152,15 +152,15 @@ SCRIPT = """
 import sys, time
 sys.path[:0] = {paths!r}
 import greybox as gb
-from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.response_solver import ResponseSolver
 from greybox.study import store
 from test_batch import members
 
-run = IpoptSolver.run
+run = ResponseSolver.run
 def slow(self, start, *others):
     time.sleep(0.05)
     return run(self, start, *others)
-IpoptSolver.run = slow
+ResponseSolver.run = slow
 store.UNWRITTEN = 0.2
 
 if __name__ == "__main__":

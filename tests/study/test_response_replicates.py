@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.outcome import SEARCH_OVER
-from greybox.solve.time_limits import TimeLimits, limited
+from greybox.solve.interruption import TimeLimits, limited
+from greybox.solve.runs import SEARCH_OVER
 from greybox.study.open_data import open_program
 from greybox.study.response_replicates import (
     DrawnPart,

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from greybox.solve.kept_runs import KeptRunsError
-from greybox.solve.outcome import IMPROVED, Outcome
+from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.store import (
     DATABASE,
     LOCK,

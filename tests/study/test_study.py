@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.solve.outcome import Outcome
+from greybox.solve.runs import Outcome
 from greybox.study.batch import require_distinct
 from greybox.study.store import StoredRuns, add_members, write_answer
 from greybox.study.study import Study, StudyMember, read_study

@@ -10,7 +10,7 @@ from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.files.text_table import counted, listed
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Multistart, best_unfinished
-from greybox.solve.outcome import CUT_SHORT, Run
+from greybox.solve.runs import CUT_SHORT, Run
 from greybox.solve.transcribed_program import TranscribedProgram
 
 

@@ -6,7 +6,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.equivalent_minima import equivalent_estimates, equivalents_warning
 from greybox.solve.minima import Multistart, agreeing_runs
-from greybox.solve.outcome import TOO_COARSE
+from greybox.solve.runs import TOO_COARSE
 
 # Difference of negative log-likelihoods up to which another minimum is a rival: at 3 it is twenty
 # times less likely.

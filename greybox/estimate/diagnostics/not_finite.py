@@ -15,8 +15,7 @@ from greybox.files.text_table import counted
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
-from greybox.solve.outcome import NOT_FINITE
-from greybox.solve.runs import Runs
+from greybox.solve.runs import NOT_FINITE, Runs
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,11 @@ Begin with `iteration`.
 | `driver` | the solver of one problem: runs, polishing, the best states at given parameters |
 | `iteration` | the iteration from a start to a minimum |
 | `all_parts` | all parts of a problem at one iterate: trajectories, cost, where a step leads |
-| `iterate` | an iterate and a step |
-| `homotopy` | the stages in which continuity is tightened, and what one iteration hands to the next |
+| `iterate` | an iterate, a step, damping, and the stages in which continuity is tightened |
 | `normal_equations` | the step: a quadratic program in the parameters |
-| `damping` | Levenberg-Marquardt damping |
-| `merit`, `line_search` | the merit function, and the share of a step that does not increase it |
+| `line_search` | the merit function, and the share of a step that does not increase it |
 | `stability` | Kalman gains to begin with, and predictors that must be stable |
-| `polishing`, `sharpening` | steps beyond the tolerance; steps in directions that the Hessian lost in rounding |
+| `polishing` | steps beyond the tolerance, and in directions that the Hessian lost in rounding |
 | `screening` | the promising ones among many starts |
 | `shared_runs` | runs that meet on excerpts of records and continue as one |
 

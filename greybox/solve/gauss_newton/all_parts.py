@@ -14,8 +14,7 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
-from greybox.solve.gauss_newton.homotopy import EXACT, Progress, relaxed
-from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
+from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
 
 COST_ROUNDING = 1e-9  # relative change of the cost that counts as rounding
 GAP_CLOSINGS = 5  # iterations of the second-order correction

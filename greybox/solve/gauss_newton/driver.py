@@ -18,16 +18,14 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
-from greybox.solve.gauss_newton.homotopy import EXACT, Progress, relaxed
-from greybox.solve.gauss_newton.iterate import Iterate, Nodes
+from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
 from greybox.solve.gauss_newton.iteration import CONVERGED, descend
-from greybox.solve.gauss_newton.polishing import polished
-from greybox.solve.gauss_newton.screening import Screening, distinct
-from greybox.solve.gauss_newton.sharpening import is_blurred, sharpened
+from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
+from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
-from greybox.solve.outcome import CUT_SHORT, Outcome
+from greybox.solve.runs import CUT_SHORT, Outcome
 
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -243,14 +241,14 @@ class GaussNewton(LocalSolver):
         The first start, the declared values, is among the promising ones in any case, and as it is.
         Of several that lead to one point the best begins there; the others are tried last, unchanged.
         """
-        if not self._settings.screened_starts or not Screening.serves(self._nlp):
+        if not self._settings.screened_starts or not can_screen(self._nlp):
             return None
         z = np.array([self._nearest(start) for start in starts[1:]])
-        improved = Screening(self._nlp, self.limits).improved(z)
-        order = distinct(improved)
+        points = improved(self._nlp, self.limits, z)
+        order = distinct(points)
         promising = [k + 1 for k in order]
         begins = starts.copy()
-        begins[promising] = self._estimate(improved.z)[order]
+        begins[promising] = self._estimate(points.z)[order]
         rest = sorted(set(range(1, len(starts))) - set(promising))
         ahead = self.promising[0] - 1
         order = np.array([*promising[:ahead], 0, *promising[ahead:], *rest])

@@ -7,15 +7,18 @@ from dataclasses import dataclass, replace
 
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
-from greybox.solve.gauss_newton.damping import LARGEST_DAMPING, after_failure
-from greybox.solve.gauss_newton.homotopy import Progress
-from greybox.solve.gauss_newton.iterate import Iterate, Step
-from greybox.solve.gauss_newton.line_search import line_search
-from greybox.solve.gauss_newton.merit import merit_function
+from greybox.solve.gauss_newton.iterate import (
+    LARGEST_DAMPING,
+    Iterate,
+    Progress,
+    Step,
+    after_failure,
+)
+from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import best_gains, simulate_stable
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.outcome import NOT_FINITE
+from greybox.solve.runs import NOT_FINITE
 
 CONVERGED, STALLED = "converged", "stalled"
 

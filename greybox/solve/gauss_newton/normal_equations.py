@@ -7,8 +7,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
-from greybox.solve.gauss_newton.homotopy import Progress
-from greybox.solve.gauss_newton.iterate import Iterate, Step
+from greybox.solve.gauss_newton.iterate import Iterate, Progress, Step
 from greybox.solve.gauss_newton.stability import stability_constraints
 from greybox.solve.quadratic_program import solve_small_qp
 

@@ -11,7 +11,7 @@ segments. All starts are evaluated in one call, as if each were a record with it
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,99 +22,82 @@ from greybox.files.arrays import Array, BoolArray
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
 
-# Segments, evenly over at most so many records: they are enough for a dozen parameters, and an
-# evaluation takes less than a millisecond a start.
-SEGMENTS = 32
-RECORDS = 8
 
-STEPS = (4, 3)  # Gauss-Newton steps over a few samples, and over whole segments
-FIRST_DAMPING, DAMPING_FACTOR = (
-    1e-3,
-    10.0,
-)  # relative to the diagonal of the Hessian; when a step fails or succeeds
-RIDGE = 1e-12  # of the largest diagonal entry, for what short segments do not show
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """Points z (r, p), the states (r, m, n) that the m segments of every record begin with, and a quadratic model.
+class Points(NamedTuple):
+    """Points z (r, p) of the parameters, and a quadratic model of the cost around each.
 
     Attributes
     ----------
+    z : (r, p) array
+    states : (r, m, n) array
+        States that the m segments begin with.
     cost, gradient, hessian : (r,), (r, p) and (r, p, p) arrays
         By the parameters; the cost of some may be infinite.
-    by_states : list of (hessian, cross_hessian, gradient)
-        The same by the states of every segment, (r, m, n, n), (r, m, n, p) and (r, m, n).
+    curvature, cross, slope : (r, m, n, n), (r, m, n, p) and (r, m, n) arrays
+        Hessian, mixed derivatives and gradient by the states of every segment.
     """
 
     z: Array
-    states: list[Array]
+    states: Array
     cost: Array
     gradient: Array
     hessian: Array
-    by_states: list[tuple[Array, ...]]
+    curvature: Array
+    cross: Array
+    slope: Array
 
-    def reduced(self, damping: Array) -> tuple[Array, Array, list[Array]]:
+    def reduced(self, damping: Array) -> tuple[Array, Array, Array]:
         """Return gradient and Hessian with the states eliminated, and how these follow, (r, m, n, 1 + p)."""
-        gradient, hessian, follow = self.gradient, self.hessian, []
-        for curvature, cross, slope in self.by_states:
-            right = np.concatenate([slope[..., None], cross], axis=3)
-            moves = -np.linalg.solve(_damped(curvature, damping[:, None]), right)
-            eliminated = np.einsum("rmnp,rmnq->rpq", cross, moves)
-            gradient, hessian = gradient + eliminated[..., 0], hessian + eliminated[..., 1:]
-            follow.append(moves)
-        return gradient, hessian, follow
+        right = np.concatenate([self.slope[..., None], self.cross], axis=3)
+        follow = -np.linalg.solve(_damped(self.curvature, damping[:, None]), right)
+        eliminated = np.einsum("rmnp,rmnq->rpq", self.cross, follow)
+        return self.gradient + eliminated[..., 0], self.hessian + eliminated[..., 1:], follow
 
 
-class Screening:
-    """The prediction errors over short segments of the records of one problem."""
+def can_screen(nlp: CompiledProblem) -> bool:
+    """Tell whether all records have the same number of states, and no constraints bind the parameters."""
+    parts = [part for part in nlp.parts if part.has_states]
+    records = [part for part in parts if isinstance(part, RecordPart) and part.states > 0]
+    one_size = len({part.states for part in records}) == 1
+    return not nlp.limits and len(records) == len(parts) and one_size
 
-    def __init__(self, nlp: CompiledProblem, limits: Limits) -> None:
-        """Choose the segments."""
-        parts = [part for part in nlp.parts if isinstance(part, RecordPart)]
-        numbers = np.unique(np.linspace(0, len(parts) - 1, RECORDS).round().astype(int))
-        chosen = [parts[k] for k in numbers]
-        most = -(-SEGMENTS // len(chosen))
-        self._limits = limits
-        self._short = [ShortSegments(part, most, _fewest_samples(part)) for part in chosen]
-        self._whole = [ShortSegments(part, most, part.data.segment_length) for part in chosen]
 
-    @staticmethod
-    def serves(nlp: CompiledProblem) -> bool:
-        """Tell whether all records have states, and no constraints bind the parameters."""
-        parts = [part for part in nlp.parts if part.has_states]
-        return not nlp.limits and all(
-            isinstance(part, RecordPart) and part.states > 0 for part in parts
-        )
+def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
+    """Return where a few steps lead from the points z (r, p), with their costs over whole segments."""
+    parts = [part for part in nlp.parts if isinstance(part, RecordPart)]
+    # Some 32 segments, evenly over at most eight records, are enough for a dozen parameters, and an
+    # evaluation takes less than a millisecond a start.
+    numbers = np.unique(np.linspace(0, len(parts) - 1, 8).round().astype(int))
+    chosen = [parts[k] for k in numbers]
+    most = -(-32 // len(chosen))
+    # About twice as many outputs as states: half of them are left to predict.
+    few = [ShortSegments(p, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen]
+    whole = [ShortSegments(part, most, part.data.segment_length) for part in chosen]
+    with np.errstate(all="ignore"):  # of points that are left where they are
+        states = np.concatenate([record.states_from_data(z) for record in whole], axis=1)
+        short = descended(evaluated(z, states, few), few, limits, 4)
+        drawn = evaluated(z, states, whole)
+        moved = evaluated(short.z, short.states, whole)
+        return descended(lower(drawn, moved), whole, limits, 3)
 
-    def improved(self, z: Array) -> Points:
-        """Return where a few steps lead from the points z (r, p), with their costs over whole segments."""
-        with np.errstate(all="ignore"):  # of points that are left where they are
-            states = [record.states_from_data(z) for record in self._whole]
-            short = self._descended(_evaluated(z, states, self._short), self._short, STEPS[0])
-            drawn = _evaluated(z, states, self._whole)
-            moved = _evaluated(short.z, short.states, self._whole)
-            return self._descended(_lower(drawn, moved), self._whole, STEPS[1])
 
-    def _descended(self, points: Points, records: Sequence["ShortSegments"], steps: int) -> Points:
-        damping = np.full(len(points.z), FIRST_DAMPING)
-        for _ in range(steps):
-            if reason_to_end():
-                break
-            gradient, hessian, follow = points.reduced(damping)
-            step = np.linalg.solve(_damped(hessian, damping), -gradient[:, :, None])[:, :, 0]
-            z = self._limits.clipped(points.z + step)
-            along = np.concatenate([np.ones((len(z), 1)), z - points.z], axis=1)
-            states = [
-                previous + np.einsum("rmnp,rp->rmn", moves, along)
-                for previous, moves in zip(points.states, follow, strict=True)
-            ]
-            trial = _evaluated(z, states, records)
-            damping = np.where(
-                trial.cost < points.cost, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR
-            )
-            points = _lower(points, trial)
-        return points
+def descended(
+    points: Points, records: Sequence["ShortSegments"], limits: Limits, steps: int
+) -> Points:
+    """Return where damped Gauss-Newton steps lead from every point, each as long as its cost falls."""
+    damping = np.full(len(points.z), 1e-3)  # relative to the diagonal of the Hessian
+    for _ in range(steps):
+        if reason_to_end():
+            break
+        gradient, hessian, follow = points.reduced(damping)
+        step = np.linalg.solve(_damped(hessian, damping), -gradient[:, :, None])[:, :, 0]
+        z = limits.clipped(points.z + step)
+        along = np.concatenate([np.ones((len(z), 1)), z - points.z], axis=1)
+        states = points.states + np.einsum("rmnp,rp->rmn", follow, along)
+        trial = evaluated(z, states, records)
+        damping = np.where(trial.cost < points.cost, damping / 10, damping * 10)
+        points = lower(points, trial)
+    return points
 
 
 class ShortSegments:
@@ -124,15 +107,15 @@ class ShortSegments:
         """Choose at most so many segments, evenly over the record, of at most so many samples."""
         self._part = part
         count = part.data.segments
-        self._chosen = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
-        self._length = min(length, part.data.segment_length)
+        self.chosen = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+        self.length = min(length, part.data.segment_length)
         self._weight = part.initial_weight(part.model.strategies.assumed_error)
         self._segments: dict[int, Segments] = {}
 
     def states_from_data(self, z: Array) -> Array:
         """Return the states that the segments begin with, (r, m, n), as measured where outputs show them."""
         part = self._part
-        measured, inputs = (values[:, self._chosen] for values in part.at_nodes)
+        measured, inputs = (values[:, self.chosen] for values in part.at_nodes)
         initial = part.model.initial_states
         begins = []
         for point in z:
@@ -150,44 +133,34 @@ class ShortSegments:
         segments = self._segments_of(r)
         shape = (part.data.segment_length, part.data.segments)
         data = np.stack(
-            [at.data.reshape(-1, *shape)[:, : self._length, self._chosen] for at in placed],
-            axis=2,
+            [at.data.reshape(-1, *shape)[:, : self.length, self.chosen] for at in placed], axis=2
         )
         data = data.reshape(len(data), -1)
         q = np.repeat(np.array([at.q for at in placed]).T, m, axis=1)
         along, _ = segments.simulate(states.reshape(-1, n), q, data)
         b = segments.linearize(along, q, self._weight, data)
-        errors = (
-            self._weight @ segments.products(segments.residuals(along, q, data)) @ self._weight.T
-        )
+        products = segments.products(segments.residuals(along, q, data))
+        errors = self._weight @ products @ self._weight.T
+
         slope = np.array([at.slope for at in placed])
-        hessian = slope.transpose(0, 2, 1) @ b.parameter_hessian @ slope
-        gradient = np.einsum("rap,ra->rp", slope, b.parameter_gradient)
-        curvature = b.node_hessian.reshape(r, m, n, n)
-        cross = b.cross_hessian.reshape(r, m, n, -1) @ slope[:, None]
-        by_states = (
-            part.weight * curvature,
-            part.weight * cross,
-            part.weight * b.node_gradient.reshape(r, m, n),
+        model = (
+            np.trace(errors, axis1=1, axis2=2) / 2,
+            np.einsum("rap,ra->rp", slope, b.parameter_gradient),
+            slope.transpose(0, 2, 1) @ b.parameter_hessian @ slope,
+            b.node_hessian.reshape(r, m, n, n),
+            b.cross_hessian.reshape(r, m, n, -1) @ slope[:, None],
+            b.node_gradient.reshape(r, m, n),
         )
-        cost = np.trace(errors, axis1=1, axis2=2) / 2
-        return Points(
-            z,
-            [states],
-            part.weight * cost,
-            part.weight * gradient,
-            part.weight * hessian,
-            [by_states],
-        )
+        return Points(z, states, *(part.weight * values for values in model))
 
     def _segments_of(self, points: int) -> Segments:
         """Return the segments of so many copies of the record, each with parameters of its own."""
         if points not in self._segments:
-            copies = np.repeat(np.arange(points), len(self._chosen))
+            copies = np.repeat(np.arange(points), len(self.chosen))
             step, active = self._part.step, self._part.model.active
             every = tuple(range(step.function.numel_in(1)))
             self._segments[points] = Segments(
-                step, len(copies), self._length, active, records=copies, own=every
+                step, len(copies), self.length, active, records=copies, own=every
             )
         return self._segments[points]
 
@@ -207,66 +180,35 @@ def distinct(points: Points) -> list[int]:
     return numbers
 
 
-def _fewest_samples(part: RecordPart) -> int:
-    """Return the samples with about twice as many outputs as states: half of them are left to predict."""
-    return 1 + -(-2 * part.states // len(part.outputs))
-
-
-def _evaluated(z: Array, states: Sequence[Array], records: Sequence[ShortSegments]) -> Points:
+def evaluated(z: Array, states: Array, records: Sequence[ShortSegments]) -> Points:
     """Return the points over all records; where anything is not finite, the cost is infinite and flat."""
-    r, p = z.shape
-    total = Points(z, [], np.zeros(r), np.zeros((r, p)), np.zeros((r, p, p)), [])
-    for record, begins in zip(records, states, strict=True):
-        added = record.evaluated(z, begins)
-        total = Points(
-            z,
-            [*total.states, *added.states],
-            total.cost + added.cost,
-            total.gradient + added.gradient,
-            total.hessian + added.hessian,
-            [*total.by_states, *added.by_states],
-        )
-    arrays = [
-        total.cost,
-        total.gradient,
-        total.hessian,
-        *(array for three in total.by_states for array in three),
+    ends = np.cumsum([len(record.chosen) for record in records])[:-1]
+    pieces = [
+        record.evaluated(z, begins)
+        for record, begins in zip(records, np.split(states, ends, axis=1), strict=True)
     ]
-    finite = np.all([np.isfinite(array).reshape(r, -1).all(axis=1) for array in arrays], axis=0)
-    return _chosen(finite, replace(total, cost=np.where(finite, total.cost, np.inf)), None)
+    sums = [sum(values) for values in list(zip(*pieces, strict=True))[2:5]]
+    by_states = [np.concatenate(values, axis=1) for values in list(zip(*pieces, strict=True))[5:]]
+    model = [np.asarray(values) for values in (*sums, *by_states)]
+    finite = np.all([np.isfinite(a).reshape(len(z), -1).all(axis=1) for a in model], axis=0)
+    cost, *flat = (_select(finite, values, np.zeros(1)) for values in model)
+    return Points(z, states, np.where(finite, cost, np.inf), *flat)
 
 
-def _lower(points: Points, others: Points) -> Points:
+def lower(points: Points, others: Points) -> Points:
     """Return of every two points the one with the lower cost."""
-    return _chosen(others.cost < points.cost, others, points)
+    is_lower = others.cost < points.cost
+    return Points(*(_select(is_lower, b, a) for a, b in zip(points, others, strict=True)))
 
 
-def _chosen(flags: BoolArray, those: Points, others: Points | None) -> Points:
-    """Return those points where there is a flag, and the others elsewhere; None is a flat model."""
-
-    def select(a: Array, b: Array | None) -> Array:
-        return np.where(flags.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0 if b is None else b)
-
-    if others is None:
-        by_states = [tuple(select(a, None) for a in three) for three in those.by_states]
-        model = (select(those.gradient, None), select(those.hessian, None), by_states)
-        return Points(those.z, those.states, those.cost, *model)
-    return Points(
-        select(those.z, others.z),
-        [select(a, b) for a, b in zip(those.states, others.states, strict=True)],
-        select(those.cost, others.cost),
-        select(those.gradient, others.gradient),
-        select(those.hessian, others.hessian),
-        [
-            tuple(select(a, b) for a, b in zip(three, rest, strict=True))
-            for three, rest in zip(those.by_states, others.by_states, strict=True)
-        ],
-    )
+def _select(flags: BoolArray, these: Array, others: Array) -> Array:
+    return np.where(flags.reshape(-1, *[1] * (these.ndim - 1)), these, others)
 
 
 def _damped(hessian: Array, damping: Array) -> Array:
     """Return Hessians (..., p, p) with damping (...) relative to their diagonal, and what keeps them regular."""
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
     largest = np.max(np.abs(diagonal), axis=-1, keepdims=True, initial=0.0)
-    added = damping[..., None] * diagonal + RIDGE * largest + (largest == 0)
+    # The ridge, 1e-12 of the largest entry, is for what short segments do not show.
+    added = damping[..., None] * diagonal + 1e-12 * largest + (largest == 0)
     return hessian + added[..., None] * np.eye(hessian.shape[-1])

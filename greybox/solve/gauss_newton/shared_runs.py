@@ -21,7 +21,7 @@ import numpy as np
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
-from greybox.solve.outcome import CUT_SHORT, Outcome
+from greybox.solve.runs import CUT_SHORT, Outcome
 
 # Samples of a record over those of its excerpts. An iteration on a quarter takes about 0.4 of the
 # time.

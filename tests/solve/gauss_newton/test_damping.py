@@ -2,7 +2,7 @@
 
 import pytest
 
-from greybox.solve.gauss_newton.damping import after_failure, next_damping
+from greybox.solve.gauss_newton.iterate import after_failure, next_damping
 
 
 @pytest.mark.parametrize(

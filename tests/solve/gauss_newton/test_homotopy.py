@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from greybox.solve import Strategies
-from greybox.solve.gauss_newton.homotopy import EXACT, relaxed
+from greybox.solve.gauss_newton.iterate import EXACT, relaxed
 
 # Of a merit of one: more than a tenth of it is still worth a stage.
 PARAMETERS_TOO = relaxed(Strategies(states_first=False))

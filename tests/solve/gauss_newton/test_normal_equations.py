@@ -16,8 +16,8 @@ from greybox.compiled.part import Condensed
 from greybox.solve import Strategies
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.homotopy import EXACT, relaxed
-from greybox.solve.gauss_newton.merit import merit_function
+from greybox.solve.gauss_newton.iterate import EXACT, relaxed
+from greybox.solve.gauss_newton.line_search import merit_function
 from greybox.solve.gauss_newton.normal_equations import (
     EXACTNESS,
     gauss_newton_step,

@@ -13,14 +13,15 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.screening import (
     Points,
-    Screening,
     ShortSegments,
-    _evaluated,
-    _lower,
+    can_screen,
+    descended,
     distinct,
+    evaluated,
+    improved,
+    lower,
 )
-from greybox.solve.multistart import multistart
-from greybox.solve.waves import AllAtOnce, PromisingFirst
+from greybox.solve.multistart import AllAtOnce, PromisingFirst, multistart
 
 VALUES = {"Z_alpha": -1.2, "M_alpha": -6.0, "M_q": -2.0, "M_de": -8.0, "b_q": 0.02, "b_az": -0.5}
 
@@ -69,16 +70,16 @@ def drawn(problem, count, seed):
 
 
 def test_derivatives_are_those_of_the_cost(aircraft, solver):
-    screening = Screening(solver.nlp, solver.limits)
     z = solver.nlp.scaling.to_solver(drawn(aircraft, 3, 0) / 30)
-    (record,) = screening._whole
+    (part,) = solver.nlp.parts
+    record = ShortSegments(part, 32, part.data.segment_length)
     states = record.states_from_data(z) + 0.01
     here = record.evaluated(z, states)
     rng = np.random.default_rng(1)
     dz, dx = rng.standard_normal(z.shape), rng.standard_normal(states.shape)
     h = 1e-6
     ahead, behind = (record.evaluated(z + s * h * dz, states + s * h * dx).cost for s in (1, -1))
-    slope = (here.gradient * dz).sum(axis=1) + (here.by_states[0][2] * dx).sum(axis=(1, 2))
+    slope = (here.gradient * dz).sum(axis=1) + (here.slope * dx).sum(axis=(1, 2))
     assert_allclose((ahead - behind) / (2 * h), slope, rtol=1e-6)
 
     # Every point is for itself.
@@ -92,10 +93,10 @@ def test_derivatives_are_those_of_the_cost(aircraft, solver):
 
 
 def test_points_lead_to_the_minimum_over_short_segments(aircraft, solver):
-    screening = Screening(solver.nlp, solver.limits)
     truth = solver.nlp.scaling.to_solver(np.array(list(VALUES.values())))
-    wanted = screening.improved(truth[None])
-    found = screening.improved(solver.nlp.scaling.to_solver(drawn(aircraft, 20, 3)))
+    wanted = improved(solver.nlp, solver.limits, truth[None])
+    z = solver.nlp.scaling.to_solver(drawn(aircraft, 20, 3))
+    found = improved(solver.nlp, solver.limits, z)
     best = distinct(found)[0]
     assert found.cost[best] == pytest.approx(wanted.cost[0], rel=0.05)
     assert np.abs(found.z[best] - truth).max() < 0.05  # of the box
@@ -141,7 +142,7 @@ def test_a_number_that_is_asked_for_is_tried_as_it_is():
         is None
     )
     bound = lag_problem().with_(constraints=[lambda p: p.K - p.T])
-    assert not Screening.serves(compile_problem(bound))
+    assert not can_screen(compile_problem(bound))
 
 
 def test_what_is_not_finite_promises_nothing():
@@ -155,24 +156,16 @@ def test_what_is_not_finite_promises_nothing():
     assert AllAtOnce().screened(solver, starts) is None
 
 
-def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_where_they_lead(
-    monkeypatch,
-):
-    problem = lag_problem()
-    nlp = compile_problem(problem)
-    solver = GaussNewton(nlp)
-    starts = drawn(problem, 8, 0)
-    found = np.clip(1.1 * starts, nlp.lower, nlp.upper)
-    points = SimpleNamespace(z=nlp.scaling.to_solver(found[1:]))
-    monkeypatch.setattr(
-        "greybox.solve.gauss_newton.driver.Screening.improved", lambda self, z: points
-    )
-    monkeypatch.setattr("greybox.solve.gauss_newton.driver.distinct", lambda improved: [5, 0, 2, 6])
+def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_elsewhere(solver):
+    starts = drawn(gb.Problem(ShortPeriod(), flight()), 8, 0)
+    starts[7] = starts[6]  # leads to the same point: it is tried last, as it is
     screened = solver.screened(starts)
-    assert screened.order.tolist() == [6, 1, 3, 0, 7, 2, 4, 5]
-    promising = [6, 1, 3, 7]
-    assert_allclose(screened.begins[promising], found[promising], rtol=1e-12)
-    assert_array_equal(screened.begins[[0, 2, 4, 5]], starts[[0, 2, 4, 5]])
+    assert screened.order[3] == 0
+    assert_array_equal(screened.begins[0], starts[0])
+    first = screened.order[:3]
+    assert not np.any(screened.begins[first] == starts[first])
+    last = screened.order[-1]
+    assert_array_equal(screened.begins[last], starts[last])
 
 
 # --- quadratic models of points and the states of their segments
@@ -183,22 +176,18 @@ def positive(random, *shape):
     return half @ np.swapaxes(half, -1, -2) + 0.3 * np.eye(shape[-1])
 
 
-def model_points(r=3, p=2, sizes=((4, 3), (2, 5))):
-    """Random points of p variables, and records of so many segments of so many states."""
+def model_points(r=3, p=2, m=6, n=3):
+    """Random points of p variables, and m segments of n states."""
     random = np.random.default_rng(7)
-    by_states = [
-        (positive(random, r, m, n), random.normal(size=(r, m, n, p)), random.normal(size=(r, m, n)))
-        for m, n in sizes
-    ]
-    states = [random.normal(size=(r, m, n)) for m, n in sizes]
-    hessian = 50 * positive(random, r, p)
     return Points(
-        random.normal(size=(r, p)),
-        states,
-        random.uniform(1, 2, r),
-        random.normal(size=(r, p)),
-        hessian,
-        by_states,
+        z=random.normal(size=(r, p)),
+        states=random.normal(size=(r, m, n)),
+        cost=random.uniform(1, 2, r),
+        gradient=random.normal(size=(r, p)),
+        hessian=50 * positive(random, r, p),
+        curvature=positive(random, r, m, n),
+        cross=random.normal(size=(r, m, n, p)),
+        slope=random.normal(size=(r, m, n)),
     )
 
 
@@ -207,32 +196,26 @@ def test_states_are_eliminated_as_from_the_whole_system():
     points, damping = model_points(), np.array([0.0, 0.1, 3.0])
     gradient, hessian, follow = points.reduced(damping)
     for k in range(3):
-        cross, slopes, blocks = [], [], []
-        for own, by_z, slope in points.by_states:
-            for segment in range(own.shape[1]):
-                H = own[k, segment]
-                blocks.append(H + damping[k] * np.diag(np.diag(H)))
-                cross.append(by_z[k, segment])
-                slopes.append(slope[k, segment])
+        blocks = [H + damping[k] * np.diag(np.diag(H)) for H in points.curvature[k]]
         sizes = np.cumsum([0, *(len(b) for b in blocks)])
         whole = np.zeros((sizes[-1], sizes[-1]))
         for begin, block in zip(sizes, blocks, strict=False):
             whole[begin : begin + len(block), begin : begin + len(block)] = block
-        C, g = np.vstack(cross), np.concatenate(slopes)
+        C, g = np.vstack(points.cross[k]), np.concatenate(points.slope[k])
         assert_allclose(hessian[k], points.hessian[k] - C.T @ np.linalg.solve(whole, C), rtol=1e-9)
         assert_allclose(
             gradient[k], points.gradient[k] - C.T @ np.linalg.solve(whole, g), rtol=1e-9
         )
         moves = -np.linalg.solve(whole, np.column_stack([g, C]))
-        assert_allclose(np.concatenate([f[k].reshape(-1, 3) for f in follow]), moves, rtol=1e-9)
+        assert_allclose(follow[k].reshape(-1, 3), moves, rtol=1e-9)
 
 
 def test_what_the_segments_do_not_show_stays_where_it_is():
-    points = model_points(sizes=((1, 2),))
-    points.by_states[0][0][:] = np.diag([4.0, 0.0])
-    points.by_states[0][1][..., 1, :], points.by_states[0][2][..., 1] = 0.0, 0.0
-    _, _, (follow,) = points.reduced(np.array([0.5, 0.5, 0.5]))
-    assert_allclose(follow[:, 0, 0, 0], -points.by_states[0][2][:, 0, 0] / 6)
+    points = model_points(m=1, n=2)
+    points.curvature[:] = np.diag([4.0, 0.0])
+    points.cross[..., 1, :], points.slope[..., 1] = 0.0, 0.0
+    _, _, follow = points.reduced(np.array([0.5, 0.5, 0.5]))
+    assert_allclose(follow[:, 0, 0, 0], -points.slope[:, 0, 0] / 6)
     assert_allclose(follow[:, 0, 1], 0)
 
 
@@ -246,77 +229,55 @@ def test_points_closer_than_a_unit_of_cost_to_a_better_one_are_that_one():
     far = np.array([3.0, 2.0]) * 100
     shifts = [0 * unit, 0.99 * unit, 1.01 * unit, -0.99 * unit, far, far + 1.5 * unit]
     costs = [1.0, 2.0, 3.0, 4.0, 0.5, np.inf]
-    six = Points(
-        np.array(shifts) + points.z[0],
-        [],
-        np.array(costs),
-        np.repeat(points.gradient[:1], 6, axis=0),
-        np.repeat(points.hessian[:1], 6, axis=0),
-        [tuple(np.repeat(a[:1], 6, axis=0) for a in three) for three in points.by_states],
-    )
+    six = Points(*(np.repeat(values[:1], 6, axis=0) for values in points))
+    six = six._replace(z=np.array(shifts) + points.z[0], cost=np.array(costs))
     assert distinct(six) == [4, 0, 2]
 
 
 def test_of_two_points_the_lower_one_is_taken_with_all_it_has():
-    one = model_points()
-    other = model_points()
-    other = Points(
-        other.z + 1,
-        [s + 1 for s in other.states],
-        one.cost + np.array([0.1, -0.1, 0.0]),
-        *[2 * a for a in (other.gradient, other.hessian)],
-        [tuple(3 * a for a in t) for t in other.by_states],
-    )
-    found = _lower(one, other)
-    assert_allclose(found.cost, one.cost + np.array([0, -0.1, 0]))
-    for got, first, second in (
-        (found.z, one.z, other.z),
-        (found.gradient, one.gradient, other.gradient),
-        (found.hessian, one.hessian, other.hessian),
-        *zip(found.states, one.states, other.states, strict=True),
-        *(
-            (a, b, c)
-            for x, y, z in zip(found.by_states, one.by_states, other.by_states, strict=True)
-            for a, b, c in zip(x, y, z, strict=True)
-        ),
-    ):
-        assert_allclose(got[[0, 2]], first[[0, 2]])
-        assert_allclose(got[1], second[1])
+    first = model_points()
+    second = Points(*(values + 1 for values in model_points()))
+    second = second._replace(cost=first.cost + np.array([0.1, -0.1, 0.0]))
+    for got, one, other in zip(lower(first, second), first, second, strict=True):
+        assert_array_equal(got[[0, 2]], one[[0, 2]])
+        assert_array_equal(got[1], other[1])
 
 
 def test_records_add_up_and_what_is_not_finite_anywhere_promises_nothing():
-    first, second = model_points(sizes=((4, 3),)), model_points(sizes=((2, 5),))
-    second.by_states[0][1][1, 0, 2, 1] = np.nan
+    first, second = model_points(m=4), model_points(m=2)
+    second.cross[1, 0, 2, 1] = np.nan
     second.cost[2] = np.inf
-    records = [SimpleNamespace(evaluated=lambda z, states, own=own: own) for own in (first, second)]
-    states = [first.states[0], second.states[0]]
-    found = _evaluated(first.z, states, records)
+    records = [
+        SimpleNamespace(evaluated=lambda z, states, own=own: own, chosen=range(count))
+        for own, count in ((first, 4), (second, 2))
+    ]
+    states = np.concatenate([first.states, second.states], axis=1)
+    found = evaluated(first.z, states, records)
     assert_allclose(found.cost, [first.cost[0] + second.cost[0], np.inf, np.inf])
     assert_allclose(found.gradient[0], first.gradient[0] + second.gradient[0])
     assert_allclose(found.hessian[0], first.hessian[0] + second.hessian[0])
-    assert_allclose(found.by_states[1][0][0], second.by_states[0][0][0])
-    for array in (found.gradient, found.hessian, *(a for three in found.by_states for a in three)):
+    assert_array_equal(found.curvature[0], [*first.curvature[0], *second.curvature[0]])
+    for array in found[3:]:
         assert np.all(array[1:] == 0)
-    assert_array_equal(found.states[1], second.states[0])
+    assert_array_equal(found.states, states)
 
 
-def test_steps_are_damped_more_after_a_failure_and_less_after_a_success(solver):
+def test_steps_are_damped_more_after_a_failure_and_less_after_a_success():
     """Of a cost whose Hessian is stated ten times too small, every undamped step fails."""
     scale, asked = 10.0, []
 
-    def evaluated(z, states):
+    def cost_of(z, states):
         asked.append(z[0].copy())
         r = len(z)
-        none = (np.ones((r, 1, 1, 1)), np.zeros((r, 1, 1, 2)), np.zeros((r, 1, 1)))
+        by_states = np.ones((r, 1, 1, 1)), np.zeros((r, 1, 1, 2)), np.zeros((r, 1, 1))
         cost = 0.5 * (z**2).sum(axis=1)
-        return Points(z, [states], cost, z, np.tile(np.eye(2) / scale, (r, 1, 1)), [none])
+        return Points(z, states, cost, z, np.tile(np.eye(2) / scale, (r, 1, 1)), *by_states)
 
-    screening = Screening(solver.nlp, solver.limits)
-    screening._limits = SimpleNamespace(clipped=lambda z: np.clip(z, -5.0, 100.0))
-    records = [SimpleNamespace(evaluated=evaluated)]
-    begun = _evaluated(np.array([[1.0, 0.5]]), [np.zeros((1, 1, 1))], records)
+    limits = SimpleNamespace(clipped=lambda z: np.clip(z, -5.0, 100.0))
+    records = [SimpleNamespace(evaluated=cost_of, chosen=[0])]
+    begun = evaluated(np.array([[1.0, 0.5]]), np.zeros((1, 1, 1)), records)
     asked.clear()
-    end = screening._descended(begun, records, 6)
+    end = descended(begun, records, limits, 6)
     # Damping 1e-3 ... 1 fails: the step is 10 / (1 + d) times the way; 10 succeeds, and 1 after it
     # fails again.
     ways = [
@@ -332,8 +293,8 @@ def test_segments_are_chosen_evenly_and_no_longer_than_they_are(solver):
     (part,) = solver.nlp.parts
     count, length = part.data.segments, part.data.segment_length
     few = ShortSegments(part, 3, length + 7)
-    assert few._chosen.tolist() == [0, round((count - 1) / 2), count - 1]
-    assert few._length == length
+    assert few.chosen.tolist() == [0, round((count - 1) / 2), count - 1]
+    assert few.length == length
     every = ShortSegments(part, count + 5, 2)
-    assert every._chosen.tolist() == list(range(count))
-    assert every._length == 2
+    assert every.chosen.tolist() == list(range(count))
+    assert every.length == 2

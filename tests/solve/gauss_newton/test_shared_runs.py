@@ -14,7 +14,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns, rounded
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.multistart import multistart
-from greybox.solve.outcome import RUN_OVER
+from greybox.solve.runs import RUN_OVER
 
 SHORT = 100
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.solve.gauss_newton.iterate import Step
-from greybox.solve.gauss_newton.sharpening import is_blurred, sharp_step
+from greybox.solve.gauss_newton.polishing import is_blurred, sharp_step
 
 
 class Line(gb.StateSpace):

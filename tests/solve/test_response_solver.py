@@ -13,9 +13,10 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.batched_solver import BatchedSolver
+from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.multistart import probability_of_no_other
 from greybox.solve.newton_iteration import RADIUS, bounded, layout
-from greybox.solve.waves import probability_of_no_other
+from greybox.solve.response_solver import ResponseSolver
 
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
 NOISY = gb.Problem(
@@ -56,7 +57,7 @@ def test_a_minimum_at_a_bound_is_found_as_often_as_by_ipopt():
 )
 def test_it_serves_every_criterion(criterion):
     problem = gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT, noise=0.03, seed=1), criterion)
-    assert BatchedSolver.serves(compile_problem(problem))
+    assert ResponseSolver.serves(compile_problem(problem))
     fit, wanted = (
         gb.fit(problem, 20, search=search, progress=False) for search in ("batched", "multistart")
     )
@@ -139,7 +140,7 @@ def test_derivatives_with_the_roots_held_are_those_through_the_root_finder():
 
 def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all():
     problem = NOISY.with_(constraints=[lambda p: p.K + 1])
-    assert not BatchedSolver.serves(compile_problem(problem))
+    assert not ResponseSolver.serves(compile_problem(problem))
     assert set(stages(gb.fit(problem, 8, progress=False))) == {"polished"}
     few = gb.fit(problem, progress=False)
     assert [stages(few).count(stage) for stage in ("screened", "polished")] == [192, 8]
@@ -348,10 +349,10 @@ def test_the_limits_of_iterations_and_the_tolerance_are_options():
 
 def test_a_time_limit_cuts_between_batches(clock):
     """On a clock that goes on by a second at every look: within a batch of which some have arrived."""
-    assert BatchedSolver(compile_problem(NOISY)).together == 1024
+    assert ResponseSolver(compile_problem(NOISY)).together == 1024
     wide = measured(LagLagDelay(), np.geomspace(0.1, 100, 150), TWO_LAGS, noise=0.03, seed=2)
     problem = gb.Problem(LagLagDelay(), wide)
-    together = BatchedSolver(compile_problem(problem)).together
+    together = ResponseSolver(compile_problem(problem)).together
     assert together < 512
 
     fit = gb.fit(problem, 320, seconds=280, progress=False)
@@ -360,3 +361,28 @@ def test_a_time_limit_cuts_between_batches(clock):
     assert fit.warnings[0].startswith(
         f"the time limit ended the search after {len(fit.runs)} of 320 starts"
     )
+
+
+def test_minima_close_to_the_best_are_polished_and_sorted_again():
+    """From ends a little beside the minimum; a minimum that costs 2 % more is left alone."""
+    nlp = compile_problem(NOISY)
+    solver = ResponseSolver(nlp)
+    best = gb.fit(NOISY, 12, progress=False, profiles=False)
+    x = np.array([best.estimate[name] for name in nlp.free])
+    minima = tuple(
+        Minimum(best.cost * factor, x * (1 + 1e-5), (k,), 1)
+        for k, factor in enumerate((1.0001, 1.0002, 1.02))
+    )
+    polished = solver.polished(Multistart((), minima, 0.0)).minima
+    assert [m.cost for m in polished[:2]] == pytest.approx([best.cost] * 2, rel=1e-9)
+    assert polished[2].cost == minima[2].cost
+    assert polished[0].estimate == pytest.approx(x, rel=1e-6)
+
+
+def test_a_minimum_is_never_polished_to_a_higher_cost():
+    nlp = compile_problem(NOISY)
+    x = np.array([nlp.problem.parameters[name].start for name in nlp.free])
+    claimed = Minimum(0.0, x, (0,), 1)
+    [minimum] = ResponseSolver(nlp).polished(Multistart((), (claimed,), 0.0)).minima
+    assert minimum.cost == 0.0
+    assert_array_equal(minimum.estimate, x)

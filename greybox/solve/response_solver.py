@@ -1,0 +1,298 @@
+"""The solver of frequency responses: starts are compared, Newton's method improves many, IPOPT confirms.
+
+Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT. IPOPT
+then solves one run of every distinct minimum again: a minimum counts only where IPOPT's conditions of
+optimality (KKT) are met. IPOPT alone makes all runs of problems for which `fits_a_batch` is false.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.response_part import SMOOTHING
+from greybox.files.arrays import Array
+from greybox.modeling.one_thread import cached_property
+from greybox.solve.batched_newton import BatchedNewton
+from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
+from greybox.solve.ipopt import CONVERGED, ROUNDED, WITHOUT_BARRIER, Ipopt
+from greybox.solve.local_solver import LocalSolver, Profile, Screened
+from greybox.solve.minima import AT_ONCE, Minimum, Multistart, same_cost
+from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs
+
+AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
+
+# Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order
+# up to 200. IPOPT continues those that need more.
+ITERATIONS = 300
+
+TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
+
+
+def fits_a_batch(program: ca.Function | None) -> bool:
+    """Tell whether a batch of a program (z, smoothing, ...) -> cost, constraints is faster than IPOPT's runs.
+
+    It needs an explicit cost (an SX function) and no constraints but bounds. From 50 000 instructions
+    of cost, gradient and Hessian on, these take most of IPOPT's time, and from 20 unknowns on
+    eigenvalues do: a batch gains little then.
+    """
+    if program is None or not program.is_a("SXFunction") or program.numel_out(1):
+        return False
+    return program.numel_in(0) <= 20 and _instructions(program) <= 50_000
+
+
+class ResponseSolver(LocalSolver):
+    """Newton's method on batches of starts, and IPOPT: without a batch, and to confirm the minima.
+
+    Where another criterion locates the minimum, IPOPT solves with that one first.
+    """
+
+    # A run takes some milliseconds, and the declared values of a transfer function are rarely better
+    # than random ones.
+    starts = 200
+    tries_declared_values = False
+    promising = (8, 4)
+
+    def __init__(
+        self,
+        problem: CompiledProblem,
+        options: Mapping[str, Any] = MappingProxyType({}),
+        *,
+        batched: bool = True,
+    ) -> None:
+        """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
+        self._problem, self._options, self._batched = problem, dict(options), batched
+        self._stages = [
+            Ipopt(_statement(program.function), options, program.derivatives)
+            for program in problem.programs
+        ]
+        self._lower = problem.scaling.to_solver(problem.lower)
+        self._upper = problem.scaling.to_solver(problem.upper)
+        limits = np.zeros(problem.constraint.numel_out())
+        self._bounds = {
+            "lbx": self._lower,
+            "ubx": self._upper,
+            "lbg": limits,
+            "ubg": limits + np.inf,
+        }
+        explicit = problem.programs[-1].explicit
+        if batched and explicit and self.serves(problem):
+            self.together = _batch_size(explicit)
+
+    def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
+        """Return what builds the same solver."""
+        return partial(ResponseSolver, batched=self._batched), (self._problem, self._options)
+
+    @staticmethod
+    def serves(problem: CompiledProblem) -> bool:
+        """Tell whether starts of a problem can be improved together."""
+        without_states = not any(part.has_states for part in problem.parts)
+        return without_states and fits_a_batch(problem.programs[-1].explicit)
+
+    # --- one run
+
+    def run(self, start: Array) -> Outcome:
+        """Solve by IPOPT from the parameters `start` (p,)."""
+        return self._solved(self._stages, start, SMOOTHING)
+
+    def _solved(self, stages: Sequence[Ipopt], start: Array, smoothing: float) -> Outcome:
+        began = time.perf_counter()
+        problem = self._problem
+        z = problem.scaling.to_solver(start)
+        iterations, status, located = 0, "", False
+        for stage in stages:
+            located = status in CONVERGED
+            z, status, count = stage.solve(z, smoothing, self._bounds)
+            iterations += count
+            if status == STAGNATED:
+                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, smoothing, self._bounds)
+                iterations += count
+                z, status = (end, again) if again in CONVERGED else (z, status)
+            if status in (*CUT_SHORT, STAGNATED):
+                break
+
+        estimate = np.clip(problem.scaling.to_parameters(z), problem.lower, problem.upper)
+        converged = status in CONVERGED or (located and status == ROUNDED)
+        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
+
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+        """Return the point x (p,): there are no hidden unknowns."""
+        z = self._problem.scaling.to_solver(x)
+        trajectories = tuple(part.initial_trajectory(z) for part in self._problem.parts)
+        return Profile(z, trajectories, float(self._problem.costs(x[None])[0]), converged=True)
+
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing at all values (k,)."""
+        return self._problem.cost(values)
+
+    def judged(self, estimates: Array) -> tuple[Array, Any]:
+        """Return the costs, without smoothing, and signatures."""
+        if not len(estimates):
+            return np.zeros(0), np.zeros((0, 0), np.float32)
+        batches = [estimates[k : k + AT_ONCE] for k in range(0, len(estimates), AT_ONCE)]
+        costs = np.concatenate([self._problem.costs(batch) for batch in batches])
+        # In single precision: they are stored for every run, and compared to a percent.
+        signatures = [self._problem.signatures(batch).astype(np.float32) for batch in batches]
+        return costs, np.concatenate(signatures)
+
+    def refined(self, nlp: CompiledProblem) -> "ResponseSolver":
+        """Return the solver of another problem with the same options."""
+        return ResponseSolver(nlp, self._options, batched=self._batched)
+
+    # --- many starts
+
+    def screened(self, starts: Array) -> Screened | None:
+        """Compare the starts (r, p) by their smoothed costs, with a penalty on missed constraints."""
+        if not self._batched:
+            return None
+        z = self._problem.scaling.to_solver(starts).T
+        costs, limits = (value.full() for value in self._problem.programs[0].function(z, SMOOTHING))
+        # A constraint missed by a thousandth weighs as much as a cost of one.
+        values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
+        values = np.where(np.isfinite(values), values, np.inf)
+        return Screened(np.argsort(values, kind="stable"), values, starts)
+
+    def run_together(self, starts: Array) -> list[Outcome]:
+        """Bring all starts (r, p) to a minimum together; IPOPT continues those that do not arrive."""
+        # One step on few points takes 0.3 ms, ten times an iteration of IPOPT.
+        if len(starts) < 6 or self.together == 1:
+            return super().run_together(starts)
+
+        began = time.perf_counter()
+        problem = self._problem
+        z = problem.scaling.to_solver(starts).T
+        iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
+        for k, batch in enumerate(self._batches):
+            ends = batch.minimize(
+                z,
+                max_iterations=int(self._options.get("max_iter", ITERATIONS)),
+                tolerance=float(self._options.get("tol", TOLERANCE)),
+                from_near=k > 0,
+            )
+            z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
+
+        estimates = np.clip(problem.scaling.to_parameters(z.T), problem.lower, problem.upper)
+        seconds = (time.perf_counter() - began) / len(starts)
+        outcomes = []
+        for x, count, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True):
+            if at_minimum:
+                ended = Outcome(x, AT_MINIMUM, count, seconds, converged=True, stage=IMPROVED)
+            else:
+                ended = Outcome(x, reason_to_end(), count, seconds, converged=False)
+            outcomes.append(ended if ended.status else self._again(x, ended))
+        return outcomes
+
+    @cached_property
+    def _batches(self) -> list[BatchedNewton]:
+        """Build the criterion that locates the minimum, if any, then the problem's own."""
+        return [
+            BatchedNewton(program.explicit, self._lower, self._upper, program.roots)
+            for program in self._problem.programs
+            if program.explicit is not None
+        ]
+
+    def _again(self, x: Array, earlier: Outcome | Run) -> Outcome:
+        """Return where IPOPT gets to from x (p,), with the iterations and seconds of the earlier run."""
+        with one_run():
+            outcome = self.run(x)
+        return replace(
+            outcome,
+            iterations=earlier.iterations + outcome.iterations,
+            seconds=earlier.seconds + outcome.seconds,
+        )
+
+    # --- the certificate
+
+    def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
+        """Return a run of IPOPT's for every minimum that has none.
+
+        What IPOPT does not confirm is no minimum, as where a gain of zero makes all other
+        parameters idle: these runs are made again by IPOPT, from their starts.
+        """
+        certified: dict[int, Outcome] = {}
+        for minimum in minima:
+            if np.any(runs.stage[np.array(minimum.runs)] != IMPROVED):
+                continue
+            # One of the three best runs of a minimum must be confirmed.
+            if any(self._confirm(runs[k], certified) for k in minimum.runs[:3]):
+                continue
+            for k in minimum.runs:
+                if k not in certified and not stop_requested():
+                    certified[k] = self._judged_run(runs[k], runs[k].start)
+        return certified
+
+    def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
+        """Solve by IPOPT from the end of a run; tell whether it stays there. A lower minimum replaces the run."""
+        if stop_requested():
+            return True
+        outcome = self._judged_run(run, run.estimate)
+        higher = outcome.cost - run.cost
+        tolerated = same_cost(self._problem, run.cost)
+        if not outcome.converged or not higher <= tolerated:
+            return False
+        certified[run.index] = outcome
+        return higher >= -tolerated
+
+    def _judged_run(self, run: Run, x: Array) -> Outcome:
+        """Return where IPOPT gets to from x (p,) after an earlier run, with cost and signature."""
+        outcome = self._again(x, run)
+        [cost], [signature] = self.judged(outcome.estimate[None])
+        return replace(outcome, cost=float(cost), signature=signature)
+
+    # --- the last digits
+
+    def polished(self, search: Multistart) -> Multistart:
+        """Return the search with the minima close to the best solved with less smoothing; after Ctrl-C the best alone."""
+        minima = search.minima
+        if not minima or not any(part.is_smoothed for part in self._problem.parts):
+            return search
+        # At a kink IPOPT can reach looser tolerances only.
+        options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
+        stages = [stage.variant(options) for stage in self._stages]
+        # Smoothing moves costs by 6e-5 and may change the order of close minima.
+        close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
+        close = minima[:1] if stop_requested() else close
+        with responding(Response.FINISH):
+            polished = [*(self._polish(m, stages) for m in close), *minima[len(close) :]]
+        return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
+
+    def _polish(self, best: Minimum, stages: Sequence[Ipopt]) -> Minimum:
+        """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
+        # In steps: at the kink of a zero residual IPOPT stalls when the smoothing falls at once.
+        for smoothing in (1e-10, 1e-11, 1e-12, 1e-13):
+            outcome = self._solved(stages, best.estimate, smoothing)
+            cost = float(self._problem.costs(outcome.estimate[None])[0])
+            if outcome.status not in CONVERGED or not cost <= best.cost:
+                break
+            best = replace(best, cost=cost, estimate=outcome.estimate)
+        return best
+
+
+def _statement(program: ca.Function) -> dict[str, Any]:
+    """Return ``x, p, f, g`` as `casadi.nlpsol` takes them, for a function (x, p) -> f, g."""
+    kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
+    x, p = (kind.sym(name, program.numel_in(k)) for k, name in enumerate("xp"))
+    f, g = program(x, p)
+    return {"x": x, "p": p, "f": f, "g": g}
+
+
+def _instructions(program: ca.Function) -> int:
+    """Estimate the instructions of cost, gradient and Hessian: two for every operation and unknown."""
+    return max(program.n_instructions() * 2 * program.numel_in(0), 1)
+
+
+def _batch_size(program: ca.Function) -> int:
+    """Return how many starts are improved at once: a power of two, as the columns of a batch.
+
+    Up to 1024: more do not become cheaper. Fewer where a batch would take more than some 0.5 s (10
+    million instructions), so that a time limit costs no more and progress is seen. At least 128:
+    below, a start takes more than twice its time.
+    """
+    count = min(max(10_000_000 // _instructions(program), 128), 1024)
+    return 1 << (count.bit_length() - 1)
