@@ -15,8 +15,7 @@ from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, BoolArray, ComplexArray
-from greybox.files.html_text import html_list, html_table, html_text
-from greybox.files.text_table import counted, number, one_line, printable
+from greybox.files.text_table import counted, one_line, printable
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
@@ -334,20 +333,6 @@ class FrequencyResponse:
             "omega_rad_s",
             {**about, "units": dict(self.units), "about": dict(self.about)},
         )
-
-    def _repr_html_(self) -> str:
-        columns: dict[str, Array] = {
-            "rad/s": self.omega,
-            "dB": self.decibels,
-            "degrees": self.degrees,
-        }
-        columns |= {"coherence": self.coherence} if self.coherence is not None else {}
-        rows = [
-            [number(float(value), 4) for value in row]
-            for row in zip(*columns.values(), strict=True)
-        ]
-        remarks = [f"{key}: {text}" for key, text in self.about.items()]
-        return html_text(str(self)) + html_table(list(columns), rows, ()) + html_list(remarks)
 
     def __str__(self) -> str:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"

@@ -14,8 +14,7 @@ from greybox.data.checked_array import checked_array, within_range
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
 from greybox.files.arrays import Array, IntArray
-from greybox.files.html_text import html_list, html_table, html_text
-from greybox.files.text_table import counted, number, one_line, printable
+from greybox.files.text_table import counted, one_line, printable
 
 # A step longer than this number of median steps is a gap: nothing is interpolated across it. One lost
 # sample makes a step of two, which is not a gap; the half allows for jitter.
@@ -270,16 +269,6 @@ class Record:
         )
         return one_line(self, repr(self.name), *size, ", ".join(self.signals))
 
-    def _repr_html_(self) -> str:
-        rows = [
-            [name, self.units.get(name, ""), *_range(values)]
-            for name, values in self.signals.items()
-        ]
-        head = f"{self.name or 'record'}: {self._extent()}"
-        return html_text(head) + html_table(
-            ["signal", "unit", "lowest", "highest", "missing"], rows, (0, 1)
-        )
-
     def __str__(self) -> str:
         signals = ", ".join(
             f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals
@@ -369,23 +358,6 @@ class Recording(Mapping[str, Record]):
             )
         return self.records[holders[0]], signal
 
-    def _repr_html_(self) -> str:
-        rows = [
-            [
-                name,
-                str(len(record)),
-                number(record.rate, 4) if record.has_time else "-",
-                ", ".join(record.signals),
-            ]
-            for name, record in self.records.items()
-        ]
-        head = f"{self.source or 'recording'}: {counted(len(self), 'message')}"
-        return (
-            html_text(head)
-            + html_table(["message", "samples", "Hz", "signals"], rows, (0, 3))
-            + html_list(self.findings)
-        )
-
     def __repr__(self) -> str:
         return one_line(
             self, repr(self.source), counted(len(self), "message"), ", ".join(self.records)
@@ -464,12 +436,3 @@ def _digest(time: Array, signals: Mapping[str, Array]) -> str:
         digest.update(name.encode())
         digest.update(values.tobytes())
     return digest.hexdigest()
-
-
-def _range(values: Array) -> tuple[str, str, str]:
-    """Return the lowest and the highest value, and how many are missing, as text."""
-    finite = values[np.isfinite(values)]
-    low, high = (
-        (number(float(finite.min())), number(float(finite.max()))) if finite.size else ("-", "-")
-    )
-    return low, high, str(values.size - finite.size)

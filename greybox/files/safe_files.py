@@ -1,17 +1,12 @@
 """Atomic file writes, and what counts as a file to read."""
 
 import os
-import re
 import secrets
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from glob import escape
+from contextlib import contextmanager
 from pathlib import Path
 
 HDF5 = (".h5", ".hdf5")  # suffixes
-REST = re.compile(r".*\.\d+-[0-9a-f]{8}\.part")  # process and random number of a temporary file
-DAY = 86_400  # s, after which a temporary file belongs to a run that was killed
 
 
 @contextmanager
@@ -19,7 +14,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path to write to, which replaces `path` if no exception occurs.
 
     Every call has its own temporary file, so threads and processes may write to one path: the last
-    one wins. Temporary files that killed runs left a day ago are removed first.
+    one wins.
 
     Raises
     ------
@@ -28,10 +23,8 @@ def replacing(path: Path) -> Iterator[Path]:
         is as it was.
     """
     # 48 characters of the name and the rest stay below 255 bytes in UTF-8.
-    name = f".{path.name[:48]}"
-    temporary = path.with_name(f"{name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+    temporary = path.with_name(f".{path.name[:48]}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
-        _remove_abandoned(path.parent, name)
         try:
             yield temporary
             with temporary.open("r+b") as file:
@@ -44,14 +37,6 @@ def replacing(path: Path) -> Iterator[Path]:
         raise type(error)(
             f"{path} cannot be written ({reason}): free space or choose another folder."
         ) from error
-
-
-def _remove_abandoned(folder: Path, name: str) -> None:
-    for file in folder.glob(f"{escape(name)}.*.part"):
-        with suppress(OSError):  # of another user, or gone by now
-            is_old = time.time() - file.lstat().st_mtime > DAY
-            if is_old and REST.fullmatch(file.name) and file.is_file() and not file.is_symlink():
-                file.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

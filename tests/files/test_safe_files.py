@@ -68,20 +68,6 @@ def test_threads_that_write_to_one_path_leave_one_whole_file(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
 
 
-def test_what_a_killed_run_left_a_day_ago_is_removed_and_nothing_else(tmp_path):
-    path = tmp_path / "a.csv"
-    abandoned = tmp_path / ".a.csv.123-0123abcd.part"
-    alive = tmp_path / ".a.csv.124-0123abcd.part"
-    others = [tmp_path / name for name in (".b.csv.1-00000000.part", ".a.csv.backup.part")]
-    for file in (abandoned, alive, *others):
-        file.write_text("half of")
-    for file in (abandoned, *others):
-        os.utime(file, (0, 0))
-
-    write_text(path, "whole")
-    assert {*tmp_path.iterdir()} == {path, alive, *others}
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no limit of file sizes")
 @pytest.mark.parametrize("before", ["old", None])
 def test_a_full_disk_is_a_sentence_and_nothing_is_left(tmp_path, before):

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pymavlink.DFReader import MULT_TO_PREFIX
 
@@ -37,29 +37,26 @@ class UnitTables:
     """The tables of one log, made of its UNIT, MULT and FMTU messages."""
 
     def __init__(self, groups: Iterable[Messages]) -> None:
-        self.labels: dict[str, str] = {}
+        tables = {group.name: group for group in groups}
         self._several: dict[str, set[str]] = {}
-        self.multipliers: dict[str, float] = {}
-        self.letters: dict[int, tuple[str, str]] = {}
-        for group in groups:
-            if group.name == "UNIT" and "Id" in group.columns and "Label" in group.texts:
-                for letter, label in zip(
-                    map(_letter, group.columns["Id"]), group.texts["Label"], strict=True
-                ):
-                    self.labels[letter] = label
-                    self._several.setdefault(letter, set()).add(label)
-            elif group.name == "MULT" and {"Id", "Mult"} <= group.columns.keys():
-                # Single precision on board: pymavlink rounds to 7 digits to look the prefixes up.
-                rounded = (float(f"{value:.7g}") for value in group.columns["Mult"])
-                self.multipliers.update(
-                    zip(map(_letter, group.columns["Id"]), rounded, strict=True)
-                )
-            elif group.name == "FMTU" and "FmtType" in group.columns and "UnitIds" in group.texts:
-                units = group.texts["UnitIds"]
-                pairs = zip(units, group.texts.get("MultIds", [""] * len(units)), strict=True)
-                self.letters.update(
-                    zip(map(_integer, group.columns["FmtType"]), pairs, strict=True)
-                )
+        for letter, label in _pairs(tables.get("UNIT"), "Id", "Label"):
+            self._several.setdefault(_letter(letter), set()).add(label)
+        self.labels = {
+            letter: min(labels) for letter, labels in self._several.items() if len(labels) == 1
+        }
+        # Single precision on board: pymavlink rounds to 7 digits to look the prefixes up.
+        self.multipliers = {
+            _letter(letter): float(f"{value:.7g}")
+            for letter, value in _pairs(tables.get("MULT"), "Id", "Mult")
+        }
+        of_kind, scales = (
+            {
+                _integer(kind): letters
+                for kind, letters in _pairs(tables.get("FMTU"), "FmtType", ids)
+            }
+            for ids in ("UnitIds", "MultIds")
+        )
+        self.letters = {kind: (units, scales.get(kind, "")) for kind, units in of_kind.items()}
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -76,8 +73,7 @@ class UnitTables:
         units, scales = self.letters.get(layout.kind, ("", ""))
         columns = {}
         for i, (name, letter) in enumerate(zip(layout.columns, units, strict=False)):
-            known = len(self._several.get(letter, ())) == 1
-            label = unit(self.labels[letter]) if known else ""
+            label = unit(self.labels.get(letter, ""))
             scaled = label and i < len(scales) and layout.scale(i) is None
             columns[name] = (
                 _prefixed(label, self.multipliers.get(scales[i], 1.0)) if scaled else label
@@ -99,6 +95,12 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
         if names
         else ()
     )
+
+
+def _pairs(table: Messages | None, key: str, value: str) -> Iterable[tuple[float, Any]]:
+    """Return the pairs of two columns, numbers and numbers or texts; none where one is missing."""
+    columns = {**table.columns, **table.texts} if table else {}
+    return zip(columns[key], columns[value], strict=True) if {key, value} <= columns.keys() else ()
 
 
 def _prefixed(label: str, multiplier: float) -> str:
