@@ -1,19 +1,17 @@
-"""The command `greybox profile`: intervals of a saved fit that need not be symmetric, and regions of two parameters."""
+"""The command `greybox profile`: intervals of a saved fit that need not be symmetric."""
 
 import argparse
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
-from greybox.estimate.profile import contour, profile
-from greybox.estimate.profiles import Contour, Profiles
-from greybox.files.json_numbers import finite
+from greybox.estimate.profile import profile
+from greybox.estimate.profiles import Profiles
 
 EXAMPLES = (
     "pitch.h5",
     "pitch.h5 a1 a2 --level 0.9 --plot profiles.png",
-    "pitch.h5 --contour a1 a2 --plot contour.png",
 )
 
 
@@ -22,12 +20,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_fit_argument(parser)
     parser.add_argument(
         "names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default"
-    )
-    parser.add_argument(
-        "--contour",
-        nargs=2,
-        metavar="NAME",
-        help="instead of intervals the region of two parameters together",
     )
     parser.add_argument(
         "--level", type=float, default=0.95, help="of the intervals, 0.95 by default"
@@ -39,34 +31,12 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fit and profile it."""
     require_figure(options.plot, options.force)
     fit, problem = stated_fit(options)
-    if options.contour:
-        if options.names:
-            raise UsageError("--contour takes two parameters: leave out other names.")
-        result = contour(fit, *options.contour, problem=problem, level=options.level)
-        answer = _region(result)
-    else:
-        result = profile(fit, options.names or None, problem=problem, level=options.level)
-        answer = result.summary()
+    result = profile(fit, options.names or None, problem=problem, level=options.level)
     lines = save_figure(options.plot, lambda: _figure(result))
-    return answer, "\n".join([str(result), *lines]), USABLE
+    return result.summary(), "\n".join([str(result), *lines]), USABLE
 
 
-def _region(contour: Contour) -> dict[str, Any]:
-    return {
-        "names": list(contour.names),
-        "units": list(contour.units),
-        "level": contour.level,
-        "limit": finite(contour.limit),
-        "estimate": contour.estimate.tolist(),
-        "points": [[finite(value) for value in point] for point in contour.points.tolist()],
-        "ends": list(contour.ends),
-        "text": str(contour),
-    }
-
-
-def _figure(result: Profiles | Contour) -> Any:
+def _figure(result: Profiles) -> Any:
     from greybox.plotting import profile as figures  # noqa: PLC0415  (matplotlib takes long to import)
 
-    if isinstance(result, Contour):
-        return figures.contour(result).figure
     return figures.profiles(result)[0].figure

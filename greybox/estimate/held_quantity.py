@@ -1,7 +1,7 @@
-"""Minima with parameters held at values, or with another quantity held: the points of a profile.
+"""Minima with one parameter, or another quantity, held at a value: the points of a profile.
 
-Parameters are held by their two bounds, any other quantity by an equation. One solver serves all
-parameters, and one program each other quantity.
+A parameter is held by its two bounds, any other quantity by an equation. One solver is used for all
+parameters, and one program for each other quantity.
 """
 
 import math
@@ -28,121 +28,92 @@ class NoMinimumError(ValueError):
     """The solver does not find the minimum of a fit again."""
 
 
-class HeldQuantity(ABC):
-    """A problem with the parameters at some places held, or with a quantity (z) -> value held."""
+Held = int | ca.Function
+"""What is held: the parameter at this place, or a quantity (z) -> value."""
+
+
+class HeldSolver(ABC):
+    """A problem of which one parameter, or another quantity, is held."""
 
     @abstractmethod
-    def of(self, *places: int) -> "HeldQuantity":
-        """Return the same problem with the parameters at these places held."""
+    def solve(self, held: Held, starts: Sequence[Array], value: float) -> list[tuple[Array, float]]:
+        """Return the minimum from each start with the quantity at a value: point and cost.
 
-    @abstractmethod
-    def of_quantity(self, quantity: ca.Function) -> "HeldQuantity":
-        """Return the same problem with a quantity (z) -> value held."""
-
-    @abstractmethod
-    def solve(
-        self, starts: Sequence[Array], values: Sequence[float | Array]
-    ) -> list[tuple[Array, float]]:
-        """Return the minimum from each start with the held quantity at a value: point and cost.
-
-        Several held parameters have an array of values. A cost is infinite where the solver failed.
+        A cost is infinite where the solver failed.
         """
 
 
-class _Programs:
-    """The solvers of frequency responses, each built when it is first used."""
-
-    def __init__(self, nlp: CompiledProblem, quantity: ca.Function | None) -> None:
-        self._nlp = nlp
-        self._quantity = quantity
-        self.lower = nlp.scaling.to_solver(nlp.lower)
-        self.upper = nlp.scaling.to_solver(nlp.upper)
-
-    @cached_property
-    def newton(self) -> BatchedNewton | None:
-        """Newton's method, where there are only bounds; it takes a tenth of IPOPT's time."""
-        program = self._nlp.programs[-1]
-        if self._quantity is not None or not ResponseSolver.serves(self._nlp):
-            return None
-        assert program.explicit is not None
-        return BatchedNewton(program.explicit, self.lower, self.upper, program.roots)
-
-    @cached_property
-    def ipopt(self) -> tuple[Ipopt, dict[str, Array]]:
-        """IPOPT, and the bounds of its constraints and equation."""
-        program = self._nlp.program
-        kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
-        z = kind.sym("z", len(self._nlp.free))
-        p = kind.sym("p", 2)
-        cost, limits = program(z, p[0])
-        equation = kind(0, 1) if self._quantity is None else self._quantity(z) - p[1]
-        ipopt = Ipopt({"x": z, "p": p, "f": cost, "g": ca.vertcat(limits, equation)}, WARM)
-        upper = np.concatenate([np.full(limits.numel(), np.inf), np.zeros(equation.numel())])
-        return ipopt, {"lbg": np.zeros(upper.size), "ubg": upper}
-
-
-class HeldResponses(HeldQuantity):
+class HeldResponses(HeldSolver):
     """A problem of frequency responses; a point is the solver's variables z (p,)."""
 
-    def __init__(
-        self,
-        nlp: CompiledProblem,
-        places: Sequence[int] = (),
-        quantity: ca.Function | None = None,
-        programs: _Programs | None = None,
-    ) -> None:
+    def __init__(self, nlp: CompiledProblem) -> None:
         self._nlp = nlp
-        self._places = list(places)
-        self._quantity = quantity
-        self._programs = programs or _Programs(nlp, quantity)
+        self._lower = nlp.scaling.to_solver(nlp.lower)
+        self._upper = nlp.scaling.to_solver(nlp.upper)
+        self._built: dict[Any, tuple[Ipopt, dict[str, Array]]] = {}
 
-    def of(self, *places: int) -> "HeldResponses":
-        """Hold the parameters at these places."""
-        return HeldResponses(self._nlp, places, None, self._programs)
+    @cached_property
+    def _newton(self) -> BatchedNewton | None:
+        """Newton's method, where there are only bounds; it takes a tenth of IPOPT's time."""
+        program = self._nlp.programs[-1]
+        if not ResponseSolver.serves(self._nlp):
+            return None
+        assert program.explicit is not None
+        return BatchedNewton(program.explicit, self._lower, self._upper, program.roots)
 
-    def of_quantity(self, quantity: ca.Function) -> "HeldResponses":
-        """Hold a quantity."""
-        return HeldResponses(self._nlp, (), quantity)
+    def _ipopt(self, quantity: ca.Function | None) -> tuple[Ipopt, dict[str, Array]]:
+        """Return IPOPT, and the bounds of its constraints and of the equation for a quantity."""
+        if quantity not in self._built:
+            program = self._nlp.program
+            kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
+            z = kind.sym("z", len(self._nlp.free))
+            p = kind.sym("p", 2)
+            cost, limits = program(z, p[0])
+            equation = kind(0, 1) if quantity is None else quantity(z) - p[1]
 
-    def solve(
-        self, starts: Sequence[Array], values: Sequence[float | Array]
-    ) -> list[tuple[Array, float]]:
+            ipopt = Ipopt({"x": z, "p": p, "f": cost, "g": ca.vertcat(limits, equation)}, WARM)
+            upper = np.concatenate([np.full(limits.numel(), np.inf), np.zeros(equation.numel())])
+            self._built[quantity] = ipopt, {"lbg": np.zeros(upper.size), "ubg": upper}
+        return self._built[quantity]
+
+    def solve(self, held: Held, starts: Sequence[Array], value: float) -> list[tuple[Array, float]]:
         """Minimize from each start."""
         scaling = self._nlp.scaling
-        lower = np.tile(self._programs.lower, (len(starts), 1))
-        upper = np.tile(self._programs.upper, (len(starts), 1))
-        if self._places:
-            x = np.ones(lower.shape)
-            x[:, self._places] = np.array([np.ravel(value) for value in values])
-            z = scaling.to_solver(x)[:, self._places]
-            lower[:, self._places] = upper[:, self._places] = z
+        lower = self._lower.copy()
+        upper = self._upper.copy()
+        quantity = None if isinstance(held, int) else held
+        if isinstance(held, int):
+            x = np.ones(lower.size)
+            x[held] = value
+            lower[held] = upper[held] = scaling.to_solver(x)[held]
 
         ends = np.clip(np.array(starts), lower, upper)
         converged = np.zeros(len(starts), bool)
         remaining = ~converged
-        if self._programs.newton is not None:
-            minima = self._programs.newton.minimize(
+        if quantity is None and self._newton is not None:
+            minima = self._newton.minimize(
                 ends.T,
                 from_near=True,
                 max_iterations=WARM["max_iter"],
                 tolerance=TOLERANCE,
-                bounds=(lower.T, upper.T),
+                bounds=(np.tile(lower[:, None], len(ends)), np.tile(upper[:, None], len(ends))),
             )
             converged = minima.at_minimum
             ends[converged] = minima.z.T[converged]
-            # Where rounding ended Newton's method, IPOPT may converge. What took all iterations
-            # runs away.
+            # Where rounding ended Newton's method, IPOPT may converge. A run that took all
+            # iterations runs away.
             remaining = ~converged & (minima.iterations < WARM["max_iter"])
+
         for k in np.flatnonzero(remaining).tolist():
-            ipopt, equations = self._programs.ipopt
-            bounds = {"lbx": lower[k], "ubx": upper[k], **equations}
-            ends[k], status, _ = ipopt.solve(ends[k], [SMOOTHING, np.ravel(values[k])[0]], bounds)
+            ipopt, equations = self._ipopt(quantity)
+            bounds = {"lbx": lower, "ubx": upper, **equations}
+            ends[k], status, _ = ipopt.solve(ends[k], [SMOOTHING, value], bounds)
             converged[k] = status in CONVERGED
         costs = np.where(converged, self._nlp.costs(scaling.to_parameters(ends)), np.inf)
         return list(zip(ends, np.where(np.isfinite(costs), costs, np.inf).tolist(), strict=True))
 
 
-class HeldRecords(HeldQuantity):
+class HeldRecords(HeldSolver):
     """A problem with records.
 
     A point is the solver's variables (p,), alone or followed by the states at the nodes of all
@@ -153,51 +124,29 @@ class HeldRecords(HeldQuantity):
     nlp : CompiledProblem
     shapes : sequence of (int, int)
         Shapes of the nodes of every part.
-    places : sequence of int
-    quantity : casadi.Function, optional
-    solver : GaussNewton, optional
     """
 
-    def __init__(
-        self,
-        nlp: CompiledProblem,
-        shapes: Sequence[tuple[int, ...]],
-        places: Sequence[int] = (),
-        quantity: ca.Function | None = None,
-        solver: GaussNewton | None = None,
-    ) -> None:
-        """Build the solver, unless it is given."""
+    def __init__(self, nlp: CompiledProblem, shapes: Sequence[tuple[int, ...]]) -> None:
+        """Build the solver."""
         self._nlp = nlp
         self._shapes = list(shapes)
-        self._places = list(places)
-        self._quantity = quantity
-        self._solver = solver or GaussNewton(nlp)
+        self._solver = GaussNewton(nlp)
 
-    def of(self, *places: int) -> "HeldRecords":
-        """Hold the parameters at these places."""
-        return HeldRecords(self._nlp, self._shapes, places, None, self._solver)
-
-    def of_quantity(self, quantity: ca.Function) -> "HeldRecords":
-        """Hold a quantity."""
-        return HeldRecords(self._nlp, self._shapes, (), quantity, self._solver)
-
-    def solve(
-        self, starts: Sequence[Array], values: Sequence[float | Array]
-    ) -> list[tuple[Array, float]]:
+    def solve(self, held: Held, starts: Sequence[Array], value: float) -> list[tuple[Array, float]]:
         """Minimize from each start."""
-        return [self._solved(start, value) for start, value in zip(starts, values, strict=True)]
+        return [self._solved(held, start, value) for start in starts]
 
-    def _solved(self, start: Array, value: float | Array) -> tuple[Array, float]:
+    def _solved(self, held: Held, start: Array, value: float) -> tuple[Array, float]:
         scaling = self._nlp.scaling
         p = len(self._nlp.free)
         x = scaling.to_parameters(start[:p])
-        x[self._places] = value
         lower = self._nlp.lower.copy()
         upper = self._nlp.upper.copy()
-        lower[self._places] = upper[self._places] = x[self._places]
         equation = None
-        if self._quantity is not None:
-            equation = steep_equation(self._quantity, start[:p], float(np.ravel(value)[0]))
+        if isinstance(held, int):
+            x[held] = lower[held] = upper[held] = value
+        else:
+            equation = steep_equation(held, start[:p], value)
 
         solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper), equation)
         x = np.clip(x, lower, upper)

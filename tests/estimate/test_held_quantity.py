@@ -79,19 +79,16 @@ def test_costs_with_a_parameter_or_a_quantity_held_rise_as_those_of_least_square
         return 0.5 * (value - row @ best) ** 2 / (row @ inverse @ row) / 0.01
 
     low, high = best[1] - 0.1, best[1] + 0.2
-    found = solver.of(1).solve([point, point[:2]], [low, high])
-    for (end, value), at in zip(found, (low, high), strict=True):
+    for start, at in ((point, low), (point[:2], high)):
+        ((end, value),) = solver.solve(1, [start], at)
         assert value - cost == pytest.approx(rise([0, 1], at), rel=1e-4)
         assert nlp.scaling.to_parameters(end[:2])[1] == pytest.approx(at)
     z = ca.SX.sym("z", 2)
     k, c = nlp.scaling.expressions(z)
     total = best[0] + 3 * best[1] + 0.4
-    ((end, value),) = solver.of_quantity(ca.Function("q", [z], [k + 3 * c])).solve([point], [total])
+    ((end, value),) = solver.solve(ca.Function("q", [z], [k + 3 * c]), [point], total)
     assert value - cost == pytest.approx(rise([1, 3], total), rel=1e-4)
     assert nlp.scaling.to_parameters(end[:2]) @ [1, 3] == pytest.approx(total)
-    both = np.array([best[0] + 0.1, best[1] - 0.1])
-    ((end, _),) = solver.of(0, 1).solve([point], [both])
-    assert_allclose(nlp.scaling.to_parameters(end[:2]), both)
 
 
 def test_where_no_minimum_is_found_again_there_is_an_error(held, monkeypatch):
