@@ -138,7 +138,6 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     excitation: str = "reference",
     controller: Controller | Sequence[Controller] | None = None,
     limits: Mapping[str, float] = NOTHING,
-    travel: Mapping[str, float] = NOTHING,
     rate: float = 100.0,
     periods: int = 10,
     lead_in: float = 2.0,
@@ -179,8 +178,6 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     limits : mapping of signal to float
         Largest amplitudes of signals of the loop: outputs, inputs, states, and derivatives such as
         ``theta_dot``.
-    travel : mapping of signal to float
-        Largest amplitudes of integrals of signals: of a velocity, m.
     rate : float, Hz
         Sampling rate of the log.
     periods : int
@@ -198,20 +195,20 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    _require_valid(band, noise, wanted, {**wanted, **limits, **travel})
+    _require_valid(band, noise, wanted, {**wanted, **limits})
     rates = [c.rate for c in _listed(controller)]
     omega, gains = loop_gains(
         model,
         values,
         # Twice as many candidates change the flight time of the tilt model by less than 1 %.
         np.geomspace(*band, 40),
-        {input, *limits, *travel},
+        {input, *limits},
         excitation=excitation,
         controller=controller,
         amplitude=amplitude,
         rate=max(rates, default=rate),
     )
-    size, limited_by = _largest_amplitudes(omega, gains, excitation, amplitude, limits, travel)
+    size, limited_by = _largest_amplitudes(omega, gains, excitation, amplitude, limits)
 
     nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free=free, fixed=fixed)
     missing = [name for name in wanted if name not in nlp.free]
@@ -277,15 +274,12 @@ def _largest_amplitudes(
     excitation: str,
     amplitude: float,
     limits: Mapping[str, float],
-    travel: Mapping[str, float],
 ) -> tuple[Array, list[str]]:
     """Return the largest amplitudes (n,) of the excitation, and the signals that limit them."""
-    # A list, because a signal may have a limit of its own and one of its travel.
-    bounds = [(excitation, np.full(len(omega), amplitude))]
-    bounds += [(name, limit / np.abs(gains[name])) for name, limit in limits.items()]
-    bounds += [(name, limit * omega / np.abs(gains[name])) for name, limit in travel.items()]
-    amplitudes = np.array([bound for _, bound in bounds])
-    return amplitudes.min(axis=0), [bounds[k][0] for k in amplitudes.argmin(axis=0)]
+    names = [excitation, *limits]
+    bounds = [limit / np.abs(gains[name]) for name, limit in limits.items()]
+    amplitudes = np.array([np.full(len(omega), amplitude), *bounds])
+    return amplitudes.min(axis=0), [names[k] for k in amplitudes.argmin(axis=0)]
 
 
 def _listed(controller: Controller | Sequence[Controller] | None) -> list[Controller]:
@@ -336,17 +330,19 @@ def noise_density(
     total = np.zeros(len(omega))
     seconds = 0.0
     for stretch in uniform_stretches(noise, [input, output], detrended=True):
-        u, y = stretch.values
-        length = stretch.step * u.size
-        window = 1 - np.cos(2 * np.pi * (np.arange(u.size) + 0.5) / u.size)  # Hann
-        lines = averaged_lines(omega, length)
-        frequencies, places = np.unique(lines, return_inverse=True)
-        model_response = frequency_response(model, values, frequencies, input=input, output=output)
-        response = model_response.response[places.ravel()]
-        basis = window * np.exp(-1j * np.outer(lines.ravel(), np.arange(u.size) * stretch.step))
-        power = np.abs(basis @ y - response * (basis @ u)) ** 2
-        mean_power = power.reshape(lines.shape).mean(axis=1)
-        total += length * 2 * stretch.step / np.sum(window**2) * mean_power
+        count = stretch.values.shape[1]
+        length = stretch.step * count
+        window = 1 - np.cos(2 * np.pi * (np.arange(count) + 0.5) / count)  # Hann
+        # A spectrum of wind changes little over a sixth of its frequency.
+        reach = np.maximum(omega / 6, 2 * HZ / length)
+        lines = HZ / length * np.arange(1, min(count // 2, int(max(omega + reach) * length / HZ)))
+        spectra = np.fft.rfft(window * stretch.values)[:, 1 : lines.size + 1]
+        response = frequency_response(model, values, lines, input=input, output=output).response
+        power = np.abs(spectra[1] - response * spectra[0]) ** 2
+        mean_power = [
+            power[np.abs(lines - w) <= r].mean() for w, r in zip(omega, reach, strict=True)
+        ]
+        total += length * 2 * stretch.step / np.sum(window**2) * np.array(mean_power)
         seconds += length
     if seconds * omega[0] < QUIET_PERIODS * HZ:
         raise ValueError(
@@ -354,17 +350,6 @@ def noise_density(
             "give a longer one."
         )
     return total / seconds
-
-
-def averaged_lines(omega: Array, length: float) -> Array:
-    """Return the lines (n, 15), rad/s, around every frequency over which its density is averaged.
-
-    Fifteen lines leave an error of a quarter in the density, an eighth in the standard errors. A
-    spectrum of wind changes little over a sixth of its frequency.
-    """
-    spacing = HZ / length
-    reach = np.clip(omega / 6, 2 * spacing, None)
-    return np.maximum(omega[:, None] + np.linspace(-1, 1, 15) * reach[:, None], spacing)
 
 
 def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tuple[IntArray, Array]:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.intersample import CONTINUOUS, HELD, intersample
+from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, updated
 from greybox.experiment.excitation import Excitation
@@ -38,18 +38,17 @@ ADDED = "_excitation"  # suffix of the excitation of a signal
 def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experiment
     model: Model,
     values: Mapping[str, float] | None,
-    excitation: Excitation | Record | Mapping[str, ArrayLike],
+    excitation: Excitation | Mapping[str, ArrayLike],
     *,
     controller: Controller | Sequence[Controller] | None = None,
     noise: Mapping[str, float] = NOTHING,
-    bias: Mapping[str, float] = NOTHING,
     process_noise: Mapping[str, float] = NOTHING,
     initial: Mapping[str, float] = NOTHING,
     rate: float | None = None,
     seed: int = 0,
     name: str = "",
 ) -> Record:
-    """Fly an experiment in simulation: the closed loop of (3.14), or the plant alone, with known true values.
+    """Fly an experiment in simulation: the closed loop of (3.14), or the plant alone.
 
     At every sample the controller reads the sensors and sets the control, which is held until the
     next sample and reaches the plant after its delay, exact to any fraction of a sample. The log has
@@ -67,19 +66,17 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         Delays are exact; a transfer function is flown by its outputs only.
     values : mapping of parameter name to float, optional
         The true values; by default the declared starts.
-    excitation : Excitation, Record or mapping of name to (n,) array
+    excitation : Excitation or mapping of name to (n,) array
         Each signal is added to the signal of its name: a setpoint of the controller (``"reference"``,
         ``"mixer"``), or an input of the plant (``"u"``), downstream of the controller and its
-        limits. The arrays of a mapping have one sample per sample of the controller. Other signals
-        of a record are ignored.
+        limits. The arrays of a mapping have one sample per sample of the loop.
     controller : Controller or several, optional
         It measures outputs or states of the plant; ``"theta_dot"`` is the time derivative of
-        ``"theta"``. The outputs of one may be the setpoints of the next. Without one the plant
-        flies in open loop, at the rate of the excitation.
-    noise, bias : mapping of name to float
-        Standard deviation of the white noise, and constant error, of a sensor. A state or a
-        derivative that is named here is measured and logged in addition to the outputs, with
-        ``{"q": 0.0}`` without error.
+        ``"theta"``. The outputs of one may be the setpoints of the next. Without a controller, the
+        plant flies in open loop, at the rate of the excitation.
+    noise : mapping of name to float
+        Standard deviation of the white noise of a sensor. A state or a derivative that is named here
+        is measured and logged in addition to the outputs, with ``{"q": 0.0}`` without error.
     process_noise : mapping of state name to float
         White noise on the derivative of a state, in units of the state per √s: alone it makes the
         state a random walk with a standard deviation of that times √t. It is held over a controller
@@ -89,28 +86,24 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         them); by default zero. ``gb.modeling.linearize(model, values, at).point`` begins at an
         operating point.
     rate : float, Hz, optional
-        Of the log: that of the controller, which is the default, divided by a whole number. The
-        plant's inputs are logged as their mean until the next logged sample (that mean drives the
-        plant; with noise in the loop a single sample represents the following ones poorly),
-        everything else as sampled.
+        Sampling rate of arrays in open loop.
     seed : int
-        Of the noise; sensors and process noise have random streams of their own.
+        Seed of the noise; sensors and process noise have random streams of their own.
     name : str
 
     Returns
     -------
     Record
         The control of every input before its delay (excitation included), the excitation, the
-        measured signals, and other outputs of the controllers. It knows that controls and setpoints
-        are held, `Record.hold`, and that what is measured is not. `metadata` has the true values:
-        ``plant, values, controllers, noise, bias, process_noise, initial, seed, schedule``;
-        `findings` say so if the integration did not reach its accuracy.
+        measured signals, and other outputs of the controllers. `Record.hold` states that controls
+        and setpoints are held, and that measured signals are not. `metadata` has the true values:
+        ``plant, values, controllers, noise, process_noise, initial, seed, schedule``; `findings`
+        say so if the integration did not reach its accuracy.
 
     Raises
     ------
     ValueError
-        For names that do not match, rates that do not divide, and a flight that diverges; the
-        sentence says when.
+        For names that do not match, and a flight that diverges; the sentence says when.
     """
     if not isinstance(model, Model):
         raise TypeError(f"{model!r} is not a model: give an instance, such as LinearTilt().")
@@ -121,10 +114,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         controller, system.inputs, {*system.outputs, *system.states}, model.label
     )
     clock = controllers[0].rate if controllers else _open_loop_rate(excitation, rate)
-    thinning = _thinning(clock, rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
-    if isinstance(excitation, Record):  # its controls are those of the controller of that flight
-        places = tuple(n for n in places if n not in _given(controllers))
     time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label)
 
     wanted = (n for c in controllers for n in map(c.outside, c.inputs))
@@ -135,12 +125,14 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         controllers,
         clock,
         excited=tuple(commands),
-        measured=tuple(dict.fromkeys((*system.outputs, *wanted, *noise, *bias))),
+        measured=tuple(dict.fromkeys((*system.outputs, *wanted, *noise))),
         forced=tuple(process_noise),
         initial=_checked("initial", initial, (*system.states, *system.inputs)),
     )
-    errors = _errors(loop.measured, noise, bias, time.size, seed)
-    forces = _forces(loop, process_noise, time.size, seed)
+    sensed = _checked("noise", noise, loop.measured, low=0)
+    errors = _draws(seed, 0, loop.measured, sensed, time.size)
+    forced = _checked("process_noise", process_noise, system.states, low=0)
+    forces = _draws(seed, 1, loop.forced, forced, time.size) * math.sqrt(clock)
     log, findings = _fly(loop, np.vstack([*commands.values(), errors, forces]), time)
 
     metadata = {
@@ -148,7 +140,6 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         "values": dict(truth),
         "controllers": tuple(c.truth for c in controllers),
         "noise": dict(noise),
-        "bias": dict(bias),
         "process_noise": dict(process_noise),
         "initial": dict(loop.initial),
         "seed": seed,
@@ -156,11 +147,8 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     }
     all_units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
     return Record(
-        time[::thinning],
-        {
-            n: _averaged(v, thinning) if n in system.inputs else v[::thinning]
-            for n, v in log.items()
-        },
+        time,
+        log,
         {n: all_units.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {model.label}",
         metadata=metadata,
@@ -395,82 +383,43 @@ def _given(controllers: Sequence[Controller]) -> set[str]:
     return {c.outside(n) for c in controllers for n in c.outputs}
 
 
-def _averaged(values: Array, count: int) -> Array:
-    """Return the mean of every `count` samples; of the last ones as many as there are."""
-    begins = np.arange(0, values.size, count)
-    return np.add.reduceat(values, begins) / np.diff(np.append(begins, values.size))
-
-
-def _open_loop_rate(
-    excitation: Excitation | Record | Mapping[str, ArrayLike], rate: float | None
-) -> float:
+def _open_loop_rate(excitation: Excitation | Mapping[str, ArrayLike], rate: float | None) -> float:
     if isinstance(excitation, Excitation):
         return float(excitation.rate)
-    if not isinstance(excitation, Record):
-        if rate is None:
-            raise ValueError(
-                "arrays alone have no sampling rate: give rate=... in Hz, or an Excitation."
-            )
-        return float(rate)
-    if len(excitation) < 2 or np.ptp(np.diff(excitation.time)) > 0.01 * excitation.step:
+    if rate is None or not 0 < rate < math.inf:
         raise ValueError(
-            "the record is not uniformly sampled: use gb.prepare(..., rate=...), or give a controller."
+            f"rate is {rate!r}, and arrays alone have no sampling rate: give samples per second above "
+            "0, or an Excitation."
         )
-    return (len(excitation) - 1) / excitation.duration
-
-
-def _thinning(clock: float, rate: float | None) -> int:
-    if rate is None:
-        return 1
-    if not 0 < rate < math.inf:
-        raise ValueError(f"rate is {rate!r}: give samples per second above 0.")
-    ratio = clock / rate
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        near = clock / max(1, round(ratio))
-        raise ValueError(
-            f"a log at {rate:g} Hz does not divide the {clock:g} Hz of the loop: use e.g. {near:g} Hz."
-        )
-    return round(ratio)
+    return float(rate)
 
 
 def _commands(
-    excitation: Excitation | Record | Mapping[str, ArrayLike],
+    excitation: Excitation | Mapping[str, ArrayLike],
     clock: float,
     places: Sequence[str],
     label: str,
-) -> tuple[Array, dict[str, Array], dict[str, str]]:
+) -> tuple[Array, dict[str, Array], Mapping[str, str]]:
     """Return time, the excitation by name on the clock of the loop, and units."""
-    if not isinstance(excitation, Excitation | Record | Mapping):
+    if isinstance(excitation, Excitation):
+        require_known(excitation.signals, places, "place for", label)
+        time = np.arange(math.floor(excitation.time[-1] * clock + 1e-6) + 1) / clock
+        sampled = {n: np.interp(time, excitation.time, v) for n, v in excitation.signals.items()}
+        return time, sampled, excitation.units
+
+    if not isinstance(excitation, Mapping):
         raise TypeError(
             f"the excitation is a {type(excitation).__name__}: give an Excitation, or {{name: array}}."
         )
-    given = excitation.signals if isinstance(excitation, Excitation | Record) else excitation
-    if isinstance(excitation, Record) and not {*given}.isdisjoint(places):
-        given = {n: v for n, v in given.items() if n in places}
-    require_known(given, places, "place for", label)
-    arrays = {n: np.asarray(v, dtype=float) for n, v in given.items()}
-    if len({v.size for v in arrays.values()}) != 1 or any(
-        v.ndim != 1 or not np.isfinite(v).all() for v in arrays.values()
-    ):
-        shapes = ", ".join(
-            f"{n!r} {v.shape} with {int((~np.isfinite(v)).sum())} missing"
-            for n, v in arrays.items()
-        )
+    require_known(excitation, places, "place for", label)
+    arrays = {n: np.asarray(v, dtype=float) for n, v in excitation.items()}
+    shapes = {v.shape for v in arrays.values()}
+    if len(shapes) != 1 or any(v.ndim != 1 or not np.isfinite(v).all() for v in arrays.values()):
         raise ValueError(
-            f"the excitation is {shapes or 'empty'}: give arrays of one length with finite numbers."
+            f"the arrays of the excitation have the shapes {', '.join(map(str, shapes)) or 'none'}: "
+            "give arrays of one length with finite numbers."
         )
-    if not isinstance(excitation, Excitation | Record):
-        return np.arange(next(iter(arrays.values())).size) / clock, arrays, {}
-    span = float(excitation.time[-1] - excitation.time[0])
-    time = excitation.time[0] + np.arange(math.floor(span * clock + 1e-6) + 1) / clock
-    held = np.searchsorted(excitation.time, time + 1e-6 / clock, side="right") - 1
-    sampled = {}
-    for n, v in arrays.items():
-        is_held = False
-        if isinstance(excitation, Record) and n in excitation.hold:
-            is_held = intersample(excitation.hold[n], excitation.step).held
-        sampled[n] = v[held] if is_held else np.interp(time, excitation.time, v)
-    return time, sampled, {n: excitation.units.get(n, "") for n in arrays}
+    return np.arange(next(iter(shapes))[0]) / clock, arrays, {}
 
 
 def _checked(
@@ -487,33 +436,11 @@ def _checked(
     return {n: float(v) for n, v in given.items()}
 
 
-def _errors(
-    measured: Sequence[str],
-    noise: Mapping[str, float],
-    bias: Mapping[str, float],
-    count: int,
-    seed: int,
+def _draws(
+    seed: int, stream: int, names: Sequence[str], deviation: Mapping[str, float], count: int
 ) -> Array:
-    """Return what the sensors add, (k, count)."""
-    deviation = _checked("noise", noise, measured, low=0)
-    constant = _checked("bias", bias, measured)
-    drawn = _draws(seed, 0).standard_normal((len(measured), count))
-    return np.array(
-        [
-            deviation.get(n, 0.0) * d + constant.get(n, 0.0)
-            for n, d in zip(measured, drawn, strict=True)
-        ]
-    )
-
-
-def _forces(loop: _Loop, process_noise: Mapping[str, float], count: int, seed: int) -> Array:
-    """Return the force on every state that has process noise, (k, count)."""
-    deviation = _checked("process_noise", process_noise, loop.system.states, low=0)
-    drawn = _draws(seed, 1).standard_normal((len(deviation), count))
-    return drawn * np.array([*deviation.values()])[:, None] * math.sqrt(loop.clock)
-
-
-def _draws(seed: int, stream: int) -> np.random.Generator:
+    """Return white noise of these standard deviations, (k, count)."""
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ValueError(f"seed is {seed!r}: give a whole number of 0 or more.")
-    return np.random.default_rng([int(seed), stream])
+    drawn = np.random.default_rng([int(seed), stream]).standard_normal((len(names), count))
+    return drawn * np.array([deviation.get(n, 0.0) for n in names])[:, None]
