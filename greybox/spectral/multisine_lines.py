@@ -1,12 +1,11 @@
 """Frequency responses of multisines from whole periods in steady state, free of leakage.
 
-At a line, the transforms of the periods k obey Y_k = P U_k + V_k with independent noise V_k of one
-variance. With regressors X (the input and conditioned inputs) and instruments Z, the estimate is the
-first row a of A = (ZᴴX)⁻¹Zᴴ, applied to Y, and its variance is E|V|² aaᴴ. The residuals QV with Q =
-I - XA give E|V|² = |residuals|² / tr QQᴴ, with 2 (tr QQᴴ)² / tr (QQᴴ)² degrees of freedom
-(Satterthwaite). Noise that a feedback returns to U biases the direct estimate, Z = X, but not the
-joint input-output estimate with an injected signal as instrument (Tischler and Remple, 2nd ed.,
-section 5.7).
+At a line, the transforms of n periods obey Y = P U + V with independent noise V of one variance. The
+estimate is P̂ = aY with a = Rᴴ / (RᴴU) and an instrument R: the input itself (direct), or an injected
+signal (joint input-output), since noise that a feedback returns to U biases the direct estimate
+(Tischler and Remple, 2nd ed., section 5.7). Its variance is E|V|² aaᴴ. The residuals are QV with Q =
+I - Ua. The eigenvalues of QQᴴ are 0, k = |U|² |a|², and n - 2 ones: so E|V|² = |residuals|² / (n - 2
++ k), with 2 (n - 2 + k)² / (n - 2 + k²) degrees of freedom (Satterthwaite).
 """
 
 from collections.abc import Sequence
@@ -22,7 +21,6 @@ from greybox.spectral.estimated_points import (
     EPS,
     HZ,
     STRONG,
-    WORST_CONDITION,
     EstimatedPoint,
     response_at,
     without_incoherent,
@@ -36,8 +34,6 @@ EXCITED = 0.03
 # Relative error of the period: after 100 periods the phase of the fundamental is off by 2π/1000.
 WHOLE = 1e-5
 
-LEAST_DOF = 3  # from here on, Student's t has a finite variance
-
 
 def periodic_response(
     records: Record | Sequence[Record],
@@ -46,7 +42,6 @@ def periodic_response(
     output: str = "theta",
     *,
     instrument: str | None = None,
-    conditioned: Sequence[str] = (),
     omega: ArrayLike | None = None,
     name: str = "",
 ) -> FrequencyResponse:
@@ -70,7 +65,7 @@ def periodic_response(
         If the period is not a whole number of samples, there are fewer than three periods, or
         `omega` holds other frequencies.
     """
-    signals = [input, output, instrument or input, *conditioned]
+    signals = (input, output, instrument or input)
     stretches, spectra = period_spectra(records, period, signals)
     if len(spectra) < 3:
         raise ValueError(
@@ -89,7 +84,7 @@ def periodic_response(
                 "rate: leave it out."
             )
 
-    points = [_estimate(spectra[:, :, k - 1]) for k in multiple]
+    points = _estimates(*np.moveaxis(spectra[:, :, multiple - 1], 1, 0))
     response = response_at(multiple * fundamental, points, (input, output, name), stretches)
     return response if omega is not None else without_incoherent(response)
 
@@ -148,50 +143,26 @@ def _multiples(omega: Array, fundamental: float) -> IntArray:
     return np.rint(multiple).astype(int)
 
 
-def _estimate(spectra: ComplexArray) -> EstimatedPoint:
-    """Estimate from the spectra (periods, signals) of input, output, instrument, other inputs."""
-    u, y, r, *conditioned = spectra.T
-    x = np.array([u, *conditioned]).T
-    z = np.array([r, *conditioned]).T
-    if not _solvable(z, x):
-        return EstimatedPoint()
+def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[EstimatedPoint]:
+    """Return the estimates at all lines from the spectra (periods, lines) of the three signals."""
+    n = len(u)
 
-    solution = np.linalg.solve(z.conj().T @ x, z.conj().T)
-    projection = np.eye(len(x)) - x @ solution
-    square = projection @ projection.conj().T
-    trace = np.trace(square).real
-    dof = 2 * trace**2 / np.sum(np.abs(square) ** 2)
-    if dof < LEAST_DOF:
-        return EstimatedPoint()
+    def power(signal: ComplexArray) -> Array:
+        return np.sum(np.abs(signal) ** 2, axis=0)
 
-    spread = np.sum(np.abs(solution[0]) ** 2)
-    if not np.array_equal(z, x) and STRONG * spread * _unexplained(u, z) > 1:
-        return EstimatedPoint(weak=True)
-    response = complex(solution[0] @ y)
-    variance = np.sum(np.abs(projection @ y) ** 2) / trace * spread
-    rounding = (4 * EPS * abs(response)) ** 2  # the least variance, for data without noise
-    return EstimatedPoint(response, max(variance, rounding), dof, _coherence(x, z, y))
+    # A line without excitation has no estimate: 0 / 0 makes its variance NaN.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = r.conj() / np.sum(r.conj() * u, axis=0)
+        response = np.sum(a * y, axis=0)
+        spread = power(a)
+        k = power(u) * spread
+        variance = power(y - response * u) / (n - 2 + k) * spread
+        dof = 2 * (n - 2 + k) ** 2 / (n - 2 + k**2)
+        # 1 / k is the coherence of instrument and input.
+        coherence = np.minimum(1 / k, np.abs(response) ** 2 / (power(y) * spread))
+        weak = STRONG * (k - 1) > n - 1
 
-
-def _solvable(z: ComplexArray, x: ComplexArray) -> bool:
-    """Return whether there is a residual, and ZᴴX with columns of length one is well conditioned."""
-    if len(x) <= x.shape[1]:
-        return False
-    tiny = np.finfo(float).tiny
-    z, x = (side / np.maximum(np.linalg.norm(side, axis=0), tiny) for side in (z, x))
-    return bool(np.linalg.cond(z.conj().T @ x) < WORST_CONDITION)
-
-
-def _unexplained(input: ComplexArray, z: ComplexArray) -> float:
-    """Return the power of the part of an input that the instruments do not explain."""
-    basis = np.linalg.qr(z)[0]
-    residual = input - basis @ (basis.conj().T @ input)
-    return float(np.sum(np.abs(residual) ** 2)) / (len(z) - z.shape[1])
-
-
-def _coherence(x: ComplexArray, z: ComplexArray, y: ComplexArray) -> float:
-    """Return the partial γ² of the first instrument with output or first regressor, if lower."""
-    basis = np.linalg.qr(x[:, 1:])[0]
-    r, *signals = (v - basis @ (basis.conj().T @ v) for v in (z[:, 0], y, x[:, 0]))
-    squares = (abs(np.vdot(r, v)) ** 2 / (np.vdot(r, r).real * np.vdot(v, v).real) for v in signals)
-    return float(np.clip(min(squares), EPS, 1))
+    rounding = (4 * EPS * np.abs(response)) ** 2  # the least variance, for data without noise
+    variance = np.where(weak, np.nan, np.maximum(variance, rounding))
+    columns = (response, variance, dof, np.clip(coherence, EPS, 1), weak)
+    return [EstimatedPoint(*point) for point in zip(*(c.tolist() for c in columns), strict=True)]
