@@ -19,10 +19,6 @@ from greybox.compiled.segmented_part import Placed
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import cached_property
 
-# Excerpts, evenly over a record, on which candidates of a gain are compared, and their samples.
-EXCERPTS = 3
-SAMPLES = 3000
-
 
 @dataclass(frozen=True, eq=False)
 class KalmanGain:
@@ -101,27 +97,18 @@ class KalmanGain:
         return A[np.ix_(rows, rows)]
 
     def excerpt_cost(self, nodes: Array, placed: Placed) -> float:
-        """Return the approximate cost of a simulation, by excerpts that begin at the nodes (s, n)."""
+        """Return the approximate cost of a simulation, by the first samples of the longest stretch."""
         part, length = self.part, self.part.data.segment_length
-        rows = part.segments.rows(placed.data)
-        products = np.zeros((len(part.outputs), len(part.outputs)))
-        samples = 0
-        for first, count in self._excerpts:
-            excerpt = slice(first * length, (first + count) * length)
-            _, residuals = part.step.simulate(nodes[first], placed.q, rows[excerpt])
-            products += residuals.T @ residuals
-            samples += count * length
-        return part.covariance.cost(products * (len(rows) / samples))
+        counts = part.data.segment_counts
+        longest = int(np.argmax(counts))
+        first = sum(counts[:longest])
+        # Enough samples to compare gains, and few enough to simulate a dozen candidates.
+        count = min(counts[longest], max(3000 // length, 1))
 
-    @cached_property
-    def _excerpts(self) -> list[tuple[int, int]]:
-        """First segment and number of segments of every excerpt."""
-        ends = np.cumsum(self.part.data.segment_counts)
-        size = max(SAMPLES // (EXCERPTS * self.part.data.segment_length), 1)
-        firsts = np.unique(np.linspace(0, max(ends[-1] - size, 0), EXCERPTS).astype(int))
-        available = ends[np.searchsorted(ends, firsts, side="right")] - firsts
-        counts = np.minimum(available, size)
-        return list(zip(firsts.tolist(), counts.tolist(), strict=True))
+        rows = part.segments.rows(placed.data)
+        excerpt = rows[first * length : (first + count) * length]
+        _, residuals = part.step.simulate(nodes[first], placed.q, excerpt)
+        return part.covariance.cost(residuals.T @ residuals * (len(rows) / len(excerpt)))
 
     def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
         """Return the unknowns (u,) of steady Kalman filters, None where the predictor would not be stable.

@@ -70,7 +70,7 @@ class RecordGroup(SegmentedPart):
     @one_thread_at_a_time
     def _located(self) -> tuple[ca.Function, IntArray]:
         """Return the placement of all distinct records as one function of z, and which of them each record is."""
-        distinct = {id(part.model.locate): part.model for part in self.parts}
+        distinct = {part.model.expressions: part.model for part in self.parts}
         numbers = {key: k for k, key in enumerate(distinct)}
         z = ca.SX.sym("z", self.model.locate.numel_in(0))
         results: list[list[Any]] = []
@@ -80,7 +80,7 @@ class RecordGroup(SegmentedPart):
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
         pairs = zip(sides, zip(*results, strict=True), strict=True)
         stacked = [ca.densify(side(*values)) for side, values in pairs]
-        which = np.array([numbers[id(part.model.locate)] for part in self.parts])
+        which = np.array([numbers[part.model.expressions] for part in self.parts])
         return ca.Function("located", [z], stacked), which
 
     def place(self, z: Array) -> Placed:

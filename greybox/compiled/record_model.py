@@ -66,7 +66,7 @@ class RecordModel:
         The samples compiled so far, by integrator and substeps; models that differ only in their
         data share it.
     expressions : tuple of int
-        A number for the expression of z of every declared parameter: equal for equal expressions.
+        A hash of the expression of z of every declared parameter: equal for equal expressions.
     """
 
     problem: Problem
@@ -124,26 +124,12 @@ def record_model(
 ) -> RecordModel:
     """Compile a record's model; `q` are the declared parameters at z.
 
-    Functions that equal those of one of the `others`, of the same z, are shared with it.
+    Functions that equal those of one of the `others` are shared with it.
     """
     assert isinstance(problem.data, Record)
     q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
     expressions = tuple(q[i].element_hash() for i in range(q.numel()))
     kin = next((model for model in others if _is_of_one_kind(problem, model)), None)
-    twins = (
-        other
-        for other in others
-        if kin and other.steps is kin.steps and other.expressions == expressions
-    )
-    twin = next(twins, None)
-    if twin is not None:
-        return replace(
-            twin,
-            problem=problem,
-            record=problem.data,
-            has_time=problem.data.has_time,
-            outside_names=_outside_names(problem),
-        )
     if kin is None:
         kin = _first_of_its_kind(problem, method)
 

@@ -34,11 +34,6 @@ class Strategies:
 
     Without it the two models of tanks are never found (8 of 12 runs with it).
     """
-    accurate_substeps: bool = True
-    """The local integration error chooses the number of substeps too, besides the poles.
-
-    It adds no success, but saves up to a third of the time where substeps are refined afterwards (tanks, pendulum).
-    """
     stretches_first: bool = True
     """A long record is first solved on a few stretches spread over it.
 

@@ -4,8 +4,8 @@ Stability asks for steps within the scheme's region: |λ| h ≤ reach for every 
 wave, so that an oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the
 steps with half their length (Richardson): for a scheme of order q the error of n substeps falls as
 n^-q, so the difference between n and 2n of them is the error of n but for a factor 1 - 2^-q, and
-gives the number that meets a tolerance (`accurate_substeps`). Where the model is then run again,
-the growth per run is limited (`substep_growth`).
+gives the number that meets a tolerance. Because the model is then run again, the growth per run is
+limited (`substep_growth`).
 
 The tolerance, what it is relative to, and the most substeps differ from place to place: they are
 arguments.
@@ -51,13 +51,6 @@ def stable_substeps(
         return 1
     fastest = np.maximum(np.abs(poles) / reach, np.abs(poles.imag) / wave).max()
     return _whole(fastest * step, most)
-
-
-def accurate_substeps(
-    count: int, error: float, tolerance: float, order: int, most: int = MOST_SUBSTEPS
-) -> int:
-    """Return the substeps (`count` to `most`) that bring the `error` of `count` substeps to the tolerance."""
-    return count if error <= tolerance else _whole(count * _factor(error, tolerance, order), most)
 
 
 def substep_growth(error: float, tolerance: float, order: int) -> int:

@@ -7,10 +7,8 @@ import pytest
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.step_size import AccuracyJudge, drawn_parameters
-from greybox.compiled.strategies import Strategies
-from greybox.modeling.realization import dynamics
-from greybox.modeling.step_size import MOST_SUBSTEPS, accurate_substeps, stable_substeps
+from greybox.compiled.step_size import drawn_parameters
+from greybox.modeling.step_size import MOST_SUBSTEPS, stable_substeps
 
 STEP = 0.1
 TIME = STEP * np.arange(200)
@@ -96,68 +94,12 @@ def test_a_model_and_its_mirror_image_ask_for_the_same_steps(rate):
     assert asked(1) == asked(-1)
 
 
-def judged(states, inputs, pole=8.0):
-    """The substeps for a growing lag at h·pole = 0.8, of which one step is off by 0.8⁵ / 5! = 0.3 % of a motion."""
-    judge = AccuracyJudge.of(dynamics(plant(pole, (7, 9))), gb.RungeKutta())
-    return judge.substeps(1, np.array([states]), np.array([inputs]), np.array([pole]), STEP)
-
-
-def test_errors_count_against_the_motion_where_the_data_do_not_spread():
-    assert judged([1.0, 1.0, 1.0], [0.0, 0.0, 0.0]) > 1
-    assert judged([1.0, 1.0, 1.0], [0.0, 0.0, 0.0]) == judged([-1e-3, -1e-3], [0.0, 0.0])
-
-
-def test_errors_count_against_the_spread_of_the_data():
-    """The same motion beside samples that rest far away: x = -u / pole."""
-    assert judged([1.0, 1e9, -1e9], [0.0, -8e9, 8e9]) == 1
-
-
-class Pair(gb.StateSpace):
-    """A lag and a growing mode, driven by one input."""
-
-    states, outputs = ("x", "y"), ("x", "y")
-    lag = gb.Parameter(-12.0, bounds=(-50, 0))
-    growth = gb.Parameter(3.0, bounds=(0, 50))
-    gain = gb.Parameter(0.5, bounds=(0, 9))
-
-    def derivative(self, x, u, p):
-        return (p.lag * x.x + u.u, p.growth * x.y + p.gain * u.u)
-
-    def output(self, x, u, p):
-        return (x.x, x.y)
-
-
-def test_substeps_follow_the_error_of_a_segment_in_units_of_spread_and_motion():
-    """Of ten samples by the polynomial of the classic scheme, at two substeps and at twice as many."""
-    lag, growth, gain = -12.0, 3.0, 0.5
-    states, inputs = (
-        np.array([[1.0, -2.0, 0.5, 0.1], [0.3, 0.2, -0.1, 0.4]]),
-        np.array([[0.4, -1.0, 2.0, 0.0]]),
-    )
-
-    def after(count):
-        ends = []
-        for rate, b, x in ((lag, 1.0, states[0]), (growth, gain, states[1])):
-            z = rate * STEP / count
-            factor = (1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24) ** (10 * count)
-            ends.append(factor * x + (factor - 1) * b * inputs[0] / rate)
-        return np.array(ends)
-
-    coarse, fine = after(2), after(4)
-    spread = np.abs(fine - fine.mean(axis=1, keepdims=True)).mean(axis=1)
-    size = spread + np.abs(fine - states).max(axis=1)
-    error = (np.abs(fine - coarse).max(axis=1) / size).max()
-    judge = AccuracyJudge.of(dynamics(Pair()), gb.RungeKutta())
-    substeps = judge.substeps(2, states, inputs, np.array([lag, growth, gain]), STEP)
-    assert substeps == accurate_substeps(2, error, 1e-4, 4)
-
-
-def test_without_a_look_at_accuracy_the_upper_quartile_of_the_draws_is_stable():
+def test_the_upper_quartile_of_the_draws_is_stable():
     u = np.sign(np.sin(1.3 * TIME))
     record = gb.Record(TIME, {"u": u, "x": np.sin(TIME)})
     for start in (-1.0, -530.0):
         problem = gb.Problem(plant(start, (-540.0, 0.0)), record, gb.OutputError(inputs="held"))
-        method = gb.MultipleShooting(strategies=Strategies(accurate_substeps=False))
+        method = gb.MultipleShooting()
         (part,) = compile_problem(problem, method).parts
         rates = drawn_parameters(problem)[:, 0]
         assert (rates[0], rates.size) == (start, 17)
@@ -168,10 +110,6 @@ def test_without_a_look_at_accuracy_the_upper_quartile_of_the_draws_is_stable():
             for r in rates
         ]
         assert part.substeps == max(counts[0], np.quantile(counts, 0.75))
-
-
-def test_the_declared_parameters_alone_may_ask_for_accuracy():
-    assert chosen(plant(8.0, (-0.02, 0.0)))[0] > chosen(plant(-0.01, (-0.02, 0.0)))[0]
 
 
 def test_a_model_that_falls_to_rest_has_the_longest_segments():

@@ -13,7 +13,6 @@ from greybox.modeling.step_size import (
     LEAST_GROWTH,
     MOST_GROWTH,
     MOST_SUBSTEPS,
-    accurate_substeps,
     relative_change,
     stable_substeps,
     state_sizes,
@@ -72,19 +71,6 @@ def test_oscillations_are_followed_and_growth_counts_like_decay():
     assert stable_substeps(np.array([-1e9 + 0j]), 1.0, reach=2.7, most=8) == 8
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
-@pytest.mark.parametrize("scheme", SCHEMES, ids=repr)
-def test_accurate_substeps_meet_the_tolerance_without_waste(scheme, tolerance):
-    start, rate = 0.2, 3.0
-    exact = 1 / (1 + (1 / start - 1) * math.exp(-rate))
-    count, most = (2 if scheme.order == 4 else 12), 10_000
-    coarse, fine = (after(Logistic, scheme, n, start, rate) for n in (count, 2 * count))
-    enough = accurate_substeps(count, abs(fine - coarse), tolerance, scheme.order, most)
-    assert abs(after(Logistic, scheme, enough, start, rate) - exact) < 1.5 * tolerance
-    if enough > 2 * count:
-        assert abs(after(Logistic, scheme, enough // 3, start, rate) - exact) > tolerance
-
-
 @pytest.mark.parametrize("scheme", SCHEMES, ids=repr)
 def test_half_the_steps_tell_the_error(scheme):
     """Richardson: n substeps err by the difference to 2n of them, divided by 1 - 2^-order."""
@@ -98,12 +84,6 @@ def test_growth_follows_the_order_within_its_limits():
     assert substep_growth(64e-3, 1e-3, 3) == 4
     assert substep_growth(1.01e-3, 1e-3, 4) == LEAST_GROWTH
     assert substep_growth(1e9, 1e-3, 4) == substep_growth(math.inf, 1e-3, 4) == MOST_GROWTH
-
-
-def test_what_is_accurate_stays_and_what_is_not_is_capped():
-    assert accurate_substeps(3, 1e-5, 1e-4, 4, 64) == 3
-    assert accurate_substeps(3, 16e-4, 1e-4, 4, 64) == 6
-    assert accurate_substeps(3, 1e9, 1e-4, 4) == MOST_SUBSTEPS
 
 
 def test_changes_are_relative_to_sizes_and_rounding_is_no_size():
