@@ -17,7 +17,7 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.files.arrays import Array
-from greybox.files.text_table import number, one_line, text_table, with_error
+from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
     between_samples,
@@ -50,60 +50,41 @@ class UsedEquation:
 class EquationErrorEstimate:
     """The result of `equation_error`. Printing it says what was estimated from which equations.
 
-    It is a start, ``gb.fit(problem, starts=[result.estimate])``, and can be given as `fixed` to a
-    problem.
+    It is a start, ``gb.fit(problem, starts=[result.estimate])``.
 
     Attributes
     ----------
     name : str
-        Of model and record.
+        Names of model and record.
     estimate : mapping of name to float
         Free parameters that could be estimated, within their bounds.
-    standard_error : mapping of name to float
-        With the autocorrelation of the residuals; NaN at a bound. The `bias` is not included.
     bias : mapping of name to float
-        By noise left in the regressors, to first order; it was not subtracted.
-    covariance : (k, k) array
-        In the order of `estimate`.
-    dof : float
-        Number of independent residuals that the residuals are worth, less the number of estimates.
+        Bias by the noise left in the regressors, to first order; it was not subtracted.
     equations : tuple of UsedEquation
     left_out : tuple of str
         Equations that could not be used, and why.
     missing : mapping of name to str
         Free parameters that could not be estimated, and why.
     at_bound : tuple of str
-    fixed : mapping of name to float
     states : tuple of str
-        How each state is known.
-    cutoffs : mapping of signal name to float
-        Of its smoothing, Hz.
+        The source of each state.
+    parameters : mapping of name to Parameter
+    warnings : tuple of str
     inputs : mapping of name to str
         How each input ran between its samples, in words.
     """
 
     name: str
     estimate: Mapping[str, float]
-    standard_error: Mapping[str, float]
     bias: Mapping[str, float]
-    covariance: Array
-    dof: float
     equations: tuple[UsedEquation, ...]
     left_out: tuple[str, ...]
     missing: Mapping[str, str]
     at_bound: tuple[str, ...]
-    fixed: Mapping[str, float]
     states: tuple[str, ...]
-    cutoffs: Mapping[str, float]
     parameters: Mapping[str, Parameter]
     warnings: tuple[str, ...]
     inputs: Mapping[str, str]
-
-    def covariance_of(self, names: Sequence[str]) -> Array:
-        """Return the covariance matrix of the named estimates."""
-        require_known(names, self.estimate, "estimate", self.name)
-        places = [list(self.estimate).index(name) for name in names]
-        return self.covariance[np.ix_(places, places)]
 
     def __repr__(self) -> str:
         return one_line(self, self.name, f"estimates of {', '.join(self.estimate) or 'nothing'}")
@@ -112,12 +93,12 @@ class EquationErrorEstimate:
         rows = []
         for name, value in self.estimate.items():
             p = self.parameters[name]
-            text, error = with_error(value, self.standard_error[name])
             note = "AT BOUND" if name in self.at_bound else ""
-            rows.append([name, text, error, number(self.bias[name], 2), p.unit, note, p.about])
-        header = ["parameter", "estimate", "± error", "bias by noise", "unit", "", "meaning"]
-        lines = text_table(header, rows, left=(0, 4, 5, 6)).splitlines()
+            rows.append([name, number(value), number(self.bias[name], 2), p.unit, note, p.about])
+        header = ["parameter", "estimate", "bias by noise", "unit", "", "meaning"]
+        lines = text_table(header, rows, left=(0, 3, 4, 5)).splitlines()
         lines += [f"not estimated: {name}, {why}" for name, why in self.missing.items()]
+
         rows = []
         for e in self.equations:
             band = "all" if math.isinf(e.band) else number(e.band, 3)
@@ -130,9 +111,8 @@ class EquationErrorEstimate:
         lines += [f"input {name} {text}" for name, text in self.inputs.items()]
         lines += ["", *(f"warning: {text}" for text in self.warnings), ""]
         lines += [
-            "± error: standard error for colored residuals and exact regressors. Noise in the regressors",
-            "also biases the estimate, by about 'bias by noise', which is not subtracted. Use the",
-            "estimate as a start for gb.fit.",
+            "Noise in the regressors biases the estimate by about 'bias by noise', which is not",
+            "subtracted. Use the estimate as a start for gb.fit, which gives standard errors.",
         ]
         indented = ("  " + line if line else line for line in lines)
         return "\n".join([f"{self.name}: equation error", "", *indented])
@@ -348,10 +328,6 @@ def _result(
 ) -> EquationErrorEstimate:
     unknown = [n for n, p in parameters.items() if not p.fixed]
     missing = {n: _why(n, data.equations, projection) for n in unknown if n not in projection.names}
-    errors = dict(
-        zip(projection.names, np.sqrt(np.maximum(np.diag(projection.covariance), 0)), strict=True)
-    )
-    errors |= dict.fromkeys(projection.at_bound, math.nan)
     used = tuple(
         UsedEquation(e.left, e.parameters, r, n, band / (2 * math.pi), s)
         for e, r, n, band, s in zip(
@@ -366,10 +342,7 @@ def _result(
     return EquationErrorEstimate(
         name=name,
         estimate=dict(zip(projection.names, projection.values.tolist(), strict=True)),
-        standard_error={n: float(e) for n, e in errors.items()},
         bias={n: float(b) for n, b in bias.items()},
-        covariance=projection.covariance,
-        dof=projection.dof,
         equations=tuple(e for e in used if e.rows),
         left_out=(
             *data.equations.left_out,
@@ -377,11 +350,9 @@ def _result(
         ),
         missing=missing,
         at_bound=projection.at_bound,
-        fixed={n: p.start for n, p in parameters.items() if p.fixed},
         states=tuple(str(state) for state in data.equations.states),
-        cutoffs={n: c / (2 * math.pi) for n, c in data.cutoffs.items()},
         parameters=dict(parameters),
-        warnings=tuple(_warnings(used, projection, bias, errors)),
+        warnings=tuple(_warnings(used, projection)),
         inputs=inputs,
     )
 
@@ -400,33 +371,12 @@ def _why(name: str, equations: Equations, projection: Projection) -> str:
     )
 
 
-def _warnings(
-    used: Sequence[UsedEquation],
-    projection: Projection,
-    bias: Mapping[str, float],
-    errors: Mapping[str, float],
-) -> list[str]:
-    result = [
-        f"{n} ended at its bound; the standard errors of the others treat it as known."
-        for n in projection.at_bound
-    ]
-    result += [
+def _warnings(used: Sequence[UsedEquation], projection: Projection) -> list[str]:
+    bounded = [f"{n} ended at its bound." for n in projection.at_bound]
+    unexplained = [
         f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there is "
         "noise, or the model is incomplete."
         for e in used
         if e.rows and e.r_squared < 0.5
     ]
-    # With a bias of half a standard error a 95 % interval still covers 92 %, with one only 83 %.
-    biased = [n for n in projection.names if abs(bias[n]) > 0.5 * errors[n]]
-    if biased:
-        shifts = ", ".join(f"{n} by about {bias[n]:.2g}" for n in biased)
-        result.append(
-            f"noise in the measured states biases the estimate ({shifts}), which the standard errors "
-            "do not include."
-        )
-    # With ten degrees of freedom, standard errors are known to a quarter at best.
-    if projection.dof < 10:
-        result.append(
-            f"only {max(projection.dof, 0):.0f} degrees of freedom are left: the standard errors are rough."
-        )
-    return result
+    return [*bounded, *unexplained]

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from greybox.data.record import GAP
 from greybox.files.arrays import Array
@@ -31,13 +30,13 @@ SHORTEST = 12
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A smoothed signal and its derivative.
+    """A smoothed signal.
 
     Attributes
     ----------
-    values, derivative : (n,) array
-        In the unit of the signal, and per second; NaN where the signal is missing or its stretch is
-        too short. The first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
+    values : (n,) array
+        In the unit of the signal; NaN where the signal is missing or its stretch is too short. The
+        first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
     cutoff : float, rad/s
         Where half of the amplitude passes.
     noise : float
@@ -45,13 +44,12 @@ class Smoothed:
     """
 
     values: Array
-    derivative: Array
     cutoff: float
     noise: float
 
 
-def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> Smoothed:
-    """Smooth and differentiate a signal, stretch by stretch, never across a gap.
+def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
+    """Smooth a signal, stretch by stretch, never across a gap.
 
     A single missing sample is interpolated; two or more in a row are a gap, as in `Record`. One
     cutoff serves all.
@@ -69,14 +67,8 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
     Raises
     ------
     ValueError
-        If sampling is not uniform, no stretch has 12 samples, or the cutoff is not a positive
-        number.
+        If no stretch has 12 samples.
     """
-    time = np.asarray(time, dtype=float)
-    values = np.asarray(values, dtype=float)
-    require_uniform(time)
-    if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0):
-        raise ValueError(f"cutoff {cutoff!r} must be a number of rad/s above 0.")
     step = float(np.median(np.diff(time)))
     values = without_holes(time, values)
     parts = [rows for rows in stretches(time, values) if rows.stop - rows.start >= SHORTEST]
@@ -94,14 +86,12 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
         cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
     smooth_values = np.full(values.size, np.nan)
-    derivative = np.full(values.size, np.nan)
     for rows in parts:
         smooth_values[rows] = low_pass(values[rows], step, cutoff)
-        derivative[rows] = differentiate(smooth_values[rows], step)
 
     removed = 1 - _weight(omega, cutoff)
     noise = math.sqrt(float(np.sum((removed * amplitude) ** 2)) / max(float(np.sum(removed)), 1e-9))
-    return Smoothed(smooth_values, derivative, cutoff, noise)
+    return Smoothed(smooth_values, cutoff, noise)
 
 
 def low_pass(values: Array, step: float, cutoff: float) -> Array:

@@ -11,8 +11,6 @@ from greybox.formulation.starts import Sobol
 from greybox.modeling.parameter import Parameter
 from greybox.regression.least_squares import (
     Block,
-    autocovariances,
-    covariance,
     residuals,
     solve,
     spread,
@@ -32,10 +30,8 @@ class Projection:
     Attributes
     ----------
     names : tuple of str
-        What could be estimated; `values`, `covariance` follow it.
+        What could be estimated, in the order of `values`.
     at_bound : tuple of str
-        Covariances with these are NaN.
-    dof : float
     r_squared, rows, spread : tuple
         Of every equation; 0 rows where no stretch was long enough.
     undetermined : tuple of tuples of names
@@ -44,9 +40,7 @@ class Projection:
 
     names: tuple[str, ...]
     values: Array
-    covariance: Array
     at_bound: tuple[str, ...]
-    dof: float
     r_squared: tuple[float, ...]
     rows: tuple[int, ...]
     spread: tuple[float, ...]
@@ -261,46 +255,25 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
 
 
 def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> Projection:
-    """Work out what is determined, and how well."""
-    blocks = search.full(point, unknowns)
+    """Work out what is determined."""
     values = np.concatenate([unknowns, point])
     low, high = search.bounds(search.columns)
-
-    groups = undetermined(blocks)
+    groups = undetermined(search.full(point, unknowns))
     in_groups = {k for group in groups for k in group}
-    at_bound = [
-        k for k in range(len(values)) if k not in in_groups and not low[k] < values[k] < high[k]
-    ]
-    free = [k for k in range(len(values)) if k not in at_bound]
-    # Parameters that are undetermined in combination count as one estimate.
-    estimated = len(free) - sum(len(group) - (len(group) > 1) for group in groups)
-
-    errors = residuals(
-        [Block(b.equation, b.target, b.base, b.slopes[:, : len(unknowns)]) for b in blocks],
-        unknowns,
-    )
-    colored = autocovariances(blocks, errors)
-    independent = sum(c.independent for c in colored)
-    matrix = np.full((len(values), len(values)), np.nan)
-    if free:
-        by_free = [Block(b.equation, b.target, b.base, b.slopes[:, free]) for b in blocks]
-        correction = independent / max(independent - estimated, 1)
-        matrix[np.ix_(free, free)] = covariance(by_free, weights, colored) * correction
-
-    keep = [k for k in range(len(values)) if k not in in_groups]
-    names = tuple(search.columns[k] for k in keep)
-    if not names:
+    determined = [k for k in range(len(values)) if k not in in_groups]
+    if not determined:
         raise ValueError(
             f"the record determines none of {', '.join(search.columns)}: the signals that they "
             "multiply are constant, or only a combination of them is determined; fix some."
         )
+
+    blocks = search.blocks(point)
+    errors = residuals(blocks, unknowns)
     rows, r_squared = _explained(blocks, errors, len(search.data.equations.equations))
     return Projection(
-        names=names,
-        values=values[keep],
-        covariance=matrix[np.ix_(keep, keep)],
-        at_bound=tuple(search.columns[k] for k in at_bound),
-        dof=independent - estimated,
+        names=tuple(search.columns[k] for k in determined),
+        values=values[determined],
+        at_bound=tuple(search.columns[k] for k in determined if not low[k] < values[k] < high[k]),
         r_squared=r_squared,
         rows=rows,
         spread=tuple(spread(blocks, errors)),

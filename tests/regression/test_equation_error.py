@@ -1,11 +1,10 @@
-"""Equation error: known truths recovered, intervals that cover, unmeasured states, delays, gaps, and bad input."""
+"""Equation error: known truths recovered, unmeasured states, delays, gaps, and bad input."""
 
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import greybox as gb
@@ -20,7 +19,6 @@ from greybox.regression.equation_error import (
     EquationErrorEstimate,
     UsedEquation,
 )
-from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve
 from greybox.regression.linear_in_parameters import regressions
 
 TILT = {"a1": -2.0, "a2": 4.0, "a3": 3.0, "a4": 200.0}
@@ -154,7 +152,7 @@ def test_a_virtual_flight_under_a_sampled_controller():
         gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0042}), TILT, 0.04
     )
     free = gb.regression.equation_error(LinearTilt(), record, free="T_delay")
-    assert free.estimate["T_delay"] == pytest.approx(0.0042, abs=4 * free.standard_error["T_delay"])
+    assert free.estimate["T_delay"] == pytest.approx(0.0042, abs=0.0005)
     linear = gb.regression.equation_error(LinearTilt(), record, free="T_delay", inputs="linear")
     assert linear.estimate["T_delay"] - free.estimate["T_delay"] == pytest.approx(
         0.5 * record.step, rel=0.1
@@ -279,57 +277,6 @@ def test_a_static_model():
 # --- how far to believe it
 
 
-def test_intervals_cover_for_exact_regressors_and_white_noise():
-    random, errors = np.random.default_rng(1), []
-    speeds = {f"Omega_{k}": random.uniform(300, 900, 120) for k in (1, 2, 3, 4)}
-    one, two, three, four = (w**2 for w in speeds.values())
-    for _ in range(40):
-        torque = 2e-6 * (two + three - one - four) + 0.2 * random.normal(size=120)
-        result = gb.regression.equation_error(
-            Torques(), gb.Record(np.arange(120) * 0.01, {**speeds, "tau_phi": torque})
-        )
-        errors.append((result.estimate["K_tau"] - 2e-6) / result.standard_error["K_tau"])
-    assert 0.88 <= np.mean(np.abs(errors) < 1.96) <= 0.99
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1, abs=0.25)  # 1 ± 0.09 by chance
-
-
-def test_intervals_cover_for_colored_residuals():
-    """Smoothed derivatives of white noise; errors that take the residuals as white are far off."""
-    random, time, errors = np.random.default_rng(2), np.arange(1000) * 0.01, []
-    u = force(time)
-    y = np.concatenate([[0], np.cumsum((u[1:] + u[:-1]) / 2 * 0.01)]) * 2.0
-    for _ in range(40):
-        result = gb.regression.equation_error(
-            Integrator(), gb.Record(time, {"u": u, "y": y + 0.05 * random.normal(size=1000)})
-        )
-        errors.append([result.estimate["b"] - 2, result.standard_error["b"]])
-    error, claimed = np.array(errors).T
-    assert np.mean(np.abs(error) < 1.96 * claimed) >= 0.88
-    assert np.sqrt(np.mean((error / claimed) ** 2)) == pytest.approx(
-        1, abs=0.22
-    )  # 1 ± 0.11 by chance
-
-
-def test_covariance_of_known_color():
-    """First-order autoregressive residuals: the scatter over repetitions."""
-    random, n = np.random.default_rng(3), 800
-    X = np.column_stack([np.ones(n), np.sin(np.arange(n) / 20)])
-    drawn, claimed = [], []
-    for _ in range(200):
-        noise = np.zeros(n)
-        for k, e in enumerate(random.normal(size=n)):
-            noise[k] = 0.8 * noise[k - 1] + e
-        blocks = [Block(0, X @ [1.0, 2.0] + noise, np.zeros(n), X)]
-        found = solve(blocks, np.ones(1), np.full(2, -np.inf), np.full(2, np.inf))
-        drawn.append(found)
-        claimed.append(
-            np.diag(
-                covariance(blocks, np.ones(1), autocovariances(blocks, residuals(blocks, found)))
-            )
-        )
-    assert_allclose(np.sqrt(np.mean(claimed, axis=0)), np.std(drawn, axis=0), rtol=0.2)
-
-
 def test_the_bias_by_noise_has_the_right_size_and_sign(flown):
     """At three times the noise-free scatter: the mean error over repetitions, of which the scatter leaves 15 %."""
     results = [
@@ -341,25 +288,6 @@ def test_the_bias_by_noise_has_the_right_size_and_sign(flown):
     for name in ("a1", "a2", "a3", "a4"):
         error = np.mean([r.estimate[name] - TILT[name] for r in results])
         assert np.mean([r.bias[name] for r in results]) == pytest.approx(error, rel=0.35), name
-
-
-def test_high_noise_is_said(flown):
-    result = gb.regression.equation_error(
-        LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3), free="T_delay"
-    )
-    (said,) = [
-        text
-        for text in result.warnings
-        if "noise in the measured states biases the estimate" in text
-    ]
-    assert {n for n in result.bias if f"{n} by about {result.bias[n]:.2g}" in said} == {
-        n for n, shift in result.bias.items() if abs(shift) > result.standard_error[n]
-    }
-    assert min(result.bias.values()) < 0 < max(result.bias.values())
-    quiet = gb.regression.equation_error(
-        LinearTilt(), measured(flown, ("u", "v", "q", "theta"), 1e-3), fixed={"T_delay": 0.0}
-    )
-    assert not any("biases the estimate" in text for text in quiet.warnings)
 
 
 # --- what the record lacks
@@ -455,7 +383,6 @@ def test_what_is_not_determined_is_said():
     assert set(result.missing) == {"b", "b2", "idle"}
     assert "only a combination of b, b2 is determined" in result.missing["b"]
     assert result.estimate["k"] == pytest.approx(9.0, rel=0.02)
-    assert result.standard_error["k"] < 0.1
 
 
 def test_bounds_hold(sliding):
@@ -465,8 +392,6 @@ def test_bounds_hold(sliding):
     result = gb.regression.equation_error(Bounded(), sliding)
     assert result.estimate["k"] == 8.0
     assert result.at_bound == ("k",)
-    assert np.isnan(result.standard_error["k"])
-    assert result.standard_error["c"] > 0
     assert "AT BOUND" in str(result)
 
 
@@ -514,10 +439,6 @@ def test_the_estimate_is_a_start(flown):
     )
     fit = gb.fit(gb.Problem(LinearTilt(), data, fixed={"T_delay": 0.0}), starts=[result.estimate])
     assert fit.converged
-    assert result.covariance_of(["a2", "a1"]).shape == (2, 2)
-    assert result.covariance_of(["a1"])[0, 0] == pytest.approx(result.standard_error["a1"] ** 2)
-    later = gb.Problem(LinearTilt(), data, fixed={"a1": result, "T_delay": 0.0})
-    assert later.parameters["a1"].start == result.estimate["a1"]
 
 
 def test_it_prints_itself(flown):
@@ -679,7 +600,6 @@ class StaticSum(gb.StateSpace):
 
 
 def test_gains_that_only_their_sum_tells_count_as_one():
-    """With 14 rows, of which the two that are determined leave 12: the error of the offset is that of one gain held."""
     random = np.random.default_rng(0)
     u = random.normal(size=14)
     record = gb.Record(
@@ -689,7 +609,6 @@ def test_gains_that_only_their_sum_tells_count_as_one():
     held = gb.regression.equation_error(StaticSum(), record, fixed={"b": 0.5})
     assert set(found.missing) == {"a", "b"}
     assert found.estimate["c"] == pytest.approx(held.estimate["c"])
-    assert found.standard_error["c"] == pytest.approx(held.standard_error["c"])
 
 
 def test_every_row_of_what_is_printed():
@@ -700,10 +619,7 @@ def test_every_row_of_what_is_printed():
     found = EquationErrorEstimate(
         name="Slider, ground",
         estimate={"k": 12.345678, "c": 10.0},
-        standard_error={"k": 0.123456, "c": np.nan},
         bias={"k": -0.01234, "c": 0.0},
-        covariance=np.array([[0.04, np.nan], [np.nan, np.nan]]),
-        dof=57.3,
         equations=(
             UsedEquation("v'", ("k", "c"), 0.98765, 1234, 3.21098, 0.045678),
             UsedEquation("az", ("k",), 0.5, 7, np.inf, 1.5),
@@ -711,17 +627,14 @@ def test_every_row_of_what_is_printed():
         left_out=("w' (it needs w, not known)",),
         missing={"m": "it has no effect in these data"},
         at_bound=("c",),
-        fixed={},
         states=("v from the derivative of x",),
-        cutoffs={"x": 6.4},
         parameters=parameters,
         warnings=("c ended at its bound.",),
         inputs={"F": "held until its next sample"},
     )
     lines = str(found).splitlines()
-    assert (
-        "  c                10        -              0  1/s   AT BOUND  viscous friction" in lines
-    )
+    (row,) = [line.split() for line in lines if line.split()[:1] == ["c"]]
+    assert row == ["c", "10", "0", "1/s", "AT", "BOUND", "viscous", "friction"]
     assert "  not estimated: m, it has no effect in these data" in lines
     assert "  v'        k c  0.9877  1234      3.21    0.0457" in lines
     assert "  az        k    0.5000     7       all       1.5" in lines
@@ -743,13 +656,12 @@ def sampled(count=14, **more):
 @pytest.mark.parametrize("value", [-10, 10, np.float64(3.0)])
 def test_what_is_fixed_may_lie_at_its_bound(value):
     found = gb.regression.equation_error(StaticSum(), sampled(), fixed={"b": value})
-    assert found.fixed == {"b": float(value)}
     u, y = sampled()["u"], sampled()["y"]
     gain, offset = np.polyfit(u, y - value * u, 1)
     if abs(gain) < 10:
         assert found.estimate == pytest.approx({"a": gain, "c": offset})
     assert found.equations[0].band == np.inf  # nothing was smoothed
-    assert (found.bias["c"], found.cutoffs) == (0.0, {})
+    assert found.bias["c"] == 0.0
 
 
 @pytest.mark.parametrize(

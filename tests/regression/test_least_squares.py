@@ -1,17 +1,12 @@
-"""Least squares over several equations and its covariance, against the formulas written out with full matrices."""
+"""Least squares over several equations, against the formulas written out with full matrices."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.linalg import toeplitz
 from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from greybox.regression.least_squares import (
-    Autocovariance,
     Block,
-    autocovariances,
-    covariance,
     residuals,
     solve,
     spread,
@@ -119,76 +114,6 @@ def test_spread_is_the_rms_of_an_equation():
     assert spread(empty, [np.zeros(5)]).tolist() == [1.0]  # of nothing, any would do
 
 
-@pytest.mark.parametrize("lags", [[0.3], [0.3, 0.2, 0.1, 0.02]])
-def test_the_covariance_is_the_sandwich_with_full_matrices(lags):
-    parts, weights = blocks(), np.array([1.0, 7.0])
-    colored = [Autocovariance(np.array(lags), 1.0), Autocovariance(2 * np.array(lags), 1.0)]
-    X, _ = stacked(parts, weights)
-    R = np.zeros((len(X), len(X)))
-    first = 0
-    for b in parts:
-        row = np.zeros(len(b.base))
-        row[: len(lags)] = colored[b.equation].lags
-        rows = slice(first, first + len(b.base))
-        R[rows, rows] = weights[b.equation] ** 2 * toeplitz(row)
-        first += len(b.base)
-    inverse = np.linalg.inv(X.T @ X)
-    assert_allclose(covariance(parts, weights, colored), inverse @ X.T @ R @ X @ inverse, rtol=1e-8)
-
-
-def test_the_autocovariance_of_white_residuals_is_their_variance():
-    random = np.random.default_rng(1)
-    parts = blocks(sizes=(3000, 2000, 4000))
-    first, second = autocovariances(parts, [2.0 * random.normal(size=len(b.base)) for b in parts])
-    assert first.lags[0] == pytest.approx(4.0, rel=0.05)
-    assert np.abs(first.lags[1:]).max(initial=0.0) < 0.2
-    assert first.independent == pytest.approx(5000, rel=0.1)
-    assert second.independent == pytest.approx(4000, rel=0.1)
-
-
-def test_the_autocovariance_of_colored_residuals_is_theirs():
-    """Of an AR(1) with a pole at a: a^k, worth (1 - a²) / (1 + a²) of its samples, under a Parzen window."""
-    a, random = 0.9, np.random.default_rng(2)
-    parts = blocks(sizes=(20000, 20000, 10))
-    errors = [lfilter([np.sqrt(1 - a**2)], [1, -a], random.normal(size=len(b.base))) for b in parts]
-    colored = autocovariances(parts, errors)[0]
-    assert_allclose(colored.lags[:10], a ** np.arange(10), atol=0.12)
-    # Squares of noisy lags add up, so that the number is on the low side.
-    assert 0.7 < colored.independent / (40000 * (1 - a**2) / (1 + a**2)) < 1.05
-    assert np.linalg.eigvalsh(toeplitz(colored.lags)).min() > -1e-9
-    # The window ends at eight correlation lengths.
-    assert len(colored.lags) == pytest.approx(8 * 40000 / colored.independent, abs=1)
-
-
-def test_the_autocovariance_is_that_of_the_samples_under_the_window_of_parzen():
-    """Of two stretches, one of which is shorter than the lags."""
-    errors = [
-        lfilter([1.0], [1, -0.8], np.random.default_rng(k).normal(size=n))
-        for k, n in enumerate((60, 3, 40))
-    ]
-    parts = [Block(k, e, 0 * e, e[:, None]) for k, e in zip((0, 0, 1), errors, strict=True)]
-    for found, members in zip(
-        autocovariances(parts, errors), (errors[:2], errors[2:]), strict=True
-    ):
-        total, lags = sum(e.size for e in members), len(found.lags)
-        raw = np.array(
-            [
-                sum(e[k:] @ e[: e.size - k] for e in members if e.size > k) / total
-                for k in range(total // 5)
-            ]
-        )
-        at = np.arange(lags) / lags
-        window = np.where(at <= 0.5, 1 - 6 * at**2 * (1 - at), 2 * (1 - at) ** 3)
-        assert_allclose(found.lags, raw[:lags] * window, rtol=1e-9)
-        length = max(1.0, 2 * np.sum((raw / raw[0]) ** 2) - 1 - 2 * len(raw) / total)
-        assert found.independent == pytest.approx(total / length)
-
-
-def test_exact_residuals_have_no_color():
-    parts = blocks()
-    assert autocovariances(parts, [0 * b.base for b in parts])[0].lags.tolist() == [0.0]
-
-
 @pytest.mark.parametrize(("angle", "is_undetermined"), [(1.8e-7, True), (2.2e-7, False)])
 def test_columns_nearer_than_the_root_of_the_rounding_are_one(angle, is_undetermined):
     """Of two unit columns at an angle, the singular values are the roots of 1 ± cos: their ratio is half of it."""
@@ -197,25 +122,3 @@ def test_columns_nearer_than_the_root_of_the_rounding_are_one(angle, is_undeterm
     slopes = np.column_stack([first, [0.0, 0.0, 1e-3], second])
     made = [Block(0, np.ones(3), np.zeros(3), slopes)]
     assert undetermined(made) == ([(0, 2)] if is_undetermined else [])
-
-
-def test_few_residuals_have_two_lags_and_any_unit():
-    """Of six, of which a fifth would be one."""
-    errors = 1e-3 * np.array([1.0, 0.9, -0.2, 0.4, 0.5, -1.1])
-    (found,) = autocovariances([Block(0, errors, 0 * errors, errors[:, None])], [errors])
-    raw = np.array([errors @ errors, errors[1:] @ errors[:-1]]) / 6
-    length = max(1.0, 2 * (1 + (raw[1] / raw[0]) ** 2) - 1 - 2 * 2 / 6)
-    assert_allclose(found.lags, raw * [1, 2 * 0.5**3])
-    assert found.independent == pytest.approx(6 / length)
-    (larger,) = autocovariances([Block(0, errors, 0 * errors, errors[:, None])], [1e5 * errors])
-    assert_allclose(larger.lags, 1e10 * found.lags)
-
-
-def test_white_residuals_are_worth_no_more_than_they_are():
-    worth = []
-    for seed in range(10):
-        errors = np.random.default_rng(seed).normal(size=300)
-        (found,) = autocovariances([Block(0, errors, 0 * errors, errors[:, None])], [errors])
-        worth.append(found.independent)
-    assert max(worth) == 300
-    assert min(worth) > 150

@@ -10,6 +10,7 @@ from greybox.regression.smoothing import (
     differentiate,
     low_pass,
     reach,
+    require_uniform,
     smooth,
     stretches,
     without_holes,
@@ -32,18 +33,22 @@ def noisy(size, seed=0):
     return truth() + size * np.random.default_rng(seed).normal(size=TIME.size)
 
 
+def slope(values, time=TIME, **options):
+    return differentiate(smooth(time, values, **options).values, STEP)
+
+
 def derivative_error(derivative):
     return float(np.sqrt(np.mean((derivative - truth(1))[75:-75] ** 2)) / np.std(truth(1)))
 
 
 @pytest.mark.parametrize(("size", "limit"), [(0.0, 1e-4), (1e-3, 6e-3), (0.01, 0.03), (0.1, 0.15)])
 def test_derivative_of_a_known_signal(size, limit):
-    assert derivative_error(smooth(TIME, noisy(size)).derivative) < limit
+    assert derivative_error(slope(noisy(size))) < limit
 
 
 @pytest.mark.parametrize("size", [0.01, 0.1])
 def test_no_window_of_savitzky_and_golay_does_better(size):
-    ours = [derivative_error(smooth(TIME, noisy(size, seed)).derivative) for seed in range(5)]
+    ours = [derivative_error(slope(noisy(size, seed))) for seed in range(5)]
     windows = range(5, 151, 4)
     theirs = [
         min(
@@ -80,7 +85,7 @@ def test_a_straight_line_has_no_noise_and_its_own_slope(unit):
     known = smooth(TIME, unit * (3 - 0.5 * TIME))
     assert known.cutoff == pytest.approx(np.pi * 1498 / TIME[-1])  # all passes
     assert known.noise < 1e-12 * unit
-    assert_allclose(known.derivative, -0.5 * unit, rtol=1e-9)
+    assert_allclose(differentiate(known.values, STEP), -0.5 * unit, rtol=1e-9)
     assert smooth(TIME, unit * noisy(0.01)).cutoff == pytest.approx(
         smooth(TIME, noisy(0.01)).cutoff
     )
@@ -93,7 +98,7 @@ def test_all_that_passes_leaves_no_noise():
 def test_a_lower_cutoff_passes_less():
     known = smooth(TIME, noisy(0.01), cutoff=3.0)
     assert known.cutoff == 3.0
-    assert np.std(known.derivative) < 0.8 * np.std(truth(1))
+    assert np.std(differentiate(known.values, STEP)) < 0.8 * np.std(truth(1))
 
 
 def test_the_filter_halves_its_cutoff_and_passes_a_line():
@@ -121,7 +126,6 @@ def test_nothing_crosses_a_gap():
     jump = np.where(TIME < 15, 0.0, 100.0)
     known = smooth(time, truth() + jump)
     assert np.abs(known.values - truth() - jump).max() < 0.01
-    assert np.abs(known.derivative - truth(1)).max() < 0.5
 
 
 def test_single_missing_samples_are_interpolated_and_longer_holes_are_not():
@@ -152,12 +156,6 @@ def test_a_cubic_through_four_samples_fills_a_hole(count, is_filled):
     ("time", "values", "cutoff", "sentence"),
     [
         (
-            TIME + 0.1 * STEP * (np.arange(1500) == 700),
-            TIME,
-            None,
-            r"not uniform: the step at 13\.98 s is 0\.022 s",
-        ),
-        (
             TIME[:8],
             TIME[:8],
             None,
@@ -169,8 +167,6 @@ def test_a_cubic_through_four_samples_fills_a_hole(count, is_filled):
             None,
             "of which 150 are finite: put it on the time base",
         ),
-        (TIME, TIME, -1.0, r"cutoff -1\.0 must be a number of rad/s above 0"),
-        (TIME[:1], TIME[:1], None, "1 sample has no derivative"),
     ],
 )
 def test_bad_input(time, values, cutoff, sentence):
@@ -193,11 +189,12 @@ def steps(*lengths):
 
 def test_a_step_may_be_two_percent_off_and_from_two_and_a_half_it_is_a_gap():
     def of(odd):
-        time = steps(*[1.0] * 13, odd, *[1.0] * 14)
-        return smooth(time, time**2)
+        require_uniform(steps(*[1.0] * 13, odd, *[1.0] * 14))
 
     for within in (1.019, 0.981, 2.51):
-        assert np.isfinite(of(within).values).all()
+        of(within)
+    with pytest.raises(ValueError, match="1 sample has no derivative"):
+        require_uniform(TIME[:1])
     for odd in (1.021, 0.979, 2.49):
         with pytest.raises(
             ValueError,
@@ -210,8 +207,8 @@ def test_a_stretch_has_twelve_samples():
     values = np.arange(40.0) ** 2
     values[[12, 13, 25, 26]] = np.nan  # of 12, 11 and 13 samples
     known = smooth(0.1 * np.arange(40), values)
-    assert np.isnan(known.derivative[14:25]).all()
-    assert np.isfinite(known.derivative[[0, 11, 27, 39]]).all()
+    assert np.isnan(known.values[14:25]).all()
+    assert np.isfinite(known.values[[0, 11, 27, 39]]).all()
     with pytest.raises(ValueError, match="no stretch of 12 samples"):
         smooth(0.1 * np.arange(11), np.arange(11.0) ** 2)
 
