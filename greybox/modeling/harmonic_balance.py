@@ -15,7 +15,6 @@ with nine of them is exact to half a percent, with 50 to a tenth of a percent.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -364,39 +363,23 @@ class Newton:
 
 
 def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
-    """Return the function from what is given to the harmonics: at once, or else with a rising amplitude.
-
-    Where Newton's method fails, the amplitude is doubled from 1/128 of it, where a smooth model is
-    nearly linear. Nothing is tried after a step that failed.
-    """
+    """Return the function from what is given to the harmonics: at once, or else with a rising amplitude."""
     given: Any = ca.MX.sym("given", newton.numel_in("p"))
-    root: Any = ca.MX.sym("root", newton.numel_in("x0"))
     # Small, so that the first step goes to the linear response; not zero, where a kink has no
     # slope.
-    small = ca.DM(np.full(root.numel(), 1e-6))
-    harmonics = newton(x0=small, p=given)["x"]
-    by_doubling = in_steps(careful, finish, small)
-    chosen = ca.if_else(finish(root, given)[1], root, by_doubling(given), True)
-    choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
-    return ca.Function("guess", [given], [choose(harmonics, given)])
+    small = ca.DM(np.full(newton.numel_in("x0"), 1e-6))
 
+    # Where Newton's method fails, the amplitude is doubled from 1/128 of it, where a smooth model
+    # is nearly linear.
+    followed = ca.MX(small)
+    for k in range(7, -1, -1):
+        step = ca.vertcat(given[:-1], given[-1] / 2**k)
+        followed = careful(x0=followed, p=step)["x"]
+    by_doubling = ca.Function("by_doubling", [given], [followed], {"never_inline": True})
 
-def in_steps(careful: ca.Function, finish: ca.Function, small: ca.DM) -> ca.Function:
-    """Return the function from what is given to the harmonics, which are followed as the amplitude doubles."""
-    given: Any = ca.MX.sym("given", careful.numel_in("p"))
-    root: Any = ca.MX.sym("root", small.numel())
-    previous: Any = ca.MX.sym("previous", given.numel())
-    step: Any = ca.MX.sym("step", given.numel())
-    following = careful(x0=root, p=step)["x"]
-    following = ca.if_else(finish(root, previous)[1], following, root, True)
-    options = {"never_inline": True}
-    take_step = ca.Function("take_step", [root, previous, step], [following], options)
-
-    steps = [ca.vertcat(given[:-1], given[-1] / 2**k) for k in range(7, -1, -1)]
-    harmonics = careful(x0=small, p=steps[0])["x"]
-    for previous_step, next_step in pairwise(steps):
-        harmonics = take_step(harmonics, previous_step, next_step)
-    return ca.Function("by_doubling", [given], [harmonics])
+    direct = newton(x0=small, p=given)["x"]
+    chosen = ca.if_else(finish(direct, given)[1], direct, by_doubling(given), True)
+    return ca.Function("guess", [given], [chosen])
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,9 +104,10 @@ def _require_finite(model: Model, omega: Array, sine: Sine, response: ComplexArr
     finite = np.isfinite(response)
     if not finite.all():
         k = int(np.argmin(finite))
+        place = _place(sine, omega[k], sine.amplitudes(omega)[k])
         raise ValueError(
-            f"{model.label} has no periodic motion at omega = {omega[k]:g} rad/s in which {sine.signal} is a sine of "
-            f"amplitude {sine.amplitudes(omega)[k]:g}: give a smaller amplitude, or check the values and `at`."
+            f"{model.label} has no periodic motion {place}: give a smaller amplitude, or check the "
+            "values and `at`."
         )
 
 
@@ -135,13 +136,17 @@ def periodic_motions(
         # the amplitude: a resonance jumps and falls back at amplitudes less than that apart.
         raised = _followed(balance, column, np.geomspace(1e-3, 1, 40))
         lowered = _followed(balance, column, np.geomspace(10, 1, 20))
-        motions = _distinct([direct[k], raised, lowered])
-        if np.isfinite(raised) and not _same(raised, direct[k]):
-            response[k] = raised
-        elif motions:
+        motions = [m for m in (raised, direct[k], lowered) if np.isfinite(m)]
+        if motions and not _same(motions[0], direct[k]):
             response[k] = motions[0]
-        if len(motions) > 1:
-            messages.append(_several(model, sine, omega, k, response[k], motions))
+        others = [motion for motion in motions if not _same(motion, response[k])]
+        if others:
+            messages.append(
+                f"{model.label} has several periodic motions {_place(sine, *column[-2:])}: the "
+                f"response {abs(response[k]):.4g} of a test that raises the amplitude slowly is "
+                f"used, and other tests may show {abs(others[-1]):.4g} at "
+                f"{np.angle(others[-1], deg=True):.1f}°."
+            )
     return response, messages
 
 
@@ -167,28 +172,9 @@ def _solved(balance: CompiledBalance, guess: Array, given: Array) -> tuple[Array
     return x, bool(balance.solver.finish(x, given)[1]) and bool(np.all(np.isfinite(x)))
 
 
-def _distinct(responses: list[complex]) -> list[complex]:
-    distinct: list[complex] = []
-    for response in responses:
-        if np.isfinite(response) and not any(_same(response, other) for other in distinct):
-            distinct.append(response)
-    return distinct
-
-
 def _same(response: complex, other: complex) -> bool:
     return bool(abs(response - other) <= DISTINCT * abs(other))
 
 
-def _several(
-    model: Model, sine: Sine, omega: Array, k: int, used: complex, motions: list[complex]
-) -> str:
-    others = " and ".join(
-        f"{abs(response):.4g} at {np.angle(response, deg=True):.1f}°"
-        for response in motions
-        if not _same(response, used)
-    )
-    return (
-        f"{model.label} has several periodic motions at omega = {omega[k]:g} rad/s in which {sine.signal} is a sine of "
-        f"amplitude {sine.amplitudes(omega)[k]:g}: the response {abs(used):.4g} of a test that raises the amplitude "
-        f"slowly is used, and other tests may show {others}."
-    )
+def _place(sine: Sine, omega: float, amplitude: float) -> str:
+    return f"at omega = {omega:g} rad/s in which {sine.signal} is a sine of amplitude {amplitude:g}"

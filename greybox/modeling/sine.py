@@ -43,22 +43,18 @@ class Sine:
         """Check the values and make them read-only."""
         if not isinstance(self.signal, str):
             raise TypeError(f"the signal of a sine is {self.signal!r:.60}: give its name.")
-        try:
-            amplitude = np.array(self.amplitude)
-            amplitude = (
-                amplitude.astype(float) if amplitude.dtype.kind in "iuf" else np.array(np.nan)
-            )
-        except (TypeError, ValueError):
-            amplitude = np.array(np.nan)
+        amplitude = np.array(self.amplitude)
         if (
-            amplitude.ndim > 1
+            amplitude.dtype.kind not in "iuf"
+            or amplitude.ndim > 1
             or not amplitude.size
             or not np.all(np.isfinite(amplitude) & (amplitude > 0))
         ):
             raise ValueError(
-                f"the amplitude of {self.signal!r} is {self.amplitude!r:.60}: give a finite number above 0, or one for "
-                "each frequency."
+                f"the amplitude of {self.signal!r} is {self.amplitude!r:.60}: give a finite number "
+                "above 0, or one for each frequency."
             )
+        amplitude = amplitude.astype(float)
         amplitude.setflags(write=False)
         object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
         if self.harmonics is not None:
