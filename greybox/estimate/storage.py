@@ -36,7 +36,7 @@ from greybox.estimate.stored_values import (
     write_table,
 )
 from greybox.files.sealed_files import Node, Stored, open_sealed, write_sealed
-from greybox.formulation.prior import as_prior
+from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 from greybox.solve.minima import Minimum
@@ -184,7 +184,7 @@ def _require_consistent(fit: Fit) -> None:
     require(bool(fit.parts) and len(fit.runs.cost) > 0, "it has no data or no runs")
     require({*fit.priors} <= {*fit.free}, "a parameter with a prior was not free")
     for name, prior in fit.priors.items():
-        as_prior(prior, f"the prior of {name!r:.40}")
+        normal_prior(prior, f"the prior of {name!r:.40}")
 
     sizes = {"p": len(fit.free), "k": len(fit.names), "r": len(fit.runs.cost)}
     _require_shapes(fit, {"covariance": "kk", "white": "pp"}, sizes)

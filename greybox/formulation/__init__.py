@@ -7,7 +7,6 @@ Begin with `problem`.
 | `problem` | `Problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters |
 | `sum` | `Sum`: problems solved at once |
 | `several` | one problem for several records |
-| `summand` | what a sum asks of a problem |
 | `added_criteria` | criteria whose costs add |
 | `data_used_twice` | records and what was estimated from them must not be added |
 | `sensor_biases` | each record of a sum has its own biases |

@@ -1,12 +1,12 @@
 """Criteria of a sum: likelihoods add, and so do costs of the same criterion."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from greybox.formulation.frequency_criteria import RelativeLikelihood
-from greybox.formulation.summand import Part
 
 
-def with_costs_that_add(parts: Sequence[Part]) -> tuple[Part, ...]:
+def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with criteria whose costs may be added.
 
     Negative log-likelihoods add, whatever the data. If one criterion is a likelihood, as that of

@@ -1,16 +1,16 @@
 """Refuse data that are in a sum twice: as a record, and as a response or spectrum estimated from it."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.formulation.summand import Summand
 
 
-def require_data_once(parts: Sequence[Summand]) -> None:
+def require_data_once(parts: Sequence[Any]) -> None:
     """Refuse a record together with a response or a spectrum that was estimated from a stretch of it.
 
     Their errors are the same, so that adding their likelihoods would count the information twice.

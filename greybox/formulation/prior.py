@@ -1,6 +1,5 @@
 """A-priori knowledge of parameters: normal distributions, given one by one or by an earlier fit."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -11,7 +10,8 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.time_criteria import TimeCriterion
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.model import require_known
+from greybox.modeling.parameter import Parameter, normal_prior
 
 Knowledge = tuple[float, float] | HeldEstimate
 """Mean and standard deviation of one parameter, or an earlier fit with its estimate and covariance."""
@@ -92,31 +92,19 @@ def normal_priors(
         name for name, parameter in declared.items() if not parameter.fixed and name not in tied
     ]
     if isinstance(prior, HeldEstimate):
-        shared = {name: prior for name in free if outside[name] in prior.estimate}
-        if not shared:
+        given: dict[str, Any] = {name: prior for name in free if outside[name] in prior.estimate}
+        if not given:
             raise ValueError(
-                f"the Fit given as prior has {', '.join(prior.estimate)}, none of which is free here; free are "
-                f"{', '.join(free)}."
+                f"the Fit given as prior has {', '.join(prior.estimate)}, none of which is free "
+                f"here; free are {', '.join(free)}."
             )
-        given: dict[str, Any] = dict(shared)
     elif isinstance(prior, Mapping):
         given = dict(prior)
     else:
         raise TypeError(
             f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit."
         )
-    for name in given:
-        if name not in free:
-            why = (
-                "tied"
-                if name in tied
-                else "fixed"
-                if name in declared
-                else "no parameter of the model"
-            )
-            raise ValueError(
-                f"prior names {name!r}, which is {why}: give it for free parameters, {', '.join(free)}."
-            )
+    require_known(given, free, "free parameter", "prior: the problem")
 
     densities: list[NormalPrior] = []
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
@@ -127,7 +115,7 @@ def normal_priors(
         if isinstance(value, HeldEstimate):
             sources.setdefault(id(value), (value, []))[1].append(outside[name])
             continue
-        mean, sigma = as_prior(value, f"the prior of {name}")
+        mean, sigma = normal_prior(value, f"the prior of {name}")
         densities.append(NormalPrior((outside[name],), np.array([mean]), np.array([[sigma**2]])))
     return densities + [_of_estimate(source, tuple(names)) for source, names in sources.values()]
 
@@ -145,22 +133,3 @@ def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
             "deviation)} for the others, or fix it in both."
         )
     return NormalPrior(names, np.array([source.estimate[name] for name in names]), covariance)
-
-
-def as_prior(value: Any, what: str) -> tuple[float, float]:
-    """Return mean and standard deviation.
-
-    Raises
-    ------
-    ValueError
-        For anything else.
-    """
-    try:
-        mean, sigma = map(float, value)
-    except (TypeError, ValueError):
-        mean = sigma = math.nan
-    if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):
-        raise ValueError(
-            f"{what} is {value!r:.60}: give two finite numbers (mean, standard deviation above 0)."
-        )
-    return mean, sigma

@@ -28,6 +28,7 @@ from greybox.modeling.parameter import Parameter
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import require_no_nan, traced
+from greybox.modeling.transfer_function import require_no_operating_point
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,30 +188,17 @@ class Problem:
 
     def _check_names(self) -> None:
         """Require that options name parameters of the model, and that no parameter is two of fixed, free and tied."""
-        label = self.model.label
-        declared = self.declared
         kinds: dict[str, Iterable[str]] = {
             "fixed": self.fixed_values,
             "free": self.free,
             "tied": self.tied,
         }
-        by_name = {
-            "rename": self.rename,
-            "bounds": self.bounds,
-            "start": self.start,
-            "starts": self.starts,
-        }
-        for what, names in by_name.items():
+        mappings = {what: getattr(self, what) for what in ("rename", "bounds", "start", "starts")}
+        for what, names in mappings.items():
             if not isinstance(names, Mapping):
-                raise TypeError(
-                    f"{what} is {names!r:.60}: give {{name: ...}}, with a name of a parameter."
-                )
-        for what, names in {**kinds, **by_name}.items():
-            for name in names:
-                if name not in declared:
-                    raise ValueError(
-                        f"{what} names {name!r}, which {label} does not have; its parameters are {', '.join(declared)}."
-                    )
+                raise TypeError(f"{what} is {names!r:.60}: give {{name of a parameter: ...}}.")
+        for what, names in {**kinds, **mappings}.items():
+            require_known(names, self.declared, "parameter", f"{what}: {self.model.label}")
 
         for first, second in (("fixed", "free"), ("fixed", "tied"), ("free", "tied")):
             for name in kinds[first]:
@@ -235,16 +223,10 @@ class Problem:
                 "leave it out; known initial states go into OutputError(initial=...)."
             )
         if isinstance(self.model, StateSpace):
-            require_known(
-                self.at,
-                (*self.model.states, *self.model.inputs),
-                "state or input",
-                self.model.label,
-            )
-        elif self.at:
-            raise ValueError(
-                f"{self.model.label} has no operating point: leave out at={dict(self.at)}."
-            )
+            known = (*self.model.states, *self.model.inputs)
+            require_known(self.at, known, "state or input", self.model.label)
+        else:
+            require_no_operating_point(self.model, self.at)
 
     def _check_amplitude(self) -> None:
         if self.amplitude is None:
@@ -457,24 +439,18 @@ def _wrong_data(given: Any) -> str:
     """Describe data of a wrong kind, with the cure."""
     if isinstance(given, Recording):
         first = next(iter(given), "MESSAGE")
-        messages = ", ".join(given)
         return (
-            f"a log with the messages {messages:.200}: give one of its records, such as log[{first!r}], or "
-            "what gb.prepare(log, {name: 'MESSAGE.Field'}) makes of several"
+            f"a log with the messages {', '.join(given):.200}: give one of its records, such as "
+            f"log[{first!r}], or what gb.prepare(log, {{name: 'MESSAGE.Field'}}) makes of several"
         )
     if isinstance(given, str | Path):
         path = str(given)
         return (
-            f"the path {path!r}: read the file first, gb.read_response({path!r}) for a frequency response or "
-            f"gb.read({path!r}) for records"
+            f"the path {path!r}: read the file first, gb.read_response({path!r}) for a frequency "
+            f"response or gb.read({path!r}) for records"
         )
-    if (
-        isinstance(given, Sequence)
-        and given
-        and all(isinstance(item, Record | FrequencyResponse | TransientSpectrum) for item in given)
-    ):
-        cure = "use gb.several(model, [...])" if len(given) > 1 else "take it out of the list"
-        return f"a list with {len(given)} in it: {cure}"
+    if isinstance(given, list | tuple):
+        return f"a list with {len(given)} in it: use gb.several(model, [...])"
     return f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum"
 
 

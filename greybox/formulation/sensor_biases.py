@@ -8,10 +8,9 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.formulation.held_estimate import HeldEstimate
-from greybox.formulation.summand import Part, Summand
 
 
-def with_numbered_biases(parts: Sequence[Part]) -> tuple[Part, ...]:
+def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with biases of one name numbered by the record, where more than one record has that name.
 
     Parts of one record share its biases. A bias keeps its name, so that records can share it, where
@@ -39,7 +38,7 @@ def with_numbered_biases(parts: Sequence[Part]) -> tuple[Part, ...]:
     return tuple(result)
 
 
-def _unnamed_biases(part: Summand) -> list[str]:
+def _unnamed_biases(part: Any) -> list[str]:
     """Return the biases that a part neither renames nor holds at an earlier estimate."""
     biases = [
         name

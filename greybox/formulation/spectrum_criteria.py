@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.formulation.time_criteria import OutputError, TimeCriterion
+from greybox.formulation.time_criteria import OutputError, TimeCriterion, modeled_outputs
 from greybox.modeling.model import Model
 from greybox.modeling.realization import dynamics
 
@@ -65,40 +65,24 @@ def outputs_in_spectrum(
         raise ValueError(
             f"{kind} is for records and the data are a TransientSpectrum: use OutputError()."
         )
-    for option, stands in (
-        ("inputs", criterion.inputs != "record"),
-        ("biases", criterion.biases),
-        ("initial", criterion.initial),
-    ):
-        if stands:
+    options = {
+        "inputs": criterion.inputs != "record",
+        "biases": bool(criterion.biases),
+        "initial": bool(criterion.initial),
+    }
+    for option, is_used in options.items():
+        if is_used:
             raise ValueError(
-                f"{option} of {kind} is for records and the data are a TransientSpectrum, which knows how its inputs "
-                "ran and contains no constants: leave it out."
+                f"{option} of {kind} is for records and the data are a TransientSpectrum, which "
+                "knows how its inputs ran and contains no constants: leave it out."
             )
-    for name in model.input_names:
-        if name not in spectrum.inputs:
-            raise ValueError(
-                f"{label} needs the input {name!r}, which the spectrum does not have; its inputs are "
-                f"{', '.join(spectrum.inputs)}."
-            )
-    outputs = tuple(name for name in model.output_names if name in spectrum.outputs)
-    if not outputs:
+    outputs = modeled_outputs(model, spectrum.inputs, spectrum.outputs, "spectrum")
+    criterion.check_noise(model, outputs)
+    states = len(dynamics(model).states)
+    if isinstance(criterion, EquationError) and len(outputs) not in (1, states):
         raise ValueError(
-            f"the spectrum has none of the outputs of {label} ({', '.join(model.output_names)}); its outputs are "
-            f"{', '.join(spectrum.outputs)}."
-        )
-    if isinstance(criterion.noise, Mapping):
-        missing = [name for name in outputs if name not in criterion.noise]
-        if missing:
-            raise ValueError(
-                f"noise gives no standard deviation for {missing[0]!r}: add it, or use noise='diagonal'."
-            )
-    if isinstance(criterion, EquationError) and len(outputs) not in (
-        1,
-        len(dynamics(model).states),
-    ):
-        raise ValueError(
-            f"EquationError compares one output, or as many as {label} has states ({len(dynamics(model).states)}), "
-            f"and the spectrum has {', '.join(outputs)}: use OutputError(), or leave outputs out of the spectrum."
+            f"EquationError compares one output, or as many as {label} has states ({states}), and "
+            f"the spectrum has {', '.join(outputs)}: use OutputError(), or leave outputs out of "
+            "the spectrum."
         )
     return outputs

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -11,9 +11,11 @@ from greybox.formulation.added_criteria import with_costs_that_add
 from greybox.formulation.data_used_twice import require_data_once
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.sensor_biases import with_numbered_biases
-from greybox.formulation.summand import Part
 from greybox.modeling.model import merge
 from greybox.modeling.parameter import Parameter
+
+# A part is a `Problem`, whose file imports this one.
+Part = TypeVar("Part", bound=Any)
 
 
 @dataclass(frozen=True, eq=False)

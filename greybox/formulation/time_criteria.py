@@ -1,7 +1,7 @@
 """Criteria for records: the mismatch between a model's simulated outputs and measured ones."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -125,18 +125,7 @@ class TimeCriterion(AnyCriterion):
         label = model.label
         if not model.is_static:
             require_time(record, f"the dynamic model {label}")
-        signals = ", ".join(record.signals) or "none"
-        for name in model.input_names:
-            if name not in record.signals:
-                raise ValueError(
-                    f"{label} needs the input {name!r}, which the record does not have; it has {signals}."
-                )
-
-        outputs = tuple(name for name in model.output_names if name in record.signals)
-        if not outputs:
-            raise ValueError(
-                f"the record has none of the outputs of {label} ({', '.join(model.output_names)}); it has {signals}."
-            )
+        outputs = modeled_outputs(model, record.signals, record.signals, "record")
 
         require_known(
             self.biases, (*outputs, *model.input_names), "measured output or input", label
@@ -148,14 +137,19 @@ class TimeCriterion(AnyCriterion):
                 f"{label} is a transfer function and has no named states: leave out initial."
             )
 
-        if isinstance(self.noise, Mapping):
-            require_known(self.noise, model.output_names, "output", label)
-            missing = [name for name in outputs if name not in self.noise]
-            if missing:
-                raise ValueError(
-                    f"noise gives no standard deviation for {missing[0]!r}: add it, or use noise='diagonal'."
-                )
+        self.check_noise(model, outputs)
         return outputs
+
+    def check_noise(self, model: Model, outputs: Sequence[str]) -> None:
+        """Raise ValueError if the known standard deviations are not those of the compared outputs."""
+        if not isinstance(self.noise, Mapping):
+            return
+        require_known(self.noise, model.output_names, "output", model.label)
+        for name in outputs:
+            if name not in self.noise:
+                raise ValueError(
+                    f"noise gives no standard deviation for {name!r}: add it, or use noise='diagonal'."
+                )
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
@@ -278,6 +272,31 @@ class PredictionError(TimeCriterion):
         return tuple(
             (state, output) for state in self.corrected or model.states for output in outputs
         )
+
+
+def modeled_outputs(
+    model: Model, inputs: Iterable[str], outputs: Iterable[str], noun: str
+) -> tuple[str, ...]:
+    """Return the outputs of the model that are among those of the data.
+
+    Raises
+    ------
+    ValueError
+        If an input is missing, or all outputs are.
+    """
+    for name in model.input_names:
+        if name not in inputs:
+            raise ValueError(
+                f"{model.label} needs the input {name!r}, which the {noun} does not have; it has "
+                f"{', '.join(inputs) or 'none'}."
+            )
+    found = tuple(name for name in model.output_names if name in outputs)
+    if not found:
+        raise ValueError(
+            f"the {noun} has none of the outputs of {model.label} "
+            f"({', '.join(model.output_names)}); it has {', '.join(outputs) or 'none'}."
+        )
+    return found
 
 
 # Measured ranges of the signal that bound a bias: far beyond any error of a sensor.

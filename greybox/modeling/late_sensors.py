@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.modeling.model import Names
+from greybox.modeling.model import Names, require_known
 from greybox.modeling.pade_delay import pade_rows, pade_steady
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -27,36 +27,27 @@ class LateSensors(StateSpace):
     """
 
     def __init__(self, model: StateSpace, *sensors: tuple[str, str, tuple[float, float]]) -> None:
-        """Add states and parameters."""
         self.model = model
-        self.inputs, self.outputs, self.delays = (
-            tuple(model.inputs),
-            tuple(model.outputs),
-            dict(model.delays),
-        )
+        self.inputs = tuple(model.inputs)
+        self.outputs = tuple(model.outputs)
+        self.delays = model.delays
         self.units = model.units
-        self.parameters = dict(model.parameters)
         self.states = tuple(model.states)
+        self.parameters = dict(model.parameters)
         self.late: dict[str, tuple[str, tuple[str, ...]]] = {}
-        for output, kind, bounds in sensors:
-            low, high = bounds
-            if output not in self.outputs:
-                raise ValueError(
-                    f"{model.label} has no output {output!r}; it has {', '.join(self.outputs)}."
-                )
+        for output, kind, (low, high) in sensors:
+            require_known([output], self.outputs, "output", model.label)
             if output in self.late:
                 raise ValueError(f"{output!r} has a delay and a lag: give one of them.")
             if not 0 < low < high < math.inf:
                 raise ValueError(
-                    f"the {kind} of {output!r} has the bounds {bounds}: give 0 < low < high, in s."
+                    f"the {kind} of {output!r} has the bounds {(low, high)}: give 0 < low < high, in s."
                 )
             name = f"{output}_{kind}"
             added = tuple(f"{name}_{k}" for k in range(1 if kind == "lag" else ORDER))
             for new in (name, *added):
                 if new in (*self.parameters, *self.states, *self.inputs):
-                    raise ValueError(
-                        f"{model.label} already has {new!r}, the name of the {kind} of {output!r}: rename it."
-                    )
+                    raise ValueError(f"{model.label} already has {new!r}: rename it there.")
             self.parameters[name] = Parameter(
                 math.sqrt(low * high),
                 bounds=(low, high),
@@ -77,20 +68,13 @@ class LateSensors(StateSpace):
         return f"{self.model.label}, late {', '.join(self.late)}"
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return that of the model, then those of the sensors."""
-        true = self._true(x, u, p)
+        """Return the derivatives of the model's states, then those of the sensors' states."""
         rows = as_list(self.model.derivative(x, u, p)) if self.model.states else []
-        for output, (name, states) in self.late.items():
-            rows += self._sensor(true[output], [x[state] for state in states], p[name])[1]
-        return rows
+        return rows + [row for _, rates in self._sensors(x, u, p).values() for row in rates]
 
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return what the sensors show."""
-        outputs = self._true(x, u, p)
-        for output, (name, states) in self.late.items():
-            late = self._sensor(outputs[output], [x[state] for state in states], p[name])
-            outputs[output] = late[0]
-        return list(outputs.values())
+        return [shown for shown, _ in self._sensors(x, u, p).values()]
 
     @property
     def trim(self) -> Any:  # type: ignore[override]
@@ -100,21 +84,26 @@ class LateSensors(StateSpace):
     def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
         assert self.model.trim is not None
         point = {**dict.fromkeys((*self.states, *self.inputs), 0.0), **self.model.trim(at, p), **at}
-        true = self._true(Names(point), Names(point), p)
-        for output, (_, states) in self.late.items():
-            steady = [true[output]] if len(states) == 1 else pade_steady(true[output], ORDER)
-            point |= dict(zip(states, steady, strict=True))
+        true = as_list(self.model.output(Names(point), Names(point), p))
+        for output, value in zip(self.outputs, true, strict=True):
+            states = self.late.get(output, ("", ()))[1]
+            steady = [value] if len(states) == 1 else pade_steady(value, ORDER)
+            point |= dict(zip(states, steady, strict=False))
         return {name: value for name, value in point.items() if name not in at}
 
-    def _true(self, x: Any, u: Any, p: Any) -> dict[str, Any]:
-        return dict(zip(self.outputs, as_list(self.model.output(x, u, p)), strict=True))
-
-    @staticmethod
-    def _sensor(true: Any, x: list[Any], time: Any) -> tuple[Any, list[Any]]:
-        """Return what a sensor shows, and the derivatives of its states."""
-        if len(x) == 1:
-            return x[0], [(true - x[0]) / time]
-        return pade_rows(x, true, time, ORDER)
+    def _sensors(self, x: Any, u: Any, p: Any) -> dict[str, tuple[Any, list[Any]]]:
+        """Return what every sensor shows, and the derivatives of its states."""
+        sensors: dict[str, tuple[Any, list[Any]]] = {}
+        for output, true in zip(self.outputs, as_list(self.model.output(x, u, p)), strict=True):
+            name, states = self.late.get(output, ("", ()))
+            inside = [x[state] for state in states]
+            if not states:
+                sensors[output] = true, []
+            elif len(states) == 1:
+                sensors[output] = inside[0], [(true - inside[0]) / p[name]]
+            else:
+                sensors[output] = pade_rows(inside, true, p[name], ORDER)
+        return sensors
 
 
 def late_sensors(

@@ -3,15 +3,13 @@
 exp(-s T) ≈ Σ c_k (-s T)^k / Σ c_k (s T)^k, k = 0 ... n. A problem asks for it with
 ``delay="pade:n"``. In a formula, `Complex` and `Rational` replace their `exp` by
 `pade_exponential`; in the time domain, `realization` replaces a delayed input by the output of
-`pade_states`.
+`pade_rows`.
 """
 
 import math
 import re
 from collections.abc import Sequence
 from typing import Any
-
-import casadi as ca
 
 from greybox.modeling.function_of_s import polynomial_value
 
@@ -48,17 +46,11 @@ def pade_exponential(z: Any, order: int) -> Any:
     return polynomial_value(coefficients, z) / polynomial_value(coefficients, -z)
 
 
-def pade_states(x: ca.SX, u: ca.SX, delay: ca.SX, order: int) -> tuple[ca.SX, ca.SX]:
-    """Return the delayed input and the derivative of its states x (order,), in observer form.
+def pade_rows(x: Sequence[Any], u: Any, delay: Any, order: int) -> tuple[Any, list[Any]]:
+    """Return the delayed input and the derivatives of its states x (order,), in observer form.
 
     Time is in units of the delay, so that the states are of the input's size whatever the delay.
     """
-    delayed, rows = pade_rows(ca.vertsplit(x), u, delay, order)
-    return delayed, ca.vertcat(*rows)
-
-
-def pade_rows(x: Sequence[Any], u: Any, delay: Any, order: int) -> tuple[Any, list[Any]]:
-    """Return what `pade_states` does of states one by one, in any arithmetic."""
     a, b, feedthrough = _observer_form(order)
     rows = [
         (

@@ -71,11 +71,7 @@ class Parameter:
         if self.starts is not None:
             self._check_box(low, high)
         if self.prior is not None:
-            mean, sigma = number_pair(self.prior, "prior")
-            if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):
-                raise ValueError(
-                    f"prior {self.prior} must be (mean, standard deviation), the second above 0."
-                )
+            normal_prior(self.prior, "prior")
 
     def _check_box(self, low: float, high: float) -> None:
         first, last = number_pair(self.starts, "starts")
@@ -120,7 +116,17 @@ def number_pair(value: object, what: str) -> tuple[float, float]:
         low, high = value  # type: ignore[misc]
         low, high = float(low), float(high)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} {value!r} must be a pair of numbers (low, high).") from None
+        raise ValueError(f"{what} {value!r} must be a pair of numbers.") from None
     if math.isnan(low) or math.isnan(high):
         raise ValueError(f"{what} {value!r} hold a NaN: give two numbers (low, high).")
     return low, high
+
+
+def normal_prior(value: object, what: str) -> tuple[float, float]:
+    """Return mean and standard deviation; ValueError for anything else."""
+    mean, sigma = number_pair(value, what)
+    if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):
+        raise ValueError(
+            f"{what} {value!r} must be two finite numbers (mean, standard deviation above 0)."
+        )
+    return mean, sigma

@@ -195,8 +195,6 @@ def _is_zero(c: Any) -> bool:
 
 
 def _equal(a: Any, b: Any) -> bool:
-    if isinstance(a, ca.MX) or isinstance(b, ca.MX):
-        return ca.is_equal(ca.MX(a), ca.MX(b), 8)
     if is_casadi(a) or is_casadi(b):
         return ca.is_equal(ca.SX(a), ca.SX(b), 8)
     return bool(a == b)

@@ -7,9 +7,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import pade_states
+from greybox.modeling.pade_delay import pade_rows
 from greybox.modeling.rational import Rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -22,7 +23,6 @@ from greybox.modeling.symbolic_reading import (
 from greybox.modeling.transfer_function import TransferFunction
 
 NO_POLE = 1e-9  # rad/s: a pole below is an integrator's, as far as rounding lets the roots be known
-SWITCHES = {ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO, ca.OP_FMIN, ca.OP_FMAX}
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +106,9 @@ def has_branches(model: Model) -> bool:
     """Tell whether the equations of a `StateSpace` hold comparisons or limits, such as `gb.where` and `gb.maximum`."""
     if not isinstance(model, StateSpace):
         return False
-    system = dynamics(model)
-    operations = {
-        f.instruction_id(k)
-        for f in (system.derivative, system.output)
-        for k in range(f.n_instructions())
-    }
-    return bool(SWITCHES & operations)
+    z = ca.SX.sym("z", len(model.states) + len(model.inputs))
+    p = ca.SX.sym("p", len(model.parameters))
+    return has_switches(ca.vertcat(traced_derivative(model, z, p), traced_output(model, z, p)))
 
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
@@ -186,9 +182,9 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
             delayed_inputs.append(u[k])
             continue
         state = ca.SX.sym(f"delay_{name}", pade)
-        output, derivative = pade_states(state, u[k], delays[k], pade)
+        output, derivative = pade_rows(ca.vertsplit(state), u[k], delays[k], pade)
         added += [(f"{name}_delay_{i}", state[i]) for i in range(pade)]
-        rows.append(derivative)
+        rows += derivative
         delayed_inputs.append(output)
 
     x = ca.SX.sym("x", len(exact.states))

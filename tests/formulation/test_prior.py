@@ -146,9 +146,9 @@ def test_knowledge_of_several_parts_counts_once():
     [
         ({"prior": {"T": (0.5, 0.1)}, "criterion": gb.RelativeError()}, "no likelihood"),
         ({"prior": {"T": (0.5, 0.0)}}, "standard deviation"),
-        ({"prior": {"q": (0.5, 0.1)}}, "no parameter of the model"),
-        ({"prior": {"T": (0.5, 0.1)}, "fixed": {"T": 0.5}}, "fixed"),
-        ({"prior": {"T": (0.5, 0.1)}, "tied": {"T": lambda p: p.K / 4}}, "tied"),
+        ({"prior": {"q": (0.5, 0.1)}}, "no free parameter 'q'"),
+        ({"prior": {"T": (0.5, 0.1)}, "fixed": {"T": 0.5}}, "no free parameter 'T'"),
+        ({"prior": {"T": (0.5, 0.1)}, "tied": {"T": lambda p: p.K / 4}}, "no free parameter 'T'"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(options, match):
@@ -202,27 +202,27 @@ class Known:
         (
             {"K": (2.0, -1.0)},
             ValueError,
-            "the prior of K is (2.0, -1.0): give two finite numbers (mean, standard",
+            "the prior of K (2.0, -1.0) must be two finite numbers (mean, standard",
         ),
         (
             {"K": (np.inf, 1.0)},
             ValueError,
-            "the prior of K is (inf, 1.0): give two finite numbers (mean, standard",
+            "the prior of K (inf, 1.0) must be two finite numbers",
         ),
         (
             {"K": (2.0, np.inf)},
             ValueError,
-            "the prior of K is (2.0, inf): give two finite numbers (mean, standard",
+            "the prior of K (2.0, inf) must be two finite numbers",
         ),
         (
             {"K": 2.0},
             ValueError,
-            "the prior of K is 2.0: give two finite numbers (mean, standard deviation above 0).",
+            "the prior of K 2.0 must be a pair of numbers",
         ),
         (
             {"K": (1.0, 2.0, 3.0)},
             ValueError,
-            "the prior of K is (1.0, 2.0, 3.0): give two finite numbers (mean, ",
+            "the prior of K (1.0, 2.0, 3.0) must be a pair of numbers",
         ),
     ],
 )

@@ -71,11 +71,11 @@ def test_a_fit_gives_its_values_whole_or_by_name():
     [
         (
             {"fixed": {"b": 1.0}},
-            "fixed names 'b', which LagLagDelay does not have; its parameters are K, T1, T2, tau",
+            "fixed: LagLagDelay has no parameter 'b'; it has K, T1, T2, tau",
         ),
-        ({"free": ("b",)}, "free names 'b'"),
-        ({"tied": {"b": lambda p: p.K}}, "tied names 'b'"),
-        ({"rename": {"b": "c"}}, "rename names 'b'"),
+        ({"free": ("b",)}, "free: LagLagDelay has no parameter 'b'"),
+        ({"tied": {"b": lambda p: p.K}}, "tied: LagLagDelay has no parameter 'b'"),
+        ({"rename": {"b": "c"}}, "rename: LagLagDelay has no parameter 'b'"),
         ({"fixed": {"K": np.nan}}, "fixed gives 'K' the value nan: give a finite number or a Fit"),
         ({"fixed": {"K": "two"}}, "fixed gives 'K' the value 'two'"),
         ({"fixed": {"K": 1e3}}, r"fixed gives 'K' the value 1000 outside its bounds \(0, 100\)"),
@@ -112,7 +112,7 @@ def test_a_fit_gives_its_values_whole_or_by_name():
         ({"weight": np.inf}, "weight inf must be"),
         (
             {"at": {"theta": 0.1}},
-            r"LagLagDelay has no operating point: leave out at=\{'theta': 0.1\}",
+            r"LagLagDelay is a transfer function and has no operating point: leave out at=\{'theta': 0.1\}",
         ),
     ],
 )
@@ -513,7 +513,7 @@ ROWS = gb.Record(np.arange(4.0), {"F": [0.0, 1.0, 2.0, 1.0], "v": [0.0, 0.5, np.
         ({"fixed": {"c": np.nan}}, "fixed gives 'c' the value nan: give a finite number or a Fit."),
         (
             {"start": {"k": 1.0}},
-            "start names 'k', which Cube does not have; its parameters are c, m.",
+            "start: Cube has no parameter 'k'; it has c, m.",
         ),
     ],
 )
@@ -534,6 +534,6 @@ def test_values_at_bounds_are_kept_and_numbers_are_what_is_compared():
         3,
     )
     with pytest.raises(
-        TypeError, match=r"^bounds is \['c'\]: give \{name: \.\.\.\}, with a name of a parameter\.$"
+        TypeError, match=r"^bounds is \['c'\]: give \{name of a parameter: \.\.\.\}\.$"
     ):
         gb.Problem(Cube(), ROWS, bounds=["c"])

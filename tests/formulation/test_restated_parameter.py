@@ -90,7 +90,7 @@ def test_what_judges_a_fit_later_knows_its_bounds(tmp_path):
 @pytest.mark.parametrize(
     ("statement", "words"),
     [
-        ({"bounds": {"b": (0, 1)}}, "bounds names 'b', which LagLagDelay does not have"),
+        ({"bounds": {"b": (0, 1)}}, "bounds: LagLagDelay has no parameter 'b'"),
         ({"bounds": {"K": (2, 1)}}, r"K: bounds \(2.0, 1.0\) are reversed or empty"),
         ({"bounds": {"K": 3}}, r"K: bounds 3 must be a pair"),
         (
@@ -116,7 +116,7 @@ def test_what_a_parameter_cannot_have_is_refused(statement, words):
 
 
 def test_things_that_are_no_mapping_and_parameters_that_are_not_free_are_refused():
-    with pytest.raises(TypeError, match=r"bounds is .* give \{name: \.\.\.\}"):
+    with pytest.raises(TypeError, match=r"bounds is .* give \{name of a parameter: \.\.\.\}"):
         gb.Problem(LagLagDelay(), TWO, bounds=[("K", 0, 1)])
     data = measured(Parabola(), [1.0, 2.0])
     with pytest.raises(

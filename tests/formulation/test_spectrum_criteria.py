@@ -83,12 +83,12 @@ def test_outputs_are_compared_in_the_order_of_the_model(criterion, outputs, comp
         (
             gb.OutputError(),
             {"inputs": ("F", "rain")},
-            "Cart needs the input 'wind', which the spectrum does not have; its inputs are F, rain.",
+            "Cart needs the input 'wind', which the spectrum does not have; it has F, rain.",
         ),
         (
             gb.OutputError(),
             {"outputs": ("y", "z")},
-            "the spectrum has none of the outputs of Cart (v, x, a); its outputs are y, z.",
+            "the spectrum has none of the outputs of Cart (v, x, a); it has y, z.",
         ),
         (
             gb.OutputError(noise={"x": 0.1}),

@@ -15,7 +15,6 @@ from greybox.modeling.pade_delay import (
     delay_order,
     pade_coefficients,
     pade_rows,
-    pade_states,
     pade_steady,
 )
 from greybox.modeling.rational import Rational
@@ -93,7 +92,8 @@ def test_the_states_have_the_response_and_rest_where_the_input_does(order):
     assert delayed == pytest.approx(1.7)
     assert rest == pytest.approx(np.zeros(order), abs=1e-9)
     x, u, delay = ca.SX.sym("x", order), ca.SX.sym("u"), ca.SX.sym("T")
-    symbolic = ca.Function("pade", [x, u, delay], list(pade_states(x, u, delay, order)))
+    late, rows = pade_rows(ca.vertsplit(x), u, delay, order)
+    symbolic = ca.Function("pade", [x, u, delay], [late, ca.vertcat(*rows)])
     point = np.linspace(-1, 1, order)
     delayed, rest = symbolic(point, 0.4, T)
     wanted = pade_rows(list(point), 0.4, T, order)
