@@ -24,6 +24,7 @@ import numpy as np
 
 import greybox as gb
 from greybox.data.record import Recording
+from greybox.models.rate import DampedAngle
 
 K, A, TAU = 91.0, 0.681, 0.05  # 1/s², 1/s, s
 STEP = 1 / 800  # s, of the simulation; the controller runs at every second
@@ -36,7 +37,6 @@ ANGLE, RATE_P, RATE_I, RATE_D, FILTER = (
     20.0,
 )  # gains of ArduPilot, and Hz of the D term
 GYRO, ATTITUDE = 0.003, 0.0002  # noise, rad/s and rad
-LADDER = [("rate:DampedAngle", (), "rate damping, one more pole")]
 
 
 class Cell(NamedTuple):
@@ -132,7 +132,7 @@ def measured(cell, flights, seed):
                 input="u=log.u",
                 output="theta=log.theta",
                 instrument=f"log.{name}",
-                ladder=LADDER,
+                structures=[DampedAngle()],
             )
         response = found.measurement.response
         points.append(len(response))

@@ -28,8 +28,8 @@ class Polynomial(gb.TransferFunction):
         Magnitude of poles and zeros, in rad/s, that sets the bounds of the coefficients.
     starts : float
         Magnitude of poles and zeros, in rad/s, that sets the box in which starts are drawn.
-    output : str
-        Name of the output in the data.
+    output, input : str
+        Names in the data.
     delay : float
         The largest delay, s; zero is none.
 
@@ -40,7 +40,18 @@ class Polynomial(gb.TransferFunction):
         <= radius, and the delay is not below zero.
     """
 
-    def __init__(self, n=4, m=1, integrator=False, radius=50.0, starts=20.0, output="y", delay=0.0):
+    def __init__(
+        self,
+        n=4,
+        m=1,
+        integrator=False,
+        radius=50.0,
+        starts=20.0,
+        output="y",
+        delay=0.0,
+        *,
+        input="u",
+    ):
         _require_order("n", n, 1)
         _require_order("m", m, 0)
         if m >= n:
@@ -60,6 +71,7 @@ class Polynomial(gb.TransferFunction):
         self.m = m
         self.integrator = int(integrator)
         self.delay = delay
+        self.input = input
         self.output = output
         numerator = {f"b{k}": _coefficient(k, m, n, radius, starts) for k in range(m + 1)}
         denominator = {

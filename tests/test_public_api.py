@@ -31,7 +31,7 @@ NAMESPACES = {
     "expected_errors multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
-    "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement OrderSelection Settings "
+    "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_manoeuvre measure_matrix select_orders",
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",

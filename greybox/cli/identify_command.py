@@ -1,4 +1,4 @@
-"""The command `greybox identify`: from a log to a fitted model in one go."""
+"""The command `greybox identify`: from logs to a fitted model in one go."""
 
 import argparse
 import shlex
@@ -8,22 +8,31 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_model
-from greybox.cli.log_tests import read_log
+from greybox.cli.columns import stated_columns
 from greybox.cli.measurement_options import add_measurement_options, stated_choices
-from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
+from greybox.cli.options import (
+    UsageError,
+    add_common_options,
+    assignments,
+    intervals,
+    nonnegative,
+    positive,
+)
+from greybox.cli.orders_command import selection_json
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
+from greybox.cli.parameter_options import add_value_options
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
-from greybox.estimate.summary import summary
-from greybox.files.json_numbers import finite
+from greybox.identification.families import FAMILIES, Structure
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.measurement import Settings
-from greybox.modeling.transfer_function import TransferFunction
+from greybox.logs.readers import read
 
 EXAMPLES = (
     "flight.BIN",
     "flight.BIN --axis pitch --band 0.5 12 Hz --out pitch",
+    "first.BIN second.BIN --vehicle multirotor --fix T_rotor=0.048",
     "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
 )
 
@@ -31,7 +40,12 @@ EXAMPLES = (
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("log", metavar="LOG", help="a flight log, or a table of signals")
+    add(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="flight logs with tests of one axis, or tables of signals",
+    )
     add(
         "--input",
         default="",
@@ -46,6 +60,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_measurement_options(parser)
     add(
+        "--all-points",
+        action="store_true",
+        help="fit also the frequencies of which the check of the response warns",
+    )
+    add(
         "--through",
         nargs="*",
         metavar="FILTER",
@@ -53,17 +72,24 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "d-term-filter, target-filter; none without a name (default: what the output is known to have passed)",
     )
     add(
+        "--vehicle",
+        default="",
+        metavar="FAMILY",
+        help=f"fit the structures of {' or '.join(FAMILIES)} (default: rational transfer functions of rising order, for "
+        "any vehicle)",
+    )
+    add(
         "--structures",
         nargs="+",
         metavar="MODEL[+NAME]",
-        help="models to fit and compare, the simplest first, as of greybox fit --model, each with the parameters to "
-        "free (default: those that are known for this output)",
+        help="models to fit and compare instead, as of greybox fit --model, each with the parameters to free",
     )
+    add_value_options(parser)
     add(
         "--starts",
         type=positive,
         default=STARTS,
-        help=f"number of starts of every fit (default: {STARTS})",
+        help=f"number of starts of every fit of --vehicle and --structures (default: {STARTS})",
     )
     add("--seed", type=nonnegative, default=0, help="seed of the starts (default: 0)")
     add(
@@ -76,89 +102,130 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Identify; write response, result and figure."""
-    prefix = options.out or Path(options.log).stem
-    response, result, figure = (
-        Path(f"{prefix}_response.csv"),
-        Path(f"{prefix}_fit.h5"),
-        Path(f"{prefix}.png"),
-    )
-    for path in (response, result):
+    prefix = options.out or Path(options.logs[0]).stem
+    responses = _response_files(prefix, len(options.logs))
+    result, figure = Path(f"{prefix}_fit.h5"), Path(f"{prefix}.png")
+    for path in (*responses, result):
         require_writable(path, options.force)
     require_figure(figure, options.force)
-    ladder = [
-        (model, tuple(free), "stated")
-        for model, *free in (word.split("+") for word in options.structures or ())
-    ]
+    if options.vehicle and options.structures:
+        raise UsageError("--vehicle and --structures contradict one another: give one of them.")
+    columns = stated_columns(options) or None
     found = identify(
-        read_log(options),
-        ladder=ladder,
-        declared={name: _transfer_function(name) for name, *_ in ladder},
+        [read(log, columns=columns) for log in options.logs],
+        vehicle=options.vehicle,
+        structures=[_structure(word) for word in options.structures or ()],
         through=options.through,
+        fixed=assignments(options.fix, "--fix"),
+        free=options.free,
+        bounds=intervals(options.bounds, "--bounds"),
+        start=assignments(options.start, "--start"),
+        all_points=options.all_points,
         starts=options.starts,
         seed=options.seed,
         **stated_choices(options),
     )
 
-    lines = commands(found, options.log, prefix, options.columns)
+    lines = commands(found, options, prefix)
     answer = _json(found, lines)
     text = "\n".join(
         [str(found), "", "The same in single commands:", *(f"  {line}" for line in lines)]
     )
-    measured = found.measurement.response
-    fit = found.fit
-    if measured is None or not found.measurement.quality.usable:
-        answer["error"] = " ".join(found.measurement.quality.refusals)
+    if found.refusals or found.selection is None:
+        answer["error"] = " ".join(found.refusals)
         return answer, text, FAILED
-    write_response(measured, response)
-    notes = [f"saved {response}"]
-    if fit is None:
-        answer["error"] = "no structure of the ladder converged."
+    for measurement, path in zip(found.measurements, responses, strict=True):
+        assert measurement.response is not None
+        write_response(measurement.response, path)
+    notes = [f"saved {path}" for path in responses]
+    if found.fit is None:
+        answer["error"] = found.selection.verdict
         return answer, "\n".join([text, "", *notes]), FAILED
-    save(replace(fit, command=options.arguments), result)
+    save(replace(found.fit, command=options.arguments), result)
     notes += [f"saved {result}", *save_figure(figure, lambda: _figure(found))]
-    answer["files"] = [str(response), str(result), str(figure)]
-    return answer, "\n".join([text, "", *notes]), USABLE
+    answer["files"] = [*map(str, responses), str(result), str(figure)]
+    if not found.selection.explains:
+        answer["error"] = found.selection.verdict
+    else:
+        notes += ["", "Next:", *(f"  {line}" for line in _next(found, options, result))]
+    status = USABLE if found.selection.explains else FAILED
+    return answer, "\n".join([text, "", *notes]), status
 
 
-def _transfer_function(name: str) -> TransferFunction:
-    model = find_model(name)
-    if not isinstance(model, TransferFunction):
-        raise UsageError(
-            f"--structures {name}: {model.label} is an ODE; fit it to the response by greybox fit --model."
-        )
-    return model
+def _response_files(prefix: str, count: int) -> list[Path]:
+    numbers = [""] if count == 1 else [f"_{k}" for k in range(1, count + 1)]
+    return [Path(f"{prefix}{number}_response.csv") for number in numbers]
 
 
-def commands(result: Identification, log: str, prefix: str, columns: Sequence[str]) -> list[str]:
+def _structure(word: str) -> Structure:
+    name, *free = word.split("+")
+    return Structure(find_model(name), name, "stated", free)
+
+
+def _next(found: Identification, options: argparse.Namespace, result: Path) -> list[str]:
+    """Return the commands that judge the model further."""
+    return [f"greybox report {result}", f"greybox profile {result}"]
+
+
+def commands(result: Identification, options: argparse.Namespace, prefix: str) -> list[str]:
     """Return the single commands that do the same as `identify`; files are named after `prefix`."""
-    settings = result.measurement.settings
-    finding = _given("announced", settings.announced)
-    if settings.fields:
-        finding += ["--fields", *(f"{key}={name}" for key, name in settings.fields.items())]
-    finding += _given("setpoint", settings.setpoint)
-    reading = ["--columns", *columns] if columns else []
+    reading = ["--columns", *options.columns] if options.columns else []
+    files = [str(path) for path in _response_files(prefix, len(options.logs))]
+    lines = []
+    for log, measurement, file in zip(options.logs, result.measurements, files, strict=True):
+        settings = measurement.settings
+        finding = _given("announced", settings.announced)
+        if settings.fields:
+            finding += ["--fields", *(f"{key}={name}" for key, name in settings.fields.items())]
+        finding += _given("setpoint", settings.setpoint)
+        measuring = ["--input", settings.input, "--output", settings.output, *finding]
+        usual = Settings(settings.input, settings.output)
+        for name in ("axis", "tests", "instrument", "rate", "settle", "period", "points"):
+            value = getattr(settings, name)
+            measuring += _given(name, "" if value == getattr(usual, name) else value)
+        if settings.band:
+            measuring += ["--band", *(repr(float(edge)) for edge in settings.band)]
+        for name in ("whole", "open_loop", "drop_warned"):
+            measuring += [f"--{name.replace('_', '-')}"] if getattr(settings, name) else []
+        lines.append(["inspect", log, *finding, *reading])
+        lines.append(["response", log, *measuring, "--out", file, *reading])
 
-    response = f"{prefix}_response.csv"
-    measuring = ["response", log, "--input", settings.input, "--output", settings.output, *finding]
-    usual = Settings(settings.input, settings.output)
-    for name in ("axis", "tests", "instrument", "rate", "settle", "period", "points"):
-        value = getattr(settings, name)
-        measuring += _given(name, "" if value == getattr(usual, name) else value)
-    if settings.band:
-        measuring += ["--band", *(repr(float(edge)) for edge in settings.band)]
-    measuring += ["--whole"] if settings.whole else []
-    measuring += ["--open-loop"] if settings.open_loop else []
-    lines = [["inspect", log, *finding, *reading], [*measuring, "--out", response, *reading]]
-
-    if result.chosen:
-        step = result.chosen
-        fitting = ["fit", "--model", step.model, "--data", response]
-        fitting += ["--through", *step.through] if step.through else []
-        fitting += ["--free", *step.free] if step.free else []
-        fitting += ["--criterion", step.criterion]
-        fitting += ["--starts", str(result.starts), "--seed", str(result.seed)]
-        lines.append([*fitting, "--out", f"{prefix}_fit.h5", "--plot", f"{prefix}.png"])
+    if result.selection is not None and result.selection.chosen is not None:
+        lines.append([*_fitting(result, options, files), "--out", f"{prefix}_fit.h5"])
     return [shlex.join(["greybox", *words]) for words in lines]
+
+
+def _fitting(
+    result: Identification, options: argparse.Namespace, files: Sequence[str]
+) -> list[str]:
+    """Return the command that fits the chosen structure, or that selects the orders again."""
+    assert result.selection is not None
+    assert result.selection.chosen is not None
+    through = ["--through", *result.through] if result.through else []
+    if not (options.vehicle or options.structures):
+        stated = [("fix", options.fix), ("bounds", options.bounds), ("start", options.start)]
+        values = [word for name, words in stated if words for word in (f"--{name}", *words)]
+        return ["orders", *files, *through, *values]
+
+    chosen = result.selection.chosen
+    declared = find_model(chosen.label).parameters
+    free = [q for q in chosen.fit.quantities if q.kind == "free" and q.name in declared]
+    freed = [q.name for q in free if declared[q.name].fixed]
+    moved = [
+        f"{q.name}={float(q.bounds[0])!r}:{float(q.bounds[1])!r}"
+        for q in free
+        if q.bounds != declared[q.name].bounds
+    ]
+    stated = [("free", freed), ("bounds", moved)]
+    for name in ("fix", "start"):
+        words = [word for word in getattr(options, name) if word.partition("=")[0] in declared]
+        stated.append((name, words))
+    values = [word for name, words in stated if words for word in (f"--{name}", *words)]
+    return [
+        *("fit", "--model", chosen.label, "--data", *files, *through, *values),
+        *("--criterion", chosen.fit.criterion, "--starts", str(options.starts)),
+        *("--seed", str(options.seed)),
+    ]
 
 
 def _given(name: str, value: Any) -> list[str]:
@@ -173,25 +240,15 @@ def _figure(found: Identification) -> Any:
 
 
 def _json(found: Identification, lines: list[str]) -> dict[str, Any]:
-    steps = [
-        {
-            "model": s.model,
-            "free": list(s.free),
-            "through": list(s.through),
-            "about": s.about,
-            "converged": s.fit.converged,
-        }
-        | {"cost": finite(s.fit.cost), "chosen": s is found.chosen}
-        for s in found.steps
-    ]
     return {
         "chosen": [
             {"what": c.what, "why": c.why, "option": f"--{c.argument}"} for c in found.choices
         ],
-        "measurement": response_json(found.recording, found.measurement),
-        "structures": steps,
-        "comparison": found.comparison.table if found.comparison else [],
-        "reason": found.reason,
-        "fit": summary(found.fit) if found.fit is not None else None,
+        "measurements": [
+            response_json(recording, measurement)
+            for recording, measurement in zip(found.recordings, found.measurements, strict=True)
+        ],
+        "through": list(found.through),
+        **(selection_json(found.selection) if found.selection else {"explains": False}),
         "commands": lines,
     }

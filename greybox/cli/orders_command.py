@@ -1,21 +1,24 @@
-"""The command `greybox orders`: orders of a transfer function that a response supports."""
+"""The command `greybox orders`: orders of a transfer function that responses support."""
 
 import argparse
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.columns import add_columns_option, stated_columns
-from greybox.cli.options import add_common_options, nonnegative, positive
-from greybox.cli.output import USABLE, Answer
+from greybox.cli.options import add_common_options, assignments, intervals, nonnegative, positive
+from greybox.cli.output import FAILED, USABLE, Answer
+from greybox.cli.parameter_options import add_value_options
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
+from greybox.cli.stated_problem import filters_of
 from greybox.data.response_file import read_response
 from greybox.estimate.summary import summary
 from greybox.files.json_numbers import finite
-from greybox.identification.orders import OrderSelection, select_orders
+from greybox.identification.orders import select_orders
+from greybox.identification.selection import Selection
 
 EXAMPLES = (
     "pitch_response.csv",
-    "pitch_response.csv --n 2 3 4 --integrators 1 --delays 0 0.1 --out chosen.h5",
+    "pitch_response.csv --n 2 3 4 --integrators 1 --no-delay --out chosen.h5",
     "bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg --out chosen.h5",
 )
 
@@ -24,72 +27,73 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add(
-        "response",
+        "responses",
+        nargs="+",
         type=Path,
         metavar="RESPONSE",
-        help="a measured frequency response, as of greybox response",
+        help="measured frequency responses of one plant, as of greybox response",
     )
     add_columns_option(parser, "what the columns of a table are that names them otherwise")
     add(
         "--n",
         type=positive,
         nargs="+",
-        default=[1, 2, 3, 4],
-        help="orders of the denominator, 1 2 3 4 by default",
+        default=[],
+        help="orders of the denominator with its integrators (default: up to four poles beside "
+        "these)",
     )
-    add("--m", type=nonnegative, nargs="+", help="orders of the numerator (default: all below n)")
+    add("--m", type=nonnegative, nargs="+", default=[], help="orders of the numerator, 0 1 2")
+    add("--integrators", type=nonnegative, nargs="+", default=[], metavar="K", help="0 1 2")
+    add("--no-delay", action="store_true", help="structures without a delay")
     add(
-        "--integrators",
-        type=nonnegative,
+        "--through",
         nargs="+",
-        default=[0, 1],
-        metavar="K",
-        help="0 1 by default",
+        default=[],
+        metavar="FILTER",
+        help="filters between the output and its log, as of greybox fit",
     )
-    add(
-        "--delays",
-        type=float,
-        nargs="+",
-        default=[0.0],
-        metavar="S",
-        help="largest delays, in s; 0 is a structure without one: 0 0.1 tries both (default: 0)",
-    )
-    add(
-        "--starts",
-        type=positive,
-        default=8,
-        help="of every structure, beside linear least squares; 8 by default",
-    )
-    add("--seed", type=nonnegative, default=0, help="of the starts, 0 by default")
+    add_value_options(parser)
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
     add_common_options(parser, writes=True)
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Read the response, fit every structure of the grid, and choose."""
+    """Read the responses, fit the structures of the grid, and choose."""
     require_fit_file(options.out, options.force)
-    data = read_response(options.response, columns=stated_columns(options) or None)
-    grid = (options.n, options.m, options.integrators, options.delays)
-    selection = select_orders(data, *grid, starts=options.starts, seed=options.seed)
+    columns = stated_columns(options) or None
+    data = [read_response(path, columns=columns) for path in options.responses]
+    selection = select_orders(
+        data,
+        options.n,
+        options.m,
+        options.integrators,
+        delay=not options.no_delay,
+        through=[model for word in options.through for model in filters_of(word, data[0])],
+        fixed=assignments(options.fix, "--fix"),
+        bounds=intervals(options.bounds, "--bounds"),
+        start=assignments(options.start, "--start"),
+    )
+    answer = selection_json(selection)
+    if selection.fit is None:
+        return {**answer, "error": selection.verdict}, str(selection), FAILED
     notes = save_fit(selection.fit, options.out)
-    return _summary(selection), "\n".join([str(selection), "", str(selection.fit), *notes]), USABLE
+    text = "\n".join([str(selection), "", str(selection.fit), *notes])
+    if not selection.explains:
+        return {**answer, "error": selection.verdict}, text, FAILED
+    return answer, text, USABLE
 
 
-def _summary(selection: OrderSelection) -> dict[str, Any]:
+def selection_json(selection: Selection) -> dict[str, Any]:
+    """Return the structures and the verdict as plain values."""
     structures = [
-        {
-            "n": c.n,
-            "m": c.m,
-            "integrators": c.integrators,
-            "delay": c.delay,
-            "parameters": c.parameters,
-        }
-        | {"bic": finite(c.bic), "chosen": c is selection.chosen}
-        for c in selection.candidates
+        {"model": c.label, "free": list(c.fit.free), "about": c.about, "remarks": list(c.remarks)}
+        | {"converged": c.fit.converged, "cost": finite(c.fit.cost), "bic": finite(bic)}
+        | {"residual_over_noise": finite(c.noise), "chosen": c is selection.chosen}
+        for c, bic in zip(selection.candidates, selection.bic, strict=True)
     ]
     return {
-        "verdict": selection.verdict,
         "structures": structures,
-        "failed": selection.failed,
-        "fit": summary(selection.fit),
+        "explains": selection.explains,
+        "verdict": selection.verdict,
+        "fit": summary(selection.fit) if selection.fit is not None else None,
     }

@@ -10,8 +10,8 @@ from greybox.files.text_table import alternatives
 from greybox.formulation.problem import Problem
 
 
-def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+def add_value_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options for values and bounds."""
     add = parser.add_argument
     add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="fix parameters at these values")
     add(
@@ -35,6 +35,12 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="start values in place of the declared ones",
     )
+
+
+def add_parameter_options(parser: argparse.ArgumentParser) -> None:
+    """Declare all options."""
+    add_value_options(parser)
+    add = parser.add_argument
     add(
         "--starts-box",
         nargs="+",

@@ -47,6 +47,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="with --manoeuvre: inputs that are held between samples",
     )
+    add(
+        "--drop-warned",
+        action="store_true",
+        help="leave out the frequencies of which the check of the response warns, as identify does",
+    )
     add("--out", type=Path, metavar="FILE", help="save the response to this .csv file")
     add_common_options(parser, "Bode diagram and coherence")
 

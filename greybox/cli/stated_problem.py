@@ -124,7 +124,7 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     columns = stated_columns(options)
     data = [read_data(path, model, options.input, options.output, columns) for path in options.data]
     for word in options.through or ():
-        for filtered in _filters(word, data[0]):
+        for filtered in filters_of(word, data[0]):
             model = through(model, filtered)
     at = assignments(options.at, "--at")
     for path, values in zip(options.data, data, strict=True):
@@ -141,7 +141,7 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     return parts[0] if len(parts) == 1 else Sum(parts)
 
 
-def _filters(word: str, data: FrequencyResponse | Record | TransientSpectrum) -> list[Model]:
+def filters_of(word: str, data: FrequencyResponse | Record | TransientSpectrum) -> list[Model]:
     """Return the filters of a word of --through: a model, or filters of the vehicle that a response knows."""
     if re.fullmatch(r"\w+(-\w+)+", word):
         about = data.about if isinstance(data, FrequencyResponse) else {}

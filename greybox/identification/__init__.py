@@ -4,15 +4,17 @@ Begin with `identify`.
 
 | file | contents |
 | --- | --- |
-| `identify` | the whole chain, from a log to a fitted model |
+| `identify` | the whole chain, from logs to a fitted model |
 | `choices` | tests, axis and signals of a log |
-| `ladder` | the structures to fit, by the name of the output |
+| `orders` | rational transfer functions of rising order |
+| `families` | the structures of a kind of vehicle |
+| `structure_fit` | the fit of one structure, within bounds that do not decide |
+| `selection` | the structures side by side, the chosen one, the verdict |
 | `measurement` | tests to a frequency response, in open or closed loop |
 | `manoeuvre` | one manoeuvre, such as a 2-1-1, to a spectrum |
 | `matrix` | multisines on several inputs to a matrix of responses |
 | `loop` | whether a log was flown in closed loop, and the error of a direct estimate |
 | `systematic_errors` | errors that the scatter does not show |
-| `orders` | the orders of a rational transfer function |
 """
 
 from greybox.identification.identify import Identification as Identification
@@ -24,5 +26,5 @@ from greybox.identification.matrix import measure_matrix as measure_matrix
 from greybox.identification.measurement import Measurement as Measurement
 from greybox.identification.measurement import Settings as Settings
 from greybox.identification.measurement import measure as measure
-from greybox.identification.orders import OrderSelection as OrderSelection
 from greybox.identification.orders import select_orders as select_orders
+from greybox.identification.selection import Selection as Selection

@@ -1,166 +1,202 @@
-"""From a log to a fitted model in one call, with every choice explained.
+"""From logs to a fitted model in one call, with every choice explained.
 
 Begin with `identify`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.text_table import number, one_line, text_table
-from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
-from greybox.formulation.problem import Problem
-from greybox.formulation.signal_units import as_the_only_pair
+from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
-from greybox.identification.ladder import ladder_for
-from greybox.identification.measurement import Measurement, measure
+from greybox.identification.families import Structure, family, gains
+from greybox.identification.measurement import Measurement, Settings, measure
+from greybox.identification.orders import select_orders
+from greybox.identification.selection import Candidate, Selection, held_by_bounds, select
+from greybox.identification.structure_fit import (
+    fit_within_far_bounds,
+    problem_of_structure,
+    stated_for,
+)
 from greybox.logs.known_filters import KnownFilter
 from greybox.logs.readers import read
+from greybox.modeling.model import Model
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.validation.compare import compare
-from greybox.validation.comparison import Comparison
+from greybox.spectral.test_quality import COHERENCE, Finding
 
 STARTS = 20
 
 
-class FittedStep(NamedTuple):
-    """A fitted structure: model, parameters that were freed, description, filters in series, criterion and fit."""
-
-    model: str
-    free: tuple[str, ...]
-    about: str
-    through: tuple[str, ...]
-    criterion: str
-    fit: Fit
-
-
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """A model from a log; printed, it explains every choice and the comparison of structures.
+    """A model from logs; printed, it explains every choice and the comparison of structures.
 
     Attributes
     ----------
-    recording : Recording
+    recordings : tuple of Recording
     choices : tuple of Choice
-        What was chosen, and why.
-    measurement : Measurement
-        The tests, the record, the response and its verdict.
-    steps : tuple of FittedStep
-        The structures, the simplest first.
-    comparison : Comparison or None
-        None if fewer than two structures converged.
-    chosen : FittedStep or None
-        The smallest structure that the data support, see `gb.compare`; None if none converged.
-    starts, seed : int
+        What was chosen in the first log, and why.
+    measurements : tuple of Measurement
+        Of every log: the tests, the record, the response and its verdict.
+    selection : Selection or None
+        The structures, the chosen one and the verdict; None if a response was refused.
+    through : tuple of str
+        Filters between the output and its log.
     """
 
-    recording: Recording
+    recordings: tuple[Recording, ...]
     choices: tuple[Choice, ...]
-    measurement: Measurement
-    steps: tuple[FittedStep, ...] = ()
-    comparison: Comparison | None = None
-    chosen: FittedStep | None = None
-    starts: int = STARTS
-    seed: int = 0
-    reason: str = field(default="", repr=False)
+    measurements: tuple[Measurement, ...]
+    selection: Selection | None = None
+    through: tuple[str, ...] = ()
+
+    @property
+    def measurement(self) -> Measurement:
+        """The measurement of the first log."""
+        return self.measurements[0]
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """Why responses are no basis for a model."""
+        return tuple(chain.from_iterable(m.quality.refusals for m in self.measurements))
 
     @property
     def fit(self) -> Fit | None:
-        """The fit of the chosen structure."""
-        return self.chosen.fit if self.chosen else None
+        """The fit of the chosen structure; it warns if the structure does not explain the data."""
+        return self.selection.fit if self.selection else None
 
     def __repr__(self) -> str:
-        return one_line(
-            self, self.recording.source, self.chosen.model if self.chosen else "no model"
-        )
+        chosen = self.selection.chosen if self.selection else None
+        sources = ", ".join(recording.source for recording in self.recordings)
+        return one_line(self, sources, chosen.label if chosen else "no model")
 
     def __str__(self) -> str:
-        parts = [
-            "\n".join(["Chosen:", *(f"  {choice}" for choice in self.choices)])
-            if self.choices
-            else ""
-        ]
-        parts += [str(self.measurement), "\n".join(self.recording.findings)]
-        if self.steps:
-            parts += [_ladder(self), self.reason]
-        if self.fit is not None:
-            parts += [str(self.fit)]
+        chosen = ["Chosen:", *(f"  {choice}" for choice in self.choices)] if self.choices else []
+        parts = ["\n".join(chosen)]
+        for recording, measurement in zip(self.recordings, self.measurements, strict=True):
+            parts += [str(measurement), "\n".join(recording.findings)]
+        if self.selection is not None:
+            series = f", in series with the {' and the '.join(self.through)} of the log"
+            title = f"Structures{series if self.through else ''}:"
+            parts += [f"{title}\n{self.selection}", str(self.fit or "")]
         return "\n\n".join(part for part in parts if part)
 
 
-def identify(
-    log: str | Path | Recording,
+def identify(  # noqa: PLR0913 - every choice that an analyst makes
+    log: str | Path | Recording | Sequence[str | Path | Recording],
     *,
-    ladder: Sequence[Any] = (),
-    declared: Mapping[str, TransferFunction] | None = None,
+    vehicle: str = "",
+    structures: Sequence[Model | Structure] = (),
     through: Sequence[str] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    free: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    start: Mapping[str, float] | None = None,
+    all_points: bool = False,
     starts: int = STARTS,
     seed: int = 0,
     **stated: Any,
 ) -> Identification:
     """Go from a log to a fitted model: find the tests, measure the response, fit structures, and compare them.
 
-    Every step is a function of its own (`read`, `greybox.identification.measure`, `fit`,
-    `compare`), and every choice can be overridden by an argument.
+    By default nothing is assumed of the vehicle: the structures are rational transfer functions of
+    rising order with a delay, see `select_orders`. Every step is a function of its own (`read`,
+    `greybox.identification.measure`, `select_orders`), and every choice can be overridden by an
+    argument. The verdict of the selection says whether the chosen structure explains the data.
 
     Parameters
     ----------
-    log : str, Path or Recording
-    ladder : sequence of (model, free, about), optional
-        Structures, the simplest first, as ``("rate:DampedAngle", (), "rate damping")``; by default
-        those of `greybox.identification.ladder` for the name of the output.
-    declared : mapping of name to TransferFunction, optional
-        Models of your own by their names in the ladder.
+    log : str, Path or Recording, or a sequence of them
+        Several logs with tests of one axis are fitted together.
+    vehicle : "multirotor" or "fixed-wing", optional
+        Fit the structures of this kind of vehicle for the name of the output instead, with all of
+        their parameters free.
+    structures : sequence of Model or Structure, optional
+        Fit these instead, as they are declared.
     through : sequence of str, optional
         Filters between the output and its log, by their names in the log, such as
         ``("gyro-filter",)``; ``()`` for none. By default those that the output is known to have
         passed.
+    fixed, free, bounds, start : of parameters, optional
+        As of `Problem`, for the structures that have the parameter.
+    all_points : bool
+        Fit also the frequencies of which the check of the response warns.
     starts, seed : int
-        Starts of every fit.
+        Starts of every fit of `vehicle` and `structures`.
     **stated
         Fields of `greybox.identification.Settings`, such as ``axis="pitch"`` or
         ``output="theta=ATT.Pitch"``.
 
-    Returns
-    -------
-    Identification
-        `chosen` is the smallest structure whose BIC is within 2 of the least.
-
     Raises
     ------
     FileNotFoundError, KeyError, ValueError
-        If the log has no usable test, or not what an argument names.
+        If a log has no usable test, or not what an argument names.
     """
-    recording = log if isinstance(log, Recording) else read(log)
-    settings, choices = choose(recording, **stated)
-    measurement = measure(recording, settings)
-    result = Identification(recording, choices, measurement, starts=starts, seed=seed)
-    if measurement.response is None or not measurement.quality.usable:
+    logs = [log] if isinstance(log, str | Path | Recording) else list(log)
+    recordings = [item if isinstance(item, Recording) else read(item) for item in logs]
+    stated["drop_warned"] = not all_points
+    settings, choices = choose(recordings[0], **stated)
+    used = [settings, *(_settings_as(settings, r, stated) for r in recordings[1:])]
+    measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
+    result = Identification(tuple(recordings), choices, measurements)
+    if result.refusals:
         return result
 
-    filters = _filters(measurement, through)
-    ladder = ladder or ladder_for(settings.names[1][0])
-    models = declared or {}
-    steps = tuple(_fitted(measurement, step, models, filters, starts, seed) for step in ladder)
-    converged = [step for step in steps if step.fit.converged]
-    comparison = None
-    if len(converged) > 1:
-        labels = [str(1 + steps.index(step)) for step in converged]
-        comparison = compare(*(step.fit for step in converged), labels=labels)
-    chosen, reason = choose_structure(steps, comparison)
-    return replace(result, steps=steps, comparison=comparison, chosen=chosen, reason=reason)
+    responses = [m.response for m in measurements if m.response is not None]
+    filters = _filters(measurements[0], through)
+    series = [filter_model(known) for known in chain.from_iterable(filters.values())]
+    given = {"fixed": fixed, "free": free, "bounds": bounds, "start": start}
+    of_parameters = {name: values for name, values in given.items() if values}
+    listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
+    listed = listed or (family(vehicle, settings.names[1][0]) if vehicle else [])
+    if listed:
+        _require_parameters(of_parameters, listed)
+        candidates = [
+            _candidate(s, responses, series, of_parameters, starts, seed, not structures)
+            for s in listed
+        ]
+        selection = select(candidates)
+    else:
+        selection = select_orders(responses, through=series, **of_parameters)
+    return replace(result, selection=selection, through=tuple(filters))
 
 
 def filter_model(known: KnownFilter) -> TransferFunction:
     """Return the included model of a filter of a flight controller."""
     model: Any = included_model("greybox.models.filters", type(known).__name__)
     return model(*known.values)
+
+
+def _settings_as(settings: Settings, recording: Recording, stated: Mapping[str, Any]) -> Settings:
+    """Return the settings of another log of the same axis, with the same signals."""
+    same = {"input": settings.input, "output": settings.output, "axis": settings.axis}
+    return choose(recording, **{**stated, **same})[0]
+
+
+def _judged(measurement: Measurement) -> Measurement:
+    """Return a measurement whose response is refused if no model can rest on it."""
+    response = measurement.response
+    if response is None:
+        return measurement
+    low, high = float(response.omega.min()), float(response.omega.max())
+    refusals = []
+    if high < 2 * low:
+        text = f"the response covers {low:.4g} to {high:.4g} rad/s, less than an octave: no basis for a model."
+        refusals.append(Finding("spread", "refusal", high / low, text))
+    coherence = 1.0 if response.coherence is None else float(np.median(response.coherence))
+    if coherence < COHERENCE[0]:
+        text = f"half of the points have a coherence below {coherence:.2f}: no basis for a model."
+        refusals.append(Finding("coherence", "refusal", coherence, text))
+    return replace(measurement, quality=measurement.quality.with_findings(*refusals))
 
 
 def _filters(
@@ -181,66 +217,35 @@ def _filters(
     return {name: measurement.filters[name] for name in names}
 
 
-def _fitted(
-    measurement: Measurement,
-    step: Any,
-    declared: Mapping[str, TransferFunction],
-    filters: Mapping[str, tuple[KnownFilter, ...]],
+def _require_parameters(stated: Mapping[str, Any], structures: Sequence[Structure]) -> None:
+    names = {name for structure in structures for name in structure.model.parameters}
+    for name in chain.from_iterable(stated.values()):
+        if name not in names:
+            raise ValueError(
+                f"no structure has a parameter {name!r}; they have {', '.join(sorted(names))}."
+            )
+
+
+def _candidate(
+    structure: Structure,
+    responses: Sequence[FrequencyResponse],
+    series: Sequence[TransferFunction],
+    stated: Mapping[str, Any],
     starts: int,
     seed: int,
-) -> FittedStep:
-    reference, free, about = step
-    file, _, name = reference.partition(":")
-    included: Any = included_model(f"greybox.models.{file}", name)
-    model = declared.get(reference) or included()
-    assert measurement.response is not None
-    for known in chain.from_iterable(filters.values()):
-        model = model.through(filter_model(known))
-    criterion = (
-        MaximumLikelihood() if measurement.response.variance is not None else RelativeLikelihood()
-    )
-    data = as_the_only_pair(model, measurement.response)
-    result = fit(Problem(model, data, criterion, free=tuple(free)), starts=starts, seed=seed)
-    return FittedStep(reference, tuple(free), about, tuple(filters), criterion.name, result)
-
-
-def choose_structure(
-    steps: Sequence[FittedStep], comparison: Comparison | None
-) -> tuple[FittedStep | None, str]:
-    """Return the smallest structure of the ladder that the data support, by the verdict of all comparisons, and why."""
-    converged = [step for step in steps if step.fit.converged]
-    if comparison is None:
-        return (
-            (converged[0], "Only one structure converged.")
-            if converged
-            else (None, "No structure converged.")
-        )
-    if not comparison.supported:
-        return converged[0], "The costs cannot be compared: the simplest structure is shown."
-    return converged[
-        comparison.labels.index(comparison.supported)
-    ], f"Structure {comparison.verdict}"
-
-
-def _ladder(result: Identification) -> str:
-    header = ("", "structure", "free", "cost", "BIC", "less the least", "what it is")
-    rows = []
-    for k, step in enumerate(result.steps, start=1):
-        label = str(k)
-        known = result.comparison is not None and label in result.comparison.labels
-        measures = ("BIC", "BIC less the least")
-        values = [
-            result.comparison.value(m, label) if known and result.comparison else None
-            for m in measures
-        ]
-        cells = ["-" if value is None else number(round(value, 6), 4) for value in values]
-        cost = number(step.fit.cost, 4) if step.fit.converged else "failed"
-        name = step.model + (f" with {', '.join(step.free)} free" if step.free else "")
-        rows.append((label, name, str(len(step.fit.free)), cost, *cells, step.about))
-    through = result.steps[0].through
-    title = (
-        f"Structures, in series with the {' and the '.join(through)} of the log:"
-        if through
-        else "Structures:"
-    )
-    return "\n".join([title, text_table(header, rows, left=(1, 6))])
+    is_family: bool,
+) -> Candidate:
+    """Fit a structure; the bounds of a family are no statement of the user."""
+    model: Any = structure.model
+    options = stated_for(model, stated)
+    free = {*structure.free, *options.pop("free", ())} - {*options.get("fixed", {})}
+    of_gains = gains(model, responses[0]) if is_family else {}
+    for known in series:
+        model = model.through(known)
+    options["free"] = sorted(free)
+    if is_family:
+        result = fit_within_far_bounds(model, responses, starts, seed, stated=options, **of_gains)
+    else:
+        problem = problem_of_structure(model, responses, **options)
+        result = fit(problem, starts, seed, profiles=False, progress=False)
+    return Candidate(structure.name, result, structure.about, held_by_bounds(result))

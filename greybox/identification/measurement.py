@@ -5,7 +5,7 @@ Begin with `measure`.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -67,6 +67,8 @@ class Settings:
         Make the direct estimate, whatever controller the log shows.
     points : int
         Number of frequencies of a sweep.
+    drop_warned : bool
+        Leave out the frequencies of which the check of the response warns.
     """
 
     input: str
@@ -84,6 +86,7 @@ class Settings:
     whole: bool = False
     open_loop: bool = False
     points: int = 40
+    drop_warned: bool = False
 
     def __post_init__(self) -> None:
         """Raise ValueError for settings that are invalid for any log."""
@@ -247,9 +250,13 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             ]
             quality = quality_of(response).with_findings(
                 *_on_points(points),
+                *_beyond_sweep(response, used),
                 *motor_saturation(recording, control, spans),
                 *(error.finding for error in errors),
             )
+            if settings.drop_warned:
+                response, left_out = _without_warned(response, quality)
+                response = replace(response, about={**response.about, **left_out})
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = Quality((refused, *quality.findings))
@@ -391,12 +398,47 @@ def _estimated(
     return measured, str(measured), None
 
 
-def _on_points(points: FiniteFrequency | None) -> list[Finding]:
-    """Return the findings on the points of sine tests, for the verdict."""
+def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
+    """Yield the findings on the points of sine tests."""
     if points is None:
-        return []
-    warnings = [Finding("sines", "warning", math.nan, f"{text}.") for text in points.findings]
-    return [*warnings, *(Finding("sines", "note", math.nan, f"{text}.") for text in points.notes)]
+        return
+    for point in points.points:
+        for text in point.findings:
+            about = f"{point.omega:g} rad/s: {text}."
+            yield Finding("sines", "warning", math.nan, about, (point.omega,))
+    for segment, reason in points.left_out:
+        text = f"{segment.kind} from {segment.start:.1f} s left out: {reason}."
+        yield Finding("sines", "warning", math.nan, text)
+    for text in points.notes:
+        yield Finding("sines", "note", math.nan, f"{text}.")
+
+
+def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Iterator[Finding]:
+    """Yield a warning on the points beyond the frequencies of the sweeps, where their transients are all there is."""
+    bands = [segment.band for segment in used if segment.kind == "sweep"]
+    if not bands or len(bands) < len(used):
+        return
+    low, high = min(low for low, _ in bands), max(high for _, high in bands)
+    # 2 %: a sweep that is found in a setpoint has its ends from periods of some samples.
+    beyond = response.omega[(response.omega < 0.98 * low) | (response.omega > 1.02 * high)]
+    if beyond.size:
+        text = f"{counted(beyond.size, 'point')} beyond the sweep, {low:.3g} to {high:.3g} rad/s."
+        yield Finding("band", "warning", math.nan, text, tuple(beyond.tolist()))
+
+
+def _without_warned(
+    response: FrequencyResponse, quality: Quality
+) -> tuple[FrequencyResponse, dict[str, str]]:
+    """Return the response without the points of which a warning tells, and which they are."""
+    warned = {omega for f in quality.findings if f.severity == "warning" for omega in f.omega}
+    rows = np.isin(response.omega, [*warned])
+    if not rows.any() or rows.all():
+        return response, {}
+    places = ", ".join(f"{omega:.4g}" for omega in response.omega[rows])
+    about = (
+        f"{counted(int(rows.sum()), 'point')} of {rows.size} at {places} rad/s (see the warnings)"
+    )
+    return response.where(~rows), {"left out": about}
 
 
 def _about(
@@ -507,7 +549,7 @@ def _choices(
 
     choices = [f"{loop}: {estimate}"]
     if response is not None:
-        names = [name for name in ("dropped", "converted") if name in response.about]
+        names = [n for n in ("dropped", "left out", "converted") if n in response.about]
         choices += [f"{name}: {response.about[name]}." for name in names]
     for name in announcing(recording):
         if name not in {settings.announced, *(segment.source for segment in used)}:

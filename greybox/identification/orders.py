@@ -1,233 +1,274 @@
-"""The orders of a rational transfer function, by maximum likelihood fits of a grid."""
+"""Rational transfer functions of rising order with a delay: which of them a measured response supports."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.text_table import counted, number, one_line, text_table
-from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
-from greybox.formulation.problem import Problem
-from greybox.formulation.starts import Sobol
+from greybox.files.text_table import counted, number
+from greybox.identification.selection import (
+    UNSTABLE,
+    Candidate,
+    Selection,
+    held_by_bounds,
+    select,
+)
+from greybox.identification.structure_fit import fit_within_far_bounds, stated_for
+from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model_reference import included_model
+from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.levy import levy
-from greybox.regression.poles_and_zeros import NearPair, near_pairs
-from greybox.validation.parsimony import parsimony, smallest_supported
-from greybox.validation.same_data import count_numbers, count_unknowns
+from greybox.regression.poles_and_zeros import factored, near_pairs, root_text, upper_half
+
+POLES = 4  # beside the integrators; more are seldom told apart in two decades of frequency
+ZEROS = 2
+INTEGRATORS = 2
+
+# Structures whose BIC by weighted linear least squares is this far behind the least are not fitted
+# again, nor those behind two of their size: for random vehicles, least squares come within 1 of the
+# least chi-square (`benchmarks/random_vehicles.py`).
+FAR_BEHIND = 10.0
+OF_ONE_SIZE = 2
+
+# Delays from zero to the one that turns the phase by this angle at the highest frequency, rad, are
+# tried first: more than one turn, in steps narrower than a minimum.
+TURN = 8.0
+DELAYS = 16
+
+REWEIGHTED = 8  # times, after which the coefficients of Sanathanan and Koerner settle
 
 
 @dataclass(frozen=True)
-class OrderCandidate:
-    """One structure of the grid.
-
-    Attributes
-    ----------
-    n, m, integrators : int
-    delay : bool
-    fit : Fit or None
-        None where no start converged.
-    bic : float
-        NaN without a fit.
-    pairs : tuple of NearPair
-        Poles and zeros that nearly cancel.
-    """
+class Orders:
+    """Orders of denominator (integrators included) and numerator, number of integrators, and whether with a delay."""
 
     n: int
     m: int
     integrators: int
-    delay: bool
-    fit: Fit | None
-    bic: float
-    pairs: tuple[NearPair, ...] = ()
+    delay: bool = True
 
     @property
     def parameters(self) -> int:
-        """How many parameters it has."""
+        """How many parameters the structure has."""
         return self.n - self.integrators + self.m + 1 + self.delay
 
-    @property
-    def label(self) -> str:
-        """The structure in words."""
+    def __str__(self) -> str:
         integrators = f", {counted(self.integrators, 'integrator')}" if self.integrators else ""
         return f"n = {self.n}, m = {self.m}{integrators}{', delay' if self.delay else ''}"
 
 
-@dataclass(frozen=True, eq=False)
-class OrderSelection:
-    """All structures of the grid. Printing it gives the table and the verdict.
+class LinearFit(NamedTuple):
+    """Weighted sum of squares by linear least squares at the best delay, with coefficients for it and its neighbors."""
 
-    Attributes
-    ----------
-    candidates : tuple of OrderCandidate
-        Those that have a fit, by number of parameters and BIC.
-    chosen : OrderCandidate
-        The one with the fewest parameters of those whose BIC is within 2 of the least.
-    failed : int
-        How many structures had no fit.
-    """
-
-    candidates: tuple[OrderCandidate, ...]
-    chosen: OrderCandidate
-    failed: int
-
-    @property
-    def fit(self) -> Fit:
-        """The fit of the chosen structure."""
-        assert self.chosen.fit is not None
-        return self.chosen.fit
-
-    @property
-    def least(self) -> OrderCandidate:
-        """The structure with the least BIC."""
-        return min(self.candidates, key=lambda c: c.bic)
-
-    @property
-    def verdict(self) -> str:
-        """The structure that the data support, in one sentence, and whether it is too large."""
-        of = self.candidates
-        _, text = parsimony([c.label for c in of], [c.bic for c in of], [c.parameters for c in of])
-        pairs = (
-            f"; but {self.chosen.pairs[0]}"
-            if self.chosen.pairs
-            else ", and no pole and zero nearly cancel"
-        )
-        return f"{text.removesuffix('.')}{pairs}."
-
-    def __repr__(self) -> str:
-        return one_line(self, counted(len(self.candidates), "structure"), self.chosen.label)
-
-    def __str__(self) -> str:
-        rows = [
-            [
-                *map(str, (c.n, c.m, c.integrators)),
-                "yes" if c.delay else "",
-                str(c.parameters),
-                number(c.fit.cost, 5) if c.fit else "-",
-                number(round(c.bic - self.least.bic, 2), 4),
-                str(len(c.pairs) or ""),
-                "<- chosen" if c is self.chosen else "",
-            ]
-            for c in self.candidates
-        ]
-        header = ["n", "m", "integrators", "delay", "free", "-ln L", "BIC above", "pairs", ""]
-        failed = [f"{counted(self.failed, 'structure')} had no fit."] if self.failed else []
-        return "\n".join([text_table(header, rows, left=(3, 8)), "", self.verdict, *failed])
+    squares: float
+    starts: tuple[Mapping[str, float], ...]
 
 
 def select_orders(
-    data: FrequencyResponse,
-    n: Sequence[int] = (1, 2, 3, 4),
-    m: Sequence[int] | None = None,
-    integrators: Sequence[int] = (0, 1),
-    delays: Sequence[float] = (0.0,),
+    data: FrequencyResponse | Sequence[FrequencyResponse],
+    n: Sequence[int] = (),
+    m: Sequence[int] = (),
+    integrators: Sequence[int] = (),
     *,
-    starts: int = 8,
-    seed: int = 0,
-) -> OrderSelection:
-    """Fit rational transfer functions (2.13) of all these orders, and choose the smallest supported.
+    delay: bool = True,
+    through: Sequence[TransferFunction] = (),
+    **stated: Any,
+) -> Selection:
+    """Fit rational transfer functions (2.13) of rising order, and choose the smallest supported.
 
-    Every structure is fitted by maximum likelihood: `MaximumLikelihood` where the data have
-    variances, otherwise `RelativeLikelihood`. Starts are those of linear least squares, `levy`, and
-    some points besides.
+    Nothing is assumed of the plant: signs and scales come from the response, by weighted linear
+    least squares (`greybox.regression.levy`) at the best delay. The structures that come close to
+    the best are fitted by maximum likelihood: `MaximumLikelihood` where the data have variances,
+    otherwise `RelativeLikelihood`. A bound that a parameter touches is widened, and a delay that
+    ends at zero is left out.
 
     Parameters
     ----------
-    data : FrequencyResponse
-    n : sequence of int
-        Orders of the denominator, integrators included.
-    m : sequence of int, optional
-        Orders of the numerator, of which those below n are taken; by default all.
-    integrators : sequence of int
-    delays : sequence of float
-        Largest delays, s; zero is a structure without one: ``(0.0, 0.1)`` tries both.
-    starts, seed : int
-        Sobol points beside those of `levy`.
+    data : FrequencyResponse, or sequence of them
+        Several of one plant are fitted together.
+    n, m, integrators : sequence of int
+        Orders of the denominator (integrators included) and of the numerator, and numbers of
+        integrators. By default up to four poles, two zeros and two integrators.
+    delay : bool
+        Whether the structures have a delay.
+    through : sequence of TransferFunction
+        Filters in series with the plant.
+    **stated
+        `fixed`, `bounds` and `start` of parameters, as of `Problem`: ``b0`` and ``a0`` upwards, and
+        ``T_delay``.
 
     Raises
     ------
     ValueError
-        If no structure of the grid has fewer unknowns than the data have numbers, or none has a
-        fit.
+        If no structure of the grid has fewer unknowns than the data have numbers.
     """
-    grid = [
-        (order, zeros, count, delay)
-        for order in n
-        for zeros in (range(order) if m is None else m)
-        for count in integrators
-        for delay in delays
-        if zeros < order
-        and count <= order
-        and order - count + zeros + 1 + (delay > 0) + 1 < 2 * len(data)
-    ]
+    responses = [data] if isinstance(data, FrequencyResponse) else list(data)
+    numbers = 2 * sum(map(len, responses))
+    grid = [o for o in _grid(n, m, integrators, delay) if o.parameters + 1 < numbers]
     if not grid:
         raise ValueError(
-            f"no structure of the grid has fewer unknowns than {2 * len(data)} real numbers: lower n."
+            f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
         )
-    tried = [_fitted(data, *structure, starts, seed) for structure in grid]
-    candidates = sorted(
-        (c for c in tried if c.fit is not None), key=lambda c: (c.parameters, c.bic)
+    plant = _before(max(responses, key=len), through)
+    linear = {orders: _linear_fit(plant, orders) for orders in grid}
+    # Errors beyond the given variances count as in `select`.
+    inflation = max(1.0, min(fit.squares for fit in linear.values()) / len(plant))
+    bic = {
+        orders: 2 * fit.squares / inflation + orders.parameters * math.log(numbers)
+        for orders, fit in linear.items()
+    }
+    near = [
+        orders
+        for orders in grid
+        if bic[orders] - min(bic.values()) <= FAR_BEHIND
+        and sum(bic[o] < bic[orders] for o in grid if o.parameters == orders.parameters)
+        < OF_ONE_SIZE
+    ]
+
+    candidates = []
+    for orders in near:
+        starts = linear[orders].starts
+        candidate = _candidate(responses, orders, starts, through, stated)
+        candidates.append(candidate)
+        late = next((q for q in candidate.fit.quantities if q.name == "T_delay"), None)
+        if late is not None and late.at_bound and late.value < 0.5 * late.bounds[1]:
+            without = replace(orders, delay=False)
+            candidates[-1] = _candidate(responses, without, starts, through, stated)
+    rest = len(grid) - len(near)
+    note = f"{counted(rest, 'other structure')}: BIC further above by linear least squares."
+    candidates.sort(key=lambda c: (len(c.fit.free), c.fit.cost))
+    return select(candidates, note if rest else "")
+
+
+def _grid(
+    n: Sequence[int], m: Sequence[int], integrators: Sequence[int], delay: bool
+) -> list[Orders]:
+    return [
+        Orders(order, zeros, count, delay)
+        for count in integrators or range(INTEGRATORS + 1)
+        for order in n or range(max(count, 1), count + POLES + 1)
+        for zeros in m or range(ZEROS + 1)
+        if zeros < order and count <= order
+    ]
+
+
+def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) -> FrequencyResponse:
+    """Return the response ahead of filters in series."""
+    gain = math.prod(frequency_response(f, None, response.omega).response for f in through)
+    variance = None if response.variance is None else response.variance / np.abs(gain) ** 2
+    return replace(
+        response, response=response.response / gain, variance=variance, common_errors=None
     )
-    if not candidates:
-        raise ValueError(
-            f"none of {counted(len(tried), 'structure')} has a fit: look at the response first."
+
+
+def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
+    """Fit the coefficients by linear least squares at many delays."""
+    if not orders.delay:
+        squares, coefficients = _at_delay(data, orders, 0.0)
+        return LinearFit(squares, (coefficients,))
+    longest = TURN / float(data.omega.max())
+    for _ in range(4):
+        grid = np.linspace(0.0, longest, DELAYS)
+        fits = [_at_delay(data, orders, delay) for delay in grid]
+        best = int(np.argmin([squares for squares, _ in fits]))
+        if best < DELAYS - 1:
+            break
+        longest *= 2
+    around = slice(max(best - 1, 0), best + 2)
+    refined = minimize_scalar(
+        lambda delay: _at_delay(data, orders, delay)[0],
+        bounds=(grid[around][0], grid[around][-1]),
+        method="bounded",
+        options={"maxiter": 20},
+    )
+    near = [_at_delay(data, orders, float(refined.x)), *fits[around]]
+    near.sort(key=lambda pair: pair[0])
+    return LinearFit(near[0][0], tuple(coefficients for _, coefficients in near))
+
+
+def _at_delay(
+    data: FrequencyResponse, orders: Orders, delay: float
+) -> tuple[float, dict[str, float]]:
+    """Return the weighted sum of squares and the coefficients for one delay."""
+    response = data.response * np.exp(1j * data.omega * delay)
+    size = np.abs(response) if data.variance is None else np.sqrt(data.variance)
+    try:
+        rational = levy(
+            FrequencyResponse(data.omega, response),
+            orders.n,
+            orders.m,
+            orders.integrators,
+            weight=1 / size,
+            iterations=REWEIGHTED,
         )
-    k = smallest_supported([c.bic for c in candidates], [c.parameters for c in candidates])
-    return OrderSelection(tuple(candidates), candidates[k], len(tried) - len(candidates))
+    except ValueError:  # as many unknowns as equations
+        return math.inf, {}
+    error = rational.response(data.omega).response - response
+    delays = {"T_delay": float(delay)} if orders.delay else {}
+    return float(np.sum(np.abs(error / size) ** 2)), rational.coefficients | delays
 
 
-def _fitted(
-    data: FrequencyResponse, n: int, m: int, integrators: int, delay: float, starts: int, seed: int
-) -> OrderCandidate:
+def _candidate(
+    responses: Sequence[FrequencyResponse],
+    orders: Orders,
+    starts: Sequence[Mapping[str, float]],
+    through: Sequence[TransferFunction],
+    stated: Mapping[str, Any],
+) -> Candidate:
+    """Fit a structure by maximum likelihood."""
     polynomial: Any = included_model("greybox.models.polynomial", "Polynomial")
-    # Poles and zeros more than ten times above the highest frequency are constants there.
-    highest = float(data.omega.max())
-    model = polynomial(n, m, integrators, 10 * highest, highest, data.output or "y", delay)
-    # The model's bounds are those of poles and zeros, for a gain of one.
-    gain = float(np.max(np.abs(data.response)))
-    scaled = {name: p for name, p in model.parameters.items() if name.startswith("b")}
-    problem = Problem(
-        model,
-        data,
-        MaximumLikelihood() if data.variance is not None else RelativeLikelihood(),
-        bounds={n: (10 * gain * p.bounds[0], 10 * gain * p.bounds[1]) for n, p in scaled.items()},
-        starts={n: (gain * p.box[0], gain * p.box[1]) for n, p in scaled.items()},
+    highest = max(float(response.omega.max()) for response in responses)
+    gain = max(float(np.max(np.abs(response.response))) for response in responses)
+    longest = max(start.get("T_delay", 0.0) for start in starts)
+    plant = polynomial(
+        orders.n,
+        orders.m,
+        orders.integrators,
+        # Poles and zeros more than ten times above the highest frequency are constants there.
+        radius=10 * highest,
+        starts=highest,
+        input=responses[0].input or "u",
+        output=responses[0].output or "y",
+        delay=3 * max(longest, TURN / highest) if orders.delay else 0.0,
     )
-    points = []
-    for start in _linear_starts(data, n, m, integrators, delay):
-        bounds = {name: problem.parameters[name].bounds for name in start}
-        points.append({name: float(np.clip(v, *bounds[name])) for name, v in start.items()})
-    result = fit(problem, [*points, Sobol(starts, seed)], profiles=False, progress=False)
-    if not result.converged:
-        return OrderCandidate(n, m, integrators, delay > 0, None, math.nan)
-    numbers = sum(map(count_numbers, result.parts))
-    bic = count_unknowns(result) * math.log(numbers) + 2 * result.cost
-    zeros = np.roots([result.estimate[f"b{k}"] for k in range(m, -1, -1)])
-    poles = np.roots([1.0, *(result.estimate[f"a{k}"] for k in range(n - 1, integrators - 1, -1))])
-    return OrderCandidate(n, m, integrators, delay > 0, result, bic, near_pairs(zeros, poles))
+    options = stated_for(plant, stated)
+    bounds = {}
+    for name, parameter in plant.parameters.items():
+        if name != "T_delay":
+            # The model's bounds hold for a gain of one.
+            size = parameter.bounds[1] * (10 * gain if name.startswith("b") else 1)
+            size = max(size, *(100 * abs(start[name]) for start in starts))
+            bounds[name] = (-size, size)
+    points = [
+        {name: start[name] for name in plant.parameters if name not in options.get("fixed", {})}
+        | options.get("start", {})
+        for start in starts
+    ]
+    result = fit_within_far_bounds(
+        reduce(lambda model, other: model.through(other), through, plant),
+        responses,
+        points,
+        bounds=bounds,
+        stated=options,
+    )
+    return Candidate(str(orders), result, *_described(orders, result))
 
 
-def _linear_starts(
-    data: FrequencyResponse, n: int, m: int, integrators: int, delay: float
-) -> Iterator[dict[str, float]]:
-    """Yield estimates by linear least squares, without the integrators and a share of the delay."""
-    s = 1j * data.omega
-    order = n - integrators
-    if m >= order:  # as many zeros as poles beside the integrators, which Levy's form has not
-        return
-    for share in (0.0, 0.2, 0.5) if delay else (0.0,):
-        response = data.response * s**integrators * np.exp(s * share * delay)
-        bare = FrequencyResponse(data.omega, response)
-        try:
-            # After five reweightings it nearly minimizes the error of the response.
-            rational = levy(bare, order, m, weight=1 / np.abs(response), iterations=5)
-        except ValueError:  # as many unknowns as equations
-            continue
-        start = {f"b{k}": float(v) for k, v in enumerate(rational.numerator[::-1])}
-        denominator = rational.denominator[:0:-1]
-        start |= {f"a{k + integrators}": float(v) for k, v in enumerate(denominator)}
-        yield start | ({"T_delay": share * delay} if delay else {})
+def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
+    """Return the factored transfer function, and remarks on its poles and zeros."""
+    if not fit.converged:
+        return "", ()
+    numerator = [fit.estimate[f"b{k}"] for k in range(orders.m, -1, -1)]
+    denominator = [1.0, *(fit.estimate.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
+    zeros, poles = np.roots(numerator), np.roots(denominator)
+    delay = f" exp(-{number(fit.estimate['T_delay'], 3)} s)" if orders.delay else ""
+    unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(poles) if p.real > 0]
+    pairs = [f"{pair}" for pair in near_pairs(zeros, poles)]
+    formula = f"{factored(numerator, denominator)}{delay}"
+    return formula, (*unstable, *pairs, *held_by_bounds(fit))

@@ -174,9 +174,8 @@ def _rounded(
         places = ", ".join(f"{omega:.3g}" for omega in below)
         text += f", as the control is below one step at {places} rad/s; excite more there"
     severity = "warning" if below.size else "note"
-    return SystematicError(
-        "rounded outputs", relative, Finding("resolution", severity, float(a.min()), f"{text}.")
-    )
+    finding = Finding("resolution", severity, float(a.min()), f"{text}.", tuple(below.tolist()))
+    return SystematicError("rounded outputs", relative, finding)
 
 
 def _motion(recording: Recording, steps: float, control: Array, span: tuple[float, float]) -> float:

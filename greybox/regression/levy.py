@@ -43,8 +43,8 @@ class RationalFit:
     ----------
     numerator, denominator : (m + 1,), (n + 1,) arrays
         Coefficients, highest power of s first; the denominator is monic.
-    integrator : bool
-        Whether the last coefficient of the denominator is 0.
+    integrators : int
+        How many of the last coefficients of the denominator are 0.
     data : FrequencyResponse
     iterations : int
         Number of reweightings.
@@ -56,7 +56,7 @@ class RationalFit:
 
     numerator: Array
     denominator: Array
-    integrator: bool
+    integrators: int
     data: FrequencyResponse
     iterations: int
     cost: float
@@ -102,9 +102,7 @@ class RationalFit:
         """Coefficients by the names of `Polynomial(n, m, integrator)`: a start for its fit."""
         b = {f"b{k}": float(value) for k, value in enumerate(self.numerator[::-1])}
         a = {f"a{k}": float(value) for k, value in enumerate(self.denominator[:0:-1])}
-        return b | {
-            name: value for name, value in a.items() if not (self.integrator and name == "a0")
-        }
+        return b | dict(list(a.items())[self.integrators :])
 
     def response(self, omega: ArrayLike) -> FrequencyResponse:
         """Evaluate P(jω) at `omega` (k,) in rad/s."""
@@ -129,7 +127,7 @@ class RationalFit:
                 rows.append((kind, root_text(root), number(abs(root), 4), damping))
         lines = [
             f"linear least squares (3.17), n = {self.n}, m = {self.m}"
-            f"{', with integrator' if self.integrator else ''}, {len(self.data)} frequencies, {how}",
+            f"{', with integrator' if self.integrators else ''}, {len(self.data)} frequencies, {how}",
             f"P(s) = {self.factored}",
             text_table(("", "rad/s", "size", "damping"), rows),
             f"cost (4.26) {number(self.cost)}",
@@ -164,8 +162,8 @@ def levy(
     n, m : int
         Orders of denominator and numerator, 0 <= m < n. `n` counts the integrator: (3.20) is n=4,
         m=1 with integrator.
-    integrator : bool
-        Whether the denominator has the factor s, so that a0 = 0 is no unknown.
+    integrator : bool or int
+        How many factors s the denominator has, so that a0 and so on are no unknowns.
     weight : (n_ω,) array, optional
         Factors of the equations, above 0, e.g. ``1 / abs(data.response)``. Default: all one, as in
         the paper.
@@ -196,7 +194,7 @@ def levy(
     return RationalFit(
         numerator,
         denominator,
-        integrator=bool(integrator),
+        integrators=int(integrator),
         data=data,
         iterations=iterations,
         cost=evaluate(RelativeError(), model, data),
@@ -275,7 +273,7 @@ def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: bool) -> 
     _check_whole("m", m, 0)
     if m >= n:
         raise ValueError(f"m = {m} is not below n = {n}: (2.13) needs m < n, lower m or raise n.")
-    unknowns = n + m + 1 - bool(integrator)
+    unknowns = n + m + 1 - int(integrator)
     if 2 * len(data) <= unknowns:
         raise ValueError(
             f"{len(data)} frequencies give {2 * len(data)} equations for the {unknowns} unknowns of "

@@ -54,12 +54,13 @@ ERROR = (0.1, 0.5)
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: its subject, its severity, the number behind it, and a sentence."""
+    """One finding: its subject, its severity, the number behind it, a sentence, and the frequencies (rad/s) it concerns."""
 
     about: str
     severity: Severity
     value: float
     text: str
+    omega: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -330,7 +331,7 @@ def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
         places = ", ".join(f"{w:.3g}" for w in weak[:5]) + (" ..." if weak.size > 5 else "")
         text = f"the coherence is below {COHERENCE[0]} at {places} rad/s: leave out these points, "
         text += "whose errors are understated."
-        yield Finding("coherence", "warning", float(weak.size), text)
+        yield Finding("coherence", "warning", float(weak.size), text, tuple(weak.tolist()))
 
     median = float(np.median(response.coherence))
     text = f"half of the points have a coherence below {median:.2f}: the output is mostly noise "

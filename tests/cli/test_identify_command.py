@@ -2,7 +2,6 @@
 
 import json
 import shlex
-from dataclasses import replace
 from importlib.resources import files
 
 import pytest
@@ -10,8 +9,6 @@ from command_line import run
 from synthetic_logs import px4_flight
 
 import greybox as gb
-from greybox.cli.identify_command import commands
-from greybox.problems import sitl_pitch
 
 OWN = """
 import greybox as gb
@@ -43,13 +40,35 @@ def test_the_single_commands_give_the_same(capsys, tmp_path, monkeypatch):
     for line in answer["commands"]:
         words = shlex.split(line)
         assert words[0] == "greybox"
-        assert run(capsys, *words[1:], *([] if words[1] == "inspect" else ["--force"]))[0] == 0, (
-            line
-        )
+        force = [] if words[1] == "inspect" else ["--force"]
+        assert run(capsys, *words[1:], *force)[0] == 0, line
     again = gb.read_response("sitl_pitch_response.csv"), gb.load("sitl_pitch_fit.h5")
     assert again[0].checksum == written[0].checksum
     assert again[1].estimate == pytest.approx(written[1].estimate, rel=1e-9)
     assert again[1].standard_error == pytest.approx(written[1].standard_error, rel=1e-6)
+
+
+def test_what_does_not_explain_the_data_is_a_failure(capsys, tmp_path, monkeypatch):
+    """A lag alone is no model of an angle: the values are saved and marked, and the command fails."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lag.py").write_text(OWN.replace("(s * (s + p.a))", "(s + p.a)"))
+    command = ("identify", LOG, "--structures", "lag.py:Own", "--starts", "2", "--json")
+    status, out, _ = run(capsys, *command)
+    answer = json.loads(out)
+    assert status == 1
+    assert answer["explains"] is False
+    assert "No structure explains the data" in answer["error"]
+    assert any("does not explain the data" in text for text in answer["fit"]["warnings"])
+
+
+def test_the_single_commands_of_a_family_give_the_same(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    family = ("--vehicle", "multirotor", "--fix", "T_rotor=0.05", "--starts", "4")
+    answer = json.loads(run(capsys, "identify", LOG, *family, "--json")[1])
+    fitting = shlex.split(answer["commands"][-1])[1:]
+    assert fitting[0] == "fit"
+    again = json.loads(run(capsys, *fitting, "--force", "--json")[1])
+    assert again["estimate"] == pytest.approx(answer["fit"]["estimate"], rel=1e-5)
 
 
 def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
@@ -71,13 +90,11 @@ def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
     ]
     command += ["--structures", *structures]
     answer = json.loads(run(capsys, *command, "--json")[1])
-    assert len(answer["measurement"]["omega"]) == 9
+    assert len(answer["measurements"][0]["omega"]) == 9
     assert answer["files"] == ["own_response.csv", "own_fit.h5", "own.png"]
     assert "--band 1.5 30.0" in answer["commands"][1]
-    assert [(s["model"], s["free"]) for s in answer["structures"]] == [
-        ("own.py:Own", []),
-        ("tilt:Tilt", ["T_rotor", "T_delay"]),
-    ]
+    assert [s["model"] for s in answer["structures"]] == ["own.py:Own", "tilt:Tilt"]
+    assert {"T_rotor", "T_delay"} <= set(answer["structures"][1]["free"])
     chosen = next(s["model"] for s in answer["structures"] if s["chosen"])
     assert f"--model {chosen} " in answer["commands"][2]
     status, _, err = run(capsys, *command, "--force", "--structures", "tilt:Tild")
@@ -93,11 +110,16 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
     pytest.importorskip("pyulog")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flight.ulg").write_bytes(px4_flight())
-    status, out, _ = run(capsys, "identify", "flight.ulg", "--starts", "4", "--json")
+    status, out, _ = run(
+        capsys, "identify", "flight.ulg", "--vehicle", "multirotor", "--starts", "4", "--json"
+    )
     answer = json.loads(out)
     assert status == 0
-    assert (answer["measurement"]["input"], answer["measurement"]["output"]) == ("u", "theta")
-    assert answer["measurement"]["closed_loop"]
+    assert (answer["measurements"][0]["input"], answer["measurements"][0]["output"]) == (
+        "u",
+        "theta",
+    )
+    assert answer["measurements"][0]["closed_loop"]
     response, fit = (shlex.split(line)[1:] for line in answer["commands"][1:])
     assert run(capsys, *response, "--force")[0] == 0
     alone = json.loads(run(capsys, *fit, "--force", "--json")[1])
@@ -107,60 +129,17 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
             assert abs(found["estimate"][name] - truth) < 3 * found["standard_error"][name]
 
 
-@pytest.fixture(scope="module")
-def flown():
-    return gb.identify(sitl_pitch.LOG)
-
-
-def test_the_single_commands_say_what_was_chosen_and_stated(flown):
-    found, measured, fitted = commands(flown, "sitl_pitch.BIN", "sitl_pitch", [])
-    assert found == "greybox inspect sitl_pitch.BIN --announced SINE"
+def test_the_single_commands_say_what_was_stated(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    stated = ["--axis", "pitch", "--settle", "1.0", "--band", "1.5", "15"]
+    values = ["--fix", "T_delay=0.002"]
+    out = run(capsys, "identify", LOG, *stated, *values, "--out", "my flight", "--json")[1]
+    found, measured, fitted = json.loads(out)["commands"]
+    assert found == f"greybox inspect {LOG} --announced SINE"
     assert measured == (
-        "greybox response sitl_pitch.BIN --input u=RATE.POut --output theta=ATT.Pitch --announced SINE --out "
-        "sitl_pitch_response.csv"
+        f"greybox response {LOG} --input u=RATE.POut --output theta=ATT.Pitch --announced SINE --settle 1.0 "
+        "--band 1.5 15.0 --drop-warned --out 'my flight_response.csv'"
     )
     assert fitted == (
-        "greybox fit --model rate:DampedAngle --data sitl_pitch_response.csv --criterion maximum-likelihood --starts "
-        "20 --seed 0 --out sitl_pitch_fit.h5 --plot sitl_pitch.png"
+        "greybox orders 'my flight_response.csv' --fix T_delay=0.002 --out 'my flight_fit.h5'"
     )
-    stated = replace(
-        flown.measurement.settings, announced="", fields={"omega": "W"}, setpoint="ATT.DesPitch", axis="pitch",
-        tests="1-3", instrument="SIDD.Targ", rate=50.0, settle=1.0, period=20.0, points=30,
-        band=(1.0, 8.5), whole=True,
-    )  # fmt: skip
-    other = replace(
-        flown,
-        measurement=replace(flown.measurement, settings=stated),
-        chosen=flown.steps[3]._replace(through=("gyro-filter", "gyro-notch")),
-        starts=3,
-        seed=7,
-    )
-    finding = ["--fields", "omega=W", "--setpoint", "ATT.DesPitch"]
-    found, measured, fitted = map(shlex.split, commands(other, "my flight.BIN", "mine", []))
-    assert found == ["greybox", "inspect", "my flight.BIN", *finding]
-    assert measured == [
-        *(
-            "greybox",
-            "response",
-            "my flight.BIN",
-            "--input",
-            "u=RATE.POut",
-            "--output",
-            "theta=ATT.Pitch",
-            *finding,
-        ),
-        *"--axis pitch --tests 1-3 --instrument SIDD.Targ --rate 50.0 --settle 1.0 --period 20.0".split(),
-        *"--points 30 --band 1.0 8.5 --whole --out mine_response.csv".split(),
-    ]
-    assert fitted == [
-        *"greybox fit --model tilt:Tilt --data mine_response.csv --through gyro-filter gyro-notch".split(),
-        *"--free T_rotor T_delay --criterion maximum-likelihood --starts 3 --seed 7 --out mine_fit.h5".split(),
-        *("--plot", "mine.png"),
-    ]
-    assert [
-        words.split()[1]
-        for words in commands(replace(other, chosen=None), "log.BIN", "mine", ["time=t"])
-    ] == [
-        "inspect",
-        "response",
-    ]

@@ -9,7 +9,6 @@ from command_line import QUICK, RECORD, refused, run
 from declared_models import Lag, measured
 
 import greybox as gb
-from greybox.cli.identify_command import _transfer_function
 from greybox.cli.options import UsageError
 from greybox.cli.stated_problem import _with_criterion, through
 from greybox.models.tilt import LinearTilt, Tilt
@@ -171,16 +170,10 @@ def test_unknown_settings_are_refused(own, capsys):
     )
 
 
-def test_an_ode_is_behind_no_filter_and_no_structure_of_a_ladder():
+def test_an_ode_is_behind_no_filter():
     for pair in ((LinearTilt(), Tilt()), (Tilt(), LinearTilt())):
         with pytest.raises(
             UsageError, match="--through needs two transfer functions, the plant's and the filter's"
         ):
             through(*pair)
     assert through(Tilt(), Tilt()).output == Tilt().output
-    with pytest.raises(
-        UsageError,
-        match="--structures tilt:LinearTilt: LinearTilt is an ODE; fit it to the response by",
-    ):
-        _transfer_function("tilt:LinearTilt")
-    assert _transfer_function("tilt:Tilt").label == "Tilt"

@@ -66,11 +66,15 @@ def test_orders_of_a_response(capsys, tmp_path):
     table, chosen = (tmp_path / name for name in ("response.csv", "chosen.h5"))
     truth = {"b0": 8.0, "a0": 9.0, "a1": 2.0}
     write_response(measured(Polynomial(2, 0), np.geomspace(0.3, 30, 15), truth, noise=0.01), table)
-    command = ("orders", table, "--n", "1", "2", "--integrators", "0", "--starts", "1")
+    command = ("orders", table, "--n", "1", "2", "--integrators", "0", "--no-delay")
     found = answer(capsys, *command, "--out", chosen)
-    assert [(s["n"], s["m"]) for s in found["structures"] if s["chosen"]] == [(2, 0)]
+    assert [s["model"] for s in found["structures"] if s["chosen"]] == ["n = 2, m = 0"]
+    assert found["explains"]
     assert gb.load(chosen).estimate["a0"] == pytest.approx(9.0, rel=0.02)
     assert "lower n" in refused(capsys, "orders", table, "--n", "40", "--m", "30")
+    status, out, _ = run(capsys, "orders", table, "--n", "1", "--m", "0", "--no-delay")
+    assert status == 1
+    assert "No structure explains the data" in out
 
 
 def test_terms_are_chosen(capsys, own, tmp_path):

@@ -93,7 +93,8 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
         return None
     worst = int(np.nanargmin(probability))
     index = int(points[worst])
-    relative = float(np.abs(data.response - model)[index] / np.abs(model[index]))
+    with np.errstate(divide="ignore"):  # a gain of zero ends at a response of zero
+        relative = float(np.abs(data.response - model)[index] / np.abs(model[index]))
     return Deviation(index, float(probability[worst]), relative)
 
 

@@ -1,0 +1,177 @@
+"""Random vehicles through `gb.identify`: whether the model is right, and says where it is not. Monte Carlo.
+
+python benchmarks/random_vehicles.py [--count 60] [--seed 1] [--out FILE]
+
+Every vehicle has one to four poles (real ones and oscillations), no or one integrator, none to two
+zeros (some in the right half plane), a delay, a gain of either sign and of six decades. A chirp of
+90 s drives it, and the output has noise of 2 % of its standard deviation.
+
+A model is right if its structure is that of the vehicle, if its response is within 5 % of the true
+one in the median over the band, or if its residuals are no larger than the noise. Printed: how many
+are right; how many of the wrong ones say that they do not explain the data; and for the true
+structures the share of 95 % intervals of coefficients and delay that hold the truth.
+"""
+
+import argparse
+import datetime as dt
+import platform
+import warnings
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lsim
+
+import greybox as gb
+from greybox.data.record import Recording
+
+BAND = (0.3, 30.0)  # rad/s, of the chirp
+DURATION, RATE, NOISE = 90.0, 100.0, 0.02  # s, Hz, share of the output's standard deviation
+AT_REST = 3.0  # s before and after the chirp
+FINE = 10  # steps of the simulation in a sampling interval
+
+
+class Vehicle(NamedTuple):
+    """Coefficients of numerator and denominator, the highest power first and the denominator monic; delay in s."""
+
+    numerator: np.ndarray
+    denominator: np.ndarray
+    delay: float
+
+    @property
+    def orders(self):
+        """Orders of denominator and numerator, and the number of integrators."""
+        integrators = int(self.denominator[-1] == 0)
+        return len(self.denominator) - 1, len(self.numerator) - 1, integrators
+
+    def response(self, omega):
+        """Return the true response at `omega` in rad/s."""
+        s = 1j * omega
+        ratio = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
+        return ratio * np.exp(-s * self.delay)
+
+    @property
+    def values(self):
+        """The coefficients by the names of `Polynomial`."""
+        b = {f"b{k}": value for k, value in enumerate(self.numerator[::-1])}
+        a = {f"a{k}": v for k, v in enumerate(self.denominator[:0:-1]) if k >= self.orders[2]}
+        return b | a | {"T_delay": self.delay}
+
+
+def vehicle(random):
+    """Return a random vehicle whose poles and zeros are inside the band of the chirp."""
+    inside = np.log([0.5, 15.0])
+    count, integrators = random.integers(1, 5), random.integers(0, 2)
+    poles = []
+    while len(poles) < count:
+        size = np.exp(random.uniform(*inside))
+        if count - len(poles) > 1 and random.random() < 0.4:
+            damping = random.uniform(0.15, 0.9)
+            pole = size * (-damping + 1j * np.sqrt(1 - damping**2))
+            poles += [pole, pole.conjugate()]
+        else:
+            poles.append(-size)
+    zeros = [
+        random.choice([-1, -1, -1, 1]) * np.exp(random.uniform(*inside))
+        for _ in range(random.integers(0, min(3, count + integrators)))
+    ]
+    denominator = np.real(np.poly([*poles, *[0.0] * integrators]))
+    numerator = np.atleast_1d(np.real(np.poly(zeros)))
+    gain = random.choice([-1, 1]) * 10 ** random.uniform(-3, 3)
+    at_rest = numerator[-1] / denominator[-1 - integrators]
+    return Vehicle(gain * numerator / at_rest, denominator, random.uniform(0, 0.06))
+
+
+def flown(of, random):
+    """Return the log of a chirp."""
+    time = np.arange(0, DURATION, 1 / RATE)
+    length = DURATION - 2 * AT_REST
+    growth = np.log(BAND[1] / BAND[0])
+    since = np.clip(time - AT_REST, 0, length)
+    phase = BAND[0] * length / growth * np.expm1(growth * since / length)
+    u = np.clip(np.minimum(since, length - since), 0, 1) * np.sin(phase)
+    fine = np.arange(0, DURATION, 1 / (RATE * FINE))
+    late = np.interp(fine - of.delay, time, u)
+    y = lsim((of.numerator, of.denominator), late, fine)[1][::FINE]
+    y = y + NOISE * np.std(y) * random.standard_normal(y.size)
+    return Recording({"log": gb.Record(time, {"u": u, "y": y})}, "made")
+
+
+class Outcome(NamedTuple):
+    """What came of a vehicle: the structure, the error of its response, its residuals over the noise."""
+
+    is_true: bool
+    error: float
+    noise: float
+    explains: bool
+    held: tuple[bool, ...]
+    text: str
+
+    @property
+    def is_right(self):
+        """Whether the model is the vehicle's, or as good."""
+        return self.is_true or self.error <= 0.05 or self.noise <= 1.2
+
+
+def outcome(of, random):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = gb.identify(flown(of, random), input="u=log.u", output="y=log.y", whole=True)
+    if found.selection is None or found.fit is None:
+        text = " ".join(found.refusals) or "no fit"
+        return Outcome(False, np.inf, np.inf, False, (), f"refused: {text}")
+    chosen, fit = found.selection.chosen, found.fit
+    part = fit.responses[0]
+    true = of.response(part.data.omega)
+    error = float(np.median(np.abs(part.response / true - 1)))
+    model = part.model["arguments"]
+    is_true = tuple(int(v) for v in model[:3]) == of.orders
+    intervals = fit.interval()
+    held = tuple(
+        bool(intervals[name][0] <= value <= intervals[name][1])
+        for name, value in of.values.items()
+        if is_true and name in intervals
+    )
+    text = f"{of.orders} -> {chosen.label}: error {100 * error:.2g} %, residual/noise {chosen.noise:.2f}"
+    return Outcome(is_true, error, chosen.noise, found.selection.explains, held, text)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    asked = parser.parse_args()
+    about = f"greybox {version('greybox-id')}, Python {platform.python_version()}, numpy {np.__version__}"
+    lines = [f"{asked.count} vehicles, seed {asked.seed}; {about}, {dt.date.today()}"]
+    outcomes = []
+    for k in range(asked.count):
+        random = np.random.default_rng([asked.seed, k])
+        of = vehicle(random)
+        outcomes.append(outcome(of, random))
+        lines.append(f"{k:3} {outcomes[-1].text}")
+        print(lines[-1], flush=True)
+    lines += summary(outcomes)
+    print(*lines[-4:], sep="\n")
+    if asked.out:
+        asked.out.write_text("\n".join(lines) + "\n")
+
+
+def summary(outcomes):
+    """Return the counts in words."""
+    right = [o for o in outcomes if o.is_right]
+    wrong = [o for o in outcomes if not o.is_right]
+    held = [value for o in outcomes for value in o.held]
+    share = f"{100 * np.mean(held):.1f} % of {len(held)}" if held else "none"
+    return [
+        f"right: {len(right)} of {len(outcomes)}; of the true structure {sum(o.is_true for o in outcomes)}, "
+        f"within 5 % of the true response {sum(o.error <= 0.05 for o in outcomes)}",
+        f"wrong ones that say so: {sum(not o.explains for o in wrong)} of {len(wrong)}",
+        f"right ones that are called wrong: {sum(not o.explains for o in right)} of {len(right)}",
+        f"intervals of the true structures that hold the truth: {share}",
+    ]
+
+
+if __name__ == "__main__":
+    main()

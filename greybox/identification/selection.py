@@ -1,0 +1,182 @@
+"""Fitted structures side by side: the smallest that the data support, and whether it explains them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, listed, number, one_line, text_table
+from greybox.validation.parsimony import parsimony
+from greybox.validation.same_data import count_numbers, count_unknowns
+
+# A structure does not explain the data if its residuals exceed the noise by the first factor and
+# what is not noise exceeds the second share of the response. Residuals of adequate models scatter
+# about 1, of few points up to 1.5; a model within 5 % of the response serves whatever the noise.
+LIMITS = ((3.0, 0.05), (1.5, 0.3))
+WITHOUT_NOISE = 0.3  # share of the response, where the size of the noise is unknown
+
+
+# An unstable pole must be paid for by strong evidence (Kass and Raftery 1995): beside a zero, it
+# imitates noise, and few vehicles have one.
+UNSTABLE = "unstable pole"
+STRONG = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A fitted structure.
+
+    Attributes
+    ----------
+    label : str
+        The structure as a person or the command line names it.
+    fit : Fit
+    about : str
+        What it describes.
+    remarks : tuple of str
+        Poles and zeros that nearly cancel, unstable poles, parameters at a bound.
+    """
+
+    label: str
+    fit: Fit
+    about: str = ""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def noise(self) -> float:
+        """Size of the residuals over that of the noise; NaN where the data have no variances."""
+        variances = [part.data.variance for part in self.fit.responses]
+        if not self.fit.converged or any(variance is None for variance in variances):
+            return math.nan
+        squares = np.concatenate(
+            [
+                np.abs(part.data.response - part.response) ** 2 / part.data.variance
+                for part in self.fit.responses
+            ]
+        )
+        return math.sqrt(float(squares.sum()) / max(squares.size - len(self.fit.free) / 2, 0.5))
+
+    @property
+    def misfit(self) -> float:
+        """Size (rms) of the residuals over that of the response."""
+        shares = [1 - part.response / part.data.response for part in self.fit.responses]
+        return math.sqrt(float(np.mean(np.abs(np.concatenate(shares)) ** 2)))
+
+    @property
+    def explains(self) -> bool:
+        """Whether the structure explains the data, as far as the noise allows to tell."""
+        if math.isnan(self.noise):
+            return self.misfit <= WITHOUT_NOISE
+        beyond_noise = self.misfit * math.sqrt(max(0.0, 1 - 1 / self.noise**2))
+        return all(self.noise <= factor or beyond_noise <= share for factor, share in LIMITS)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Structures that were fitted to the same data. Printing it gives the table and the verdict.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+    chosen : Candidate or None
+        The one with the fewest parameters of those whose BIC is within 2 of the least; None where
+        no structure has a fit.
+    bic : tuple of float
+        BIC of every candidate; NaN without a fit.
+    note : str
+        Structures that were not fitted, in words.
+    """
+
+    candidates: tuple[Candidate, ...]
+    chosen: Candidate | None
+    bic: tuple[float, ...]
+    reason: str
+    note: str = ""
+
+    @property
+    def fit(self) -> Fit | None:
+        """The fit of the chosen structure; it warns if the structure does not explain the data."""
+        if self.chosen is None or self.explains:
+            return self.chosen and self.chosen.fit
+        fit = self.chosen.fit
+        text = "the structure does not explain the data: its parameters describe no vehicle."
+        return replace(fit, warnings=(text, *fit.warnings))
+
+    @property
+    def explains(self) -> bool:
+        """Whether there is a structure, and it explains the data."""
+        return self.chosen is not None and self.chosen.explains
+
+    @property
+    def verdict(self) -> str:
+        """The structure that the data support, and whether it explains them."""
+        if self.chosen is None:
+            return self.reason
+        size = f"{number(100 * self.chosen.misfit, 2)} % of the response (rms)"
+        if not math.isnan(self.chosen.noise):
+            size = f"{number(self.chosen.noise, 2)} times the noise and {size}"
+        if self.explains:
+            return f"{self.reason} Its residuals are {size}."
+        return (
+            f"No structure explains the data: the residuals of the best one are {size}. Its parameters describe no "
+            f"vehicle. ({self.reason})"
+        )
+
+    def __repr__(self) -> str:
+        label = self.chosen.label if self.chosen else "no fit"
+        return one_line(self, counted(len(self.candidates), "structure"), label)
+
+    def __str__(self) -> str:
+        least = min((value for value in self.bic if not math.isnan(value)), default=math.nan)
+        rows = [
+            [
+                str(k),
+                c.label,
+                str(len(c.fit.free)),
+                number(c.fit.cost, 4) if c.fit.converged else "no fit",
+                number(round(value - least, 2), 4),
+                number(c.noise, 3),
+                "; ".join(c.remarks) or c.about,
+                "<- chosen" if c is self.chosen else "",
+            ]
+            for k, (c, value) in enumerate(zip(self.candidates, self.bic, strict=True), 1)
+        ]
+        header = ["", "structure", "free", "cost", "BIC above", "residual/noise", "remark", ""]
+        table = text_table(header, rows, left=(1, 6, 7))
+        return "\n".join([table, *([self.note] if self.note else []), "", self.verdict])
+
+
+def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
+    """Choose the smallest structure that the data support, by BIC.
+
+    Where even the closest structure leaves residuals larger than the given variances, differences of
+    the cost are divided by the factor (quasi-likelihood): otherwise errors that no structure
+    describes would support ever more parameters. Source: Burnham and Anderson (2002), section 2.5.
+    A structure with an unstable pole is chosen only where its BIC is lower by 6.
+    """
+    fitted = [c for c in candidates if c.fit.converged]
+    if not fitted:
+        return Selection(
+            tuple(candidates), None, (math.nan,) * len(candidates), "No structure has a fit.", note
+        )
+    inflation = max(1.0, np.nan_to_num(min(c.noise for c in fitted)) ** 2)
+    numbers = sum(map(count_numbers, fitted[0].fit.parts))
+    bic = [
+        2 * c.fit.cost / inflation
+        + count_unknowns(c.fit) * math.log(numbers)
+        + STRONG * any(remark.startswith(UNSTABLE) for remark in c.remarks)
+        if c.fit.converged
+        else math.nan
+        for c in candidates
+    ]
+    finite = [value for value in bic if not math.isnan(value)]
+    k, reason = parsimony([c.label for c in fitted], finite, [len(c.fit.free) for c in fitted])
+    return Selection(tuple(candidates), fitted[k], tuple(bic), reason, note)
+
+
+def held_by_bounds(fit: Fit) -> tuple[str, ...]:
+    """Return the remark that parameters ended at a bound."""
+    names = [quantity.name for quantity in fit.quantities if quantity.at_bound]
+    return (f"{listed(names)} at {'its' if len(names) == 1 else 'their'} bound",) if names else ()

@@ -1,0 +1,86 @@
+"""The fit of one structure to measured responses, within bounds that do not decide."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.estimate.fit import fit
+from greybox.estimate.result import Fit, Quantity
+from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
+from greybox.formulation.problem import Problem
+from greybox.formulation.signal_units import as_the_only_pair
+from greybox.formulation.starts import Starts
+from greybox.formulation.sum import Sum
+from greybox.modeling.model import Model
+
+# A bound that holds a parameter is moved by this factor, at most so often: six decades in all.
+FACTOR = 100.0
+WIDENINGS = 3
+
+STATED = ("fixed", "free", "bounds", "start")
+
+
+def problem_of_structure(
+    model: Model, responses: Sequence[FrequencyResponse], **options: Any
+) -> Problem | Sum[Problem]:
+    """Return the problem of a model and the responses of its only pair, by maximum likelihood."""
+    parts = tuple(
+        Problem(
+            model,
+            as_the_only_pair(model, response),
+            RelativeLikelihood() if response.variance is None else MaximumLikelihood(),
+            **options,
+        )
+        for response in responses
+    )
+    return parts[0] if len(parts) == 1 else Sum(parts)
+
+
+def stated_for(model: Model, stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is stated of the parameters that a model has."""
+    unknown = [name for name in stated if name not in STATED]
+    if unknown:
+        raise TypeError(f"there is no option {unknown[0]!r}; there are {', '.join(STATED)}.")
+    options: dict[str, Any] = {}
+    for what, values in stated.items():
+        names = [name for name in values if name in model.parameters]
+        options[what] = names if what == "free" else {name: values[name] for name in names}
+    return options
+
+
+def fit_within_far_bounds(
+    model: Model,
+    responses: Sequence[FrequencyResponse],
+    points: int | Sequence[Mapping[str, float] | Starts],
+    seed: int | None = None,
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    stated: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> Fit:
+    """Fit a structure, and widen a bound that holds a parameter, unless it is zero or `stated`.
+
+    A delay or a time constant of zero is where its term is absent. `options` are those of `Problem`.
+    """
+    stated = stated or {}
+    bounds = {**(bounds or {}), **stated.get("bounds", {})}
+    options |= {name: value for name, value in stated.items() if name != "bounds"}
+    for _ in range(WIDENINGS):
+        problem = problem_of_structure(model, responses, bounds=bounds, **options)
+        result = fit(problem, points, seed, profiles=False, progress=False)
+        held = [
+            q for q in result.quantities if q.at_bound and q.name not in stated.get("bounds", {})
+        ]
+        wider = {q.name: moved for q in held if (moved := _wider(q)) != q.bounds}
+        if not wider:
+            break
+        bounds |= wider
+    return result
+
+
+def _wider(quantity: Quantity) -> tuple[float, float]:
+    low, high = quantity.bounds
+    at_low = quantity.value - low < high - quantity.value
+    if at_low:
+        return (low * FACTOR if low < 0 else low / FACTOR, high)
+    return (low, high * FACTOR if high > 0 else high / FACTOR)
