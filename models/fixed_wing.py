@@ -26,7 +26,7 @@ class ShortPeriod(gb.TransferFunction):
     omega_sp = gb.Parameter(
         4.0, bounds=(0.1, 50), unit="rad/s", about="natural frequency of the short period"
     )
-    T_delay = gb.Parameter(0.02, bounds=(0, 0.5), unit="s", about="delay of actuator and sensor")
+    T_delay = gb.Parameter(0.005, bounds=(0, 0.5), unit="s", about="delay of actuator and sensor")
 
     def response(self, s, p):
         rate = p.M * (s + p.inverse_T_theta2) / _mode(s, p.zeta_sp, p.omega_sp)
@@ -34,7 +34,9 @@ class ShortPeriod(gb.TransferFunction):
 
 
 class ShortPeriodAngle(ShortPeriod):
-    r"""Pitch angle from the elevator: the integral of the short period, $\theta/\delta_e = (q/\delta_e) / s$.
+    r"""Pitch angle from the elevator: the integral of the short period.
+
+    $$\frac{\theta}{\delta_e} = \frac{1}{s} \frac{q}{\delta_e}$$
 
     Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 5.7.
     """
@@ -91,7 +93,9 @@ class PitchWithPhugoid(ShortPeriod):
 
 
 class ShortPeriodWithPhugoid(PitchWithPhugoid):
-    r"""Pitch rate from the elevator: short period and phugoid, $q/\delta_e = s \, \theta/\delta_e$.
+    r"""Pitch rate from the elevator: short period and phugoid.
+
+    $$\frac{q}{\delta_e} = s \frac{\theta}{\delta_e}$$
 
     Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 5.6.
     """
@@ -124,7 +128,9 @@ class RollMode(gb.TransferFunction):
 
 
 class RollModeAngle(RollMode):
-    r"""Bank angle from the ailerons: the integral of the roll mode, $\phi/\delta_a = (p/\delta_a) / s$.
+    r"""Bank angle from the ailerons: the integral of the roll mode.
+
+    $$\frac{\phi}{\delta_a} = \frac{1}{s} \frac{p}{\delta_a}$$
 
     Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 6.7.
     """
@@ -160,7 +166,9 @@ class RollWithDutchRoll(RollMode):
 
 
 class RollAngleWithDutchRoll(RollWithDutchRoll):
-    r"""Bank angle from the ailerons: roll mode and dutch roll, $\phi/\delta_a = (p/\delta_a) / s$.
+    r"""Bank angle from the ailerons: roll mode and dutch roll.
+
+    $$\frac{\phi}{\delta_a} = \frac{1}{s} \frac{p}{\delta_a}$$
 
     Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 6.6.
     """
