@@ -26,7 +26,7 @@ import numpy as np  # noqa: E402
 import greybox as gb  # noqa: E402
 from greybox.compiled.compiled_problem import compile_problem  # noqa: E402
 from greybox.solve.gauss_newton.driver import GaussNewton  # noqa: E402
-from greybox.solve.multistart import PromisingFirst, multistart  # noqa: E402
+from greybox.solve.multistart import multistart  # noqa: E402
 
 VALUES = {
     "CD0": 0.12, "CDV": -0.065, "CDa": 0.32, "CL0": -0.093, "CLV": 0.15, "CLa": 4.3,
@@ -145,7 +145,7 @@ def main():
         run = solver.run(starts[0])
         plain.append((run.converged and run.cost < best + 0.1, time.process_time() - began))
         began = time.process_time()
-        search = multistart(nlp, solver, starts, waves=PromisingFirst(*solver.promising))
+        search = multistart(nlp, solver, starts, promising=solver.promising)
         found = bool(search.minima) and search.minima[0].cost < best + 0.1
         screened.append((found, time.process_time() - began))
         runs += len(search.brought)

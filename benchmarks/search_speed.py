@@ -38,7 +38,7 @@ from greybox.problems import (
     rotors,
     yaw_hover,
 )
-from greybox.solve.multistart import PromisingFirst, multistart, solver_for
+from greybox.solve.multistart import multistart, solver_for
 
 PAPER = (pitch_hover, roll_hover, yaw_hover, pitch_5deg, rotors)
 SUCCESS = 1.001  # of the lowest cost
@@ -183,11 +183,10 @@ def default_searches(problem, options, lowest):
     parameters = {name: problem.parameters[name] for name in nlp.free}
     seconds, found, brought = [], 0, []
     solver = solver_for(nlp)
-    waves = PromisingFirst(*solver.promising)
     for seed in range(options.seeds):
         starts = Sobol(200, seed).draw(parameters)
         began = time.process_time()
-        search = multistart(nlp, solver, starts, waves=waves)
+        search = multistart(nlp, solver, starts, promising=solver.promising)
         seconds.append(time.process_time() - began)
         found += bool(search.minima) and search.minima[0].cost <= SUCCESS * lowest
         brought.append(len(search.brought))

@@ -41,7 +41,7 @@ NAMESPACES = {
     "traces",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",
-    "solve": "LatinHypercube Listed Sobol Starts Strategies UntilFoundAgain WorkerPool",
+    "solve": "LatinHypercube Listed Sobol Starts Strategies WorkerPool",
     "spectral": "FiniteFrequency Quality check finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",

@@ -13,7 +13,6 @@ from greybox.cli.options import (
     add_time_options,
     nonnegative,
     positive,
-    probability,
 )
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_out_option, require_fit_file
@@ -24,7 +23,6 @@ from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.files.text_table import counted
-from greybox.formulation.starts import UntilFoundAgain
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import (
     Response,
@@ -51,17 +49,10 @@ EXAMPLES = (
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_problem_options(parser)
-    number = parser.add_mutually_exclusive_group()
-    number.add_argument(
+    parser.add_argument(
         "--starts",
         type=positive,
         help="number of starts (default: the problem's; else 200, or 20 with records)",
-    )
-    number.add_argument(
-        "--until-found-again",
-        type=probability,
-        metavar="ERROR",
-        help="as many starts as it takes until the probability of another minimum is at most ERROR, as 0.01",
     )
     parser.add_argument(
         "--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)"
@@ -105,10 +96,6 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
-    if options.until_found_again is not None:
-        settings["starts"] = UntilFoundAgain(
-            error=options.until_found_again, seed=settings.pop("seed", None) or 0
-        )
     by = SolverChoice(settings.pop("method", None), options.search)
     return partial(
         fit_keeping, problem=problem, by=by, profiles=not options.no_profiles, **settings

@@ -40,7 +40,7 @@ from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
-from greybox.formulation.starts import Chained, Listed, Sobol, Starts, UntilFoundAgain, as_starts
+from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
@@ -59,16 +59,7 @@ from greybox.solve.interruption import (
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import (
-    BATCHED,
-    SEARCHES,
-    AllAtOnce,
-    FoundAgain,
-    PromisingFirst,
-    Waves,
-    multistart,
-    solver_for,
-)
+from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
 from greybox.solve.runs import RUN_OVER, SEARCH_OVER
 
 
@@ -115,8 +106,8 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
-        A number of Sobol points, a rule such as `LatinHypercube(200)` or
-        `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By default the 8 most
+        A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of
+        ``{name: value}``. By default the 8 most
         promising of 200 Sobol points, with records the declared values and the 3 most promising of
         19; all of them if few of these runs agree. With records, starts at which the model is not
         finite move toward one at which it is, and from the best end of several runs, positive
@@ -283,7 +274,7 @@ def _fitted_from(
         movable=not isinstance(rule, Listed),
         executor=executor,
         kept=kept,
-        waves=_waves(starts, rule, solver),
+        promising=solver.promising if starts is None else None,
     )
     with responding(Response.STOP):
         search = _with_progress(run, progress, len(points))
@@ -435,13 +426,6 @@ def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
     return (
         Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
     )
-
-
-def _waves(starts: Any, rule: Starts, solver: LocalSolver) -> Waves:
-    """Return the order of the starts: by default the promising ones first."""
-    if isinstance(rule, UntilFoundAgain):
-        return FoundAgain(rule.error)
-    return PromisingFirst(*solver.promising) if starts is None else AllAtOnce()
 
 
 def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:

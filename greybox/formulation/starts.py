@@ -78,37 +78,6 @@ class Sobol(RandomStarts):
 
 
 @dataclass(frozen=True)
-class UntilFoundAgain(Sobol):
-    """Sobol points until another minimum is unlikely.
-
-    The search doubles their number until the probability of another minimum falls to `error`, see
-    `greybox.solve.multistart`, or until there are `number`.
-
-    Parameters
-    ----------
-    error : float
-        Between 0 and 1.
-    number : int
-        Largest number of starts.
-    seed : int
-    """
-
-    number: int = 10_000
-    error: float = 0.01
-
-    def __post_init__(self) -> None:
-        """Check all of them."""
-        super().__post_init__()
-        if not isinstance(self.error, (int, float, np.number)) or not 0 < self.error < 1:
-            raise ValueError(
-                f"error of UntilFoundAgain is {self.error!r}: give a probability between 0 and 1."
-            )
-
-    def __str__(self) -> str:
-        return f"until found again with an error of {self.error:g}, at most {self.number}, seed {self.seed}"
-
-
-@dataclass(frozen=True)
 class LatinHypercube(RandomStarts):
     """Latin hypercube: the interval of every parameter has `number` layers with one point in each."""
 

@@ -24,5 +24,4 @@ from greybox.formulation.starts import LatinHypercube as LatinHypercube
 from greybox.formulation.starts import Listed as Listed
 from greybox.formulation.starts import Sobol as Sobol
 from greybox.formulation.starts import Starts as Starts
-from greybox.formulation.starts import UntilFoundAgain as UntilFoundAgain
 from greybox.solve.worker_pool import WorkerPool as WorkerPool

@@ -28,8 +28,8 @@ class LocalSearch:
 
     Attributes
     ----------
-    further_starts, further_outcomes : lists
-        Starts and outcomes of the runs from the neighborhood of the best.
+    further : list of (start, Outcome)
+        Runs from the neighborhood of the best.
     """
 
     def __init__(
@@ -50,8 +50,7 @@ class LocalSearch:
         self._tries_more = isinstance(solver, GaussNewton)
         self._neighbors = neighbors and nlp.strategies.scaled_neighbors
         self._best: Outcome | None = None
-        self.further_starts: list[Array] = []
-        self.further_outcomes: list[Outcome] = []
+        self.further: list[tuple[Array, Outcome]] = []
 
     def improved(self, outcome: Outcome) -> Outcome:
         """Return an outcome, continued if unfinished, and try its neighborhood if it is the best."""
@@ -105,8 +104,7 @@ class LocalSearch:
                 break
             point, lowest = min(better, key=lambda pair: pair[1].cost)
             self._best = lowest
-            self.further_starts.append(point)
-            self.further_outcomes.append(lowest)
+            self.further.append((point, lowest))
 
     def _remembered(self, start: Array, make: Callable[[], Outcome], spent: float = 0.0) -> Outcome:
         """Return the outcome of a run, from the memory if it is there; `spent` s of its time have passed."""

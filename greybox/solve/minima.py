@@ -18,8 +18,8 @@ SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard err
 TOLD_APART = 0.1  # of a unit of log-likelihood
 SAME_RESPONSE = 1e-2  # root mean square of the difference of two signatures, relative to the data or the response
 
-# Of the responses of runs, an array or None of each.
-Signatures = NDArray[np.floating] | Sequence[NDArray[np.floating] | None]
+Signatures = Sequence[NDArray[np.floating] | None] | NDArray[np.floating]
+"""Those of the responses of all runs, see `Part.signature`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,10 +171,7 @@ def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:
     differences = np.empty(len(indices))
     for begin in range(0, len(indices), AT_ONCE):
         batch = indices[begin : begin + AT_ONCE]
-        if isinstance(signatures, np.ndarray):
-            responses = signatures[batch].astype(float)
-        else:
-            responses = np.array([signatures[index] for index in batch], dtype=float)
+        responses = np.array([signatures[index] for index in batch], dtype=float)
         relative = (responses - reference) / size
         differences[begin : begin + AT_ONCE] = np.sqrt(np.mean(relative**2, axis=1))
     return differences

@@ -5,7 +5,7 @@ There may be 100 000 runs, and a run as an object takes half a kilobyte.
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, overload
 
 import numpy as np
@@ -63,8 +63,8 @@ class Run:
     cost: float
     status: str
     converged: bool
-    iterations: int
-    seconds: float
+    iterations: int = 0
+    seconds: float = 0.0
     reason: str = ""
     stage: str = POLISHED
 
@@ -101,6 +101,21 @@ class Outcome:
     signature: Array | None = None
     nodes: tuple[Array, ...] | None = None
     stage: str = POLISHED
+
+    def as_run(self, index: int, start: Array) -> Run:
+        """Return the run from a start (p,) that had this result."""
+        converged = self.converged and math.isfinite(self.cost)
+        return Run(
+            index,
+            start,
+            self.estimate,
+            self.cost,
+            self.status,
+            converged,
+            self.iterations,
+            self.seconds,
+            stage=self.stage,
+        )
 
 
 Texts = NDArray[np.object_]
@@ -186,88 +201,3 @@ class Runs(Sequence[Run]):
         return one_line(
             self, counted(len(self), "run"), f"{np.count_nonzero(self.converged)} converged"
         )
-
-
-class Ended:
-    """The results of the runs so far: a row for each start, then rows for further starts.
-
-    Attributes
-    ----------
-    signatures, nodes : lists
-        Those of every row, see `Outcome`.
-    """
-
-    def __init__(self, starts: Array) -> None:
-        """Make room for the runs from starts (r, p)."""
-        self._all = _room(0, starts)
-        self.signatures: list[Array | None] = [None] * len(starts)
-        self.nodes: list[tuple[Array, ...] | None] = [None] * len(starts)
-        self._is_there = np.zeros(len(starts), dtype=bool)
-
-    @staticmethod
-    def of(starts: Array, outcomes: Sequence[Outcome]) -> "Ended":
-        """Return the results of runs from all starts (r, p)."""
-        ended = Ended(starts)
-        for row, (start, outcome) in enumerate(zip(starts, outcomes, strict=True)):
-            ended.put(row, start, outcome)
-        return ended
-
-    def put(self, row: int, start: Array, outcome: Outcome) -> None:
-        """Store the result of a run, in an existing row or the next one."""
-        if row == len(self._all):
-            added = _room(row, start[None])
-            pairs = ((getattr(self._all, name), getattr(added, name)) for name in COLUMNS)
-            self._all = Runs(*map(np.concatenate, pairs))
-            self.signatures, self.nodes = [*self.signatures, None], [*self.nodes, None]
-            self._is_there = np.append(self._is_there, False)
-        runs = self._all
-        runs.start[row] = start
-        for name in ("estimate", "cost", "status", "stage", "converged", "iterations", "seconds"):
-            getattr(runs, name)[row] = getattr(outcome, name)
-        self.signatures[row] = outcome.signature
-        self.nodes[row] = outcome.nodes
-        self._is_there[row] = True
-
-    @property
-    def rows(self) -> IntArray:
-        """The rows that runs have filled."""
-        return np.flatnonzero(self._is_there)
-
-    def runs(self, costs: Array | None = None) -> Runs:
-        """Return the runs that were made, numbered in their order, with `costs` if given."""
-        rows = self.rows
-        runs = self._all if len(rows) == len(self._all) else self._all[rows]
-        cost = runs.cost if costs is None else costs
-        return replace(
-            runs,
-            indices=np.arange(len(rows)),
-            cost=cost,
-            converged=runs.converged & np.isfinite(cost),
-        )
-
-    def among_screened(self, runs: Runs, costs: Array) -> Runs:
-        """Return the `runs` that were made among the starts that were only screened, at these `costs` (r,)."""
-        merged, screened = self._all, np.flatnonzero(~self._is_there)
-        merged.status[screened] = merged.stage[screened] = SCREENED
-        merged.cost[screened] = costs[screened]
-        merged.cost[self.rows] = runs.cost
-        merged.converged[self.rows] = runs.converged
-        return merged
-
-
-def _room(first: int, starts: Array) -> Runs:
-    """Return runs from starts (r, p) that are not made yet."""
-    r = len(starts)
-    text, number = np.full(r, "", dtype=object), np.zeros(r)
-    return Runs(
-        indices=np.arange(first, first + r),
-        start=starts.copy(),
-        estimate=starts.copy(),
-        cost=number.copy(),
-        status=text.copy(),
-        converged=np.zeros(r, dtype=bool),
-        iterations=np.zeros(r, dtype=int),
-        seconds=number,
-        reason=text.copy(),
-        stage=text,
-    )

@@ -17,7 +17,6 @@ import greybox as gb
 from greybox.cli.catalog import find_problem
 from greybox.cli.fit_command import _stated_fit
 from greybox.estimate.fit import Interrupted
-from greybox.formulation.starts import UntilFoundAgain
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.store import StoredRuns, read_members
 
@@ -359,7 +358,6 @@ def fit_options(**stated):
     known = {
         "starts": None,
         "seed": None,
-        "until_found_again": None,
         "search": "batched",
         "no_profiles": False,
     }
@@ -384,10 +382,6 @@ def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeyp
         False,
         "multistart",
     )
-    for seed, taken in ((None, 3), (0, 0), (8, 8)):
-        made = stated(until_found_again=0.01, seed=seed)
-        assert made["starts"] == UntilFoundAgain(error=0.01, seed=taken)
-        assert "seed" not in made
 
 
 @pytest.mark.parametrize(

@@ -21,13 +21,12 @@ from scipy import stats
 
 import greybox as gb
 from greybox.estimate.diagnostics.discretization import discretization_warnings
-from greybox.estimate.fit import _cut_short, _rule, _waves
+from greybox.estimate.fit import _cut_short, _rule
 from greybox.estimate.fitted_values import refined_curve
-from greybox.formulation.starts import Chained, Listed, Sobol, UntilFoundAgain
+from greybox.formulation.starts import Chained, Listed, Sobol
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.solve.interruption import TimeLimits, limited
-from greybox.solve.multistart import AllAtOnce, FoundAgain, PromisingFirst
 from greybox.solve.runs import RUN_OVER, SEARCH_OVER
 
 ORDERED = [lambda p: p.T1 - p.T2]
@@ -364,10 +363,6 @@ def test_a_number_of_starts_begins_with_the_declared_values_where_the_solver_ask
     assert _rule(None, 3, other) == Sobol(200, 3)
     assert _rule(Sobol(5, 2), None, solver) == Sobol(5, 2)
     assert _rule([{"K": 1.0}], None, solver) == Listed(({"K": 1.0},))
-    again = UntilFoundAgain(error=0.02)
-    assert _waves(again, again, solver) == FoundAgain(0.02)
-    assert _waves(None, Sobol(20, 0), solver) == PromisingFirst(3, 0.5)
-    assert _waves(20, Sobol(20, 0), solver) == AllAtOnce()
 
 
 @pytest.mark.parametrize(

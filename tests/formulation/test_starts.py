@@ -159,15 +159,6 @@ def test_a_fixed_parameter_has_no_start():
         gb.fit(gb.Problem(LagLagDelay(), DATA, fixed={"tau": 0.05}), starts=[{"tau": 0.1}])
 
 
-@pytest.mark.parametrize("error", [0, 1, -0.1, "0.1", None])
-def test_an_error_is_a_probability(error):
-    with pytest.raises(
-        ValueError, match=r"error of UntilFoundAgain is .*: give a probability between 0 and 1"
-    ):
-        gb.solve.UntilFoundAgain(error=error)
-    assert gb.solve.UntilFoundAgain(error=0.5) == gb.solve.UntilFoundAgain(10_000, 0, 0.5)
-
-
 @pytest.mark.parametrize("rule", [gb.solve.Sobol, gb.solve.LatinHypercube])
 def test_the_seed_is_zero_unless_it_is_given(rule):
     assert_array_equal(rule(8).draw(BOXES), rule(8, seed=0).draw(BOXES))

@@ -11,6 +11,7 @@ from numpy.testing import assert_array_equal
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
+from greybox.solve.local_solver import Screened
 from greybox.solve.minima import find_minima
 from greybox.solve.multistart import FiniteStarts, multistart, solver_for
 from greybox.solve.response_solver import ResponseSolver
@@ -201,3 +202,46 @@ def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_
     assert asked[2:] == pytest.approx(
         [2 * 16.0**share for share in (0.5, 0.25, 0.125, 1 / 16, 1 / 32, 1 / 64)]
     )
+
+
+class Compared(ResponseSolver):
+    """Ends where it begins, at the cost of its start; the last starts are the most promising."""
+
+    def screened(self, starts):
+        order = np.arange(len(starts))[::-1]
+        return Screened(order, np.full(len(starts), 7.0), starts)
+
+    def run(self, start):
+        return Outcome(start, "converged", 1, 0.0, True, float(start[0]), np.zeros(1))
+
+    def run_together(self, starts):
+        return [self.run(start) for start in starts]
+
+    def judged(self, estimates):
+        return None
+
+
+@pytest.mark.parametrize(("agreeing", "count"), [(2, 3), (3, 6)])
+def test_the_others_follow_where_not_enough_of_the_promising_starts_agree(agreeing, count):
+    nlp = compile_problem(NOISY)
+    starts = np.tile([1.5, 0.1, 0.2, 0.3], (6, 1))
+    starts[3, 0] = 1.9  # the third of the promising ones ends higher
+    search = multistart(nlp, Compared(nlp), starts, promising=(3, agreeing))
+    assert len(search.brought) == count
+    assert [run.index for run in search.runs] == [*range(6)]
+    assert [run.stage for run in search.runs] == ["screened"] * (6 - count) + ["polished"] * count
+    assert all(run.cost == 7.0 for run in search.runs[:3]) == (count == 3)
+    assert set(search.minima[0].runs) == {0, 1, 2, 4, 5} - ({0, 1, 2} if count == 3 else set())
+    every = multistart(nlp, Compared(nlp), starts, promising=(6, agreeing))
+    assert len(every.brought) == 6
+
+
+@pytest.mark.parametrize(("agreeing", "count"), [(3, 5), (4, 8)])
+def test_runs_agree_within_a_tenth_of_a_unit_of_likelihood(agreeing, count):
+    """Of costs of 2 n numbers, 0.1 / 2 n of their size."""
+    nlp = compile_problem(NOISY)
+    share = 0.1 / sum(part.numbers for part in nlp.parts)
+    starts = np.tile([1.5, 0.1, 0.2, 0.3], (8, 1))
+    starts[3:, 0] *= np.array([1 + 0.9 * share, 1 + 1.1 * share, 1 + 0.5 * share, 2.0, 1.0])
+    search = multistart(nlp, Compared(nlp), starts, promising=(5, agreeing))
+    assert len(search.brought) == count

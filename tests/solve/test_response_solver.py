@@ -14,7 +14,6 @@ from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.multistart import probability_of_no_other
 from greybox.solve.newton_iteration import RADIUS, bounded, layout
 from greybox.solve.response_solver import ResponseSolver
 
@@ -291,37 +290,6 @@ def test_where_promising_starts_disagree_all_are_run():
     )
     assert len(fit.minima) >= 3
     assert fit.cost <= wanted.cost * (1 + 1e-6)
-
-
-def test_the_probability_of_another_minimum():
-    """By the formula of Boender and Rinnooy Kan, and by simulation of their model."""
-    assert probability_of_no_other(1, 1) == 0
-    assert probability_of_no_other(42, 1) == pytest.approx(40 / 42)
-    random = np.random.default_rng(0)
-    searches, found, alone = 30, 0, 0
-    for _ in range(
-        20_000
-    ):  # numbers of minima equally likely, their regions uniform on the simplex
-        number = random.integers(1, 40)
-        shares = random.dirichlet(np.ones(number))
-        seen = np.unique(random.choice(number, searches, p=shares)).size
-        if seen == 2:
-            found += 1
-            alone += number == 2
-    assert alone / found == pytest.approx(probability_of_no_other(30, 2), abs=0.04)
-
-
-def test_starts_until_every_minimum_was_found_again():
-    rule = gb.solve.UntilFoundAgain(error=0.02)
-    fit = gb.fit(rotors.problem(), rule, progress=False)
-    assert len(fit.runs) == 128  # of one minimum: 2 / 128 is the first power of two below
-    assert fit.starts == "until found again with an error of 0.02, at most 10000, seed 0"
-    few = gb.fit(rotors.problem(), gb.solve.UntilFoundAgain(error=1e-6, number=40), progress=False)
-    assert len(few.runs) == 40
-    for run, same in zip(few.runs, fit.runs, strict=False):
-        assert_array_equal(run.start, same.start)
-    with pytest.raises(ValueError, match=r"error of UntilFoundAgain is 2: give a probability"):
-        gb.solve.UntilFoundAgain(error=2)
 
 
 def test_stages_are_saved_with_a_fit(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from greybox.solve import runs as runs_module
-from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Ended, Outcome, Run, Runs
+from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome, Run, Runs
 
 LISTED = [
     Run(4, np.array([0.1, 0.2]), np.array([1.0, 2.0]), 0.5, "Solve_Succeeded", True, 7, 0.25),
@@ -53,48 +53,21 @@ def test_the_runs_are_those_that_were_put_in(monkeypatch, at_once):
             runs[beyond]
 
 
-def test_what_ended_is_numbered_in_its_order_and_converged_where_its_cost_is_finite():
-    starts = np.arange(8.0).reshape(4, 2)
-    ended = Ended(starts)
-    for row, cost in ((3, 1.0), (1, np.inf)):
-        ended.put(
-            row,
-            starts[row] + 0.5,
-            Outcome(starts[row] + 10, "end", row, 0.1, True, cost, np.full(2, row)),
-        )
-    runs = ended.runs()
-    assert_array_equal(runs.indices, [0, 1])
-    assert_array_equal(runs.start, starts[[1, 3]] + 0.5)
-    assert_array_equal(runs.estimate, starts[[1, 3]] + 10)
-    assert_array_equal(runs.converged, [False, True])
-    assert_array_equal(ended.runs(np.array([2.0, 3.0])).cost, [2, 3])
-
-    ended.put(4, np.ones(2), Outcome(np.zeros(2), "elsewhere", 5, 0.1, True, 0.5, stage=POLISHED))
-    assert_array_equal(ended.rows, [1, 3, 4])
-    assert [None if s is None else s[0] for s in ended.signatures] == [None, 1, None, 3, None]
-    every = ended.among_screened(
-        ended.runs(np.array([2.0, 3.0, 0.5])), np.array([7.0, 8.0, 9.0, 10.0])
-    )
-    assert_array_equal(every.indices, range(5))
-    assert_array_equal(every.cost, [7, 2, 9, 3, 0.5])
-    assert_array_equal(every.start[[0, 2]], starts[[0, 2]])
-    assert_array_equal(every.estimate[[0, 2]], starts[[0, 2]])
-    assert list(every.stage) == [SCREENED, POLISHED, SCREENED, POLISHED, POLISHED]
-    assert list(every.status) == [SCREENED, "end", SCREENED, "end", "elsewhere"]
-    assert_array_equal(every.converged, [False, True, False, True, True])
+def test_a_run_converged_only_where_its_cost_is_finite():
+    end = Outcome(np.ones(2), "end", 3, 0.1, True, np.inf, stage=POLISHED)
+    run = end.as_run(5, np.zeros(2))
+    assert (run.index, run.status, run.iterations, run.stage) == (5, "end", 3, POLISHED)
+    assert not run.converged
+    assert_array_equal(run.start, [0, 0])
 
 
 def test_a_run_takes_less_than_a_quarter_of_a_kilobyte():
     starts = np.zeros((2000, 5))
     tracemalloc.start()
-    ended = Ended(starts)
-    for row, start in enumerate(starts):
-        ended.put(
-            row,
-            start,
-            Outcome(start + row, "Solve_Succeeded", 1000 + row, 0.1 * row, True, 0.3 * row),
-        )
-    runs = ended.runs()
+    runs = Runs.of(
+        Run(k, start, start + k, 0.3 * k, "Solve_Succeeded", True, 1000 + k, 0.1 * k)
+        for k, start in enumerate(starts)
+    )
     used, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert used / len(runs) < 256

@@ -21,7 +21,7 @@ from greybox.solve.gauss_newton.screening import (
     improved,
     lower,
 )
-from greybox.solve.multistart import AllAtOnce, PromisingFirst, multistart
+from greybox.solve.multistart import multistart
 
 VALUES = {"Z_alpha": -1.2, "M_alpha": -6.0, "M_q": -2.0, "M_de": -8.0, "b_q": 0.02, "b_az": -0.5}
 
@@ -108,7 +108,7 @@ def test_the_search_finds_what_plain_starts_miss(aircraft, solver):
     assert sum(run.converged and run.cost < best + 0.1 for run in plain) < 4
     for seed in range(2):
         starts = drawn(aircraft, 20, seed)
-        search = multistart(solver.nlp, solver, starts, waves=PromisingFirst(4, 3))
+        search = multistart(solver.nlp, solver, starts, promising=(4, 3))
         assert search.minima[0].cost < best + 0.1
         assert len(search.brought) == 4
         for run, start in zip(search.runs, starts, strict=True):
@@ -153,7 +153,6 @@ def test_what_is_not_finite_promises_nothing():
     screened = solver.screened(starts)
     assert 2 in screened.order[-3:]
     assert sorted(screened.order) == list(range(6))
-    assert AllAtOnce().screened(solver, starts) is None
 
 
 def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_elsewhere(solver):
