@@ -168,8 +168,8 @@ def test_the_neighborhood_of_a_best_end_is_tried_as_long_as_it_finds_a_lower_cos
     assert solver.asked == [
         (point, 40) for point in ((0.5, 1.0), (8.0, 1.0), (2.0, 1.0), (8.0, 1.0))
     ]
-    assert [start.tolist() for start in search.further_starts] == [[8.0, 1.0]]
-    assert [outcome.cost for outcome in search.further_outcomes] == [4.0]
+    assert [start.tolist() for start, _ in search.further] == [[8.0, 1.0]]
+    assert [outcome.cost for _, outcome in search.further] == [4.0]
     search.improved(ended((3.0, 1.0), 3.995))  # the same end again
     search.improved(ended((3.0, 1.0), 4.5, converged=False))
     assert len(solver.asked) == 4
@@ -181,7 +181,7 @@ def test_a_neighbor_is_simulated_first_and_neighbors_are_tried_where_that_is_wan
     solver = Searched({(8.0, 1.0): 4.0}, simulated={(0.5, 1.0): 3.0})
     search = searching(solver)
     search.improved(ended((2.0, 1.0), 10.0))
-    assert [outcome.cost for outcome in search.further_outcomes] == [3.0]
+    assert [outcome.cost for _, outcome in search.further] == [3.0]
     assert (0.5, 1.0) not in [point for point, _ in solver.asked]
     for options in ({"neighbors": False}, {"scaled_neighbors": False}):
         quiet = Searched({})
@@ -190,7 +190,7 @@ def test_a_neighbor_is_simulated_first_and_neighbors_are_tried_where_that_is_wan
     plain = Searched({(8.0, 1.0): 4.0}, simulated={(0.5, 1.0): 3.0})
     search = searching(plain, simulated_neighbors=False)
     search.improved(ended((2.0, 1.0), 10.0))
-    assert [outcome.cost for outcome in search.further_outcomes] == [4.0]
+    assert [outcome.cost for _, outcome in search.further] == [4.0]
 
 
 @pytest.mark.parametrize(
