@@ -28,7 +28,7 @@ NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
     "segment_table write_response write_responses write_spectrum",
     "experiment": "ChosenTests Controller Excitation ExpectedErrors SinePlan ardupilot_script choose_tests "
-    "expected_errors multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight",
+    "expected_errors multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement Selection Settings "

@@ -25,6 +25,7 @@ from greybox.experiment.expected_errors import expected_errors as expected_error
 from greybox.experiment.multisine import multisine as multisine
 from greybox.experiment.scripts import ardupilot_script as ardupilot_script
 from greybox.experiment.scripts import systemid_parameters as systemid_parameters
+from greybox.experiment.scripts import write_excitation as write_excitation
 from greybox.experiment.sine_plan import SinePlan as SinePlan
 from greybox.experiment.sine_plan import plan_sines as plan_sines
 from greybox.experiment.sines import sine_schedule as sine_schedule

@@ -25,11 +25,9 @@ class ExpectedErrors:
         Parameter values at which they were evaluated.
     standard_error : mapping of name to float
         Of every free parameter; NaN if the test would not determine it.
-    covariance : (p, p) array
-        In the order of `standard_error`.
     information : (p, p) array
-        Fisher information: the inverse of the covariance, zero in directions that the test would
-        not determine.
+        Fisher information, in the order of `standard_error`: the inverse of the covariance, zero in
+        directions that the test would not determine.
     undetermined : tuple of str
         Parameters in combinations that the test would hardly determine.
     units : mapping of name to str
@@ -37,7 +35,6 @@ class ExpectedErrors:
 
     values: Mapping[str, float]
     standard_error: Mapping[str, float]
-    covariance: Array
     information: Array
     undetermined: tuple[str, ...]
     units: Mapping[str, str]
@@ -102,7 +99,7 @@ def expected_errors(
     undetermined = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
     standard_error = dict(zip(nlp.free, errors.tolist(), strict=True))
-    return ExpectedErrors(at, standard_error, covariance, information, undetermined, units)
+    return ExpectedErrors(at, standard_error, information, undetermined, units)
 
 
 def _percent(error: float, value: float) -> str:

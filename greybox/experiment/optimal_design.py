@@ -1,6 +1,6 @@
 """Optimal designs: the shares of the flight time that make an estimate most precise."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -67,7 +67,8 @@ def shares(informations: Array, wanted: Array) -> Array:
 
     count = len(informations)
     matters = np.isfinite(wanted)
-    informations = informations * np.outer(wanted_scale(wanted), wanted_scale(wanted))
+    scale = np.where(matters, wanted, 1.0)  # in these units, every wanted error is one
+    informations = informations * np.outer(scale, scale)
     # The frequencies in use may have no information on a parameter that does not matter: this keeps
     # its variance finite.
     floor = 1e-9 * np.diag(np.diag(informations.mean(axis=0)))
@@ -85,12 +86,13 @@ def shares(informations: Array, wanted: Array) -> Array:
         jac=lambda z: np.append(np.zeros(count), 1.0),
         bounds=[*([(0.0, 1.0)] * count), (0.0, None)],
         constraints=[
-            _at_least_zero(
-                lambda z: z[-1] - with_slope(z[:-1])[0] / unit,
-                lambda z: np.column_stack(
+            {
+                "type": "ineq",
+                "fun": lambda z: z[-1] - with_slope(z[:-1])[0] / unit,
+                "jac": lambda z: np.column_stack(
                     [-with_slope(z[:-1])[1] / unit, np.ones(int(matters.sum()))]
                 ),
-            ),
+            },
             {
                 "type": "eq",
                 "fun": lambda z: z[:-1].sum() - 1,
@@ -100,20 +102,5 @@ def shares(informations: Array, wanted: Array) -> Array:
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-9},
     )
-    return _without_small(outcome.x[:-1])
-
-
-def _without_small(share: Array) -> Array:
-    share = np.where(share < SMALLEST_SHARE, 0.0, share)
+    share = np.where(outcome.x[:-1] < SMALLEST_SHARE, 0.0, outcome.x[:-1])
     return share / share.sum()
-
-
-def wanted_scale(wanted: Array) -> Array:
-    """Return units (p,) in which every wanted error is one."""
-    return np.where(np.isfinite(wanted), wanted, 1.0)
-
-
-def _at_least_zero(
-    value: Callable[[Array], Array], slope: Callable[[Array], Array]
-) -> dict[str, object]:
-    return {"type": "ineq", "fun": value, "jac": slope}

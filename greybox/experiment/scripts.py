@@ -1,13 +1,27 @@
-"""Files that bring a test signal to a vehicle: a Lua script and a parameter file for ArduPilot."""
+"""Files that bring a test signal to a vehicle: CSV, a Lua script and parameters for ArduPilot."""
 
 import math
+from pathlib import Path
 
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sweep import DWELL
+from greybox.files.safe_files import write_text
 from greybox.logs.ardupilot import SYSTEMID_AXES
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
 FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or the mixer
+
+
+def write_excitation(excitation: Excitation, path: str | Path) -> None:
+    """Write time in s and the signals to a CSV file, atomically."""
+    units = excitation.units
+    header = [
+        "time_s",
+        *(f"{name} [{units[name]}]" if units[name] else name for name in excitation.signals),
+    ]
+    rows = zip(excitation.time, *excitation.signals.values(), strict=True)
+    lines = [",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]
+    write_text(Path(path), "\n".join(lines) + "\n")
 
 
 def ardupilot_script(

@@ -365,18 +365,15 @@ def _runge_kutta(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, cou
 def _divergence(
     loop: _Loop, names: Sequence[str], values: Array, wrong: BoolArray, moment: float
 ) -> str:
-    row = len(wrong) - 1 - int(np.argmax(wrong[::-1]))  # a state, if one is wrong
-    what = (
-        f"the state {loop.system.states[row - len(names)]!r}"
-        if row >= len(names)
-        else repr(names[row])
+    labels = [*map(repr, names), *(f"the state {n!r}" for n in loop.system.states)]
+    row = int(np.flatnonzero(wrong)[-1])  # a state, if one is wrong
+    cure = "give a controller"
+    if loop.controllers:
+        cure = "give gains that stabilize the plant, or a smaller excitation"
+    return (
+        f"the flight of {loop.label} diverges: {labels[row]} is {values[row]:.3g} at "
+        f"{moment:.2f} s; {cure}."
     )
-    cure = (
-        "give gains that stabilize the plant, or a smaller excitation"
-        if loop.controllers
-        else "give a controller"
-    )
-    return f"the flight of {loop.label} diverges: {what} is {values[row]:.3g} at {moment:.2f} s; {cure}."
 
 
 def _given(controllers: Sequence[Controller]) -> set[str]:

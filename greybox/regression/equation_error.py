@@ -124,7 +124,6 @@ def equation_error(
     *,
     fixed: Mapping[str, float] | None = None,
     free: Sequence[str] = (),
-    cutoff: float | None = None,
     inputs: Inputs = "record",
 ) -> EquationErrorEstimate:
     """Estimate the parameters of an ODE from measured states, by least squares per equation.
@@ -152,9 +151,6 @@ def equation_error(
         Parameters held constant.
     free : sequence of str
         Parameters that the model declares fixed and that are to be estimated.
-    cutoff : float, Hz, optional
-        The band of all terms, e.g. below a vibration; by default half the lowest cutoff that the
-        smoothed signals of an equation choose.
     inputs : "record", "linear" or "held"
         How inputs run between their samples, as in `OutputError`: by default as the record says.
 
@@ -164,7 +160,7 @@ def equation_error(
         When a name is not known, an input is missing, nothing moves, sampling is not uniform,
         nothing is free or determined, or no equation can be used.
     """
-    _require(model, record, cutoff)
+    _require(model, record)
     require_inputs(inputs)
     free = [free] if isinstance(free, str) else free
     parameters = _problem_parameters(model, fixed or {}, free)
@@ -181,10 +177,9 @@ def equation_error(
     _require_equations(model, equations, record)
     longest_delays = _longest_delays(system, parameters)
     names = (system.states, system.inputs)
-    band = None if cutoff is None else 2 * math.pi * cutoff
     between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
 
-    data = regressors(equations, names, record, start, longest_delays, between, band=band)
+    data = regressors(equations, names, record, start, longest_delays, between)
     projection = project(data, unknown, start)
     # Lags that turn out slower than at their start need more rows at the beginning to forget their
     # initial values.
@@ -192,22 +187,23 @@ def equation_error(
     if memory(equations, names, slower) > 1.1 * memory(equations, names, start):
         cutoffs = data.cutoffs
         shorter = regressors(
-            equations, names, record, slower, longest_delays, between, cutoffs=cutoffs, band=band
+            equations, names, record, slower, longest_delays, between, cutoffs=cutoffs
         )
         if shorter.blocks(slower):  # else the record is too short for that
             data = shorter
             start = slower
             projection = project(data, unknown, start)
 
-    fixed_options = {"p": start, "latest": longest_delays, "cutoffs": data.cutoffs, "band": band}
-    again = partial(regressors, equations, names, **fixed_options)
+    again = partial(
+        regressors, equations, names, p=start, latest=longest_delays, cutoffs=data.cutoffs
+    )
     bias = _bias(data, projection, record, again)
     name = f"{model.label}, {record.name or 'record'}"
     texts = described_inputs(inputs, system.inputs, record)
     return _result(name, data, projection, bias, parameters, texts)
 
 
-def _require(model: Any, record: Any, cutoff: Any) -> None:
+def _require(model: Any, record: Any) -> None:
     if not isinstance(model, Model):
         raise TypeError(
             f"model is {model!r:.60}: give an instance such as LinearTilt(), not the class."
@@ -215,10 +211,6 @@ def _require(model: Any, record: Any, cutoff: Any) -> None:
     if not isinstance(record, Record):
         raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
     require_time(record, "equation_error")
-    if cutoff is not None and not (
-        isinstance(cutoff, (int, float, np.number)) and 0 < cutoff < math.inf
-    ):
-        raise ValueError(f"cutoff {cutoff!r} must be a number of Hz above 0.")
 
 
 def _problem_parameters(

@@ -11,7 +11,6 @@ as a ratio of two complex polynomials, IEEE Trans. Automatic Control 8 (1963) 56
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +20,6 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.regression.poles_and_zeros import (
-    NEAR,
     Factored,
     NearPair,
     factored,
@@ -203,27 +201,19 @@ def levy(
 
 
 def order_path(
-    data: FrequencyResponse,
-    n: int,
-    m: int,
-    integrator: bool = False,
-    *,
-    tolerance: float = NEAR,
-    **options: Any,
+    data: FrequencyResponse, n: int, m: int, integrator: bool = False
 ) -> tuple[RationalFit, ...]:
     """Lower the orders from `n` and `m` until no stable pole and zero obviously cancel (section 3).
 
-    If a stable zero and a stable pole are closer than `tolerance`, or the equations are rank
-    deficient, both orders are lowered by one and fitted again, down to m = 0. The paper does not
-    say how close is obvious. On its tables the rule does not lead to its (4, 1): try several orders
-    to begin with, or use `gb.identification.select_orders`.
+    If a stable zero and a stable pole are `near_pairs`, or the equations are rank deficient, both
+    orders are lowered by one and fitted again, down to m = 0. The paper does not say how close is
+    obvious. On its tables the rule does not lead to its (4, 1): try several orders to begin with, or
+    use `gb.identification.select_orders`.
 
     Parameters
     ----------
-    data, n, m, integrator, **options
+    data, n, m, integrator
         As for `levy`; the highest orders to begin with.
-    tolerance : float
-        Relative distance |zero - pole| / max(|zero|, |pole|) below which a pair cancels, in (0, 1].
 
     Returns
     -------
@@ -233,16 +223,13 @@ def order_path(
     Raises
     ------
     ValueError
-        As `levy`, and for a tolerance out of range.
+        As `levy`.
     """
-    if not 0 < tolerance <= 1:
-        raise ValueError(f"tolerance is {tolerance}: give a number above 0 and at most 1.")
-    steps = [levy(data, n, m, integrator, **options)]
+    steps = [levy(data, n, m, integrator)]
     while steps[-1].m > 0:
-        pairs = near_pairs(steps[-1].zeros, steps[-1].poles, tolerance)
-        if steps[-1].determined and not any(pair.stable for pair in pairs):
+        if steps[-1].determined and not any(pair.stable for pair in steps[-1].near_pairs):
             break
-        steps.append(levy(data, steps[-1].n - 1, steps[-1].m - 1, integrator, **options))
+        steps.append(levy(data, steps[-1].n - 1, steps[-1].m - 1, integrator))
     return tuple(steps)
 
 
@@ -288,10 +275,9 @@ def _check_whole(name: str, value: int, least: int) -> None:
 
 def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> Array:
     weights = np.ones(len(data)) if weight is None else np.asarray(weight, dtype=float)
-    if weights.shape != (len(data),):
+    if weights.shape != (len(data),) or not np.all((weights > 0) & np.isfinite(weights)):
         raise ValueError(
-            f"weight has shape {weights.shape} for {len(data)} frequencies: give one number for each."
+            f"weight has the shape {weights.shape}: give one finite number above 0 for each of the "
+            f"{len(data)} frequencies."
         )
-    if not np.all((weights > 0) & np.isfinite(weights)):
-        raise ValueError("weight has numbers that are not above 0: omit these points.")
     return weights

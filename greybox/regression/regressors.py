@@ -150,7 +150,6 @@ def regressors(
     between: Mapping[str, Intersample],
     *,
     cutoffs: Mapping[str, float] | None = None,
-    band: float | None = None,
 ) -> Regressors:
     """Smooth the signals of a regular record.
 
@@ -166,8 +165,6 @@ def regressors(
         How the inputs run between samples.
     cutoffs : mapping of signal name to rad/s, optional
         By default each signal chooses its own.
-    band : float, rad/s, optional
-        Cutoff of all terms of all equations.
     """
     time = record.time
     states: dict[str, Array] = {}
@@ -205,7 +202,6 @@ def regressors(
     bands = [
         SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations
     ]
-    bands = [b if band is None else min(b, band) for b in bands]
     return Regressors(
         equations=equations,
         names=names,

@@ -45,9 +45,8 @@ class FrequencyPoint:
         degrees of freedom. The gain error that unexplained harmonics stand for is part of it.
     periods, start, end : int and floats, s
         The window that was used.
-    u, y, r : complex
-        Amplitudes of control, output and setpoint (NaN without one), phase relative to sin ω(t -
-        segment's start).
+    u, y : complex
+        Amplitudes of control and output, phase relative to sin ω(t - segment's start).
     distortion, drift : (float, float)
         Of control and output: harmonics over fundamental (root of sum of squares); change of trim
         over the window.
@@ -69,7 +68,6 @@ class FrequencyPoint:
     end: float
     u: complex
     y: complex
-    r: complex
     distortion: tuple[float, float]
     drift: tuple[float, float]
     saturation: float
@@ -141,9 +139,9 @@ class FiniteFrequency:
         return "\n".join([self.table, *self.notes, *self.findings])
 
 
-def with_findings(point: FrequencyPoint, findings: list[str]) -> FrequencyPoint:
-    """Return a point with `findings` and the warnings that follow from its values."""
-    findings = list(findings)
+def with_findings(point: FrequencyPoint, missing: float) -> FrequencyPoint:
+    """Return a point with the warnings that follow from its values and its share of missing samples."""
+    findings = [f"{missing:.0%} of the samples are missing"] if missing > MISSING else []
     names = ("control", "output")
     for name, sine, share, drift in zip(
         names, (point.u, point.y), point.distortion, point.drift, strict=True
@@ -162,11 +160,6 @@ def with_findings(point: FrequencyPoint, findings: list[str]) -> FrequencyPoint:
         share = point.standard_error / abs(point.response)
         findings.append(f"the standard error is {share:.0%} of the response")
     return replace(point, findings=tuple(findings))
-
-
-def missing_samples(share: float) -> list[str]:
-    """Return a warning if many samples of a window are missing."""
-    return [f"{share:.0%} of the samples are missing"] if share > MISSING else []
 
 
 def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:

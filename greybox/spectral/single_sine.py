@@ -21,7 +21,6 @@ from greybox.spectral.frequency_points import (
     FiniteFrequency,
     FrequencyPoint,
     averaged,
-    missing_samples,
     with_findings,
     with_unexplained,
 )
@@ -179,7 +178,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
     amplitudes, drift, residual = least_squares(t, x, omega, segment.start, HARMONICS)
     estimate = estimate_by_lines(t, amplitudes[:, 0], residual, omega, segment.start, q)
 
-    u, y, *r = map(complex, amplitudes[:, 0])
+    u, y, *_ = map(complex, amplitudes[:, 0])
     noise = estimate.control_noise
     # Without noise, rounding errors remain.
     if abs(u) <= max(DETECTED * noise, 1e-12 * float(np.abs(x[0]).max())):
@@ -199,16 +198,13 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
         end=float(t[-1]),
         u=u,
         y=y,
-        r=r[0] if r else complex(math.nan, math.nan),
         distortion=(float(distortion[0]), float(distortion[1])),
         drift=(float(drift[0]), float(drift[1])),
         saturation=saturation(x[0]),
         notes=tuple(notes),
     )
     missing = 1 - t.size * float(np.median(np.diff(t))) * omega / (q * 2 * math.pi)
-    return with_findings(point, missing_samples(missing)), harmonics_of(
-        t, amplitudes, residual, omega, q
-    )
+    return with_findings(point, missing), harmonics_of(t, amplitudes, residual, omega, q)
 
 
 def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:

@@ -310,11 +310,11 @@ def bootstrap(
     began = time.perf_counter()
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to begin from: {fit.status}.")
-    if isinstance(replicates, bool) or not isinstance(replicates, int) or replicates < 2:
+    if not isinstance(replicates, int) or replicates < 2:
         raise ValueError(
             f"replicates={replicates!r:.40} must be a whole number of at least 2; 1000 give intervals."
         )
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+    if not isinstance(seed, int) or seed < 0:
         raise ValueError(f"seed={seed!r:.40} must be a whole number of at least 0.")
     require_executor(executor)
     _require_drawable(fit)

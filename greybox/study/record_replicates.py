@@ -24,20 +24,13 @@ from greybox.statistics.error_spectrum import ErrorSpectrum
 
 
 @dataclass(frozen=True, eq=False)
-class Stretched:
-    """One stretch of a record without gaps: its measured and fitted outputs (k, n)."""
-
-    measured: Array
-    fitted: Array
-
-
-@dataclass(frozen=True, eq=False)
 class DrawnRecord:
     """The fitted outputs of one part, and the errors of its data.
 
     Attributes
     ----------
-    stretches : tuple of Stretched
+    measured, fitted : tuples of (k, n) arrays
+        Outputs of every stretch without gaps.
     residuals : (k, samples) array
         Of mean zero: whitened if there is a spectrum, otherwise as large as errors. Where an output
         is missing, NaN, a replicate draws from the others of this output.
@@ -45,23 +38,23 @@ class DrawnRecord:
         Gives whitened residuals their color again.
     """
 
-    stretches: tuple[Stretched, ...]
+    measured: tuple[Array, ...]
+    fitted: tuple[Array, ...]
     residuals: Array
     spectrum: ErrorSpectrum | None
 
     def outputs(self, random: np.random.Generator) -> list[Array]:
         """Return the fitted outputs (k, n) of every stretch with drawn residuals."""
         outputs = []
-        for stretch in self.stretches:
-            count = stretch.measured.shape[1]
+        for measured, fitted in zip(self.measured, self.fitted, strict=True):
+            count = measured.shape[1]
             if self.spectrum is None:
                 errors = self._drawn_residuals(random, count)
             else:
                 # Color a circle twice as long, so that no sample is the neighbor of the last one.
                 white = self._drawn_residuals(random, 2 * count)
                 errors = self.spectrum.colored(white)[:, :count]
-            is_measured = np.isfinite(stretch.measured)
-            outputs.append(np.where(is_measured, stretch.fitted + errors, np.nan))
+            outputs.append(np.where(np.isfinite(measured), fitted + errors, np.nan))
         return outputs
 
     def _drawn_residuals(self, random: np.random.Generator, count: int) -> Array:
@@ -119,12 +112,9 @@ def _drawn_record(
     part: RecordPart, trajectory: Trajectory, spectrum: ErrorSpectrum | None, parameters: float
 ) -> DrawnRecord:
     """Return the errors of a part from whose residuals this number of `parameters` was fitted."""
-    fitted = part.data.unpadded(part.simulated_outputs(trajectory))
-    stretches = tuple(
-        Stretched(stretch.outputs, values)
-        for stretch, values in zip(part.data.stretches, fitted, strict=True)
-    )
-    differences = [stretch.measured - stretch.fitted for stretch in stretches]
+    fitted = tuple(part.data.unpadded(part.simulated_outputs(trajectory)))
+    measured = tuple(stretch.outputs for stretch in part.data.stretches)
+    differences = [y - model for y, model in zip(measured, fitted, strict=True)]
     residuals = _centered(differences)
     if not np.nan_to_num(residuals).any(axis=1).all():
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
@@ -132,9 +122,9 @@ def _drawn_record(
     if spectrum is None:
         numbers = max(part.numbers, 1)
         dof = max(numbers - parameters - part.unknown_initial_states, 1)
-        return DrawnRecord(stretches, math.sqrt(numbers / dof) * residuals, None)
+        return DrawnRecord(measured, fitted, math.sqrt(numbers / dof) * residuals, None)
     white = _centered([spectrum.whitened(values) for values in differences])
-    return DrawnRecord(stretches, white, spectrum.of_draws(white))
+    return DrawnRecord(measured, fitted, white, spectrum.of_draws(white))
 
 
 def _centered(stretches: Sequence[Array]) -> Array:

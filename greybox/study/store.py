@@ -240,9 +240,9 @@ class StoredRuns(KeptRuns):
         """How many runs are on disk."""
         if not is_study(self._folder):
             return 0
-        return sum(
-            member.runs for member in read_members(self._folder) if member.name == self._name
-        )
+        with _database(self._folder) as database:
+            query = f"SELECT COUNT(*) FROM runs WHERE member = {MEMBER}"
+            return int(database.execute(query, (self._name,)).fetchone()[0])
 
     def remove(self) -> None:
         """Remove all runs."""

@@ -487,12 +487,6 @@ def test_it_prints_itself(flown):
             r"fixed gives 'd' the value 7\.0: give a number within \(0, 0\.3\)",
         ),
         ({}, {"inputs": "cubic"}, "inputs 'cubic' is not known: use 'linear' or 'held'"),
-        ({}, {"cutoff": 0}, "cutoff 0 must be a number of Hz above 0"),
-        (
-            {},
-            {"cutoff": 0.01},
-            "no stretch without a gap is long enough: the longest piece of the record has 40 s",
-        ),
     ],
 )
 def test_bad_input(sliding, change, options, sentence):
@@ -580,13 +574,6 @@ def test_a_free_motion_needs_no_input_that_moves():
     assert_near(found, {name: SHORT[name] for name in ("Za", "Ma", "Mq")}, 0.02)
 
 
-def test_a_cutoff_in_hertz_is_the_band_of_every_equation():
-    result = gb.regression.equation_error(Short(), short_period(), cutoff=0.5)
-    assert [equation.band for equation in result.equations] == pytest.approx(
-        [0.5] * len(result.equations)
-    )
-
-
 class StaticSum(gb.StateSpace):
     """Two gains of one input, which only their sum tells, beside an offset."""
 
@@ -670,8 +657,6 @@ def test_what_is_fixed_may_lie_at_its_bound(value):
         ({"fixed": {"b": 10.1}}, ValueError, r"give a number within \(-10, 10\)"),
         ({"fixed": {"b": "1"}}, ValueError, r"fixed gives 'b' the value '1'"),
         ({"fixed": ["b"]}, TypeError, r"fixed is \['b'\]: give \{name: value\}"),
-        ({"cutoff": np.inf}, ValueError, r"cutoff inf must be a number of Hz above 0\."),
-        ({"cutoff": "1"}, ValueError, r"cutoff '1' must be a number of Hz above 0\."),
     ],
 )
 def test_options_that_are_refused(options, error, sentence):

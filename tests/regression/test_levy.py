@@ -239,11 +239,11 @@ def test_fits_are_frozen():
         ),
         (
             {"n": 4, "m": 1, "weight": [1.0]},
-            r"weight has shape \(1,\) for 10 frequencies: give one number for each\.",
+            r"weight has the shape \(1,\)",
         ),
         (
             {"n": 4, "m": 1, "weight": [0] + [1] * 9},
-            "not above 0: omit these points",
+            "one finite number above 0",
         ),
     ],
 )
@@ -289,7 +289,6 @@ def test_path_from_too_high_ends_at_the_true_orders(roots, above, excess, integr
 def test_path_drops_a_stable_pair_and_keeps_an_unstable_one():
     stable = simulated([1, 4.04], polynomial([-4, -1.5 + 2j]))
     assert orders(order_path(stable, 3, 1)) == [(3, 1), (2, 0)]
-    assert orders(order_path(stable, 3, 1, tolerance=0.005)) == [(3, 1)]
     unstable = simulated([1, -4.04], polynomial([4, -1.5 + 2j]))
     assert orders(order_path(unstable, 3, 1)) == [(3, 1)]
 
@@ -317,9 +316,3 @@ def test_path_on_the_tables_of_the_paper(name, start, end):
     """The paper's (4, 1) is where the rule ends only when it begins there."""
     options = {"integrator": name == "yaw"}
     assert orders(order_path(table(name), *start, **options))[-1] == end
-
-
-@pytest.mark.parametrize("tolerance", [0, -1.0, 1.5, float("nan")])
-def test_bad_tolerance(tolerance):
-    with pytest.raises(ValueError, match="above 0 and at most 1"):
-        order_path(table("roll"), 7, 4, tolerance=tolerance)

@@ -1,7 +1,6 @@
 """Signals as the equations need them, against closed forms."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +17,6 @@ from greybox.regression.linear_in_parameters import regressions
 from greybox.regression.regressors import (
     FEWEST,
     REMEMBERED,
-    _derivative,
     _linear_response,
     acting,
     memory,
@@ -103,11 +101,6 @@ def test_stretches_that_are_too_short_give_no_block():
         made(record.with_signals(v=v), latest=12.0).blocks(TRUTH)[0].target.size
         < both[1].target.size
     )
-
-
-def test_a_band_limits_all_terms():
-    assert made(band=2.0).bands == (2.0,)
-    assert made(cutoffs={"v": 10.0}).bands == (5.0,)
 
 
 def test_what_is_held_acts_as_the_smooth_slope_of_what_integrates_it():
@@ -277,29 +270,16 @@ def test_a_stretch_is_used_from_four_rows_on():
     for rows in (FEWEST - 1, FEWEST):
         count = 2 * edge + late + rows
         short = record.rows(slice(count))
-        data = two_inputs(short, CONTINUOUS, cutoffs=dict.fromkeys(("v", "y"), 2 * band), band=band)
+        data = two_inputs(short, CONTINUOUS, cutoffs=dict.fromkeys(("v", "y"), 2 * band))
         assert data.bands == (band, band)
         assert [block.target.size for block in data.blocks(POINT)] == [FEWEST] * 2 * (
             rows == FEWEST
         )
 
 
-def test_a_band_is_half_the_lowest_cutoff_or_less_where_one_is_given():
+def test_a_band_is_half_the_lowest_cutoff():
     cutoffs = {"v": 10.0, "y": 6.0}
     assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs).bands == (5.0, 5.0)
-    assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs, band=4.0).bands == (4.0, 4.0)
-    assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs, band=7.0).bands == (5.0, 5.0)
-
-
-def test_the_slope_of_a_state_is_known_over_four_rows_and_more():
-    values = np.full(80, np.nan)
-    values[:40] = np.sin(0.3 * np.arange(40))
-    values[42:45] = 1.0
-    values[50:54] = 2.0 + 3 * np.arange(4)
-    found = _derivative(0.5 * np.arange(80), values)
-    assert_allclose(found[5:35], 0.6 * np.cos(0.3 * np.arange(5, 35)), atol=1e-4)
-    assert_allclose(found[50:54], 6.0)
-    assert np.flatnonzero(np.isfinite(found)).tolist() == [*range(40), *range(50, 54)]
 
 
 def test_a_short_stretch_behind_a_long_one_gives_no_block():
@@ -310,17 +290,6 @@ def test_a_short_stretch_behind_a_long_one_gives_no_block():
         v = record["v"].copy()
         v[600 - count - 3 : 600 - count] = np.nan
         cut = record.with_signals(v=v)
-        data = two_inputs(cut, CONTINUOUS, cutoffs=dict.fromkeys(("v", "y"), 2 * band), band=band)
+        data = two_inputs(cut, CONTINUOUS, cutoffs=dict.fromkeys(("v", "y"), 2 * band))
         of_v = [block.target.size for block in data.blocks(POINT) if block.equation == 0]
         assert of_v == [600 - count - 3 - 2 * edge - late, FEWEST][: 1 + (rows == FEWEST)]
-
-
-@pytest.mark.parametrize(("value", "stable"), [(-1e-9, True), (0.0, False), (math.nan, False)])
-def test_what_integrates_is_not_simulated(value, stable):
-    record = driven(50)
-    fixed = SimpleNamespace(
-        simulated_names=("w",),
-        simulated=lambda x, u, p: (np.ones((1, 50)), np.full((1, 50), value)),
-    )
-    data = replace(two_inputs(record, CONTINUOUS), equations=fixed)
-    assert data._simulate(np.zeros((2, 50)), np.zeros((2, 50)), POINT) is stable

@@ -11,7 +11,6 @@ from greybox.spectral.frequency_points import (
     FiniteFrequency,
     FrequencyPoint,
     averaged,
-    missing_samples,
     with_findings,
     with_unexplained,
 )
@@ -23,7 +22,6 @@ def point(response=1 + 0j, error=0.01, dof=8.0, periods=10, u=1 + 0j, **values):
         "end": 10.0,
         "u": u,
         "y": response * u,
-        "r": complex(math.nan, math.nan),
     }
     common |= {"distortion": (0.0, 0.0), "drift": (0.0, 0.0), "saturation": 0.0}
     return FrequencyPoint(5.0, response, error, dof, periods, **common | values)
@@ -68,15 +66,13 @@ def test_a_single_period_leaves_the_mean_without_a_variance():
     ],
 )
 def test_what_is_worth_a_warning(values, words):
-    (finding,) = with_findings(point(**values), []).findings
+    (finding,) = with_findings(point(**values), 0.0).findings
     assert words in finding
 
 
 def test_what_is_not():
     clean = point(distortion=(0.05, 0.05), drift=(0.1, 0.1), saturation=math.nan, error=0.2)
-    assert with_findings(clean, []).findings == ()
-    assert missing_samples(0.04) == []
-    assert missing_samples(0.2) == ["20% of the samples are missing"]
+    assert with_findings(clean, 0.0).findings == ()
 
 
 @pytest.mark.parametrize("size", [0.01, 100.0])
@@ -86,7 +82,7 @@ def test_a_drift_is_held_against_the_amplitude(size):
         assert (
             any(
                 "the trim of the output drifts" in said
-                for said in with_findings(drifting, []).findings
+                for said in with_findings(drifting, 0.0).findings
             )
             == warned
         )
@@ -142,14 +138,14 @@ def test_the_freedom_of_a_mean_is_that_of_satterthwaite():
 )
 def test_a_warning_begins_where_it_is_stated(values, below, at, said):
     def found(value):
-        return with_findings(point(2 + 1j, u=2j, **{values: value}), ["first"]).findings
+        return with_findings(point(2 + 1j, u=2j, **{values: value}), 0.06).findings
 
-    assert found(below) == ("first",)
+    missing = "6% of the samples are missing"
+    assert found(below) == (missing,)
     first, second = found(at)
-    assert first == "first"
+    assert first == missing
     assert second.startswith(said)
-    assert missing_samples(0.05) == []
-    assert missing_samples(0.06) == ["6% of the samples are missing"]
+    assert with_findings(point(2 + 1j), 0.05).findings == ()
 
 
 def test_unexplained_harmonics_are_an_error_of_the_gain_and_told_from_three_percent():

@@ -35,9 +35,9 @@ def draws_of(values=VALUES):
 
 def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():
     draws = draws_of()
-    (one,) = draws.records[0].stretches
+    (fitted,) = draws.records[0].fitted
     assert_allclose(draws.records[0].residuals.std(), np.std(VALUES, ddof=1))
-    assert_allclose(one.fitted, VALUES.mean())
+    assert_allclose(fitted, VALUES.mean())
 
 
 @pytest.mark.parametrize("missing", ["none", "a third", "at random"])
@@ -134,7 +134,7 @@ def test_residuals_are_drawn_of_both_outputs_at_once_and_missing_ones_from_the_o
     known = residuals[0][np.isfinite(residuals[0])]
     replaced = 0
     for number in range(4):
-        drawn = draws.outputs(number)[0][0] - draws.records[0].stretches[0].fitted
+        drawn = draws.outputs(number)[0][0] - draws.records[0].fitted[0]
         assert np.flatnonzero(np.isnan(drawn[0])).tolist() == [3, 4, 17]
         places = [int(np.argmin(np.abs(residuals[1] - value))) for value in drawn[1]]
         assert_allclose(residuals[1][places], drawn[1], atol=1e-12)
