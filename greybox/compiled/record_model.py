@@ -65,8 +65,9 @@ class RecordModel:
     steps : dict
         The samples compiled so far, by integrator and substeps; models that differ only in their
         data share it.
-    expressions : tuple of int
-        A hash of the expression of z of every declared parameter: equal for equal expressions.
+    expressions : tuple of str
+        The expression of z of every declared parameter. A hash would differ in every process, and
+        with it the fingerprint by which stored runs are found again.
     """
 
     problem: Problem
@@ -90,7 +91,7 @@ class RecordModel:
     known_states: BoolArray
     initial_states: InitialStates
     steps: dict[tuple[Integrator, int], SampleStep]
-    expressions: tuple[int, ...]
+    expressions: tuple[str, ...]
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind values that may be of the user's classes."""
@@ -128,7 +129,7 @@ def record_model(
     """
     assert isinstance(problem.data, Record)
     q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
-    expressions = tuple(q[i].element_hash() for i in range(q.numel()))
+    expressions = tuple(str(q[i]) for i in range(q.numel()))
     kin = next((model for model in others if _is_of_one_kind(problem, model)), None)
     if kin is None:
         kin = _first_of_its_kind(problem, method)
