@@ -4,7 +4,7 @@ Begin with `problem`.
 
 | file | contents |
 | --- | --- |
-| `problem` | `Problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters |
+| `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
 | `sum` | `Sum`: problems solved at once |
 | `several` | one problem for several records |
 | `added_criteria` | criteria whose costs add |

@@ -26,9 +26,10 @@ def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
         other = next((part for part in parts if part.criterion != first.criterion), None)
         if other is not None:
             raise ValueError(
-                f"{first.name!r} has the criterion {first.criterion!r} and {other.name!r} {other.criterion!r}: costs "
-                "of different criteria add only where both are likelihoods, so give both the same criterion, or "
-                "RelativeLikelihood(), or MaximumLikelihood() where variances are known."
+                f"{first.name!r} has the criterion {first.criterion!r} and {other.name!r} "
+                f"{other.criterion!r}: costs of different criteria add only where both are "
+                "likelihoods, so give both the same criterion, or RelativeLikelihood(), or "
+                "MaximumLikelihood() where variances are known."
             )
         return tuple(parts)
 
@@ -36,10 +37,11 @@ def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     for part in parts:
         if not (part.criterion.is_likelihood or part.has_default_criterion):
             raise ValueError(
-                f"{part.name!r} has the criterion {type(part.criterion).__name__} and {likelihood.name!r} "
-                f"{type(likelihood.criterion).__name__}: the cost of a likelihood adds to that of another likelihood "
-                "alone, so leave the criterion of the response out, or give RelativeLikelihood(), or "
-                "MaximumLikelihood() where variances are known."
+                f"{part.name!r} has the criterion {type(part.criterion).__name__} and "
+                f"{likelihood.name!r} {type(likelihood.criterion).__name__}: the cost of a "
+                "likelihood adds to that of another likelihood alone, so leave the criterion of "
+                "the response out, or give RelativeLikelihood(), or MaximumLikelihood() where "
+                "variances are known."
             )
         result.append(
             part if part.criterion.is_likelihood else part.with_(criterion=RelativeLikelihood())

@@ -54,7 +54,7 @@ class AnyCriterion(ABC):
 
     @property
     def name(self) -> str:
-        """Short name for JSON and the command line: the class in lower case, such as ``relative-error:model``."""
+        """Short name for JSON and the command line, such as ``relative-error:model``."""
         words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", type(self).__name__.lstrip("_")).lower()
         return f"{words}:{self.variant}" if self.variant else words
 
@@ -68,7 +68,7 @@ class AnyCriterion(ABC):
         return self.condition
 
     def gain_bias(self, noise: float, points: int) -> float:
-        """Return the relative bias of the gain from relative noise of this size in each component of `points` points."""
+        """Return the relative bias of the gain by relative `noise` in each component of points."""
         return 0.0
 
     @property

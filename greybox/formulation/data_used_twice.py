@@ -1,4 +1,4 @@
-"""Refuse data that are in a sum twice: as a record, and as a response or spectrum estimated from it."""
+"""Refuse data that are in a sum twice: as a record, and as what was estimated from it."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 
 
 def require_data_once(parts: Sequence[Any]) -> None:
-    """Refuse a record together with a response or a spectrum that was estimated from a stretch of it.
+    """Refuse a record beside a response or a spectrum that was estimated from a stretch of it.
 
     Their errors are the same, so that adding their likelihoods would count the information twice.
 
@@ -32,9 +32,10 @@ def require_data_once(parts: Sequence[Any]) -> None:
             used = next((record for record in records if _holds(record.data, stretch)), None)
             if used is not None:
                 raise ValueError(
-                    f"the {noun} {part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s of the "
-                    f"record {used.name!r}, which would count the same data twice: leave one of them out, or fit the "
-                    "record between other times, record.between(start, end)."
+                    f"the {noun} {part.name!r} was estimated from {stretch.start:g} to "
+                    f"{stretch.end:g} s of the record {used.name!r}, which would count the same "
+                    "data twice: leave one of them out, or fit the record between other times, "
+                    "record.between(start, end)."
                 )
 
 

@@ -56,8 +56,9 @@ class Criterion(AnyCriterion):
         zero = np.flatnonzero(data.response == 0)
         if zero.size:
             raise ValueError(
-                f"the response is zero at omega = {data.omega[zero[0]]:g} rad/s, which {type(self).__name__} "
-                "cannot divide by: leave that point out or use MaximumLikelihood."
+                f"the response is zero at omega = {data.omega[zero[0]]:g} rad/s, which "
+                f"{type(self).__name__} cannot divide by: leave that point out or use "
+                "MaximumLikelihood."
             )
 
     @property
@@ -76,7 +77,9 @@ class Criterion(AnyCriterion):
         sensitivity: ComplexArray,
         data: FrequencyResponse,
     ) -> Array:
-        """Return the Jacobian (2n, p) of the real residuals, from the response (n,) and its derivatives (n, p).
+        """Return the Jacobian (2n, p) of the real residuals.
+
+        `sensitivity` (n, p) are the derivatives of the response `model` (n,).
 
         The first n are along the response, the others across.
         """
@@ -85,18 +88,26 @@ class Criterion(AnyCriterion):
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
     ) -> tuple[float, Array]:
-        """Return `bread` and `meat` (2n,); `correction` scales the noise size for the parameters estimated."""
+        """Return `bread` and `meat` (2n,).
+
+        `correction` scales the size of the noise for the number of estimated parameters.
+        """
 
     def score_correlation(self, correlation: Array) -> Array:
-        """Return the correlation of the gradients at two points from that of their errors: equal, for sums of squares."""
+        """Return the correlation of the gradients at two points from that of their errors.
+
+        For sums of squares, both are equal.
+        """
         return correlation
 
     def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:
-        """Return the relative sizes of the errors of the points (n,): by default the model's magnitude."""
+        """Return the relative sizes of the errors (n,): by default the model's magnitude."""
         return np.abs(model)
 
     def noise(self, model: ComplexArray, data: FrequencyResponse, correction: float = 1.0) -> float:
-        """Return the standard deviation of one component of the relative errors, about the biased gain.
+        """Return the standard deviation of one component of the relative errors.
+
+        The errors are those about the biased gain.
 
         `correction` scales it for the parameters estimated.
         """
@@ -112,7 +123,7 @@ class Criterion(AnyCriterion):
         return size
 
     def size_of(self, errors: ComplexArray, correction: float) -> float:
-        """Return the standard deviation of one component of errors (n,): by default from their squares."""
+        """Return the standard deviation of one component of errors (n,), from their squares."""
         return correction * math.sqrt(float(np.mean(np.abs(errors) ** 2)) / 2)
 
     def noise_ratio(self, model: ComplexArray, data: FrequencyResponse) -> float:
@@ -160,7 +171,10 @@ class _Relative(Criterion):
         sensitivity: ComplexArray,
         data: FrequencyResponse,
     ) -> Array:
-        """Return the derivatives of the relative errors along and across the response, the normalization held."""
+        """Return the derivatives of the errors along and across the response.
+
+        The magnitude that divides them is held.
+        """
         return stacked(
             sensitivity / (self.magnitude(model, data) * np.exp(1j * np.angle(model)))[:, None]
         )
@@ -168,7 +182,7 @@ class _Relative(Criterion):
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
     ) -> tuple[float, Array]:
-        """Mean curvature, and variances of the gradient along and across the response, for errors of this size."""
+        """Return the mean curvature, and the variances of the gradient (2n,)."""
         score = relative_score(
             self.noise(model, data, correction), len(data), self.power, self.normalized
         )
@@ -200,18 +214,18 @@ class RelativeError(_Relative):
         return total(sqrt(squared_magnitude(self.errors(model, data)) + smoothing))
 
     def size_of(self, errors: ComplexArray, correction: float) -> float:
-        """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2) (1 - p/(π n))."""
+        """Return the size from the mean |e|: s sqrt(π/2) (1 - p/(π n)) for isotropic errors."""
         paid = 1 - 1 / correction**2  # p / (2n)
         return float(np.abs(errors).mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * paid)
 
     def score_correlation(self, correlation: Array) -> Array:
-        """Return the correlation of the directions of errors, E e₁ e₂* / |e₁ e₂|, of a correlation from 0 to 1.
+        """Return the correlation of the directions of errors, E e₁ e₂* / |e₁ e₂|.
 
         (E(k) - (1 - k²) K(k)) / k with the complete elliptic integrals, k the correlation of
         circular normal errors. Source: Middleton (1960), An Introduction to Statistical
         Communication Theory, section 9.1.
         """
-        from scipy.special import ellipe, ellipkm1  # noqa: PLC0415  (takes a tenth of a second to import)
+        from scipy.special import ellipe, ellipkm1  # noqa: PLC0415  (imports slowly)
 
         k = np.clip(correlation, 1e-150, 1.0)
         m1 = 1 - k**2
@@ -240,7 +254,7 @@ class SquaredRelativeError(_Relative):
 
 @dataclass(frozen=True, eq=False)
 class RelativeLikelihood(Criterion):
-    """Maximum likelihood for circular complex normal errors of one relative variance, which is estimated along.
+    """Maximum likelihood for circular complex normal errors of one unknown relative variance.
 
     With errors of variance E|P̂ - P|² = σ² |P|² the negative log-likelihood is n log σ² + Σ log
     |P|² + Σ |P̂ - P|²/(σ²
@@ -269,7 +283,7 @@ class RelativeLikelihood(Criterion):
         return SquaredRelativeError()
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
-        """Return the negative log-likelihood at the best variance, to which `smoothing` is added."""
+        """Return the negative log-likelihood at the best variance plus `smoothing`."""
         size = squared_magnitude(model)
         scale = np.abs(data.response) ** 2 if data.variance is None else data.variance
         variance = (
@@ -285,7 +299,10 @@ class RelativeLikelihood(Criterion):
         sensitivity: ComplexArray,
         data: FrequencyResponse,
     ) -> Array:
-        """Return the derivatives of the relative errors along and across the response, the normalization held."""
+        """Return the derivatives of the errors along and across the response.
+
+        The magnitude that divides them is held.
+        """
         return stacked(sensitivity / model[:, None])
 
     def spread(
@@ -315,8 +332,8 @@ class MagnitudePhase(Criterion):
 
     rule: ClassVar[str] = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
     condition: ClassVar[str] = (
-        "errors isotropic in the complex plane, of the given variances, else of relative sizes by the coherence, else "
-        "of one relative size"
+        "errors isotropic in the complex plane, of the given variances, else of relative sizes by "
+        "the coherence, else of one relative size"
     )
     uses: ClassVar[tuple[str, ...] | None] = ("coherence", "variance")
     magnitude_weight: ClassVar[float] = 1.0
@@ -368,7 +385,10 @@ class MagnitudePhase(Criterion):
         return np.abs(model) * np.sqrt(self._relative_variance(data))
 
     def _relative_variance(self, data: FrequencyResponse) -> Array:
-        """Return the relative variances (n,), both components together, up to a factor where they are not given."""
+        """Return the relative variances (n,) of both components together.
+
+        Up to a common factor, if the data have no variances.
+        """
         if data.variance is not None:
             return data.variance / np.abs(data.response) ** 2
         if data.coherence is None or np.all(data.coherence == 1):
@@ -376,7 +396,7 @@ class MagnitudePhase(Criterion):
         return (1 - data.coherence) / data.coherence
 
     def _weights(self, data: FrequencyResponse) -> tuple[Array, Array]:
-        """Square roots of the weights of log magnitude and phase, with the units and 20/n inside."""
+        """Return the roots of the weights of log magnitude and phase, units and 20/n included."""
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
         common = math.sqrt(20 / len(data)) * 1.58 * (1 - exp(-coherence))
         return (
@@ -387,7 +407,7 @@ class MagnitudePhase(Criterion):
 
 @dataclass(frozen=True, eq=False)
 class MaximumLikelihood(Criterion):
-    """Maximum likelihood for circular complex normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².
+    """Maximum likelihood for circular normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².
 
     Needs data with `variance`. Source: Pintelon and Schoukens, System Identification, 2nd ed.,
     section 9.11.
@@ -423,7 +443,10 @@ class MaximumLikelihood(Criterion):
             )
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
-        """Return the sum of squared errors over their variances, or its equal where these were estimated."""
+        """Return the sum of squared errors over their variances.
+
+        Where the variances are estimates, the sum is that of Student's t.
+        """
         squares = squared_magnitude(model - data.response) / _variance(data)
         if data.dof is None:
             return total(squares)
@@ -436,9 +459,9 @@ class MaximumLikelihood(Criterion):
         sensitivity: ComplexArray,
         data: FrequencyResponse,
     ) -> Array:
-        """Return the derivatives of the errors over their standard deviations, weighted for estimated variances.
+        """Return the derivatives of the errors over their standard deviations.
 
-        Along and across the response.
+        Along and across the response, weighted where the variances are estimates.
         """
         weight = 1 / _variance(data)
         if data.dof is not None:
@@ -448,7 +471,10 @@ class MaximumLikelihood(Criterion):
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
     ) -> tuple[float, Array]:
-        """Return the weights of errors with half of the variance in each component, or with the residuals' if larger."""
+        """Return the weights of errors with half of the variance in each component.
+
+        The variance is that of the residuals, if it is larger.
+        """
         ratio = max(self.noise_ratio(model, data) * correction**2, 1.0)
         few = np.ones(len(data)) if data.dof is None else (data.dof + 2) / data.dof
         return 2.0, 4 * 0.5 * ratio * np.tile(few, 2)
@@ -472,7 +498,7 @@ class MaximumLikelihood(Criterion):
 
 
 def evaluate(criterion: Criterion, model: ComplexArray, data: FrequencyResponse) -> float:
-    """Return the cost of a response (n,) in numbers; NaN if the data lack what the criterion needs."""
+    """Return the cost of a response (n,); NaN if the data lack what the criterion needs."""
     try:
         criterion.check(data)
     except ValueError:

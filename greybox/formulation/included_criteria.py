@@ -1,4 +1,4 @@
-"""The included criteria: what the command line offers, and what a result reports besides the criterion minimized."""
+"""The included criteria, which the command line offers and a result reports beside its own."""
 
 from greybox.formulation.frequency_criteria import (
     Criterion,

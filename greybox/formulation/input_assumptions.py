@@ -20,7 +20,8 @@ def require_inputs(inputs: Any) -> None:
     """Raise ValueError for what is not one of `Inputs`."""
     if inputs not in get_args(Inputs):
         raise ValueError(
-            f"inputs {inputs!r} is not known: use 'linear' or 'held', or 'record' to follow what the record says."
+            f"inputs {inputs!r} is not known: use 'linear' or 'held', or 'record' to follow what "
+            "the record says."
         )
 
 
@@ -45,7 +46,7 @@ def between_samples(
 
 
 def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> dict[str, str]:
-    """Say how every input runs between its samples, and who states it; nothing for rows without a time."""
+    """Say how every input runs between its samples, and who states it."""
     if not record.has_time:
         return {}
     result = {}

@@ -14,12 +14,12 @@ from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameter, normal_prior
 
 Knowledge = tuple[float, float] | HeldEstimate
-"""Mean and standard deviation of one parameter, or an earlier fit with its estimate and covariance."""
+"""Mean and standard deviation of a parameter, or an earlier fit with estimate and covariance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior(TimeCriterion):
-    """The negative logarithm of a normal density of the parameters, which makes a likelihood a posterior."""
+    """The negative logarithm of a normal density: it makes a likelihood a posterior."""
 
     rule: ClassVar[str] = "a-priori knowledge"
     condition: ClassVar[str] = (
@@ -78,7 +78,7 @@ def normal_priors(
     prior: Any,
     outside: Mapping[str, str],
 ) -> list[NormalPrior]:
-    """Return the priors of free parameters: those of the option `prior`, else those that the model declares.
+    """Return the priors of free parameters: those of `prior`, else those of the model.
 
     `declared` are the model's parameters by names inside, `outside` maps these to names outside.
 
@@ -129,7 +129,7 @@ def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
     ]
     if unknown:
         raise ValueError(
-            f"the Fit given as prior has no standard error of {listed(unknown)}: give prior={{name: (mean, standard "
-            "deviation)} for the others, or fix it in both."
+            f"the Fit given as prior has no standard error of {listed(unknown)}: give "
+            "prior={name: (mean, standard deviation)} for the others, or fix it in both."
         )
     return NormalPrior(names, np.array([source.estimate[name] for name in names]), covariance)

@@ -1,4 +1,4 @@
-"""A prior as one more part of a sum: a measurement of the parameters themselves, with its own errors."""
+"""A prior as one more part of a sum: a measurement of the parameters, with its own errors."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,7 +17,7 @@ NAME = "a-priori knowledge"
 
 
 def with_priors(problem: Problem | Sum[Problem]) -> Problem | Sum[Problem]:
-    """Return the problem with the priors of its parts as a part of their own; the problem itself without any.
+    """Return the problem with its priors as one more part; the problem itself without priors.
 
     Raises
     ------
@@ -44,8 +44,8 @@ def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
             twice = [name for name in prior.names if name in named]
             if twice:
                 raise ValueError(
-                    f"two parts have different priors of {twice[0]!r}: give it in one of them, or give one parameter "
-                    f"another name, rename={{{twice[0]!r}: ...}}."
+                    f"two parts have different priors of {twice[0]!r}: give it in one of them, or "
+                    f"give one parameter another name, rename={{{twice[0]!r}: ...}}."
                 )
             priors.append(prior)
     return priors

@@ -1,4 +1,4 @@
-"""A problem: a model, data and a criterion, with fixed, tied and renamed parameters. Problems add."""
+"""A problem: a model, data and a criterion, with fixed, tied and renamed parameters."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -162,7 +162,7 @@ class Problem:
             object.__setattr__(self, "name", self.data.name or self.model.label)
 
     def _added_by_criterion(self) -> Mapping[str, Parameter]:
-        """Check model, data and criterion against one another, and return the parameters that the criterion adds."""
+        """Check model, data and criterion; return the parameters that the criterion adds."""
         if isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
             self.criterion.check(self.data)
             check_response_units(self.model, self.data)
@@ -181,13 +181,13 @@ class Problem:
         for name in added:
             if name in self.model.parameters:
                 raise ValueError(
-                    f"{self.model.label} declares {name!r}, which is also a parameter of the criterion: "
-                    "rename it in the model."
+                    f"{self.model.label} declares {name!r}, which is also a parameter of the "
+                    "criterion: rename it in the model."
                 )
         return added
 
     def _check_names(self) -> None:
-        """Require that options name parameters of the model, and that no parameter is two of fixed, free and tied."""
+        """Require that options name parameters, and that none is two of fixed, free and tied."""
         kinds: dict[str, Iterable[str]] = {
             "fixed": self.fixed_values,
             "free": self.free,
@@ -213,14 +213,15 @@ class Problem:
         for name in outside:
             if outside.count(name) > 1:
                 raise ValueError(
-                    f"rename gives two parameters of {self.model.label} the name {name!r}: use tied to make them equal."
+                    f"rename gives two parameters of {self.model.label} the name {name!r}: use "
+                    "tied to make them equal."
                 )
 
     def _check_operating_point(self) -> None:
         if isinstance(self.data, Record) and self.at:
             raise ValueError(
-                f"at={dict(self.at)} is the operating point of a frequency response and this is a record: "
-                "leave it out; known initial states go into OutputError(initial=...)."
+                f"at={dict(self.at)} is the operating point of a frequency response and this is a "
+                "record: leave it out; known initial states go into OutputError(initial=...)."
             )
         if isinstance(self.model, StateSpace):
             known = (*self.model.states, *self.model.inputs)
@@ -254,8 +255,9 @@ class Problem:
             and not (name in self.fixed_values or name in self.free or name in self.tied)
         ):
             raise ValueError(
-                f"{' and '.join(changes)} names {name!r}, which {self.model.label} declares fixed: give free=[{name!r}] "
-                f"to estimate it, or fixed={{{name!r}: ...}} to hold it at another value."
+                f"{' and '.join(changes)} names {name!r}, which {self.model.label} declares fixed: "
+                f"give free=[{name!r}] to estimate it, or fixed={{{name!r}: ...}} to hold it at "
+                "another value."
             )
         return restated(name, parameter, **changes)
 
@@ -293,9 +295,10 @@ class Problem:
         priors = normal_priors(of_model, self.tied, self.prior, outside)
         if priors and not (self.criterion.is_likelihood or self.has_default_criterion):
             raise ValueError(
-                f"{priors[0].names[0]!r} has a prior, and the cost of {type(self.criterion).__name__} is no likelihood "
-                "to which it could be added: leave the criterion out, or give RelativeLikelihood(), or "
-                "MaximumLikelihood() where variances are known."
+                f"{priors[0].names[0]!r} has a prior, and the cost of "
+                f"{type(self.criterion).__name__} is no likelihood to which it could be added: "
+                "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
+                "where variances are known."
             )
         object.__setattr__(self, "_priors", tuple(priors))
 
@@ -324,7 +327,7 @@ class Problem:
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
-        """Parameters of the model and of the criterion, by names inside, with the bounds and starts given here."""
+        """Parameters of model and criterion by inside name, with the bounds and starts of here."""
         return self.__dict__["_declared"]
 
     @property
@@ -339,8 +342,9 @@ class Problem:
         }
         if not shared:
             raise ValueError(
-                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which {self.model.label} has none; "
-                f"its parameters are {', '.join(self.model.parameters)}."
+                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which "
+                f"{self.model.label} has none; its parameters are "
+                f"{', '.join(self.model.parameters)}."
             )
         return shared
 
@@ -396,7 +400,7 @@ class Problem:
         return self.rename.get(name, name)
 
     def local_values(self, values: Mapping[str, Any]) -> Names:
-        """Return the model's parameters by names inside, ties evaluated, from values by outside name."""
+        """Return the parameters by inside name, ties evaluated, from values by outside name."""
         local = {name: values[self.outside(name)] for name in self.__dict__["_stated_parameters"]}
         for name, tie in self.tied.items():
             local[name] = _call(
@@ -463,7 +467,8 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
     """Evaluate a user's function of the parameters, naming it when it fails."""
     if not callable(function):
         raise TypeError(
-            f"{what} is {function!r:.60}: give a function such as lambda p: 2 * p.{next(iter(p), 'a')}."
+            f"{what} is {function!r:.60}: give a function such as lambda p: 2 * "
+            f"p.{next(iter(p), 'a')}."
         )
     try:
         return traced(what, function, p)
@@ -474,7 +479,8 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
 def _require_number(value: Any, what: str) -> None:
     if isinstance(value, (bool, np.bool_)):
         raise ValueError(
-            f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - p.T2."
+            f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - "
+            "p.T2."
         )
     if not isinstance(value, (int, float, np.number)):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""What noise makes of a sum of relative errors: its bias, its curvature and the spread of its gradient, exactly.
+"""Bias, curvature and spread of the gradient of a sum of relative errors under noise, exactly.
 
 A measurement P̂ = P (1 + ε) with ε isotropic normal of standard deviation σ in each component
 leaves the error of a model g P a function of g and ε alone, whatever P is: e = g / (1 + ε) - 1 over
@@ -24,7 +24,7 @@ ROUNDING = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class RelativeScore:
-    """What the gradient of a sum of relative errors is like, of one point, by the logarithm of the response.
+    """Statistics of one point of a sum of relative errors, by the logarithm of the response.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class RelativeScore:
 def relative_score(
     noise: float, points: int, power: int, normalized: Literal["measured", "model"]
 ) -> RelativeScore:
-    """Return what noise of standard deviation `noise` in each component makes of the sum of |e|^`power` of points."""
+    """Return the statistics of Σ |e|^`power` for `noise`, the deviation of each component."""
     # Below 1e-4, rounding is felt, and all is proportional to σ to eight digits. Beyond 0.3, errors
     # are as large as what is measured, and nothing that is divided by it has a mean.
     size = min(max(noise, 1e-4), 0.3)
-    # Means over a circle that comes as close as 0.4 to zero are exact to 3e-4 with 16 angles. Errors
-    # reach 2.4 to 3.3 σ, for 8 to 100 points.
+    # Means over a circle that comes as close as 0.4 to zero are exact to 3e-4 with 16 angles.
+    # Errors reach 2.4 to 3.3 σ, for 8 to 100 points.
     angles = 2 * np.pi * (np.arange(16) + 0.5) / 16
     node, share = np.polynomial.legendre.leggauss(12)
     radius = (node + 1) / 2 * math.sqrt(2 * math.log(2 * min(max(points, 8), 100)))

@@ -11,7 +11,7 @@ from greybox.formulation.held_estimate import HeldEstimate
 
 
 def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
-    """Return the parts with biases of one name numbered by the record, where more than one record has that name.
+    """Return the parts with biases numbered by the record, where several records have one.
 
     Parts of one record share its biases. A bias keeps its name, so that records can share it, where
     a part renames it (also to its own name) or holds it at an earlier fit, which knows that name.
@@ -65,7 +65,10 @@ def _record_numbers(data: Sequence[Any]) -> list[int]:
 
 
 def _is_same(a: Any, b: Record) -> bool:
-    """Tell whether `a` is the record `b`: two stretches of one log have the same checksum, but not the same times."""
+    """Tell whether `a` is the record `b`.
+
+    Two stretches of one log have the same checksum, but not the same times.
+    """
     if not isinstance(a, Record):
         return False
     return a is b or (a.checksum == b.checksum and np.array_equal(a.time, b.time))

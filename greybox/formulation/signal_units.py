@@ -11,7 +11,7 @@ from greybox.modeling.model import Model, pick_signals, require_known
 
 
 def check_units(model: Model, data: Record | TransientSpectrum) -> None:
-    """Check that the signals of a record or a spectrum have the units of the model, where both are known.
+    """Check that a record or a spectrum has the units of the model, where both are known.
 
     Raises
     ------
@@ -35,7 +35,8 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
         converted = f"{factor:.10g} * record[{name!r}]" + (f" + {zero:.10g}" if zero else "")
         unit = model.units[name].strip()
         raise ValueError(
-            f"{where}: convert it, record.with_signals(units={{{name!r}: {unit!r}}}, {name}={converted})."
+            f"{where}: convert it, record.with_signals(units={{{name!r}: {unit!r}}}, "
+            f"{name}={converted})."
         )
 
 
@@ -62,7 +63,7 @@ def check_response_units(model: Model, response: FrequencyResponse) -> None:
 def _conversion(
     model: Model, name: str, unit: str, label: str, place: str, rate_cure: str = ""
 ) -> tuple[str, float, float] | None:
-    """Return where a unit is not that of the model, and factor and zero of the conversion; None where it is.
+    """Return place, factor and zero of a conversion to the model's unit; None without need.
 
     Raises
     ------
@@ -87,7 +88,9 @@ def _conversion(
 
 
 def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResponse:
-    """Return the response of the model's only pair without names, so that fits of other models have the same data.
+    """Return the response of the model's only pair without names of signals.
+
+    Fits of other models then have the same data.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Criteria for the Fourier integrals of a manoeuvre: `EquationError`, and `OutputError` as for records."""
+"""Criteria for the Fourier integrals of a manoeuvre: `EquationError` and `OutputError`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +13,9 @@ from greybox.modeling.realization import dynamics
 
 @dataclass(frozen=True, eq=False)
 class EquationError(TimeCriterion):
-    """Maximum likelihood with all errors in the differential equation, such as turbulence; for a `TransientSpectrum`.
+    """Maximum likelihood with all errors in the differential equation, such as turbulence.
+
+    The data are a `TransientSpectrum`.
 
     The errors are those of det(jωI - A) Y for one output, and those of jωX - A X - B U for as many
     outputs as states. The likelihood is that of the outputs, whose variance depends on the
@@ -41,8 +43,9 @@ class EquationError(TimeCriterion):
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Refuse a record."""
         raise ValueError(
-            "EquationError is for the Fourier integrals of a manoeuvre and the data are a record: give "
-            "gb.spectral.transient_spectrum(record, ...), or use gb.regression.equation_error."
+            "EquationError is for the Fourier integrals of a manoeuvre and the data are a record: "
+            "give gb.spectral.transient_spectrum(record, ...), or use "
+            "gb.regression.equation_error."
         )
 
     def condition_on(self, data: Any) -> str:

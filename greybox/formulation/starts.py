@@ -27,7 +27,7 @@ class Starts(ABC):
 
 @dataclass(frozen=True)
 class RandomStarts(Starts):
-    """Points drawn in the unit cube, then spread over the boxes of the parameters (`Parameter.in_box`).
+    """Points drawn in the unit cube and spread over the boxes of the parameters.
 
     A subclass defines `unit_points`.
 
@@ -71,7 +71,7 @@ class Sobol(RandomStarts):
 
     def unit_points(self, size: int) -> Array:
         """Return the first `number` points of the sequence."""
-        from scipy.stats import qmc  # noqa: PLC0415  (scipy.stats takes a third of a second to import)
+        from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
         sequence = qmc.Sobol(size, scramble=True, rng=np.random.default_rng(self.seed))
         return sequence.random_base2(math.ceil(math.log2(self.number)))[: self.number]
@@ -79,18 +79,18 @@ class Sobol(RandomStarts):
 
 @dataclass(frozen=True)
 class LatinHypercube(RandomStarts):
-    """Latin hypercube: the interval of every parameter has `number` layers with one point in each."""
+    """Latin hypercube: every parameter has `number` layers with one point in each."""
 
     def unit_points(self, size: int) -> Array:
         """Return one random hypercube."""
-        from scipy.stats import qmc  # noqa: PLC0415  (scipy.stats takes a third of a second to import)
+        from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
         return qmc.LatinHypercube(size, rng=np.random.default_rng(self.seed)).random(self.number)
 
 
 @dataclass(frozen=True)
 class Listed(Starts):
-    """Given starts, each a mapping of name to value; other parameters begin at their declared start."""
+    """Starts as mappings of name to value; other parameters begin at their declared start."""
 
     points: Sequence[Mapping[str, float]] = field(default=({},))
 
@@ -154,7 +154,8 @@ def as_starts(
         return Sobol(int(starts), 0 if seed is None else seed)
     if seed is not None:
         raise ValueError(
-            f"seed = {seed} goes with a number of starts: give it to the rule, e.g. Sobol(200, seed={seed})."
+            f"seed = {seed} goes with a number of starts: give it to the rule, e.g. Sobol(200, "
+            f"seed={seed})."
         )
     if isinstance(starts, Starts):
         return starts
@@ -166,7 +167,8 @@ def as_starts(
                 tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts)
             )
     raise TypeError(
-        f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list of {{name: value}}."
+        f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list "
+        "of {name: value}."
     )
 
 
@@ -191,6 +193,6 @@ def _check_listed(name: str, value: float, parameters: Mapping[str, Parameter]) 
     low, high = parameters[name].bounds
     if not low <= value <= high:
         raise ValueError(
-            f"a listed start gives {name!r} the value {value:g}, outside its bounds ({low:g}, {high:g}): "
-            "move the start or widen the bounds."
+            f"a listed start gives {name!r} the value {value:g}, outside its bounds ({low:g}, "
+            f"{high:g}): move the start or widen the bounds."
         )

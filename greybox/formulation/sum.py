@@ -20,7 +20,7 @@ Part = TypeVar("Part", bound=Any)
 
 @dataclass(frozen=True, eq=False)
 class Sum(Generic[Part]):
-    """Several problems solved at once: costs add by their weights, parameters of one name are one unknown.
+    """Several problems solved at once: costs add, parameters of one name are one unknown.
 
     Each record has its own sensor biases: if several records have ``x_bias``, it becomes
     ``x_bias_1``, ``x_bias_2`` ..., numbered as the records are. Parts of one record share it; so do
@@ -41,7 +41,7 @@ class Sum(Generic[Part]):
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Choose criteria whose costs add, number biases, merge parameters, and check that ties agree."""
+        """Choose criteria whose costs add, number biases, merge parameters, compare ties."""
         require_data_once(self.parts)
         object.__setattr__(self, "_as_added", self.parts)
         object.__setattr__(self, "parts", with_numbered_biases(with_costs_that_add(self.parts)))
@@ -79,8 +79,9 @@ class Sum(Generic[Part]):
                 alike = np.allclose(seen.setdefault(outside, values), values, equal_nan=True)
                 if outside in merged or not alike:
                     raise ValueError(
-                        f"{outside!r} is tied in {part.name!r} and free or tied differently in another part: tie it "
-                        f"alike in all, or give one another name, rename={{{name!r}: ...}}."
+                        f"{outside!r} is tied in {part.name!r} and free or tied differently in "
+                        "another part: tie it alike in all, or give one another name, "
+                        f"rename={{{name!r}: ...}}."
                     )
 
     def with_parts(self, parts: Sequence[Part]) -> "Sum[Part]":

@@ -77,11 +77,13 @@ class TimeCriterion(AnyCriterion):
                     math.isfinite(sigma) and sigma > 0
                 ):
                     raise ValueError(
-                        f"noise gives {name!r} the value {sigma!r}: give a standard deviation above 0."
+                        f"noise gives {name!r} the value {sigma!r}: give a standard deviation "
+                        "above 0."
                     )
         elif self.noise not in ("diagonal", "full"):
             raise ValueError(
-                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard deviation}}."
+                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard "
+                "deviation}."
             )
         require_inputs(self.inputs)
         if isinstance(self.biases, str):
@@ -91,13 +93,15 @@ class TimeCriterion(AnyCriterion):
     def _check_initial(self) -> None:
         if not isinstance(self.initial, Mapping):
             raise TypeError(
-                f"initial is {self.initial!r:.60}: give {{state: value or function of the parameters}}."
+                f"initial is {self.initial!r:.60}: give {{state: value or function of the "
+                "parameters}."
             )
         for name, value in self.initial.items():
             number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
             if not (number or callable(value)):
                 raise ValueError(
-                    f"initial gives {name!r} the value {value!r}: give a finite number or a function of the parameters."
+                    f"initial gives {name!r} the value {value!r}: give a finite number or a "
+                    "function of the parameters."
                 )
 
     @property
@@ -105,10 +109,11 @@ class TimeCriterion(AnyCriterion):
         """The rule in words."""
         if isinstance(self.noise, Mapping):
             return f"{self.rule}, given variances"
-        return f"{self.rule}, {'estimated variances' if self.noise == 'diagonal' else 'estimated covariance'}"
+        estimated = "variances" if self.noise == "diagonal" else "covariance"
+        return f"{self.rule}, estimated {estimated}"
 
     def condition_on(self, data: Any) -> str:
-        """Return the condition; the errors of rows without a time cannot be correlated along them."""
+        """Return the condition; errors of rows without a time cannot be correlated."""
         if isinstance(data, TransientSpectrum):
             return SPECTRUM_CONDITION
         return self.condition if data.has_time else ROWS_CONDITION
@@ -141,14 +146,15 @@ class TimeCriterion(AnyCriterion):
         return outputs
 
     def check_noise(self, model: Model, outputs: Sequence[str]) -> None:
-        """Raise ValueError if the known standard deviations are not those of the compared outputs."""
+        """Raise ValueError if a compared output has no known standard deviation."""
         if not isinstance(self.noise, Mapping):
             return
         require_known(self.noise, model.output_names, "output", model.label)
         for name in outputs:
             if name not in self.noise:
                 raise ValueError(
-                    f"noise gives no standard deviation for {name!r}: add it, or use noise='diagonal'."
+                    f"noise gives no standard deviation for {name!r}: add it, or use "
+                    "noise='diagonal'."
                 )
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
@@ -164,7 +170,7 @@ class TimeCriterion(AnyCriterion):
         return result
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
-        """Return the pairs of state and output that have a gain, the parameter ``K_<state>_<output>``."""
+        """Return the pairs of state and output with a gain, ``K_<state>_<output>``."""
         return ()
 
     def driven(self) -> tuple[str, ...]:
@@ -174,7 +180,7 @@ class TimeCriterion(AnyCriterion):
 
 @dataclass(frozen=True, eq=False)
 class OutputError(TimeCriterion):
-    """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state.
+    """Maximum likelihood with all errors in the measured outputs; the model is simulated.
 
     For a `TransientSpectrum` it compares the transforms and estimates the states at both ends;
     `inputs`, `biases` and `initial` are for records.
@@ -188,7 +194,7 @@ class OutputError(TimeCriterion):
 
 @dataclass(frozen=True, eq=False)
 class PredictionError(TimeCriterion):
-    """Maximum likelihood with process noise (wind, turbulence): the model predicts one sample ahead.
+    """Maximum likelihood with process noise (wind): the model predicts one sample ahead.
 
     Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted
     outputs and a constant gain K that is estimated with the parameters; its entries are named
@@ -229,12 +235,13 @@ class PredictionError(TimeCriterion):
             raise ValueError("process_noise says which states are corrected: leave out corrected.")
         if self.process_noise and self.noise != "diagonal":
             raise ValueError(
-                f"with process_noise sensors have the parameters v_<output>: leave out noise={self.noise!r}, and "
-                "give deviations that are known as fixed={'v_<output>': ...}."
+                "with process_noise sensors have the parameters v_<output>: leave out "
+                f"noise={self.noise!r}, and give deviations that are known as "
+                "fixed={'v_<output>': ...}."
             )
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
-        """Return the unknowns that the criterion adds: biases, then gains, or the sizes of the noise."""
+        """Return the unknowns that the criterion adds: biases, and gains or sizes of noise."""
         result = super().parameters(model, record)
         if not self.process_noise:
             return result
@@ -259,14 +266,16 @@ class PredictionError(TimeCriterion):
         return tuple(self.process_noise)
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
-        """Return every pair of a corrected state and an output; with process noise, of any state."""
+        """Return every pair of a corrected state (with process noise: any) and an output."""
         if not isinstance(model, StateSpace):
             raise TypeError(
-                f"{type(self).__name__} needs a StateSpace, whose states it corrects, not {model.label}."
+                f"{type(self).__name__} needs a StateSpace, whose states it corrects, not "
+                f"{model.label}."
             )
         if not model.states:
             raise ValueError(
-                f"{model.label} has no states, which {type(self).__name__} corrects: use OutputError()."
+                f"{model.label} has no states, which {type(self).__name__} corrects: use "
+                "OutputError()."
             )
         require_known((*self.corrected, *self.process_noise), model.states, "state", model.label)
         return tuple(

@@ -21,7 +21,7 @@ HEADER = """\
  *
  * {about}
  *
- * x' = derivative(x, u), y = output(x, u), in SI units; plain C99, without allocation or other state.
+ * x' = derivative(x, u), y = output(x, u), in SI units; plain C99, without allocation.
  *
  * Example: a step of the first input. Compile it with: cc example.c {file}.c -lm
  *
@@ -100,8 +100,8 @@ def write_c(
     Raises
     ------
     ValueError, TypeError
-        For another ending, a step that is not above 0 or far too long for the model, a delay without
-        `pade`, or what cannot be converted.
+        For another ending, a step that is not above 0 or far too long for the model, a delay
+        without `pade`, or what cannot be converted.
     OSError
         If the folder cannot be written.
     """

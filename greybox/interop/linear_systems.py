@@ -101,8 +101,9 @@ class GivenModel:
         for name, delay in delays.items():
             if delay:
                 raise ValueError(
-                    f"{self.model.label} delays {name} by {delay:.4g} s, which the result cannot hold: "
-                    "give pade=3 for a Padé approximation of that order, or pade=0 to leave it out."
+                    f"{self.model.label} delays {name} by {delay:.4g} s, which the result cannot "
+                    "hold: give pade=3 for a Padé approximation of that order, or pade=0 to leave "
+                    "it out."
                 )
 
 
@@ -121,7 +122,8 @@ def given_model(
     if isinstance(thing, Fit):
         if values is not None:
             raise TypeError(
-                "values were given beside a Fit, which has its own: leave them out, or give the model."
+                "values were given beside a Fit, which has its own: leave them out, or give the "
+                "model."
             )
         estimate = thing.at_estimate(part=part)
         fitted = thing.parts[part]
@@ -136,5 +138,6 @@ def given_model(
     if isinstance(thing, Model):
         return GivenModel(thing, dict(thing.values(values)), at or {})
     raise TypeError(
-        f"{thing!r:.60} cannot be converted: give a Fit, a model with its values, or a FrequencyResponse."
+        f"{thing!r:.60} cannot be converted: give a Fit, a model with its values, or a "
+        "FrequencyResponse."
     )

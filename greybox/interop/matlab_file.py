@@ -17,7 +17,7 @@ LONGEST_NAME = 63  # characters, of MATLAB's variables and fields
 
 
 def write_mat(thing: Fit | Record | FrequencyResponse, path: str | Path) -> None:
-    """Write a MATLAB file, version 5, that ``load`` in MATLAB or Octave and `scipy.io.loadmat` read.
+    """Write a MATLAB file, version 5, for MATLAB, Octave and `scipy.io.loadmat`.
 
     Names of signals and parameters become valid ones, ``RATE.POut`` is ``RATE_POut``. An existing
     file is replaced.
@@ -51,7 +51,8 @@ def write_mat(thing: Fit | Record | FrequencyResponse, path: str | Path) -> None
         contents = _response(thing)
     else:
         raise TypeError(
-            f"{thing!r:.60} cannot be written for MATLAB: give a Fit, a Record or a FrequencyResponse."
+            f"{thing!r:.60} cannot be written for MATLAB: give a Fit, a Record or a "
+            "FrequencyResponse."
         )
     from scipy.io import savemat  # noqa: PLC0415  (takes a quarter of a second to import)
 

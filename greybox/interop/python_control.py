@@ -56,7 +56,8 @@ def to_control(
     --------
     >>> import greybox as gb
     >>> from greybox.models.tilt import Tilt
-    >>> system = gb.interop.to_control(Tilt(), {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}, pade=2)
+    >>> values = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
+    >>> system = gb.interop.to_control(Tilt(), values, pade=2)
     """
     control = required("control", "control", "to_control()")
     if isinstance(thing, FrequencyResponse):
@@ -124,7 +125,8 @@ def from_control(
         )
     if system.isdtime(strict=True):
         raise ValueError(
-            f"the system has a sampling time of {system.dt} s, and models here are continuous in time."
+            f"the system has a sampling time of {system.dt} s, and models here are continuous in "
+            "time."
         )
     if isinstance(system, control.TransferFunction):
         _require_one_pair(system.ninputs, system.noutputs)
@@ -160,5 +162,6 @@ def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...
 def _require_one_pair(inputs: int, outputs: int) -> None:
     if (inputs, outputs) != (1, 1):
         raise ValueError(
-            f"the system has {inputs} inputs and {outputs} outputs: give one of its pairs, system[0, 0]."
+            f"the system has {inputs} inputs and {outputs} outputs: give one of its pairs, "
+            "system[0, 0]."
         )

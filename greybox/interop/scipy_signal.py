@@ -62,7 +62,8 @@ def from_scipy(
 
     if isinstance(system, signal.dlti):
         raise ValueError(
-            f"the system has a sampling time of {system.dt} s, and models here are continuous in time."
+            f"the system has a sampling time of {system.dt} s, and models here are continuous in "
+            "time."
         )
     if not isinstance(system, signal.lti):
         raise TypeError(f"system is {system!r:.60}: give a scipy.signal.lti.")
@@ -77,7 +78,8 @@ def from_scipy(
     rational = linear.to_tf()
     if rational.num.ndim > 1:
         raise ValueError(
-            f"the system has {rational.num.shape[0]} outputs: give a system of one, or a StateSpace."
+            f"the system has {rational.num.shape[0]} outputs: give a system of one, or a "
+            "StateSpace."
         )
     return KnownTransferFunction(
         rational.num.tolist(), rational.den.tolist(), input, output, prefix

@@ -5,8 +5,9 @@ import re
 from collections.abc import Iterable
 
 C_WORDS = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if int long register return "
-    "short signed sizeof static struct switch typedef union unsigned void volatile while inline restrict".split()
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while".split()
 )
 
 

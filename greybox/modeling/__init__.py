@@ -1,4 +1,4 @@
-"""Declare models and read their formulas: as numbers, CasADi expressions, rational functions and ODEs.
+"""Declare models; read their formulas as numbers, CasADi expressions, rational functions and ODEs.
 
 Begin with `model`.
 
@@ -6,15 +6,16 @@ Begin with `model`.
 | --- | --- |
 | `model`, `transfer_function`, `state_space` | what every model declares, and its two kinds |
 | `parameter`, `functions` | what formulas are written with |
-| `symbolic_reading`, `one_thread` | a formula traced with CasADi; the lock under which CasADi takes derivatives |
+| `symbolic_reading`, `one_thread` | a formula traced with CasADi; the lock for its derivatives |
 | `complex_arithmetic` | real and imaginary part of a function of s |
 | `rational` | numerator, denominator and delay of a function of s |
 | `function_of_s` | what these two readings of s share |
+| `formula_structure` | a formula operation by operation, and the mean of its switches |
 | `expression_tree` | a formula as sums, products and functions, to print it |
-| `formula_structure` | the signals in which a formula is linear, and where it switches |
 | `pade_delay` | a delay as a rational function or as states |
 | `linear_response` | the frequency response of a model |
-| `trim`, `linearization`, `elimination` | operating point, linear system there, its states eliminated |
+| `trim`, `linearization` | the operating point, and the linear system there |
+| `elimination` | the solution of a linear system of expressions |
 | `sine`, `harmonic_balance`, `periodic_motions` | the response to a sine of finite amplitude |
 | `realization` | every model as an ODE with delayed inputs |
 | `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |

@@ -1,4 +1,4 @@
-"""Complex numbers of CasADi expressions, which CasADi lacks: a formula in s = jω as real and imaginary part."""
+"""Complex numbers of CasADi expressions: a formula in s = jω as real and imaginary part."""
 
 from collections.abc import Callable
 from typing import Any

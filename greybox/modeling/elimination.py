@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from greybox.files.arrays import Array, BoolArray
 
-ACCURATE = 1e-10  # relative error of the solution at which an order is good enough: six digits of rounding are lost
+# Relative error of the solution at which an order is good enough: it loses six digits.
+ACCURATE = 1e-10
 ORDERS = 200  # random orders to try: of many states, many orders are good
 
 

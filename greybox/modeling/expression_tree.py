@@ -1,4 +1,4 @@
-"""A formula as a tree of sums, products, powers and functions: what a person would write on paper."""
+"""A formula as a tree of sums, products, powers and functions, as written on paper."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -200,7 +200,7 @@ def _sum(*terms: tuple[int, Expression]) -> Expression:
 
 
 def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Expression:
-    """Return a product without products in it: the sign outside, then one number, then the other factors."""
+    """Return a flat product: the sign outside, then one number, then the other factors."""
     number = 1.0
     above: list[Expression] = []
     below: list[Expression] = []
@@ -225,7 +225,7 @@ def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Express
 
 
 def _powers(factors: Sequence[Expression]) -> list[Expression]:
-    """Return the factors that are not numbers, with the powers of one symbol, as s · s², combined."""
+    """Return the factors that are not numbers; powers of one symbol, as s · s², are combined."""
     exponents: dict[Expression, float] = {}
     bases: list[Expression] = []
     for factor in factors:

@@ -1,4 +1,4 @@
-"""The operations of a formula, one by one: to write it as a tree, and to sample it where it switches.
+"""The operations of a formula, one by one, and the means of its switches over an interval.
 
 A sampled sign or comparison is a step function of its argument, without a slope that a solver could
 follow. So each is replaced by its mean over one sampling interval, in which the argument moves
@@ -21,7 +21,10 @@ def walk(
     constant: Callable[[ca.SX], Any],
     operate: Callable[[int, list[Any]], Any],
 ) -> list[Any]:
-    """Evaluate `formula` (k, 1) operation by operation, with `symbols` for z and `constant` of symbols free of z."""
+    """Evaluate `formula` (k, 1) operation by operation.
+
+    `symbols` replace the entries of z, `constant` is applied to numbers and to all other symbols.
+    """
     constants = [s for s in ca.symvar(formula) if not ca.depends_on(s, z)]
     program = ca.Function("formula", [z, ca.vertcat(*constants)], [ca.densify(formula)])
     registers: dict[int, Any] = {}

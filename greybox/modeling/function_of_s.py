@@ -1,4 +1,4 @@
-"""The base class of `Complex` and `Rational`, two readings of a formula in s, and polynomials by Horner's scheme."""
+"""The base class of `Complex` and `Rational`, the two readings of a formula in s."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -11,7 +11,10 @@ CASADI_TYPES = (ca.SX, ca.MX, ca.DM)
 
 
 class FunctionOfS(ABC):
-    """A value that depends on s. The functions of `greybox.modeling.functions` call its method of the same name."""
+    """A value that depends on s.
+
+    The functions of `greybox.modeling.functions` call its method of the same name.
+    """
 
     __array_ufunc__ = None  # numpy leaves the operators to this class
 

@@ -1,4 +1,4 @@
-"""The functions that formulas are written with: each serves numbers, CasADi expressions and functions of s.
+"""The functions that formulas are written with, of numbers, CasADi expressions and functions of s.
 
 A model writes ``gb.exp(-s * p.T)`` once. Read with numpy arrays it gives numbers; with `Complex`,
 CasADi expressions of real and imaginary part; with `Rational`, numerator, denominator and delay.

@@ -50,7 +50,7 @@ def harmonic_function(
     at: Mapping[str, float] | None = None,
     pade: int | None = None,
 ) -> ca.Function:
-    """Compile the response: the CasADi function from the parameter vector to real and imaginary part (n,).
+    """Return the CasADi function from the parameter vector to real and imaginary part (n,).
 
     A sine without a number of harmonics gets as many as matter at the start values.
     """
@@ -67,7 +67,10 @@ def enough_harmonics(
     values: Mapping[str, float] | None = None,
     **signals: Any,
 ) -> Sine:
-    """Return the sine with as many harmonics as matter at the values, by default the starts; `MOST_SCALARS` at most."""
+    """Return the sine with as many harmonics as matter at the values, at most `MOST_SCALARS`.
+
+    The values are by default the declared starts.
+    """
     if sine.harmonics is not None:
         return sine
     _, harmonics = directly_found(
@@ -86,7 +89,10 @@ def directly_found(
     most: int = MOST_HARMONICS,
     **signals: Any,
 ) -> tuple[ComplexArray, int]:
-    """Return the response as a fit evaluates it, NaN where no motion is found, and the number of harmonics."""
+    """Return the response as a fit evaluates it, and the number of harmonics.
+
+    The response is NaN where no periodic motion is found.
+    """
     vector = list(model.values(values).values())
     numbers = [sine.harmonics or 0]
     if sine.harmonics is None:
@@ -115,12 +121,14 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
     """Raise ValueError, naming the cure, where model, data and sine do not fit together."""
     if not isinstance(model, StateSpace):
         raise ValueError(
-            f"{model.label} is a transfer function, whose response is the same at every amplitude: omit the amplitude."
+            f"{model.label} is a transfer function, whose response is the same at every amplitude: "
+            "omit the amplitude."
         )
     names = dict.fromkeys((input, *model.outputs, *model.states))
     if sine.signal not in names:
         raise ValueError(
-            f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of {', '.join(names)}."
+            f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of "
+            f"{', '.join(names)}."
         )
     sine.amplitudes(omega)
 
@@ -236,7 +244,7 @@ def _scatter(rows: Sequence[int], size: int) -> ca.DM:
 
 
 def phase_derivative(harmonics: int) -> ca.DM:
-    """Return the matrix, from the right, from coefficients to those of the derivative with respect to the phase."""
+    """Return the matrix, applied from the right, that differentiates a series by the phase."""
     matrix = ca.DM(2 * harmonics + 1, 2 * harmonics + 1)
     for k in range(1, harmonics + 1):
         cosine = 2 * k - 1
@@ -255,7 +263,10 @@ def _first(row: Any) -> Complex:
 def _harmonics(
     formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, harmonics: int
 ) -> tuple[Any, bool]:
-    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) for signals with this `series`, and if all are linear."""
+    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1), and whether all are linear.
+
+    `series` are the coefficients of the signals z.
+    """
     switches = has_switches(formulas)
     # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
     # counts as if sampled twice as often. With 257, a relay and a saturation are exact to 1e-4.
@@ -302,7 +313,7 @@ def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
 
 
 def _mean_conditions(balance: Balance, given: Array) -> tuple[int, ...] | None:
-    """Return the first conditions on the means that the balance, at a random orbit, does not determine already.
+    """Return the first conditions on the means that the balance leaves open at a random orbit.
 
     The mean of the sine's own signal comes first. It determines nothing where an integrator follows
     it, as the angle follows the rate: then that of a state does. None where the balance leaves more
@@ -327,7 +338,7 @@ def _mean_conditions(balance: Balance, given: Array) -> tuple[int, ...] | None:
 
 @dataclass(frozen=True, eq=False)
 class Newton:
-    """Newton's method on the balance, by functions of the harmonics and what is given, in this order.
+    """Newton's method on the balance, as functions of the harmonics and of `given`.
 
     `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
     the response and whether the harmonics are a motion; `guess` finds harmonics from what is given
@@ -363,7 +374,7 @@ class Newton:
 
 
 def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
-    """Return the function from what is given to the harmonics: at once, or else with a rising amplitude."""
+    """Return the function from `given` to the harmonics: at once, or with a rising amplitude."""
     given: Any = ca.MX.sym("given", newton.numel_in("p"))
     # Small, so that the first step goes to the linear response; not zero, where a kink has no
     # slope.
@@ -420,13 +431,13 @@ class CompiledBalance:
         conditions = _mean_conditions(balance, given)
         if conditions is None:
             raise ValueError(
-                f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its start values: name a "
-                "signal that it drives, or check `at`."
+                f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
+                "start values: name a signal that it drives, or check `at`."
             )
         return cls(balance, Newton.of(balance, conditions), model, sine, trim)
 
     def response(self, omega: Array) -> ca.Function:
-        """Return the function from the parameter vector to real and imaginary part of the response (n,)."""
+        """Return the function from the parameter vector to real and imaginary part (n,)."""
         p = ca.MX.sym("p", len(self.model.parameters))
         given = self.given(p, omega)
         n = given.size2()

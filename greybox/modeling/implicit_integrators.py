@@ -17,7 +17,10 @@ from greybox.modeling.realization import Dynamics
 
 @dataclass(frozen=True)
 class ImplicitIntegrator(Integrator):
-    """A scheme defined by equations of its stages (n, stages); a subclass has the equations and the end of a step."""
+    """A scheme defined by equations of its stages (n, stages).
+
+    A subclass defines the equations and the end of a step.
+    """
 
     implicit: ClassVar[bool] = True
     reach: ClassVar[float] = float("inf")
@@ -31,7 +34,10 @@ class ImplicitIntegrator(Integrator):
     def equations(
         self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any
     ) -> Any:
-        """Return what must be zero, as many numbers as `stages` (n, stages) has; the others as for `advance`."""
+        """Return what must be zero, as many numbers as `stages` (n, stages) has.
+
+        The other arguments are those of `advance`.
+        """
 
     @abstractmethod
     def end(self, x: Any, stages: Any) -> Any:
@@ -39,7 +45,7 @@ class ImplicitIntegrator(Integrator):
 
     @one_thread_at_a_time
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
-        """Return x one step later; NaN where Newton's method does not solve the stages. Its derivatives are exact."""
+        """Return x one step later, with exact derivatives; NaN where Newton's method fails."""
         n, m = len(system.states), len(system.inputs)
         symbols = [ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("slope", m)]
         symbols += [ca.SX.sym("p", len(system.parameters)), ca.SX.sym("h")]
@@ -63,7 +69,7 @@ class ImplicitIntegrator(Integrator):
 
 @dataclass(frozen=True)
 class Radau(ImplicitIntegrator):
-    """Radau IIA with `degree` stages, of order 2 · degree - 1: collocation at Radau points, for stiff models too.
+    """Radau IIA with `degree` stages, of order 2 · degree - 1: collocation at Radau points.
 
     Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd ed., IV.5.
     """
@@ -89,7 +95,7 @@ class Radau(ImplicitIntegrator):
     def equations(
         self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any
     ) -> Any:
-        """Return the slopes of the polynomial through x and the stages less the derivatives, times h."""
+        """Return h times the slopes of the polynomial through x and the stages less derivatives."""
         points = ca.collocation_points(self.degree, "radau")
         slopes, _, _ = ca.collocation_coeff(points)
         polynomial = ca.horzcat(x, stages) @ slopes

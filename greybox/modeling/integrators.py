@@ -17,7 +17,9 @@ from greybox.modeling.realization import Dynamics
 
 @dataclass(frozen=True)
 class Integrator(ABC):
-    """A scheme with `substeps` equal steps from one sample to the next; None lets `greybox.compiled.step_size` choose.
+    """A scheme with `substeps` equal steps from one sample to the next.
+
+    With None, `greybox.compiled.step_size` chooses their number.
 
     Attributes
     ----------
@@ -44,7 +46,8 @@ class Integrator(ABC):
         """Check the number of substeps."""
         if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
             raise ValueError(
-                f"substeps {self.substeps!r} must be a whole number of at least 1, or None for an automatic choice."
+                f"substeps {self.substeps!r} must be a whole number of at least 1, or None for an "
+                "automatic choice."
             )
 
     @property
@@ -54,12 +57,12 @@ class Integrator(ABC):
 
     @abstractmethod
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
-        """Return x (n,) one step h later, from u (m,) at its beginning and the slope (m,) per unit of time."""
+        """Return x (n,) one step h later, from u (m,) at its beginning and their slope (m,)."""
 
 
 @dataclass(frozen=True)
 class RungeKutta(Integrator):
-    """The classical explicit method of order four (Hairer, Nørsett, Wanner: Solving ODEs I, II.1)."""
+    """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1)."""
 
     order: ClassVar[int] = 4
     reach: ClassVar[float] = (
@@ -116,7 +119,10 @@ class Rosenbrock(Integrator):
 
 @one_thread_at_a_time
 def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
-    """Return (x, mean, change, p, step) -> x one sample later; `change` (m,) is that of the inputs over the step."""
+    """Return (x, mean, change, p, step) -> x one sample later.
+
+    `mean` and `change` (m,) are those of the inputs over the step.
+    """
     kind: Any = ca.MX if integrator.implicit else ca.SX
     x = kind.sym("x", len(system.states))
     p = kind.sym("p", len(system.parameters))

@@ -1,4 +1,4 @@
-"""An ODE some of whose outputs are measured late: vanes, filters, air data, by a delay or a lag that is estimated."""
+"""An ODE with outputs that are measured late (vanes, filters, air data): delays or lags."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -41,7 +41,8 @@ class LateSensors(StateSpace):
                 raise ValueError(f"{output!r} has a delay and a lag: give one of them.")
             if not 0 < low < high < math.inf:
                 raise ValueError(
-                    f"the {kind} of {output!r} has the bounds {(low, high)}: give 0 < low < high, in s."
+                    f"the {kind} of {output!r} has the bounds {(low, high)}: give 0 < low < high, "
+                    "in s."
                 )
             name = f"{output}_{kind}"
             added = tuple(f"{name}_{k}" for k in range(1 if kind == "lag" else ORDER))

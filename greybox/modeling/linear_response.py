@@ -1,4 +1,4 @@
-"""The frequency response of a model, linearized where it is an ODE: in numbers, and compiled for a solver."""
+"""The frequency response of a model, in numbers and compiled; an ODE is linearized."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -72,12 +72,14 @@ def _transfer_function_values(
         result = result.re + 1j * result.im
     if not isinstance(result, (int, float, complex, np.number, np.ndarray)):
         raise ValueError(
-            f"{model.label}.response returns a {type(result).__name__}: return one expression of s and p."
+            f"{model.label}.response returns a {type(result).__name__}: return one expression of s "
+            "and p."
         )
     values = np.asarray(result, dtype=complex)
     if values.shape not in ((), omega.shape):
         raise ValueError(
-            f"{model.label}.response returns {values.size} values for {omega.size} frequencies: return one for each."
+            f"{model.label}.response returns {values.size} values for {omega.size} frequencies: "
+            "return one for each."
         )
     return np.broadcast_to(values, omega.shape)
 
@@ -148,7 +150,7 @@ def response_formula(
 
 
 def formula_at_one_frequency(model: Model, omega: Array, **options: Any) -> ca.Function | None:
-    """Compile the frequency response at one frequency: (parameters, frequency) to real and imaginary part.
+    """Return the function (parameters, frequency) -> real and imaginary part of the response.
 
     The arguments are those of `response_formula`. None if the formula has other numbers at each
     frequency, or if Newton's method finds the operating point.
@@ -163,7 +165,7 @@ def formula_at_one_frequency(model: Model, omega: Array, **options: Any) -> ca.F
 def _elimination_order(
     model: StateSpace, matrices: ca.Function, trim: Trimmed, input: int, omega: Array
 ) -> tuple[int, ...]:
-    """Choose the order of elimination from the matrices at the start values and at draws from the start boxes."""
+    """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters vanishes at any few of them, and at any frequencies.
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
@@ -197,7 +199,8 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
             parts[k] = part + ca.SX.zeros(s.im.numel())
         elif part.shape != s.im.shape:
             raise ValueError(
-                f"{owner}.response returns {part.numel()} values for {s.im.numel()} frequencies: return one for each."
+                f"{owner}.response returns {part.numel()} values for {s.im.numel()} frequencies: "
+                "return one for each."
             )
     require_no_nan(f"{owner}.response", ca.vertcat(*parts))
     return parts

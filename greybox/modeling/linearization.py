@@ -1,4 +1,4 @@
-"""Linearization of an ODE about an operating point: the matrices A, B, C, D and the delays of the inputs."""
+"""Linearization of an ODE about an operating point: A, B, C, D and the delays of the inputs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,7 +51,9 @@ class LinearSystem:
 
     def __str__(self) -> str:
         names = ("x' = A x + B u(t - delay)", "y  = C x + D u(t - delay)")
-        signals = f"states {', '.join(self.states)}; inputs {', '.join(self.inputs)}; outputs {', '.join(self.outputs)}"
+        signals = "; ".join(
+            f"{kind} {', '.join(getattr(self, kind))}" for kind in ("states", "inputs", "outputs")
+        )
         point = ", ".join(f"{name} = {value:.6g}" for name, value in self.point.items())
         matrices = [
             f"{name} =\n{np.array2string(getattr(self, name), precision=6)}" for name in "ABCD"
@@ -83,7 +85,7 @@ def linearize(
     values: Mapping[str, float] | None = None,
     at: Mapping[str, float] | None = None,
 ) -> LinearSystem:
-    """Linearize `model` at the operating point `at` for the parameter `values` (by default the declared starts).
+    """Linearize `model` at the operating point `at`, by default at the declared start values.
 
     Raises
     ------
@@ -96,7 +98,8 @@ def linearize(
     point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
     if not np.all(np.isfinite(point)):
         raise ValueError(
-            f"{model.label} has no operating point with {dict(at or {})} at {dict(p)}: check `at` and the values."
+            f"{model.label} has no operating point with {dict(at or {})} at {dict(p)}: check `at` "
+            "and the values."
         )
     blocks = [np.asarray(ca.DM(b)) for b in jacobians(model)(vector, x, u)]
     delays = [p[model.delays[name]] if name in model.delays else 0.0 for name in model.inputs]

@@ -1,4 +1,4 @@
-"""The base class of models: declared parameters, values by name, names of signals, and shared parameters."""
+"""The base class of models: parameters, their values by name, and the names of signals."""
 
 import inspect
 import math
@@ -15,7 +15,7 @@ PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter 
 
 
 class Names(Mapping[str, Any]):
-    """Values by name, as attributes (``p.a1``) and as a mapping (``p["a1"]``): the arguments of a formula."""
+    """Values by name, ``p.a1`` or ``p["a1"]``: the arguments of a formula."""
 
     def __init__(self, values: Mapping[str, Any], what: str = "it") -> None:
         self.__dict__.update(values)
@@ -25,7 +25,8 @@ class Names(Mapping[str, Any]):
         if name.startswith("__"):
             raise AttributeError(name)
         raise AttributeError(
-            f"{self._what} has no {name!r}; it has {alternatives(name, self) if self else 'nothing.'}"
+            f"{self._what} has no {name!r}; it has "
+            f"{alternatives(name, self) if self else 'nothing.'}"
         )
 
     def __getitem__(self, name: str) -> Any:
@@ -85,7 +86,8 @@ class Model(ABC):
             ]
             if hidden:
                 raise TypeError(
-                    f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use Parameter(...)."
+                    f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use "
+                    "Parameter(...)."
                 )
             parameters |= {
                 name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
@@ -101,8 +103,8 @@ class Model(ABC):
         """Remember the arguments, so that a stored result can name its model."""
         if (args or kwargs) and cls.__init__ is object.__init__:
             raise TypeError(
-                f"{cls.__name__}() takes no arguments: give values to a problem, e.g. fixed={{name: value}}, "
-                "or to gb.frequency_response."
+                f"{cls.__name__}() takes no arguments: give values to a problem, e.g. "
+                "fixed={name: value}, or to gb.frequency_response."
             )
         model = super().__new__(cls)
         model.arguments = (args, kwargs)
@@ -140,7 +142,8 @@ class Model(ABC):
         """
         if not isinstance(given, Mapping | None):
             raise TypeError(
-                f"the values of {self.label} are {given!r:.60}: give {{name: value}}, after the model."
+                f"the values of {self.label} are {given!r:.60}: give {{name: value}}, after the "
+                "model."
             )
         given = {**(given or {}), **more}
         require_known(given, self.parameters, "parameter", self.label)
@@ -180,7 +183,8 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
         return name
     if name:
         raise ValueError(
-            f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as one of them."
+            f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as "
+            "one of them."
         )
     if len(known) > 1:
         raise ValueError(
@@ -190,7 +194,7 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
 
 
 def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
-    """Return the parameter that two declarations of one name describe: bounds and start boxes intersect.
+    """Return the parameter of two declarations of one name: bounds and start boxes intersect.
 
     Raises
     ------
@@ -247,7 +251,7 @@ def _intersect(
     low, high = max(a[0], b[0]), min(a[1], b[1])
     if low > high or (low == high and what == "bounds"):
         raise ValueError(
-            f"the {what} of {name!r}, ({a[0]:g}, {a[1]:g}) and ({b[0]:g}, {b[1]:g}), do not overlap: "
-            f"widen them, or give one another name, rename={{{name!r}: ...}}."
+            f"the {what} of {name!r}, ({a[0]:g}, {a[1]:g}) and ({b[0]:g}, {b[1]:g}), do not "
+            f"overlap: widen them, or give one another name, rename={{{name!r}: ...}}."
         )
     return low, high

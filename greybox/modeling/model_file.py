@@ -11,7 +11,7 @@ from greybox.modeling.model import Model
 
 
 def module_from_file(path: Path) -> ModuleType:
-    """Import a user's own file under its own name, as Python does where the file is in the working directory.
+    """Import a user's own file under its own name, as Python does from the working directory.
 
     Raises
     ------

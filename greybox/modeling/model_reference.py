@@ -29,7 +29,7 @@ class UnknownModelError(LookupError):
 
 
 def reference(model: Model) -> dict[str, Any]:
-    """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``, models among the arguments alike."""
+    """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``."""
     positional, named = model.arguments
     return {
         "class": f"{type(model).__module__}:{type(model).__qualname__}",
@@ -39,7 +39,7 @@ def reference(model: Model) -> dict[str, Any]:
 
 
 def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()) -> Model:
-    """Return the model that a reference names: one of those `given`, by their class, or one of greybox's own.
+    """Return the model that a reference names: one of those `given`, or one of greybox's own.
 
     A reference comes from a file, and a file must not choose what is imported: only `given` models
     and those that greybox includes are considered, whatever else is installed or loaded.
@@ -50,7 +50,8 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         When it is neither, or does not take the stored arguments.
     """
     module_name, _, class_name = stored["class"].partition(":")
-    missing = f"the model {printable(class_name)} of the module {module_name!r} is needed and was not found"
+    name = f"{printable(class_name)} of the module {module_name!r}"
+    missing = f"the model {name} is needed and was not found"
     cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=Mine()"
     model = _given(stored["class"], given) or included_model(module_name, class_name)
     if model is None:
@@ -70,7 +71,10 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
 
 
 def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Model] | None:
-    """Return the given model of this class, with the same module if there is one: a file that is run is ``__main__``."""
+    """Return the given model of this class, if possible of the same module.
+
+    A file that is run has the module ``__main__``.
+    """
     classes = [model if isinstance(model, type) else type(model) for model in given]
     modules = [f"{kind.__module__}:{kind.__qualname__}" for kind in classes]
     if name in modules:
@@ -82,7 +86,7 @@ def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Mode
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:
-    """Return an included model, what is made of models, or a system whose numbers are its arguments."""
+    """Return the class of an included model, of a connection or of a system of known numbers."""
     kinds = (
         SeriesConnection,
         FeedbackLoop,
@@ -104,7 +108,7 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
 
 
 def source_text(function: Callable[..., Any]) -> str:
-    """Return the source of a tie or constraint, for the record; its name where the source is not at hand."""
+    """Return the source of a tie or constraint, or its name where there is no source."""
     try:
         return inspect.getsource(function).strip()
     except (OSError, TypeError):

@@ -1,8 +1,8 @@
-"""One lock for whatever takes derivatives with CasADi, or builds a solver from them; values built when needed.
+"""One lock for derivatives and solvers of CasADi; properties whose value is built when needed.
 
-CasADi 3.8.2 frees a sparsity pattern that two threads use at once twice, and the process crashes. Only
-derivatives, solvers and mapped functions make such patterns; evaluating functions is safe, as long
-as every thread has its own.
+CasADi 3.8.2 frees a sparsity pattern twice if two threads use it at once, and the process crashes.
+Only derivatives, solvers and mapped functions make such patterns. Evaluation of functions is safe,
+as long as every thread has its own.
 """
 
 import functools
@@ -28,7 +28,7 @@ def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Argu
 
 
 class cached_property(functools.cached_property[Result]):  # noqa: N801
-    """A property whose value is built once, without the lock of its own that Python 3.11 holds meanwhile.
+    """A property whose value is built once, without the lock that Python 3.11 holds meanwhile.
 
     Two threads that took that lock and the one above in opposite order would wait for ever.
     """

@@ -1,4 +1,4 @@
-"""The Padé approximation of a delay: its coefficients, in the frequency domain, and as states in the time domain.
+"""The Padé approximation of a delay, in the frequency domain and as states of an ODE.
 
 exp(-s T) ≈ Σ c_k (-s T)^k / Σ c_k (s T)^k, k = 0 ... n. A problem asks for it with
 ``delay="pade:n"``. In a formula, `Complex` and `Rational` replace their `exp` by
@@ -27,7 +27,7 @@ def delay_order(delay: str) -> int | None:
 
 
 def pade_coefficients(order: int) -> list[float]:
-    """Return the coefficients c_0 ... c_n of the diagonal Padé approximation exp(z) ≈ Σ c_k z^k / Σ c_k (-z)^k.
+    """Return c_0 ... c_n of the diagonal Padé approximation exp(z) ≈ Σ c_k z^k / Σ c_k (-z)^k.
 
     Source: Golub and Van Loan, Matrix Computations, section 9.3.1.
     """
@@ -41,7 +41,7 @@ def pade_coefficients(order: int) -> list[float]:
 
 
 def pade_exponential(z: Any, order: int) -> Any:
-    """Return the approximation of exp(z) in the arithmetic of `z`; with z = -s T it is the delay by T."""
+    """Return the approximation of exp(z) in the arithmetic of `z`; z = -s T is a delay by T."""
     coefficients = pade_coefficients(order)[::-1]
     return polynomial_value(coefficients, z) / polynomial_value(coefficients, -z)
 
@@ -72,7 +72,7 @@ def pade_steady(u: Any, order: int) -> list[Any]:
 
 
 def _observer_form(order: int) -> tuple[list[float], list[float], float]:
-    """Return the coefficients of denominator and numerator, highest power first, and the feedthrough."""
+    """Return the coefficients of denominator and numerator, highest first, and the feedthrough."""
     c = pade_coefficients(order)
     leading = c[order] * (-1) ** order
     # exp(-z) ≈ Σ c_k (-z)^k / Σ c_k z^k with z = s · delay, divided by c_n; highest power first.

@@ -56,17 +56,20 @@ class Parameter:
             )
         if not isinstance(self.start, (int, float, np.number)) or not math.isfinite(self.start):
             raise ValueError(
-                f"start {self.start!r} is not a finite number: give a value inside bounds {self.bounds}."
+                f"start {self.start!r} is not a finite number: give a value inside bounds "
+                f"{self.bounds}."
             )
         if not low <= self.start <= high:
             raise ValueError(
-                f"start {self.start:g} lies outside bounds ({low:g}, {high:g}): move the start or widen them."
+                f"start {self.start:g} lies outside bounds ({low:g}, {high:g}): move the start or "
+                "widen them."
             )
         if self.scale not in ("linear", "log"):
             raise ValueError(f"scale {self.scale!r} is not known: use 'linear' or 'log'.")
         if self.scale == "log" and low <= 0:
             raise ValueError(
-                f"scale 'log' needs positive bounds, not ({low:g}, {high:g}): raise the lower bound above 0."
+                f"scale 'log' needs positive bounds, not ({low:g}, {high:g}): raise the lower "
+                "bound above 0."
             )
         if self.starts is not None:
             self._check_box(low, high)
@@ -87,15 +90,18 @@ class Parameter:
 
     @property
     def box(self) -> tuple[float, float]:
-        """The interval in which random starts are drawn; may be infinite when neither bounds nor starts are given."""
+        """The interval in which random starts are drawn: `starts`, else the bounds."""
         return self.starts if self.starts is not None else self.bounds
 
     def in_box(self, share: Any) -> Any:
-        """Return the values at shares (0 to 1, any shape) of a finite box, or of its logarithm if that is the scale."""
+        """Return the values at shares (0 to 1, any shape) of a finite box, on its scale."""
         return self._between(*self.box, share)
 
     def draw(self, random: np.random.Generator) -> float:
-        """Draw a value from the box; an open end is taken as ten times the size of the start (at least 1) away."""
+        """Draw a value from the box.
+
+        An open end is taken at ten times the size of the start, at least ten, from it.
+        """
         low, high = self.box
         reach = 10.0 * max(abs(self.start), 1.0)
         low = low if math.isfinite(low) else min(self.start, high) - reach

@@ -1,8 +1,9 @@
-"""The response of a nonlinear ODE to a sine test, with a warning where several motions are possible.
+"""The response of a nonlinear ODE to a sine test; it warns where several motions are possible.
 
-Begin with `harmonic_response`. A nonlinear ODE may have several periodic motions under one sine. A test that raises the
-amplitude slowly shows one of them, and a test that lowers it slowly may show another, as a hardening spring does
-between its two jumps. Both motions are followed here in small steps of the amplitude.
+Begin with `harmonic_response`. A nonlinear ODE may have several periodic motions under one sine. A
+test that raises the amplitude slowly shows one of them. A test that lowers it slowly may show
+another, as a hardening spring does between its two jumps. Both motions are followed here in small
+steps of the amplitude.
 """
 
 import warnings
@@ -79,7 +80,10 @@ def response_of_test(
     measured: Array,
     **signals: Any,
 ) -> FrequencyResponse:
-    """Evaluate the response to the `sine` with which the frequencies `measured` were tested; linearized without one."""
+    """Evaluate the response to a sine test, interpolated between the `measured` frequencies.
+
+    Without a sine it is the response of the linearization.
+    """
     if sine is None:
         return frequency_response(model, values, omega, **signals)
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
@@ -114,7 +118,7 @@ def _require_finite(model: Model, omega: Array, sine: Sine, response: ComplexArr
 def periodic_motions(
     model: Model, values: Mapping[str, float] | None, omega: Array, sine: Sine, **signals: Any
 ) -> tuple[ComplexArray, list[str]]:
-    """Return the response (n,) of the motion at a slowly raised amplitude, and a message for every frequency with others.
+    """Return the response (n,) at a slowly raised amplitude, and messages on other motions.
 
     The response is NaN where no motion is found.
     """
@@ -151,7 +155,10 @@ def periodic_motions(
 
 
 def _followed(balance: CompiledBalance, given: Array, shares: Array) -> complex:
-    """Return the response at the amplitude that is given, approached in `shares` of it; NaN where the motion is lost."""
+    """Return the response at the given amplitude, approached in `shares` of it.
+
+    It is NaN where the motion is lost.
+    """
     x = np.zeros(0)
     for share in shares:
         step = given.copy()

@@ -50,8 +50,8 @@ class Rational(FunctionOfS):
         if _is_zero_polynomial(other.numerator) or _equal(self.delay, other.delay):
             return self.delay
         raise ValueError(
-            "terms with different delays are added (as in a loop around a delay), which has no rational form: "
-            "use a Padé approximation, pade=3 here or delay='pade:3' in a problem."
+            "terms with different delays are added (as in a loop around a delay), which has no "
+            "rational form: use a Padé approximation, pade=3 here or delay='pade:3' in a problem."
         )
 
     def __add__(self, other: Any) -> "Rational":
@@ -110,7 +110,8 @@ class Rational(FunctionOfS):
             or (len(self.numerator) and not _is_zero(self.numerator[-1]))
         ):
             raise ValueError(
-                "only exp(-s T) with a T that does not depend on s has a rational form with a delay."
+                "only exp(-s T) with a T that does not depend on s has a rational form with a "
+                "delay."
             )
         return Rational(
             [1.0],
@@ -149,7 +150,7 @@ def rational(
     at: Mapping[str, float] | None = None,
     pade: int | None = None,
 ) -> Rational:
-    """Read a model as numerator, denominator (coefficients, highest power of s first) and delay in s.
+    """Read a model as numerator and denominator (highest power of s first) and a delay in s.
 
     With `pade`, the delay becomes part of the rational function, approximated to that order.
 

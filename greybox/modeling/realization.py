@@ -1,4 +1,4 @@
-"""One form for every model in time: an ODE driven by delayed inputs, compiled from an ODE or a transfer function."""
+"""One form for every model in the time domain: an ODE driven by delayed inputs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -54,7 +54,7 @@ class Dynamics:
         return not self.delay(ca.SX.sym("p", len(self.parameters))).is_zero()
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":
-        """Return the same dynamics with inputs that act so many seconds later (m,) than by their delays."""
+        """Return the same dynamics with inputs that act later by these seconds (m,)."""
         if not any(seconds):
             return self
         p = ca.SX.sym("p", len(self.parameters))
@@ -65,7 +65,7 @@ class Dynamics:
 
 @one_thread_at_a_time
 def dynamics(model: Model, pade: int | None = None) -> Dynamics:
-    """Compile a model for the time domain; with `pade`, delays become states, approximated to that order.
+    """Compile a model for the time domain; with an order `pade`, delays become states.
 
     A transfer function is realized in observer canonical form (Kailath 1980, Linear Systems,
     section 2.1), whose states are always observable, with time scaled by its poles at the start
@@ -103,7 +103,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
 
 
 def has_branches(model: Model) -> bool:
-    """Tell whether the equations of a `StateSpace` hold comparisons or limits, such as `gb.where` and `gb.maximum`."""
+    """Tell whether the equations of a `StateSpace` contain comparisons or limits."""
     if not isinstance(model, StateSpace):
         return False
     z = ca.SX.sym("z", len(model.states) + len(model.inputs))
@@ -120,8 +120,9 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     n = len(denominator) - 1
     if len(numerator) > n + 1:
         raise ValueError(
-            f"{model.label} is improper (its numerator has degree {len(numerator) - 1}, its denominator {n}), which no "
-            "ODE can represent: fit the integral of its output, or add the lag of the measurement."
+            f"{model.label} is improper (its numerator has degree {len(numerator) - 1}, its "
+            f"denominator {n}), which no ODE can represent: fit the integral of its output, or add "
+            "the lag of the measurement."
         )
     numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     a = [c / denominator[0] for c in denominator]
@@ -156,7 +157,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
 
 
 def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
-    """Return the geometric mean of the nonzero poles' magnitudes at the start values, rad/s; 1 without poles."""
+    """Return the geometric mean of the magnitudes of nonzero poles at the starts, rad/s, or 1."""
     values = ca.Function("a", [p], [ca.vertcat(*a)])([q.start for q in model.parameters.values()])
     coefficients = np.asarray(values).ravel()
     if not np.all(np.isfinite(coefficients)):

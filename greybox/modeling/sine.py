@@ -61,7 +61,8 @@ class Sine:
             is_whole = isinstance(self.harmonics, int | np.integer) and self.harmonics is not True
             if not is_whole or not 1 <= self.harmonics <= MOST_HARMONICS:
                 raise ValueError(
-                    f"harmonics={self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}."
+                    f"harmonics={self.harmonics!r} must be a whole number from 1 to "
+                    f"{MOST_HARMONICS}."
                 )
 
     def __repr__(self) -> str:
@@ -93,13 +94,13 @@ class Sine:
         """
         if np.ndim(self.amplitude) and np.size(self.amplitude) != omega.size:
             raise ValueError(
-                f"the amplitude of {self.signal!r} has {np.size(self.amplitude)} values for {omega.size} frequencies: "
-                "give one for each, in the same order, or one number."
+                f"the amplitude of {self.signal!r} has {np.size(self.amplitude)} values for "
+                f"{omega.size} frequencies: give one for each, in the same order, or one number."
             )
         return np.broadcast_to(self.amplitude, omega.shape)
 
     def between(self, measured: Array, omega: Array) -> "Sine":
-        """Return the sine at other frequencies, its amplitude interpolated over the logarithm of the `measured`."""
+        """Return the sine at other frequencies, interpolated over the logarithm of `measured`."""
         if not np.ndim(self.amplitude):
             return self
         order = np.argsort(measured)
@@ -123,6 +124,7 @@ def as_sine(given: Any) -> Sine:
         raise TypeError(f"amplitude is {given!r:.60}: give {{signal: amplitude}} or a Sine.")
     if len(given) != 1:
         raise ValueError(
-            f"amplitude names {', '.join(map(repr, given)) or 'nothing'}: give the one signal that is a sine."
+            f"amplitude names {', '.join(map(repr, given)) or 'nothing'}: give the one signal that "
+            "is a sine."
         )
     return Sine(*next(iter(given.items())))

@@ -1,4 +1,4 @@
-"""Ordinary differential equations in state space, x' = f(x, u, p), and static models, which have no states."""
+"""Ordinary differential equations, x' = f(x, u, p), and static models, which have no states."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -54,7 +54,7 @@ class StateSpace(Model):
             )
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return the time derivative of every state, in the order of `states`; a static model has none."""
+        """Return the time derivative of every state, in the order of `states`."""
         return ()
 
     @abstractmethod

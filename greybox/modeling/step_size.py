@@ -43,7 +43,7 @@ def stable_substeps(
     wave: float = math.inf,
     most: int = MOST_SUBSTEPS,
 ) -> int:
-    """Return the substeps (1 to `most`) of a sample of `step` s that the fastest of the poles (...) in rad/s asks for.
+    """Return the substeps (1 to `most`) of `step` s for the fastest of the poles (...) in rad/s.
 
     `reach` is the largest |λ| h, `wave` the largest |Im λ| h, of a substep h; see `Integrator`.
     """
@@ -54,20 +54,20 @@ def stable_substeps(
 
 
 def substep_growth(error: float, tolerance: float, order: int) -> int:
-    """Return how many times as many substeps to try where the error, which may be infinite, exceeds the tolerance."""
+    """Return the factor on the substeps where the error, perhaps infinite, is too large."""
     factor = _factor(error, tolerance, order) if math.isfinite(error) else MOST_GROWTH
     return int(np.clip(math.ceil(min(factor, MOST_GROWTH)), LEAST_GROWTH, MOST_GROWTH))
 
 
 def relative_change(change: Array, size: Array) -> float:
-    """Return the largest change (n, samples) of any state in units of its `size` (n,); NaN if one is NaN."""
+    """Return the largest change (n, samples) of any state over its `size` (n,); NaN if one is."""
     return float(
         (np.abs(change).max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)).max(initial=0.0)
     )
 
 
 def state_sizes(*states: Array) -> Array:
-    """Return the largest absolute value of every state, (n,), over (n, samples) each; no less than may be rounding."""
+    """Return the largest absolute value of every state, (n,), but no less than rounding may be."""
     size = np.max([np.abs(x).max(axis=1, initial=0.0) for x in states], axis=0)
     return np.maximum(size, NEGLIGIBLE * size.max(initial=0.0))
 

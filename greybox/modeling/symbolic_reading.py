@@ -1,4 +1,4 @@
-"""Reading a user's formula with CasADi expressions, and saying in a sentence where that cannot be done."""
+"""Read a user's formula with CasADi expressions; say in a sentence why that fails."""
 
 import re
 import threading
@@ -13,7 +13,10 @@ from greybox.modeling.model import Model, Names
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
 
-CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
+CURE = (
+    "write it with + - * / **, gb.exp, gb.where, gb.maximum and the like, not with math, numpy, "
+    "if, max or and."
+)
 
 # The filters of warnings are those of all threads: two that change them at once could leave them
 # changed.
@@ -90,12 +93,13 @@ def column(owner: str, values: Sequence[Any]) -> ca.SX:
 
 
 def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:
-    """Refuse an expression that holds NaN, which is what `math.sin` and friends silently return for a symbol."""
+    """Refuse an expression that contains NaN, which `math.sin` silently returns for a symbol."""
     function = ca.Function("scan", ca.symvar(expression), [expression])
     for k in range(function.n_instructions()):
         if function.instruction_id(k) == ca.OP_CONST and np.isnan(function.instruction_constant(k)):
             raise ValueError(
-                f"{owner} becomes NaN when it is compiled, as math.sin of an expression does: {CURE}"
+                f"{owner} becomes NaN when it is compiled, as math.sin of an expression does: "
+                f"{CURE}"
             )
     return expression
 
@@ -114,6 +118,7 @@ def _traced_column(
     if len(values) != len(names):
         raise ValueError(
             f"{owner} returns {len(values)} values but there are {len(names)} "
-            f"{'states' if what == 'derivative' else 'outputs'} ({', '.join(names)}): return one for each."
+            f"{'states' if what == 'derivative' else 'outputs'} ({', '.join(names)}): return one "
+            "for each."
         )
     return column(owner, values)

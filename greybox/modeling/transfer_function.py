@@ -52,7 +52,7 @@ class TransferFunction(Model):
 
 
 class SeriesConnection(TransferFunction):
-    """Series connection: the signal passes `first`, then `second`; parameters of one name are one unknown."""
+    """Series connection: the signal passes `first`, then `second`."""
 
     def __init__(self, first: TransferFunction, second: TransferFunction, output: str = "") -> None:
         _require_transfer_functions(first, second)
@@ -128,7 +128,8 @@ def require_no_operating_point(model: Model, at: Mapping[str, float] | None) -> 
     """Raise ValueError where an operating point is given to a transfer function."""
     if at:
         raise ValueError(
-            f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}."
+            f"{model.label} is a transfer function and has no operating point: leave out "
+            f"at={dict(at)}."
         )
 
 

@@ -53,7 +53,7 @@ class Trimmed:
 
 @one_thread_at_a_time
 def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
-    """Return the states and inputs at the operating point `at` as functions of the parameter vector.
+    """Return states and inputs at the operating point `at` as functions of the parameters.
 
     The point is, in this order: the result of the model's own `trim`; the origin, if that is an
     equilibrium for every parameter value (so a hover, where ``C_x |v| v = 0`` has a double root,
@@ -92,7 +92,8 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
     returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
     if not isinstance(returned, Mapping):
         raise ValueError(
-            f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by name."
+            f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by "
+            "name."
         )
     values = dict(returned)
     require_known(values, (*model.states, *model.inputs), "state or input", model.label)
@@ -138,8 +139,8 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     excess = len(unknown) - len(model.states)
     if excess > 0:
         raise ValueError(
-            f"the operating point of {model.label} is not determined by at={dict(at)}: give {excess} more of "
-            f"{', '.join(names[k] for k in unknown)}."
+            f"the operating point of {model.label} is not determined by at={dict(at)}: give "
+            f"{excess} more of {', '.join(names[k] for k in unknown)}."
         )
 
     w = ca.SX.sym("w", len(unknown))
@@ -160,7 +161,7 @@ def _presolve(
     start: Array,
     size: int,
 ) -> tuple[Array, list[int]]:
-    """Solve the trim at the start values; return it with as many independent equations as there are unknowns."""
+    """Solve the trim at the start values; return it and as many independent equations."""
     from scipy.optimize import least_squares  # noqa: PLC0415  (takes a fifth of a second to import)
 
     random = np.random.default_rng(0)
@@ -175,7 +176,7 @@ def _presolve(
                 np.asarray(residual(w, start)[0]).ravel(), nan=1e9, posinf=1e9, neginf=-1e9
             ),
             guess,
-            jac=lambda w: np.nan_to_num(np.asarray(residual(w, start)[1])),  # type: ignore[arg-type]
+            jac=lambda w: np.nan_to_num(np.asarray(residual(w, start)[1])),  # type: ignore
             xtol=1e-15,
             ftol=1e-15,
             gtol=1e-15,
@@ -196,13 +197,14 @@ def _presolve(
             1e-9 * pivots.max(), 1e-6 * np.nan_to_num(nearby).min()
         ):
             raise ValueError(
-                f"{model.label} at {dict(at)} has a singular operating point (its derivative does not determine "
-                "every state there): give more of the point in at, or declare trim(self, at, p)."
+                f"{model.label} at {dict(at)} has a singular operating point (its derivative does "
+                "not determine every state there): give more of the point in at, or declare "
+                "trim(self, at, p)."
             )
         return root, sorted(int(k) for k in order[:size])
     raise ValueError(
-        f"{model.label} has no operating point with {dict(at)} at its start values: check `at`, the start values, "
-        "or declare trim(self, at, p)."
+        f"{model.label} has no operating point with {dict(at)} at its start values: check `at`, "
+        "the start values, or declare trim(self, at, p)."
     )
 
 
