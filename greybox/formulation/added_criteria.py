@@ -17,17 +17,16 @@ def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     Raises
     ------
     ValueError
-        If one criterion is a likelihood and another one is not, or if two that are no likelihoods
-        differ.
+        If one criterion is a likelihood and another is not, or if two others differ.
     """
     likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
     if likelihood is None:
         first = parts[0]
-        other = next((part for part in parts if part.criterion != first.criterion), None)
-        if other is not None:
+        second = next((part for part in parts if part.criterion != first.criterion), None)
+        if second is not None:
             raise ValueError(
-                f"{first.name!r} has the criterion {first.criterion!r} and {other.name!r} "
-                f"{other.criterion!r}: costs of different criteria add only where both are "
+                f"{first.name!r} has the criterion {first.criterion!r} and {second.name!r} "
+                f"{second.criterion!r}: costs of different criteria add only where both are "
                 "likelihoods, so give both the same criterion, or RelativeLikelihood(), or "
                 "MaximumLikelihood() where variances are known."
             )
@@ -46,4 +45,5 @@ def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
         result.append(
             part if part.criterion.is_likelihood else part.with_(criterion=RelativeLikelihood())
         )
+
     return tuple(result)

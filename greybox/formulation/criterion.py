@@ -114,6 +114,7 @@ def _plain(value: Any) -> Any:
         return [
             _plain(item) for item in (sorted(value, key=repr) if isinstance(value, Set) else value)
         ]
+
     return _function_text(value) if inspect.isroutine(value) else repr(value)
 
 

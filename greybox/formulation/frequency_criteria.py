@@ -120,6 +120,7 @@ class Criterion(AnyCriterion):
             size = self.size_of(ratio / (1 - self.gain_bias(size, len(data))) - 1, correction)
             if abs(size - previous) <= 1e-3 * size:
                 break
+
         return size
 
     def size_of(self, errors: ComplexArray, correction: float) -> float:
@@ -378,6 +379,7 @@ class MagnitudePhase(Criterion):
                 / np.sum(weight**2 * shape)
                 * correction**2
             )
+
         return 2.0, 4 * np.concatenate([w**2 * s2 for w in self._weights(data)])
 
     def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:

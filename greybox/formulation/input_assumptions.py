@@ -56,4 +56,5 @@ def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> di
             who = "an assumption" if inputs == "record" else "as stated"
             who += f", else delays differ by half a step, {number(500 * record.step, 3)} ms"
         result[name] = f"{between}, {who}"
+
     return result

@@ -92,24 +92,27 @@ def normal_priors(
         name for name, parameter in declared.items() if not parameter.fixed and name not in tied
     ]
     if isinstance(prior, HeldEstimate):
-        given: dict[str, Any] = {name: prior for name in free if outside[name] in prior.estimate}
-        if not given:
+        knowledge: dict[str, Any] = {
+            name: prior for name in free if outside[name] in prior.estimate
+        }
+        if not knowledge:
             raise ValueError(
                 f"the Fit given as prior has {', '.join(prior.estimate)}, none of which is free "
                 f"here; free are {', '.join(free)}."
             )
     elif isinstance(prior, Mapping):
-        given = dict(prior)
+        knowledge = dict(prior)
     else:
         raise TypeError(
             f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit."
         )
-    require_known(given, free, "free parameter", "prior: the problem")
+
+    require_known(knowledge, free, "free parameter", "prior: the problem")
 
     densities: list[NormalPrior] = []
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
     for name in free:
-        value = given.get(name, declared[name].prior)
+        value = knowledge.get(name, declared[name].prior)
         if value is None:
             continue
         if isinstance(value, HeldEstimate):
@@ -117,6 +120,7 @@ def normal_priors(
             continue
         mean, sigma = normal_prior(value, f"the prior of {name}")
         densities.append(NormalPrior((outside[name],), np.array([mean]), np.array([[sigma**2]])))
+
     return densities + [_of_estimate(source, tuple(names)) for source, names in sources.values()]
 
 
@@ -132,4 +136,5 @@ def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
             f"the Fit given as prior has no standard error of {listed(unknown)}: give "
             "prior={name: (mean, standard deviation)} for the others, or fix it in both."
         )
+
     return NormalPrior(names, np.array([source.estimate[name] for name in names]), covariance)

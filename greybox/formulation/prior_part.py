@@ -48,6 +48,7 @@ def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
                     f"give one parameter another name, rename={{{twice[0]!r}: ...}}."
                 )
             priors.append(prior)
+
     return priors
 
 
@@ -78,4 +79,5 @@ def _part(priors: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Pro
     model = type("Prior", (StateSpace,), {**body, **declared, "output": output})
     measured = {name: np.array([value]) for name, (_, _, value) in zip(names, rows, strict=True)}
     record = Record(np.zeros(1), measured, name=NAME, has_time=False)
+
     return Problem(model(), record, Prior(noise=dict.fromkeys(names, 1.0)), name=NAME)

@@ -129,6 +129,7 @@ class Problem:
             math.isfinite(self.weight) and self.weight > 0
         ):
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
+
         delay_order(self.delay)
 
         object.__setattr__(
@@ -184,6 +185,7 @@ class Problem:
                     f"{self.model.label} declares {name!r}, which is also a parameter of the "
                     "criterion: rename it in the model."
                 )
+
         return added
 
     def _check_names(self) -> None:
@@ -197,6 +199,7 @@ class Problem:
         for what, names in mappings.items():
             if not isinstance(names, Mapping):
                 raise TypeError(f"{what} is {names!r:.60}: give {{name of a parameter: ...}}.")
+
         for what, names in {**kinds, **mappings}.items():
             require_known(names, self.declared, "parameter", f"{what}: {self.model.label}")
 
@@ -224,8 +227,8 @@ class Problem:
                 "record: leave it out; known initial states go into OutputError(initial=...)."
             )
         if isinstance(self.model, StateSpace):
-            known = (*self.model.states, *self.model.inputs)
-            require_known(self.at, known, "state or input", self.model.label)
+            signals = (*self.model.states, *self.model.inputs)
+            require_known(self.at, signals, "state or input", self.model.label)
         else:
             require_no_operating_point(self.model, self.at)
 
@@ -236,6 +239,7 @@ class Problem:
             raise ValueError(
                 "amplitude is for frequency responses and the data are a record: leave it out."
             )
+
         object.__setattr__(self, "amplitude", as_sine(self.amplitude))
         input, _ = pick_signals(self.model, self.data.input, self.data.output)
         check_sine(self.model, self.amplitude, input, self.data.omega)
@@ -259,6 +263,7 @@ class Problem:
                 f"give free=[{name!r}] to estimate it, or fixed={{{name!r}: ...}} to hold it at "
                 "another value."
             )
+
         return restated(name, parameter, **changes)
 
     def _as_stated(self, name: str, parameter: Parameter) -> Parameter:
@@ -276,12 +281,14 @@ class Problem:
             raise ValueError(
                 f"fixed gives {name!r} the value {value!r}: give a finite number or a Fit."
             )
+
         low, high = parameter.bounds
         if not low <= value <= high:
             raise ValueError(
                 f"fixed gives {name!r} the value {value:g} outside its bounds ({low:g}, {high:g}): "
                 f"change the value, or the bounds, bounds={{{name!r}: (low, high)}}."
             )
+
         return replace(parameter, start=float(value), fixed=True)
 
     def _check_prior(self) -> None:
@@ -300,6 +307,7 @@ class Problem:
                 "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
                 "where variances are known."
             )
+
         object.__setattr__(self, "_priors", tuple(priors))
 
     def _check_functions(self) -> None:
@@ -318,6 +326,7 @@ class Problem:
         numbers = self.local_values({name: p.start for name, p in parameters.items()})
         for name in self.tied:
             _require_number(numbers[name], f"tied[{name!r}]")
+
         symbols = self.local_values({name: ca.SX.sym(name) for name in parameters})
         for name in self.tied:
             require_no_nan(f"tied[{name!r}]", ca.SX(symbols[name]))
@@ -337,6 +346,7 @@ class Problem:
             return self.fixed
         if not isinstance(self.fixed, HeldEstimate):
             raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
+
         shared = {
             name: self.fixed for name in self.declared if self.outside(name) in self.fixed.estimate
         }
@@ -346,6 +356,7 @@ class Problem:
                 f"{self.model.label} has none; its parameters are "
                 f"{', '.join(self.model.parameters)}."
             )
+
         return shared
 
     @property
@@ -388,6 +399,7 @@ class Problem:
                 * len(self.data)
                 * sum(name in self.data.outputs for name in self.model.output_names)
             )
+
         return 2 * len(self.data)
 
     @property
@@ -453,6 +465,7 @@ def _wrong_data(given: Any) -> str:
             f"the path {path!r}: read the file first, gb.read_response({path!r}) for a frequency "
             f"response or gb.read({path!r}) for records"
         )
+
     if isinstance(given, list | tuple):
         return f"a list with {len(given)} in it: use gb.several(model, [...])"
     return f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum"
@@ -470,6 +483,7 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
             f"{what} is {function!r:.60}: give a function such as lambda p: 2 * "
             f"p.{next(iter(p), 'a')}."
         )
+
     try:
         return traced(what, function, p)
     except (AttributeError, KeyError, ArithmeticError) as error:
@@ -486,6 +500,7 @@ def _require_number(value: Any, what: str) -> None:
         raise ValueError(
             f"{what} gives {value!r:.60}: it must give an expression of the parameters."
         )
+
     if not math.isfinite(value):
         raise ValueError(
             f"{what} is {value} at the start values: correct the function or the starts."

@@ -18,7 +18,7 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     """
     records = _record_numbers([part.data for part in parts])
     outside = [{part.outside(name) for name in part.declared} for part in parts]
-    taken = set().union(*outside)
+    names_in_use = set().union(*outside)
 
     numbered: dict[tuple[str, int], str] = {}
     for part, record in zip(parts, records, strict=True):
@@ -26,15 +26,16 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
             owners = {r for r, names in zip(records, outside, strict=True) if name in names}
             if len(owners) > 1 and (name, record) not in numbered:
                 candidates = (f"{name}_{k}" for k in itertools.count(record))
-                new = next(candidate for candidate in candidates if candidate not in taken)
+                new = next(candidate for candidate in candidates if candidate not in names_in_use)
                 numbered[name, record] = new
-                taken.add(new)
+                names_in_use.add(new)
 
     result = []
     for part, record in zip(parts, records, strict=True):
         names = [name for name in _unnamed_biases(part) if (name, record) in numbered]
         renamed = {name: numbered[name, record] for name in names}
         result.append(part.with_(rename={**part.rename, **renamed}) if renamed else part)
+
     return tuple(result)
 
 

@@ -39,6 +39,7 @@ def several(
         raise ValueError(
             "several() takes a list of at least two records: for one, use Problem(model, record)."
         )
+
     own = (own,) if isinstance(own, str) else tuple(own)
 
     parts = []
@@ -47,4 +48,5 @@ def several(
         require_known(own, problem.declared, "parameter", model.label)
         numbered = {name: f"{name}_{number}" for name in own}
         parts.append(problem.with_(rename={**problem.rename, **numbered}))
+
     return Sum(tuple(parts))

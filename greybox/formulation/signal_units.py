@@ -19,8 +19,8 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
         For the first signal in another unit, with its conversion.
     """
     signals = (*model.input_names, *model.output_names)
-    known = dict.fromkeys((*signals, *getattr(model, "states", ())))
-    require_known(model.units, known, "signal", model.label)
+    names = (*signals, *getattr(model, "states", ()))
+    require_known(model.units, names, "signal", model.label)
     noun = "record" if isinstance(data, Record) else "spectrum"
     for name in dict.fromkeys(signals):
         if name not in data.signals:
@@ -29,13 +29,13 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
         conversion = _conversion(model, name, data.units.get(name, ""), name, place)
         if conversion is None:
             continue
-        where, factor, zero = conversion
+        reason, factor, zero = conversion
         if not isinstance(data, Record):
-            raise ValueError(f"{where}: convert the record that the spectrum was made of.")
+            raise ValueError(f"{reason}: convert the record that the spectrum was made of.")
         converted = f"{factor:.10g} * record[{name!r}]" + (f" + {zero:.10g}" if zero else "")
         unit = model.units[name].strip()
         raise ValueError(
-            f"{where}: convert it, record.with_signals(units={{{name!r}: {unit!r}}}, "
+            f"{reason}: convert it, record.with_signals(units={{{name!r}: {unit!r}}}, "
             f"{name}={converted})."
         )
 
@@ -55,9 +55,9 @@ def check_response_units(model: Model, response: FrequencyResponse) -> None:
         rate_cure = "take the model of the rate, or response.over_s()"
         conversion = _conversion(model, name, unit, f"the {noun} {name}", "the response", rate_cure)
         if conversion is not None:
-            where, *_ = conversion
+            reason, *_ = conversion
             declared = model.units[name].strip()
-            raise ValueError(f"{where}: measure it in {declared}, as gb.prepare does from logs.")
+            raise ValueError(f"{reason}: measure it in {declared}, as gb.prepare does from logs.")
 
 
 def _conversion(
@@ -72,19 +72,21 @@ def _conversion(
     """
     declared = model.units.get(name, "").strip()
     unit = unit.strip()
-    wanted, measured = _known(declared), _known(unit)
-    if wanted is None or measured is None:
+    modeled, measured = _known(declared), _known(unit)
+    if modeled is None or measured is None:
         return None
-    where = f"{label} is in {unit} in {place} and in {declared} in {model.label}"
-    if not are_of_one_kind(wanted, measured):
-        is_rate = measured.si != "1" and are_of_one_kind(wanted, to_si(f"{measured.si}*s"))
+
+    reason = f"{label} is in {unit} in {place} and in {declared} in {model.label}"
+    if not are_of_one_kind(modeled, measured):
+        is_rate = measured.si != "1" and are_of_one_kind(modeled, to_si(f"{measured.si}*s"))
         cure = rate_cure if is_rate and rate_cure else "correct the unit or give the right signal"
-        raise ValueError(f"{where}: these are different quantities, {cure}.")
-    factor = measured.factor / wanted.factor
-    zero = (measured.zero - wanted.zero) / wanted.factor
+        raise ValueError(f"{reason}: these are different quantities, {cure}.")
+
+    factor = measured.factor / modeled.factor
+    zero = (measured.zero - modeled.zero) / modeled.factor
     # 1e-9: rounding of how the factors are written.
     is_same = math.isclose(factor, 1.0, rel_tol=1e-9) and abs(zero) <= 1e-9
-    return None if is_same else (where, factor, zero)
+    return None if is_same else (reason, factor, zero)
 
 
 def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResponse:
@@ -109,6 +111,7 @@ def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResp
     units = {names[name]: unit for name, unit in response.units.items() if name in names}
     named = replace(response, input=model.input_names[0], output=model.output_names[0], units=units)
     check_response_units(model, named)
+
     return replace(named, input="", output="", units={})
 
 

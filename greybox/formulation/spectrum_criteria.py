@@ -68,6 +68,7 @@ def outputs_in_spectrum(
         raise ValueError(
             f"{kind} is for records and the data are a TransientSpectrum: use OutputError()."
         )
+
     options = {
         "inputs": criterion.inputs != "record",
         "biases": bool(criterion.biases),
@@ -79,6 +80,7 @@ def outputs_in_spectrum(
                 f"{option} of {kind} is for records and the data are a TransientSpectrum, which "
                 "knows how its inputs ran and contains no constants: leave it out."
             )
+
     outputs = modeled_outputs(model, spectrum.inputs, spectrum.outputs, "spectrum")
     criterion.check_noise(model, outputs)
     states = len(dynamics(model).states)
@@ -88,4 +90,5 @@ def outputs_in_spectrum(
             f"the spectrum has {', '.join(outputs)}: use OutputError(), or leave outputs out of "
             "the spectrum."
         )
+
     return outputs

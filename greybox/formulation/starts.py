@@ -106,6 +106,7 @@ class Listed(Starts):
             raise ValueError(
                 "the list of starts is empty: give at least one, Listed([{}]) for the declared one."
             )
+
         for point in self.points:
             for name, value in point.items():
                 _check_listed(name, value, parameters)
@@ -159,6 +160,7 @@ def as_starts(
         )
     if isinstance(starts, Starts):
         return starts
+
     if isinstance(starts, Sequence) and not isinstance(starts, str):
         if starts and all(isinstance(item, Mapping) for item in starts):
             return Listed(tuple(item for item in starts if isinstance(item, Mapping)))
@@ -166,6 +168,7 @@ def as_starts(
             return Chained(
                 tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts)
             )
+
     raise TypeError(
         f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list "
         "of {name: value}."
@@ -190,6 +193,7 @@ def _check_listed(name: str, value: float, parameters: Mapping[str, Parameter]) 
         raise ValueError(
             f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}."
         )
+
     low, high = parameters[name].bounds
     if not low <= value <= high:
         raise ValueError(

@@ -55,6 +55,7 @@ class Sum(Generic[Part]):
         for part in self.parts:
             for name, parameter in part.parameters.items():
                 merged[name] = merge(name, merged[name], parameter) if name in merged else parameter
+
         self._check_ties(merged)
         object.__setattr__(self, "_parameters", merged)
 

@@ -85,6 +85,7 @@ class TimeCriterion(AnyCriterion):
                 f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard "
                 "deviation}."
             )
+
         require_inputs(self.inputs)
         if isinstance(self.biases, str):
             object.__setattr__(self, "biases", (self.biases,))
@@ -96,6 +97,7 @@ class TimeCriterion(AnyCriterion):
                 f"initial is {self.initial!r:.60}: give {{state: value or function of the "
                 "parameters}."
             )
+
         for name, value in self.initial.items():
             number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
             if not (number or callable(value)):
@@ -167,6 +169,7 @@ class TimeCriterion(AnyCriterion):
                 unit=f"[{state}/{output}]",
                 about=f"correction of {state} by {output}",
             )
+
         return result
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -257,6 +260,7 @@ class PredictionError(TimeCriterion):
                 unit=f"[{state}]/√s",
                 about=f"process noise on the derivative of {state}",
             )
+
         for output in outputs:
             result[f"v_{output}"] = _deviation_parameter(output, record)
         return result
@@ -277,6 +281,7 @@ class PredictionError(TimeCriterion):
                 f"{model.label} has no states, which {type(self).__name__} corrects: use "
                 "OutputError()."
             )
+
         require_known((*self.corrected, *self.process_noise), model.states, "state", model.label)
         return tuple(
             (state, output) for state in self.corrected or model.states for output in outputs
@@ -299,13 +304,15 @@ def modeled_outputs(
                 f"{model.label} needs the input {name!r}, which the {noun} does not have; it has "
                 f"{', '.join(inputs) or 'none'}."
             )
-    found = tuple(name for name in model.output_names if name in outputs)
-    if not found:
+
+    compared = tuple(name for name in model.output_names if name in outputs)
+    if not compared:
         raise ValueError(
             f"the {noun} has none of the outputs of {model.label} "
             f"({', '.join(model.output_names)}); it has {', '.join(outputs) or 'none'}."
         )
-    return found
+
+    return compared
 
 
 # Measured ranges of the signal that bound a bias: far beyond any error of a sensor.
@@ -332,6 +339,7 @@ def bias_parameter(name: str, record: Record) -> Parameter:
         raise ValueError(
             f"biases names {name!r}, of which the record has no measured value: leave it out."
         )
+
     span = float(np.ptp(values)) or 1.0  # a constant signal has no range
     return Parameter(
         0.0,

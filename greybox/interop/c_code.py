@@ -110,15 +110,17 @@ def write_c(
         raise ValueError(f"{path} is to be C source: end it in .c.")
     if not 0 < step < math.inf:
         raise ValueError(f"step is {step!r}: give the sampling time in s, above 0.")
-    given = given_model(thing, values, None, part)
-    system, p = given.ode(pade)
+
+    source = given_model(thing, values, None, part)
+    system, p = source.ode(pade)
     name = identifier(path.stem)
     formula, substeps = _discretized(system, p, step)
     method = "exact for this linear model"
     if substeps:
         method = f"{substeps} substeps of the classical Runge-Kutta method"
+
     texts = {"file": path.stem, "name": name, "upper": name.upper(), "step": step, "method": method}
-    write_text(path.with_suffix(".h"), _header(given, system, p, texts))
+    write_text(path.with_suffix(".h"), _header(source, system, p, texts))
     write_text(path, _source(system, p, formula, max(substeps, 1), path.stem, name))
     return path, path.with_suffix(".h")
 
@@ -132,16 +134,16 @@ def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, 
     z = ca.vertcat(x, u)
     f = system.derivative(x, u, p)
     linearized = ca.Function("linearized", [z], [f, ca.jacobian(f, z)])
-    rest, jacobian = (np.asarray(value) for value in linearized(np.zeros(n + m)))
+    at_zero, jacobian = (np.asarray(value) for value in linearized(np.zeros(n + m)))
 
     # A sign or a limiter has a constant derivative and is not linear: values at random points tell.
     points = np.random.default_rng(0).uniform(-3, 3, (n + m, 20))
-    moved = np.asarray(linearized(points)[0]) - rest
+    moved = np.asarray(linearized(points)[0]) - at_zero
     expected = jacobian @ points
     if np.all(np.abs(moved - expected) <= 1e-9 * (1 + np.abs(jacobian) @ np.abs(points))):
-        whole = np.zeros((n + m + 1, n + m + 1))
-        whole[:n] = np.hstack([jacobian, rest]) * step
-        exact = expm(whole)[:n]
+        matrix = np.zeros((n + m + 1, n + m + 1))
+        matrix[:n] = np.hstack([jacobian, at_zero]) * step
+        exact = expm(matrix)[:n]
         return ca.Function("step", [x, u], [ca.DM(exact) @ ca.vertcat(z, 1)]), 0
 
     fastest = np.abs(np.linalg.eigvals(jacobian[:, :n])).max(initial=0.0)
@@ -150,6 +152,7 @@ def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, 
             f"step is {step:g} s, and the fastest mode of the model decays within "
             f"{1 / fastest:.2g} s: give a shorter step, or a model without that mode."
         )
+
     # Half the reach of the method, as modes become faster away from rest.
     substeps = max(math.ceil(2 * step * fastest / RungeKutta.reach), 1)
     held = ca.SX.zeros(m)
@@ -157,13 +160,13 @@ def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, 
     return ca.Function("step", [x, u], [later]), substeps
 
 
-def _header(given: GivenModel, system: Dynamics, p: Array, texts: Mapping[str, Any]) -> str:
+def _header(source: GivenModel, system: Dynamics, p: Array, texts: Mapping[str, Any]) -> str:
     numbers = ", ".join(
         f"{parameter} = {value:.6g}"
         for parameter, value in zip(system.parameters, p.tolist(), strict=True)
     )
-    fitted = f", fitted to {given.name}" if given.name else ""
-    title = f"{given.model.label}{fitted}, written by greybox."
+    fitted = f", fitted to {source.name}" if source.name else ""
+    title = f"{source.model.label}{fitted}, written by greybox."
     kinds = {"state": system.states, "input": system.inputs, "output": system.outputs}
     indices = []
     for kind, names in kinds.items():
@@ -172,6 +175,7 @@ def _header(given: GivenModel, system: Dynamics, p: Array, texts: Mapping[str, A
             for i, plain in enumerate(identifiers(names).values())
         ]
         indices += [f"enum {{ {', '.join(places)} }};"] if places else []
+
     return HEADER.format(
         **texts,
         title=_comment(title),
@@ -208,6 +212,7 @@ def _source(
             arguments = "double *x, const double *u"
             count = substeps
         wrappers.append(_wrapper(function, f"{name}_{what}({arguments})", result, count))
+
     return "\n".join([f'#include "{file}.h"\n', generator.dump(), *wrappers])
 
 
@@ -218,6 +223,7 @@ def _wrapper(function: ca.Function, signature: str, result: str, count: int) -> 
     call = f"{function.name()}(arg, res, iw, w, 0);"
     if count > 1:
         call = f"for (int k = 0; k < {count}; k++) {{ arg[0] = x; arg[1] = u; res[0] = x; {call} }}"
+
     lines = [
         f"void {signature} {{",
         f"  const casadi_real *arg[{arg}] = {{0}};",
@@ -230,4 +236,5 @@ def _wrapper(function: ca.Function, signature: str, result: str, count: int) -> 
         f"  {call}",
         "}",
     ]
+
     return "\n".join(lines) + "\n"

@@ -48,11 +48,11 @@ def to_casadi(
     >>> f = gb.interop.to_casadi(LinearTilt(), {"a1": -14.6}, pade=2)
     >>> derivative, y = f([0] * f.size1_in(0), 0.1)
     """
-    given = given_model(thing, values, None, part)
-    system, p = given.ode(pade)
+    source = given_model(thing, values, None, part)
+    system, p = source.ode(pade)
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
     q = ca.SX.sym("p", len(p)) if with_parameters else p
     arguments = {"x": x, "u": u} | ({"p": q} if with_parameters else {})
     outputs = [system.derivative(x, u, q), system.output(x, u, q)]
-    name = identifier(given.model.label)
+    name = identifier(source.model.label)
     return ca.Function(name, [*arguments.values()], outputs, [*arguments], ["derivative", "y"])

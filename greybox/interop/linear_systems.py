@@ -59,6 +59,7 @@ class GivenModel:
         )
         if pade != 0:
             self._require_no_delay({input: float(ratio.delay)})
+
         return np.array(ratio.numerator, dtype=float), np.array(ratio.denominator, dtype=float)
 
     @one_thread_at_a_time
@@ -68,6 +69,7 @@ class GivenModel:
         point = dict.fromkeys((*system.states, *system.inputs), 0.0)
         if isinstance(self.model, StateSpace):
             point |= linearize(self.model, self.values, self.at).point
+
         for name in system.inputs:
             if f"{name}_delay_0" in system.states:
                 # At rest the delayed input must equal the input, or the Jacobians are those of
@@ -128,13 +130,15 @@ def given_model(
         estimate = thing.at_estimate(part=part)
         fitted = thing.parts[part]
         model = thing.model_of(part)
-        stated = {
+        values = {
             name: float(v)
             for name, v in zip(estimate.names, estimate.q, strict=True)
             if name in model.parameters
         }
-        own = fitted.at if isinstance(fitted, FittedResponse) else {}
-        return GivenModel(model, stated, own if at is None else at, thing.name)
+        if at is None:
+            at = fitted.at if isinstance(fitted, FittedResponse) else {}
+        return GivenModel(model, values, at, thing.name)
+
     if isinstance(thing, Model):
         return GivenModel(thing, dict(thing.values(values)), at or {})
     raise TypeError(

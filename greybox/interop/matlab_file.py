@@ -54,6 +54,7 @@ def write_mat(thing: Fit | Record | FrequencyResponse, path: str | Path) -> None
             f"{thing!r:.60} cannot be written for MATLAB: give a Fit, a Record or a "
             "FrequencyResponse."
         )
+
     from scipy.io import savemat  # noqa: PLC0415  (takes a quarter of a second to import)
 
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -107,4 +108,5 @@ def _value(value: Any) -> Any:
         if texts or any(isinstance(item, Mapping) for item in value):
             return np.array([*map(_value, value), None], dtype=object)[:-1]
         return np.array(value, dtype=float)  # None is NaN
+
     return value

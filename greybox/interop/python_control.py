@@ -67,12 +67,14 @@ def to_control(
         return control.FrequencyResponseData(
             response, thing.omega[order], **names, **_named(thing.name)
         )
-    given = given_model(thing, values, at, part)
-    linear = given.converted(kind, pade, input, output)
-    name = _named(given.name or given.model.label)
+
+    source = given_model(thing, values, at, part)
+    linear = source.converted(kind, pade, input, output)
+    name = _named(source.name or source.model.label)
     if isinstance(linear, tuple):
-        u, y = pick_signals(given.model, input, output)
+        u, y = pick_signals(source.model, input, output)
         return control.TransferFunction(*linear, inputs=[u], outputs=[y], **name)
+
     matrices = (linear.A, linear.B, linear.C, linear.D)
     labels = {"states": linear.states, "inputs": linear.inputs, "outputs": linear.outputs}
     return control.StateSpace(*matrices, **{k: list(v) for k, v in labels.items()}, **name)
@@ -115,6 +117,7 @@ def from_control(
     if not isinstance(system, (control.FrequencyResponseData, *linear)):
         kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
         raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
+
     u = _signal_names(inputs, system.input_labels)
     y = _signal_names(outputs, system.output_labels)
     if isinstance(system, control.FrequencyResponseData):
@@ -123,6 +126,7 @@ def from_control(
         return FrequencyResponse(
             system.omega, response, input=u[0], output=y[0], name=name or (system.name or "")
         )
+
     if system.isdtime(strict=True):
         raise ValueError(
             f"the system has a sampling time of {system.dt} s, and models here are continuous in "
@@ -134,6 +138,7 @@ def from_control(
             polynomial[0][0].tolist() for polynomial in (system.num, system.den)
         )
         return KnownTransferFunction(numerator, denominator, u[0], y[0], prefix)
+
     x = _signal_names((), system.state_labels)
     return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y)
 

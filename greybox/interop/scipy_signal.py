@@ -67,6 +67,7 @@ def from_scipy(
         )
     if not isinstance(system, signal.lti):
         raise TypeError(f"system is {system!r:.60}: give a scipy.signal.lti.")
+
     linear: Any = system  # scipy does not declare its attributes
     if isinstance(system, signal.StateSpace):
         outputs, inputs = linear.D.shape
@@ -75,12 +76,14 @@ def from_scipy(
             for name, count in ((input, inputs), (output, outputs))
         ]
         return KnownStateSpace(linear.A, linear.B, linear.C, linear.D, inputs=u, outputs=y)
+
     rational = linear.to_tf()
     if rational.num.ndim > 1:
         raise ValueError(
             f"the system has {rational.num.shape[0]} outputs: give a system of one, or a "
             "StateSpace."
         )
+
     return KnownTransferFunction(
         rational.num.tolist(), rational.den.tolist(), input, output, prefix
     )

@@ -20,11 +20,11 @@ def identifier(name: str) -> str:
 
 def identifiers(names: Iterable[str]) -> dict[str, str]:
     """Return a different identifier for every name."""
-    taken: dict[str, str] = {}
+    names_in_use: dict[str, str] = {}
     for name in names:
         plain, k = identifier(name), 1
-        while plain in taken.values():
+        while plain in names_in_use.values():
             k += 1
             plain = f"{identifier(name)}_{k}"
-        taken[name] = plain
-    return taken
+        names_in_use[name] = plain
+    return names_in_use

@@ -22,23 +22,25 @@ class Complex(FunctionOfS):
         self.im = im
         self.pade = pade
 
-    def _with(self, other: Any, combine: Callable[..., tuple[Any, Any]]) -> "Complex":
-        other = _complex(other)
-        if other is None:
+    def _with(self, operand: Any, combine: Callable[..., tuple[Any, Any]]) -> "Complex":
+        operand = _complex(operand)
+        if operand is None:
             return NotImplemented
-        return Complex(*combine(self.re, self.im, other.re, other.im), self.pade or other.pade)
+        return Complex(
+            *combine(self.re, self.im, operand.re, operand.im), self.pade or operand.pade
+        )
 
-    def __add__(self, other: Any) -> "Complex":
-        return self._with(other, lambda a, b, c, d: (a + c, b + d))
+    def __add__(self, operand: Any) -> "Complex":
+        return self._with(operand, lambda a, b, c, d: (a + c, b + d))
 
-    def __mul__(self, other: Any) -> "Complex":
-        return self._with(other, _product)
+    def __mul__(self, operand: Any) -> "Complex":
+        return self._with(operand, _product)
 
-    def __truediv__(self, other: Any) -> "Complex":
-        return self._with(other, _quotient)
+    def __truediv__(self, operand: Any) -> "Complex":
+        return self._with(operand, _quotient)
 
-    def __rtruediv__(self, other: Any) -> "Complex":
-        return self._with(other, lambda a, b, c, d: _quotient(c, d, a, b))
+    def __rtruediv__(self, operand: Any) -> "Complex":
+        return self._with(operand, lambda a, b, c, d: _quotient(c, d, a, b))
 
     def __neg__(self) -> "Complex":
         return Complex(-self.re, -self.im, self.pade)
@@ -89,4 +91,5 @@ def _complex(value: Any) -> Complex | None:
         isinstance(value, np.ndarray) and value.dtype.kind in "fiuc"
     ):
         return Complex(np.real(value), np.imag(value))
+
     return None

@@ -26,6 +26,7 @@ def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[
     rows: list[dict[int, Any]] = [{k: -a for k, a in enumerate(row) if a is not None} for row in A]
     for i in range(n):
         rows[i][i] = s + rows[i][i] if i in rows[i] else s
+
     right = list(b)
     for position, i in enumerate(order):
         for j in order[position + 1 :]:
@@ -37,12 +38,14 @@ def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[
                     change = factor * rows[i][k]
                     rows[j][k] = rows[j][k] - change if k in rows[j] else -change
             right[j] = right[j] - factor * right[i]
+
     x: list[Any] = [0.0] * n
     for position, i in reversed(list(enumerate(order))):
         for k in order[position + 1 :]:
             if k in rows[i]:
                 right[i] = right[i] - rows[i][k] * x[k]
         x[i] = right[i] / rows[i][i]
+
     return x
 
 
@@ -89,6 +92,7 @@ def elimination_order(
                 least = error
             if least < ACCURATE:
                 break
+
     return best
 
 

@@ -156,6 +156,7 @@ def _parts(expression: Expression) -> Sequence[Expression]:
             return (base, exponent)
         case Function(_, arguments):
             return arguments
+
     return ()
 
 
@@ -173,6 +174,7 @@ def _with_parts(
             return Power(put(base), put(exponent))
         case Function(name, arguments):
             return Function(name, tuple(map(put, arguments)))
+
     return expression
 
 
@@ -217,6 +219,7 @@ def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Express
         number = float(np.divide(number * _numbers(above), _numbers(below)))
     if number == 0:
         return Number(0.0)
+
     above, below = _powers(above), _powers(below)
     if abs(number) != 1 or not above:
         above.insert(0, Number(abs(number)))
@@ -238,6 +241,7 @@ def _powers(factors: Sequence[Expression]) -> list[Expression]:
             exponents[base] = exponents.get(base, 0.0) + exponent.value
         elif not isinstance(factor, Number):
             bases.append(factor)
+
     return [
         Power(factor, Number(exponents[factor]))
         if isinstance(factor, Symbol) and exponents[factor] != 1

@@ -103,6 +103,7 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
                 )
             if operation in means:
                 return means[operation](*terms)
+
         if len(terms) == 1:
             return ca.SX.unary(operation, *terms)
         return ca.SX.binary(operation, *terms)

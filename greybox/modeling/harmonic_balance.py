@@ -108,6 +108,7 @@ def directly_found(
         responses.append(response)
         if len(responses) > 1 and agree(*responses[-2:]).all():
             return responses[-1], numbers[len(responses) - 2]
+
     return responses[-1], numbers[-1]
 
 
@@ -124,12 +125,14 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
             f"{model.label} is a transfer function, whose response is the same at every amplitude: "
             "omit the amplitude."
         )
+
     names = dict.fromkeys((input, *model.outputs, *model.states))
     if sine.signal not in names:
         raise ValueError(
             f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of "
             f"{', '.join(names)}."
         )
+
     sine.amplitudes(omega)
 
 
@@ -138,15 +141,15 @@ class Balance:
     """The balance at one frequency, in unknown harmonics per amplitude.
 
     `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the
-    means of the other inputs, about the operating point, divided by the amplitude. `given` holds
+    means of the other inputs, about the operating point, divided by the amplitude. `settings` holds
     parameters, operating point, omega and amplitude. `balance` must vanish;
     so must as many of the conditions `means` on the means as the ODE leaves open. `response` is
-    real and imaginary part, `slopes` the function from the unknown and the given to the derivatives
+    real and imaginary part, `slopes` the function from the unknown and the settings to the derivatives
     of `balance` and `means` by the unknown.
     """
 
     unknown: Any
-    given: Any
+    settings: Any
     balance: Any
     means: Any
     response: Any
@@ -184,6 +187,7 @@ class Balance:
         held = names.index(signal) if signal in names else None
         if signal in model.outputs:  # perhaps a state under the name of an output
             held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], symbols[k])), None)
+
         columns = 2 * harmonics + 1
         places, constant = _places([*range(n), driven], len(names), columns, held)
         unknown = kind.sym("harmonics", places.size2())
@@ -204,21 +208,22 @@ class Balance:
 
         mean_conditions = ca.vertcat(*means)
         residual = ca.vertcat(*balance) / amplitude
-        given = ca.vertcat(p, point, omega, amplitude)
+        settings = ca.vertcat(p, point, omega, amplitude)
         slopes = [ca.jacobian(e, unknown) for e in (residual, mean_conditions)]
 
         response = _first(balanced[n, :]) / _first(series[driven, :])
         if input in model.delays:
             delay = p[list(model.parameters).index(model.delays[input])]
             response = response * exp(-Complex(kind(0), omega, pade) * delay)
+
         return cls(
             unknown=unknown,
-            given=given,
+            settings=settings,
             balance=residual,
             means=mean_conditions,
             response=ca.vertcat(response.re, response.im),
             is_linear=is_linear,
-            slopes=ca.Function("slopes", [unknown, given], slopes),
+            slopes=ca.Function("slopes", [unknown, settings], slopes),
         )
 
 
@@ -284,6 +289,7 @@ def _harmonics(
     for k in rows:
         jacobian[k, :] = 0
         constants[k] = 0
+
     linear, constant = ca.Function("linear", [parameters], [jacobian, constants])(p)
     coefficients = linear @ series + constant @ ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
     if not rows:
@@ -296,6 +302,7 @@ def _harmonics(
     sampled = term.map("terms", "serial", points, [2, 3], [])(
         series @ to_samples, speeds @ to_samples, rms_speeds, p
     )
+
     return coefficients + _scatter(rows, formulas.numel()) @ (sampled @ to_series), False
 
 
@@ -312,7 +319,7 @@ def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
     return ca.DM(to_samples), ca.DM(to_series)
 
 
-def _mean_conditions(balance: Balance, given: Array) -> tuple[int, ...] | None:
+def _mean_conditions(balance: Balance, settings: Array) -> tuple[int, ...] | None:
     """Return the first conditions on the means that the balance leaves open at a random orbit.
 
     The mean of the sine's own signal comes first. It determines nothing where an integrator follows
@@ -320,7 +327,9 @@ def _mean_conditions(balance: Balance, given: Array) -> tuple[int, ...] | None:
     open.
     """
     generic = np.random.default_rng(0).normal(size=balance.unknown.numel())
-    slopes = [np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, given)]
+    slopes = [
+        np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, settings)
+    ]
     rows, conditions = (
         block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300) for block in slopes
     )
@@ -333,15 +342,16 @@ def _mean_conditions(balance: Balance, given: Array) -> tuple[int, ...] | None:
         in_open = np.array([*conditions[chosen], row]) @ open_directions.T
         if len(chosen) < missing and np.linalg.matrix_rank(in_open, 1e-7) == len(in_open):
             chosen.append(k)
+
     return None if len(chosen) < missing or len(open_directions) > missing else tuple(chosen)
 
 
 @dataclass(frozen=True, eq=False)
 class Newton:
-    """Newton's method on the balance, as functions of the harmonics and of `given`.
+    """Newton's method on the balance, as functions of the harmonics and the settings.
 
     `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
-    the response and whether the harmonics are a motion; `guess` finds harmonics from what is given
+    the response and whether the harmonics are a motion; `guess` finds harmonics from the settings
     alone.
     """
 
@@ -356,7 +366,7 @@ class Newton:
         """Compile with those `conditions` on the means."""
         x = balance.unknown
         equations = ca.vertcat(balance.balance, *[balance.means[k] for k in conditions])
-        statement = {"x": x, "p": balance.given, "g": equations}
+        statement = {"x": x, "p": balance.settings, "g": equations}
         options = {
             "error_on_fail": False,
             "abstol": 1e-11,
@@ -369,13 +379,13 @@ class Newton:
 
         # Relative to the harmonics; Newton's last step squares it.
         size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
-        finish = ca.Function("finish", [x, balance.given], [balance.response, size < 1e-8])
+        finish = ca.Function("finish", [x, balance.settings], [balance.response, size < 1e-8])
         return cls(newton, careful, finish, _guess(newton, careful, finish))
 
 
 def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
-    """Return the function from `given` to the harmonics: at once, or with a rising amplitude."""
-    given: Any = ca.MX.sym("given", newton.numel_in("p"))
+    """Return the function from the settings to the harmonics: at once, or with a rising amplitude."""
+    settings: Any = ca.MX.sym("settings", newton.numel_in("p"))
     # Small, so that the first step goes to the linear response; not zero, where a kink has no
     # slope.
     small = ca.DM(np.full(newton.numel_in("x0"), 1e-6))
@@ -384,13 +394,14 @@ def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca
     # is nearly linear.
     followed = ca.MX(small)
     for k in range(7, -1, -1):
-        step = ca.vertcat(given[:-1], given[-1] / 2**k)
+        step = ca.vertcat(settings[:-1], settings[-1] / 2**k)
         followed = careful(x0=followed, p=step)["x"]
-    by_doubling = ca.Function("by_doubling", [given], [followed], {"never_inline": True})
 
-    direct = newton(x0=small, p=given)["x"]
-    chosen = ca.if_else(finish(direct, given)[1], direct, by_doubling(given), True)
-    return ca.Function("guess", [given], [chosen])
+    by_doubling = ca.Function("by_doubling", [settings], [followed], {"never_inline": True})
+
+    direct = newton(x0=small, p=settings)["x"]
+    chosen = ca.if_else(finish(direct, settings)[1], direct, by_doubling(settings), True)
+    return ca.Function("guess", [settings], [chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,33 +438,34 @@ class CompiledBalance:
         point = np.concatenate([np.asarray(part).ravel() for part in trim(start)])
         amplitudes = sine.amplitudes(omega)
         middle = int(np.argsort(amplitudes)[omega.size // 2])
-        given = np.concatenate([start, point, [omega[middle], amplitudes[middle]]])
-        conditions = _mean_conditions(balance, given)
+        settings = np.concatenate([start, point, [omega[middle], amplitudes[middle]]])
+        conditions = _mean_conditions(balance, settings)
         if conditions is None:
             raise ValueError(
                 f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
                 "start values: name a signal that it drives, or check `at`."
             )
+
         return cls(balance, Newton.of(balance, conditions), model, sine, trim)
 
     def response(self, omega: Array) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part (n,)."""
         p = ca.MX.sym("p", len(self.model.parameters))
-        given = self.given(p, omega)
-        n = given.size2()
-        guesses = self.solver.guess.map(n)(given)
+        settings = self.settings(p, omega)
+        n = settings.size2()
+        guesses = self.solver.guess.map(n)(settings)
 
         # Newton's method once more, from its own solution: derivatives then go through this call
         # and leave out the guess.
-        harmonics = self.solver.newton.map(n)(x0=guesses, p=given)["x"]
-        response, converged = self.solver.finish.map(n)(harmonics, given)
+        harmonics = self.solver.newton.map(n)(x0=guesses, p=settings)["x"]
+        response, converged = self.solver.finish.map(n)(harmonics, settings)
 
         # A motion that was not found becomes infinite, so that the run that met it fails instead of
         # using it.
         response = response / ca.repmat(converged, 2, 1)
         return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
 
-    def given(self, p: Any, omega: Array) -> Any:
+    def settings(self, p: Any, omega: Array) -> Any:
         """Return columns of parameters `p`, operating point, frequency and amplitude."""
         columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
         amplitudes = ca.DM(self.sine.amplitudes(omega)).T

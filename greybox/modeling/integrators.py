@@ -114,6 +114,7 @@ class Rosenbrock(Integrator):
         k4 = ca.solve(
             matrix, system.derivative(x + 2 * k1 + k3, end, p) + (k1 - k2 - 8 / 3 * k3) / h
         )
+
         return x + 2 * k1 + k3 + k4
 
 
@@ -134,4 +135,5 @@ def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca
     for k in range(substeps if system.states else 0):
         u = mean + change * (k / substeps - 0.5)
         result = integrator.advance(system, result, u, change / h, p, h / substeps)
+
     return ca.Function("step", [x, mean, change, p, h], [result], {"cse": True})

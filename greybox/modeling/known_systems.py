@@ -50,6 +50,7 @@ class KnownTransferFunction(TransferFunction):
         a = _coefficients(denominator, "denominator")
         if a == [0.0]:
             raise ValueError("the denominator is zero: give one with a coefficient that is not.")
+
         self.arguments = ((b, a, input, output, prefix), {})
         self.input = input
         self.output = output
@@ -105,13 +106,14 @@ class KnownStateSpace(StateSpace):
         n = matrices[0].shape[0] if matrices[0].size else 0
         self._matrices = []
         shapes = ((n, n), (n, m), (k, n), (k, m))
-        for name, given, shape in zip("ABCD", matrices, shapes, strict=True):
-            matrix = given.reshape(shape) if given.size == n == 0 else given
+        for name, value, shape in zip("ABCD", matrices, shapes, strict=True):
+            matrix = value.reshape(shape) if value.size == n == 0 else value
             if matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape} where the others need {shape}.")
             if not np.all(np.isfinite(matrix)):
                 raise ValueError(f"{name} has an entry that is not finite: give finite numbers.")
             self._matrices.append(matrix.tolist())
+
         self.states = _signal_names(states, "x", n, numbered=True)
         self.inputs = _signal_names(inputs, "u", m)
         self.outputs = _signal_names(outputs, "y", k)
@@ -153,4 +155,5 @@ def _signal_names(
         )
     if isinstance(names, str) or len(names) != count:
         raise ValueError(f"{names!r:.60} are the names of {count} signals: give as many.")
+
     return tuple(names)

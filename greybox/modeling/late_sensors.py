@@ -75,7 +75,7 @@ class LateSensors(StateSpace):
 
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return what the sensors show."""
-        return [shown for shown, _ in self._sensors(x, u, p).values()]
+        return [measured for measured, _ in self._sensors(x, u, p).values()]
 
     @property
     def trim(self) -> Any:  # type: ignore[override]
@@ -104,6 +104,7 @@ class LateSensors(StateSpace):
                 sensors[output] = inside[0], [(true - inside[0]) / p[name]]
             else:
                 sensors[output] = pade_rows(inside, true, p[name], ORDER)
+
         return sensors
 
 

@@ -53,11 +53,13 @@ def frequency_response(
         else:
             assert isinstance(model, StateSpace)
             response = _state_space_values(linearize(model, values, at), omega, input, output, pade)
+
     if not np.all(np.isfinite(response)):
         worst = omega[np.argmin(np.isfinite(response))]
         raise ValueError(
             f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there."
         )
+
     return FrequencyResponse(
         omega, response, input=input, output=output, name=model.label, source="model"
     )
@@ -75,12 +77,14 @@ def _transfer_function_values(
             f"{model.label}.response returns a {type(result).__name__}: return one expression of s "
             "and p."
         )
+
     values = np.asarray(result, dtype=complex)
     if values.shape not in ((), omega.shape):
         raise ValueError(
             f"{model.label}.response returns {values.size} values for {omega.size} frequencies: "
             "return one for each."
         )
+
     return np.broadcast_to(values, omega.shape)
 
 
@@ -143,6 +147,7 @@ def response_formula(
     )
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
+
     at_point = ca.Function("response", [p, x, u, *symbols], _parts(result, s, model.label))
     w = ca.SX.sym("w", trim.function.numel_in(1))
     parts: Any = at_point(p, *trim.function(p, w), *symbols)
@@ -176,6 +181,7 @@ def _elimination_order(
         A, B = (np.asarray(ca.DM(block)) for block in matrices(point, *at)[:2])
         if np.all(np.isfinite(A)) and np.all(np.isfinite(B)):
             systems.append((A, B[:, input]))
+
     if not systems:
         return tuple(range(len(model.states)))
 
@@ -183,6 +189,7 @@ def _elimination_order(
     right = np.array([b for _, b in systems])
     if omega.size > 50:
         omega = omega[np.linspace(0, omega.size - 1, 50).astype(int)]
+
     return elimination_order(samples, right, np.all(samples == 0, axis=0), omega)
 
 
@@ -192,6 +199,7 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
         raise ValueError(
             f"{owner}.response returns a {type(result).__name__}: return one expression of s and p."
         )
+
     pair: Any = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
     parts = [ca.SX(part) for part in pair]
     for k, part in enumerate(parts):
@@ -202,5 +210,6 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
                 f"{owner}.response returns {part.numel()} values for {s.im.numel()} frequencies: "
                 "return one for each."
             )
+
     require_no_nan(f"{owner}.response", ca.vertcat(*parts))
     return parts

@@ -58,6 +58,7 @@ class LinearSystem:
         matrices = [
             f"{name} =\n{np.array2string(getattr(self, name), precision=6)}" for name in "ABCD"
         ]
+
         return "\n".join([*names, signals, f"about {point}", *matrices, f"delay = {self.delays} s"])
 
     @property
@@ -77,6 +78,7 @@ def jacobians(model: StateSpace) -> ca.Function:
     f = traced_derivative(model, z, p)
     h = traced_output(model, z, p)
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
+
     return ca.Function("jacobians", [p, x, u], blocks)
 
 
@@ -101,6 +103,7 @@ def linearize(
             f"{model.label} has no operating point with {dict(at or {})} at {dict(p)}: check `at` "
             "and the values."
         )
+
     blocks = [np.asarray(ca.DM(b)) for b in jacobians(model)(vector, x, u)]
     delays = [p[model.delays[name]] if name in model.delays else 0.0 for name in model.inputs]
     names = (*model.states, *model.inputs)

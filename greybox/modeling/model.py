@@ -45,10 +45,10 @@ class Names(Mapping[str, Any]):
         return f"Names({dict(self)!r})"
 
 
-def require_usable(names: Iterable[str], owner: str, taken: type = Names) -> None:
-    """Raise ValueError for a name that would hide what the framework calls on `taken`."""
+def require_usable(names: Iterable[str], owner: str, base: type = Names) -> None:
+    """Raise ValueError for a name that would hide what the framework calls on `base`."""
     for name in names:
-        if hasattr(taken, name):
+        if hasattr(base, name):
             raise ValueError(
                 f"{owner} cannot have a parameter or signal called {name!r}: choose another name."
             )
@@ -92,11 +92,10 @@ class Model(ABC):
             parameters |= {
                 name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
             }
-        for taken in (
-            Names,
-            *(base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE)),
-        ):
-            require_usable(parameters, cls.__name__, taken)
+
+        bases = (base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE))
+        for base in (Names, *bases):
+            require_usable(parameters, cls.__name__, base)
         cls.parameters = MappingProxyType(parameters)
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
@@ -130,31 +129,33 @@ class Model(ABC):
         """The name of the structure, for tables."""
         return type(self).__name__
 
-    def values(self, given: Mapping[str, float] | None = None, **more: float) -> Names:
-        """Return parameter values by name: the given ones, otherwise the declared starts.
+    def values(self, values: Mapping[str, float] | None = None, **more: float) -> Names:
+        """Return parameter values by name; a parameter without one has its declared start.
 
         Raises
         ------
         TypeError
-            If `given` is not a mapping.
+            If `values` is not a mapping.
         ValueError
             For a name that the model does not have.
         """
-        if not isinstance(given, Mapping | None):
+        if not isinstance(values, Mapping | None):
             raise TypeError(
-                f"the values of {self.label} are {given!r:.60}: give {{name: value}}, after the "
+                f"the values of {self.label} are {values!r:.60}: give {{name: value}}, after the "
                 "model."
             )
-        given = {**(given or {}), **more}
-        require_known(given, self.parameters, "parameter", self.label)
-        for name, value in given.items():
+
+        values = {**(values or {}), **more}
+        require_known(values, self.parameters, "parameter", self.label)
+        for name, value in values.items():
             if isinstance(value, (str, type(None))) or (
                 isinstance(value, float) and not math.isfinite(value)
             ):
                 raise ValueError(
                     f"{name} = {value!r} of {self.label} is not a finite number: give one."
                 )
-        return Names({n: given.get(n, p.start) for n, p in self.parameters.items()}, self.label)
+
+        return Names({n: values.get(n, p.start) for n, p in self.parameters.items()}, self.label)
 
     def __repr__(self) -> str:
         args, kwargs = self.arguments
@@ -190,6 +191,7 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
         raise ValueError(
             f"{owner} has several {what}s ({', '.join(known)}): specify which one, {what}=..."
         )
+
     return known[0]
 
 
@@ -213,11 +215,13 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
             f"{name!r} is fixed in one part and free in the other: fix or free it in both, "
             f"or give one another name, rename={{{name!r}: ...}}."
         )
+
     if a.fixed and a.start != b.start:
         raise ValueError(
             f"{name!r} is fixed at {a.start:g} in one part and at {b.start:g} in the other: "
             f"use one value, or give one another name, rename={{{name!r}: ...}}."
         )
+
     low, high = _intersect(name, "bounds", a.bounds, b.bounds)
     first, last = _intersect(name, "start boxes", a.box, b.box)
     first, last = max(first, low), min(last, high)

@@ -5,7 +5,6 @@ import inspect
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from greybox.modeling.model import Model
 
@@ -25,6 +24,7 @@ def module_from_file(path: Path) -> ModuleType:
     folder = str(path.resolve().parent)
     if folder not in sys.path:
         sys.path.insert(0, folder)
+
     loaded = sys.modules.get(path.stem)
     if (
         loaded is not None
@@ -35,6 +35,7 @@ def module_from_file(path: Path) -> ModuleType:
         raise ValueError(
             f"{path} has the name of another Python module, {path.stem!r}: rename the file."
         )
+
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
@@ -45,16 +46,17 @@ def module_from_file(path: Path) -> ModuleType:
     except BaseException:
         del sys.modules[path.stem]
         raise
+
     return module
 
 
 def models_of(module: ModuleType) -> list[type[Model]]:
     """Return the concrete model classes that a module defines."""
-    return [thing for thing in vars(module).values() if _is_own_model(thing, module)]
-
-
-def _is_own_model(thing: Any, module: ModuleType) -> bool:
-    own = (
-        isinstance(thing, type) and issubclass(thing, Model) and thing.__module__ == module.__name__
-    )
-    return own and not inspect.isabstract(thing)
+    return [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type)
+        and issubclass(value, Model)
+        and value.__module__ == module.__name__
+        and not inspect.isabstract(value)
+    ]

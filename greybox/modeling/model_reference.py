@@ -58,6 +58,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         raise UnknownModelError(
             f"{missing} among those that greybox includes or that were given", cure
         )
+
     if isinstance(model, Model):
         return model
     try:
@@ -99,10 +100,12 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
     }
     if f"{module_name}:{class_name}" in general:
         return general[f"{module_name}:{class_name}"]
+
     package = importlib.import_module("greybox.models")
     included = {f"greybox.models.{item.name}" for item in pkgutil.iter_modules(package.__path__)}
     if module_name not in included:
         return None
+
     models = models_of(importlib.import_module(module_name))
     return next((model for model in models if model.__qualname__ == class_name), None)
 

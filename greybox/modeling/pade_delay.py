@@ -61,6 +61,7 @@ def pade_rows(x: Sequence[Any], u: Any, delay: Any, order: int) -> tuple[Any, li
         / delay
         for k in range(order)
     ]
+
     return x[0] + feedthrough * u, rows
 
 

@@ -59,6 +59,7 @@ class Parameter:
                 f"start {self.start!r} is not a finite number: give a value inside bounds "
                 f"{self.bounds}."
             )
+
         if not low <= self.start <= high:
             raise ValueError(
                 f"start {self.start:g} lies outside bounds ({low:g}, {high:g}): move the start or "
@@ -71,6 +72,7 @@ class Parameter:
                 f"scale 'log' needs positive bounds, not ({low:g}, {high:g}): raise the lower "
                 "bound above 0."
             )
+
         if self.starts is not None:
             self._check_box(low, high)
         if self.prior is not None:

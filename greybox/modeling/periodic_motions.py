@@ -44,7 +44,7 @@ def harmonic_response(
     The response is the first harmonic of the output over that of the input: the describing function
     of a nonlinear model, the frequency response of a linear one. Where several periodic motions
     exist, the response is that of a test which raises the amplitude slowly, and a UserWarning names
-    the others.
+    the different.
 
     Parameters
     ----------
@@ -64,12 +64,9 @@ def harmonic_response(
     sine = as_sine(amplitude)
     signals = {"input": input, "output": output, "at": at, "delay": delay}
     response, messages = periodic_motions(model, values, omega, sine, **signals)
-    _require_finite(model, omega, sine, response)
     for message in messages:
         warnings.warn(message, UserWarning, stacklevel=2)
-    return FrequencyResponse(
-        omega, response, input=input, output=output, name=model.label, source="model"
-    )
+    return _checked(model, sine, omega, response, input, output)
 
 
 def response_of_test(
@@ -89,11 +86,8 @@ def response_of_test(
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     sine = sine.between(measured, omega)
     response, _ = directly_found(model, values, omega, sine, **_with_order(signals))
-    _require_finite(model, omega, sine, response)
     input, output = pick_signals(model, signals.get("input", ""), signals.get("output", ""))
-    return FrequencyResponse(
-        omega, response, input=input, output=output, name=model.label, source="model"
-    )
+    return _checked(model, sine, omega, response, input, output)
 
 
 def _with_order(signals: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,7 +98,9 @@ def _with_order(signals: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _require_finite(model: Model, omega: Array, sine: Sine, response: ComplexArray) -> None:
+def _checked(
+    model: Model, sine: Sine, omega: Array, response: ComplexArray, input: str, output: str
+) -> FrequencyResponse:
     finite = np.isfinite(response)
     if not finite.all():
         k = int(np.argmin(finite))
@@ -113,6 +109,10 @@ def _require_finite(model: Model, omega: Array, sine: Sine, response: ComplexArr
             f"{model.label} has no periodic motion {place}: give a smaller amplitude, or check the "
             "values and `at`."
         )
+
+    return FrequencyResponse(
+        omega, response, input=input, output=output, name=model.label, source="model"
+    )
 
 
 def periodic_motions(
@@ -128,14 +128,15 @@ def periodic_motions(
         number = min(number, 7)  # the search for harmonics has gone to its limit in vain
     elif sine.harmonics is None:
         number = max(number, 3)
+
     balance = CompiledBalance.at(model, omega, replace(sine, harmonics=number), **options)
     if balance.balance.is_linear:
         return direct, []
 
     vector = ca.DM(list(model.values(values).values()))
-    given = np.asarray(ca.DM(balance.given(vector, omega)))
+    settings = np.asarray(ca.DM(balance.settings(vector, omega)))
     response, messages = direct.copy(), []
-    for k, column in enumerate(given.T):
+    for k, column in enumerate(settings.T):
         # Forty steps over three decades: from where a model is nearly linear. Twenty from ten times
         # the amplitude: a resonance jumps and falls back at amplitudes less than that apart.
         raised = _followed(balance, column, np.geomspace(1e-3, 1, 40))
@@ -143,25 +144,26 @@ def periodic_motions(
         motions = [m for m in (raised, direct[k], lowered) if np.isfinite(m)]
         if motions and not _same(motions[0], direct[k]):
             response[k] = motions[0]
-        others = [motion for motion in motions if not _same(motion, response[k])]
-        if others:
+        distinct = [motion for motion in motions if not _same(motion, response[k])]
+        if distinct:
             messages.append(
                 f"{model.label} has several periodic motions {_place(sine, *column[-2:])}: the "
                 f"response {abs(response[k]):.4g} of a test that raises the amplitude slowly is "
-                f"used, and other tests may show {abs(others[-1]):.4g} at "
-                f"{np.angle(others[-1], deg=True):.1f}°."
+                f"used, and other tests may show {abs(distinct[-1]):.4g} at "
+                f"{np.angle(distinct[-1], deg=True):.1f}°."
             )
+
     return response, messages
 
 
-def _followed(balance: CompiledBalance, given: Array, shares: Array) -> complex:
+def _followed(balance: CompiledBalance, settings: Array, shares: Array) -> complex:
     """Return the response at the given amplitude, approached in `shares` of it.
 
     It is NaN where the motion is lost.
     """
     x = np.zeros(0)
     for share in shares:
-        step = given.copy()
+        step = settings.copy()
         step[-1] *= share
         converged = False
         if x.size:
@@ -170,13 +172,14 @@ def _followed(balance: CompiledBalance, given: Array, shares: Array) -> complex:
             x, converged = _solved(balance, np.asarray(balance.solver.guess(step)).ravel(), step)
         if not converged:
             return complex(np.nan)
-    real, imaginary = np.asarray(balance.solver.finish(x, given)[0]).ravel()
+
+    real, imaginary = np.asarray(balance.solver.finish(x, settings)[0]).ravel()
     return complex(real, imaginary)
 
 
-def _solved(balance: CompiledBalance, guess: Array, given: Array) -> tuple[Array, bool]:
-    x = np.asarray(balance.solver.careful(x0=guess, p=given)["x"]).ravel()
-    return x, bool(balance.solver.finish(x, given)[1]) and bool(np.all(np.isfinite(x)))
+def _solved(balance: CompiledBalance, guess: Array, settings: Array) -> tuple[Array, bool]:
+    x = np.asarray(balance.solver.careful(x0=guess, p=settings)["x"]).ravel()
+    return x, bool(balance.solver.finish(x, settings)[1]) and bool(np.all(np.isfinite(x)))
 
 
 def _same(response: complex, other: complex) -> bool:

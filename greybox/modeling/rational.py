@@ -44,50 +44,54 @@ class Rational(FunctionOfS):
         self.delay = delay
         self.pade = pade
 
-    def _same_delay(self, other: "Rational") -> Any:
+    def _same_delay(self, operand: "Rational") -> Any:
         if _is_zero_polynomial(self.numerator):
-            return other.delay
-        if _is_zero_polynomial(other.numerator) or _equal(self.delay, other.delay):
+            return operand.delay
+        if _is_zero_polynomial(operand.numerator) or _equal(self.delay, operand.delay):
             return self.delay
         raise ValueError(
             "terms with different delays are added (as in a loop around a delay), which has no "
             "rational form: use a Padé approximation, pade=3 here or delay='pade:3' in a problem."
         )
 
-    def __add__(self, other: Any) -> "Rational":
-        other = _rational(other)
-        if other is None:
+    def __add__(self, operand: Any) -> "Rational":
+        operand = _rational(operand)
+        if operand is None:
             return NotImplemented
-        delay = self._same_delay(other)
-        pade = self.pade or other.pade
-        if _equal_polynomials(self.denominator, other.denominator):
-            return Rational(_sum(self.numerator, other.numerator), self.denominator, delay, pade)
-        numerator = _sum(
-            _convolve(self.numerator, other.denominator),
-            _convolve(other.numerator, self.denominator),
-        )
-        return Rational(numerator, _convolve(self.denominator, other.denominator), delay, pade)
+        delay = self._same_delay(operand)
+        pade = self.pade or operand.pade
+        if _equal_polynomials(self.denominator, operand.denominator):
+            return Rational(_sum(self.numerator, operand.numerator), self.denominator, delay, pade)
 
-    def __mul__(self, other: Any) -> "Rational":
-        other = _rational(other)
-        if other is None:
+        numerator = _sum(
+            _convolve(self.numerator, operand.denominator),
+            _convolve(operand.numerator, self.denominator),
+        )
+        return Rational(numerator, _convolve(self.denominator, operand.denominator), delay, pade)
+
+    def __mul__(self, operand: Any) -> "Rational":
+        operand = _rational(operand)
+        if operand is None:
             return NotImplemented
-        n1, d2 = _cancel(self.numerator, other.denominator)
-        n2, d1 = _cancel(other.numerator, self.denominator)
+        n1, d2 = _cancel(self.numerator, operand.denominator)
+        n2, d1 = _cancel(operand.numerator, self.denominator)
         return Rational(
-            _convolve(n1, n2), _convolve(d1, d2), self.delay + other.delay, self.pade or other.pade
+            _convolve(n1, n2),
+            _convolve(d1, d2),
+            self.delay + operand.delay,
+            self.pade or operand.pade,
         )
 
     def _inverse(self) -> "Rational":
         return Rational(self.denominator, self.numerator, -self.delay, self.pade)
 
-    def __truediv__(self, other: Any) -> "Rational":
-        other = _rational(other)
-        return NotImplemented if other is None else self * other._inverse()
+    def __truediv__(self, operand: Any) -> "Rational":
+        operand = _rational(operand)
+        return NotImplemented if operand is None else self * operand._inverse()
 
-    def __rtruediv__(self, other: Any) -> "Rational":
-        other = _rational(other)
-        return NotImplemented if other is None else other * self._inverse()
+    def __rtruediv__(self, operand: Any) -> "Rational":
+        operand = _rational(operand)
+        return NotImplemented if operand is None else operand * self._inverse()
 
     def __neg__(self) -> "Rational":
         return Rational([-c for c in self.numerator], self.denominator, self.delay, self.pade)
@@ -113,6 +117,7 @@ class Rational(FunctionOfS):
                 "only exp(-s T) with a T that does not depend on s has a rational form with a "
                 "delay."
             )
+
         return Rational(
             [1.0],
             delay=-self.numerator[0] / self.denominator[0] if len(self.numerator) == 2 else 0.0,
@@ -164,6 +169,7 @@ def rational(
         require_no_operating_point(model, at)
         result = model.response(Rational([1.0, 0.0], pade=pade), model.values(values))
         return result if isinstance(result, Rational) else Rational([result])
+
     assert isinstance(model, StateSpace)
     system = linearize(model, values, at)
     i = system.inputs.index(input)
@@ -212,6 +218,7 @@ def _written(polynomial: Sequence[Any]) -> str:
                 + ("", " s")[power > 0]
                 + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1)
             )
+
     return " + ".join(terms).replace("+ -", "- ")
 
 

@@ -88,6 +88,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     ]
     z = ca.vertcat(x, u)
     f = traced_derivative(model, z, p) if model.states else ca.SX(0, 1)
+
     return _with_pade_states(
         Dynamics(
             states=tuple(model.states),
@@ -124,6 +125,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
             f"denominator {n}), which no ODE can represent: fit the integral of its output, or add "
             "the lag of the measurement."
         )
+
     numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     a = [c / denominator[0] for c in denominator]
     feedthrough = numerator[0] / denominator[0]
@@ -145,6 +147,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     y = (x[0] if n else 0) + feedthrough * u
     for expression in (f, y):
         require_no_nan(f"{model.label}.response", ca.SX(expression))
+
     return Dynamics(
         states=tuple(f"{model.output}_{k}" for k in range(n)),
         inputs=(model.input,),

@@ -54,6 +54,7 @@ class Sine:
                 f"the amplitude of {self.signal!r} is {self.amplitude!r:.60}: give a finite number "
                 "above 0, or one for each frequency."
             )
+
         amplitude = amplitude.astype(float)
         amplitude.setflags(write=False)
         object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
@@ -127,4 +128,5 @@ def as_sine(given: Any) -> Sine:
             f"amplitude names {', '.join(map(repr, given)) or 'nothing'}: give the one signal that "
             "is a sine."
         )
+
     return Sine(*next(iter(given.items())))

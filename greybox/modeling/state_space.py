@@ -41,11 +41,13 @@ class StateSpace(Model):
                     f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names."
                 )
             require_usable(names, cls.__name__)
+
         twice = set(cls.states) & set(cls.inputs)
         if twice:
             raise ValueError(
                 f"{cls.__name__} has {twice.pop()!r} both as state and as input: use two names."
             )
+
         require_known(cls.delays, cls.inputs, "input", f"{cls.__name__}.inputs")
         require_known(cls.delays.values(), cls.parameters, "parameter", cls.__name__)
         if cls.states and cls.derivative is StateSpace.derivative:

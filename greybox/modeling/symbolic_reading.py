@@ -89,6 +89,7 @@ def column(owner: str, values: Sequence[Any]) -> ca.SX:
             raise ValueError(
                 f"{owner} gives {value.numel()} numbers as value {k}: return one scalar for each."
             )
+
     return require_no_nan(owner, ca.SX(ca.vertcat(*values)) if values else ca.SX(0, 1))
 
 
@@ -121,4 +122,5 @@ def _traced_column(
             f"{'states' if what == 'derivative' else 'outputs'} ({', '.join(names)}): return one "
             "for each."
         )
+
     return column(owner, values)

@@ -44,11 +44,11 @@ class Trimmed:
     def closed(self) -> ca.Function:
         """Return the function of (p, ...) alone."""
         kind: Any = ca.SX if self.root is None else ca.MX
-        p, _, *others = (
+        p, _, *arguments = (
             kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in())
         )
         w = kind(0, 1) if self.root is None else self.root(p)
-        return ca.Function(self.function.name(), [p, *others], self.function(p, w, *others))
+        return ca.Function(self.function.name(), [p, *arguments], self.function(p, w, *arguments))
 
 
 @one_thread_at_a_time
@@ -70,12 +70,14 @@ def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     for name, value in at.items():
         if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
             raise ValueError(f"at[{name!r}] is {value!r}: give a finite number.")
+
     p = ca.SX.sym("p", len(model.parameters))
     if model.trim is not None:
         return _own_trim(model, at, p)
     point = [at.get(name, 0.0) for name in (*model.states, *model.inputs)]
     if _is_always_equilibrium(model, point):
         return _closed_form(model, p, [ca.SX(v) for v in point])
+
     return _implicit_trim(model, at)
 
 
@@ -95,6 +97,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
             f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by "
             "name."
         )
+
     values = dict(returned)
     require_known(values, (*model.states, *model.inputs), "state or input", model.label)
     trim = _closed_form(
@@ -111,6 +114,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
             f"{model.label}.trim at {dict(at)} is not an equilibrium: the derivative of "
             f"{model.states[worst]!r} is {derivative[worst]:.3g} there; correct the trim."
         )
+
     return trim
 
 
@@ -129,9 +133,9 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     names = (*model.states, *model.inputs)
     z = ca.SX.sym("z", len(names))
     p = ca.SX.sym("p", len(model.parameters))
-    rest = traced_derivative(model, z, p)
+    derivative = traced_derivative(model, z, p)
     used = (
-        ca.sum1(ca.DM(ca.jacobian_sparsity(rest, z), 1.0))
+        ca.sum1(ca.DM(ca.jacobian_sparsity(derivative, z), 1.0))
         if len(model.states)
         else ca.DM.zeros(1, len(names))
     )
@@ -147,11 +151,12 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     point = ca.SX([at.get(name, 0.0) for name in names])
     for k, index in enumerate(unknown):
         point[index] = w[k]
-    rest = ca.substitute(rest, z, point)
-    residual = ca.Function("rest", [w, p], [rest, ca.jacobian(rest, w)])
+
+    derivative = ca.substitute(derivative, z, point)
+    residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
     start = np.array([q.start for q in model.parameters.values()])
     guess, rows = _presolve(model, at, residual, start, len(unknown))
-    return _rootfinder(model, w, p, point, rest, guess, rows)
+    return _rootfinder(model, w, p, point, derivative, guess, rows)
 
 
 def _presolve(
@@ -186,8 +191,8 @@ def _presolve(
         # Newton steps: at a double root each only halves the distance, and 30 reach a billionth.
         root = solution.x
         for _ in range(30):
-            rest, jacobian = (np.asarray(v) for v in residual(root, start))
-            root = root - np.linalg.lstsq(jacobian, rest.ravel(), rcond=None)[0]
+            derivative, jacobian = (np.asarray(v) for v in residual(root, start))
+            root = root - np.linalg.lstsq(jacobian, derivative.ravel(), rcond=None)[0]
 
         # A pivot is zero if it is rounding beside the largest one, or vanishes beside its value a
         # tenth of the point away, as at a double root.
@@ -202,6 +207,7 @@ def _presolve(
                 "trim(self, at, p)."
             )
         return root, sorted(int(k) for k in order[:size])
+
     raise ValueError(
         f"{model.label} has no operating point with {dict(at)} at its start values: check `at`, "
         "the start values, or declare trim(self, at, p)."
@@ -222,14 +228,14 @@ def _rootfinder(
     w: ca.SX,
     p: ca.SX,
     point: ca.SX,
-    rest: ca.SX,
+    derivative: ca.SX,
     guess: Array,
     rows: list[int],
 ) -> Trimmed:
     options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
-    equations = ca.vertcat(*[rest[k] for k in rows])
+    equations = ca.vertcat(*[derivative[k] for k in rows])
     newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
-    size = ca.sqrt(ca.sumsqr(rest)) / (1 + ca.sqrt(ca.sumsqr(w)))
+    size = ca.sqrt(ca.sumsqr(derivative)) / (1 + ca.sqrt(ca.sumsqr(w)))
     is_root = ca.Function("is_root", [w, p], [size < TOLERANCE])
 
     parameters = ca.MX.sym("p", p.numel())
@@ -239,6 +245,7 @@ def _rootfinder(
     root = ca.MX(ca.DM(guess))
     for step in range(1, 11):
         root = newton(x0=root, p=start + (parameters - start) * step / 10)["x"]
+
     in_steps = ca.Function("in_steps", [parameters], [root])
     root = ca.if_else(is_root(direct, parameters), direct, in_steps(parameters), True)
 
