@@ -144,7 +144,7 @@ class Balance:
     means of the other inputs, about the operating point, divided by the amplitude. `settings` holds
     parameters, operating point, omega and amplitude. `balance` must vanish;
     so must as many of the conditions `means` on the means as the ODE leaves open. `response` is
-    real and imaginary part, `slopes` the function from the unknown and the settings to the derivatives
+    real and imaginary part, `slopes` the function from unknown and settings to the derivatives
     of `balance` and `means` by the unknown.
     """
 
@@ -384,7 +384,7 @@ class Newton:
 
 
 def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
-    """Return the function from the settings to the harmonics: at once, or with a rising amplitude."""
+    """Return the function from settings to harmonics: at once, or with a rising amplitude."""
     settings: Any = ca.MX.sym("settings", newton.numel_in("p"))
     # Small, so that the first step goes to the linear response; not zero, where a kink has no
     # slope.

@@ -250,7 +250,7 @@ def test_standard_errors_hold_for_variances_of_few_degrees_of_freedom():
     truth = gb.frequency_response(LagLagDelay(), TWO_LAGS, omega).response
     size = 0.05 * np.abs(truth)
     standardized = []
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         response = truth + size * (rng.normal(size=30) + 1j * rng.normal(size=30))
         variance = 2 * size**2 * rng.chisquare(nu, 30) / nu
@@ -262,7 +262,7 @@ def test_standard_errors_hold_for_variances_of_few_degrees_of_freedom():
         standardized += [
             (fit.estimate[n] - TWO_LAGS[n]) / fit.standard_error[n] for n in ("K", "T1")
         ]
-    # 80 of them: 0.2 is 2.5 standard deviations; with the variances taken as exact it is 1.3 for
+    # 40 of them: 0.2 is 1.8 standard deviations; with the variances taken as exact it is 1.3 for
     # four degrees.
     assert 0.8 < np.sqrt(np.mean(np.square(standardized))) < 1.25
 
@@ -293,7 +293,7 @@ def test_noise_free_data_are_fitted_by_the_relative_likelihood():
 
 
 def test_errors_of_magnitude_and_phase_are_as_the_coherence_says():
-    """A third of the points with a coherence of 0.55: the spread of the estimates of 40 draws, and what is printed."""
+    """A third of the points with a coherence of 0.55: the spread of the estimates of 20 draws, and what is printed."""
     omega = np.geomspace(1, 60, 30)
     coherence = np.where(np.arange(30) % 3 == 0, 0.55, 0.97)
     sigma = np.sqrt(
@@ -303,16 +303,16 @@ def test_errors_of_magnitude_and_phase_are_as_the_coherence_says():
     random = np.random.default_rng(8)
     exact = gb.frequency_response(Lag(), truth, omega).response
     values, errors = [], []
-    for _ in range(40):
+    for _ in range(20):
         noise = sigma * (random.normal(size=30) + 1j * random.normal(size=30))
         data = gb.FrequencyResponse(omega, exact * (1 + noise), coherence=coherence)
         found = gb.fit(gb.Problem(Lag(), data, gb.MagnitudePhase()), starts=[truth], profiles=False)
         values.append([found.estimate[name] for name in truth])
         errors.append([found.standard_error[name] for name in truth])
-    # The standard deviation of 40 draws is known to 1 / √80 = 11 %; with errors of one size it was
+    # The standard deviation of 20 draws is known to 1 / √40 = 16 %; with errors of one size it was
     # 1.6 times too large.
     assert_allclose(
-        np.sqrt(np.mean(np.square(errors), axis=0)) / np.std(values, axis=0), 1.0, atol=0.28
+        np.sqrt(np.mean(np.square(errors), axis=0)) / np.std(values, axis=0), 1.0, atol=0.4
     )
 
 
