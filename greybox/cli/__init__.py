@@ -19,5 +19,5 @@
 | `saved_fits` | reads and writes results |
 | `study_file` | the members of a batch |
 | `starting_files` | what `greybox new` writes |
-| `terminal` | colors, and standard output that is closed or on a full disk |
+| `terminal` | standard output that is closed or on a full disk |
 """

@@ -1,12 +1,12 @@
-"""The command `greybox bootstrap`: errors and intervals of a saved fit from data that are drawn anew."""
+"""The command `greybox bootstrap`: errors and intervals of a saved fit from resampled data."""
 
 import argparse
 from pathlib import Path
 
-from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
+from greybox.cli.options import add_common_options, nonnegative, positive, probability
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
-from greybox.cli.workers import add_worker_options, stated_executor
+from greybox.cli.workers import add_worker_options, require_folder, stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.bootstrap import bootstrap
 
@@ -20,19 +20,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add_fit_argument(parser)
-    add("--replicates", type=positive, default=1000, metavar="N", help="1000 by default")
-    add("--seed", type=nonnegative, default=0, help="of what is drawn, 0 by default")
+    add(
+        "--replicates",
+        type=positive,
+        default=1000,
+        metavar="N",
+        help="number of fits (default: 1000)",
+    )
+    add("--seed", type=nonnegative, default=0, help="seed of the random draws (default: 0)")
     add(
         "--level",
-        type=float,
+        type=probability,
         default=0.95,
-        help="of the intervals in the JSON object, 0.95 by default",
+        help="confidence level of the intervals (default: 0.95)",
     )
     add(
         "--out",
         type=Path,
         metavar="DIR",
-        help="keep the replicates in this folder; the same command goes on there",
+        help="store the replicates in this folder; the same command continues there",
     )
     add_worker_options(parser)
     add_common_options(parser)
@@ -40,14 +46,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit and repeat it."""
-    if not 0 < options.level < 1:
-        raise UsageError(f"--level {options.level} must lie between 0 and 1, e.g. 0.95.")
-    if options.out is not None and options.out.exists() and not options.out.is_dir():
-        raise UsageError(f"{options.out} is a file: give a folder.")
+    require_folder(options.out)
     fit, problem = stated_fit(options)
     try:
         with stated_executor(options) as executor:
-            found = bootstrap(
+            result = bootstrap(
                 fit,
                 options.replicates,
                 problem=problem,
@@ -56,11 +59,12 @@ def run(options: argparse.Namespace) -> Answer:
                 folder=options.out,
             )
     except KeyboardInterrupt:
-        again = f"; the same command goes on in {options.out}" if options.out is not None else ""
-        return {"error": f"interrupted{again}."}, f"interrupted{again}", INTERRUPTED
+        resume = "" if options.out is None else f"; the same command continues in {options.out}"
+        return {"error": f"interrupted{resume}."}, "", INTERRUPTED
     except ExecutorLostError as error:
         return {"error": str(error)}, "", FAILED
-    answer, status = found.summary(options.level), USABLE
-    if found.failed > len(found.values) - 2:
-        answer["error"], status = found.warnings[0], FAILED
-    return answer, found.text(options.level), status
+
+    answer, status = result.summary(options.level), USABLE
+    if result.failed > len(result.values) - 2:  # no spread of fewer than two values
+        answer["error"], status = result.warnings[0], FAILED
+    return answer, result.text(options.level), status

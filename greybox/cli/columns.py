@@ -2,28 +2,22 @@
 
 import argparse
 
-from greybox.cli.options import UsageError
+from greybox.cli.options import UsageError, add_words
 
 RESPONSE_OR_RECORD = (
     "with --data: the columns of a table with other names. For a response frequency=f:Hz "
-    "magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and the "
-    "model's signals, theta=pitch:deg"
+    "magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and "
+    "the signals of the model, theta=pitch:deg"
 )
 RECORD = (
-    "the columns of a table with other names, time=t:ms theta=pitch:deg; or, without a header line, "
-    "their numbers: time=1 u=2 theta=3:deg"
+    "the columns of a table with other names, time=t:ms theta=pitch:deg; or their numbers if the "
+    "table has no header line: time=1 u=2 theta=3:deg"
 )
 
 
 def add_columns_option(parser: argparse.ArgumentParser, about: str = RESPONSE_OR_RECORD) -> None:
     """Declare the option; `about` is its help."""
-    parser.add_argument(
-        "--columns",
-        nargs="+",
-        default=[],
-        metavar="NAME=COLUMN[:UNIT]",
-        help=about,
-    )
+    add_words(parser, "--columns", "NAME=COLUMN[:UNIT]", about)
 
 
 def stated_columns(options: argparse.Namespace) -> dict[str, str]:

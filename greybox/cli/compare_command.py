@@ -3,11 +3,10 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError, add_common_options
-from greybox.cli.output import USABLE, Answer
+from greybox.cli.output import USABLE, Answer, attributes
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
@@ -17,6 +16,7 @@ EXAMPLES = (
     "linear.h5 nonlinear.h5",
     "results",
 )
+SUMMARY = ("labels", "data", "supported", "verdict", "table", "statements")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fits, or the study, and compare."""
     if len(options.results) > 1:
         comparison = _comparison(options)
-        return _summary(comparison), str(comparison), USABLE
+        return attributes(comparison, *SUMMARY), str(comparison), USABLE
     if options.results[0].is_file():
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     study = read_study(options.results[0])
@@ -50,14 +50,3 @@ def _comparison(options: argparse.Namespace) -> Comparison:
     if len(set(labels)) < len(labels):
         raise UsageError(f"{max(labels, key=labels.count)} is given twice: give different fits.")
     return compare(*(saved_fit(path, options) for path in paths), labels=labels)
-
-
-def _summary(comparison: Comparison) -> dict[str, Any]:
-    return {
-        "labels": list(comparison.labels),
-        "data": comparison.data,
-        "supported": comparison.supported,
-        "verdict": comparison.verdict,
-        "table": comparison.table,
-        "statements": list(comparison.statements),
-    }

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import io
 import re
 import sys
 import traceback
@@ -18,7 +19,6 @@ from greybox.cli.output import (
     has_working_directory,
     write_answer,
 )
-from greybox.cli.terminal import no_terminal
 from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
@@ -35,8 +35,8 @@ def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 def _answer(options: argparse.Namespace, arguments: Sequence[str]) -> Answer:
     """Run the command; an error is an answer too."""
     with contextlib.ExitStack() as streams:
-        if options.quiet:  # no progress bars
-            streams.enter_context(contextlib.redirect_stderr(no_terminal(sys.stderr)))
+        if options.quiet:  # no progress bars, no warnings
+            streams.enter_context(contextlib.redirect_stderr(io.StringIO()))
         if options.json:  # what a user's own file prints must not reach standard output
             streams.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:

@@ -10,9 +10,9 @@ from typing import Any
 from greybox.cli.options import (
     UsageError,
     add_common_options,
-    add_time_options,
     nonnegative,
     positive,
+    seconds,
 )
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_out_option, require_fit_file
@@ -41,46 +41,50 @@ EXAMPLES = (
     "my.py --starts 400 --out pitch.h5 --plot pitch.png",
     "--model tilt:Tilt --data response.csv --fix a5=0.16 --bounds a1=-100:0",
     "my.py --prior a4=5.6+-0.2 T_rotor=0.048+-0.005",
-    "--model rate:DampedAngle --data bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg",
-    "--model my.py:Drag --data flight.csv --columns time=t:ms theta=pitch:deg v=speed --method collocation",
+    "--model rate:DampedAngle --data bode.csv "
+    "--columns frequency=f:Hz magnitude=mag:dB phase=ph:deg",
+    "--model my.py:Drag --data flight.csv --columns time=t:ms theta=pitch:deg v=speed "
+    "--method collocation",
 )
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_problem_options(parser)
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--starts",
         type=positive,
         help="number of starts (default: the problem's; else 200, or 20 with records)",
     )
-    parser.add_argument(
-        "--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)"
-    )
-    parser.add_argument(
+    add("--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)")
+    add(
         "--search",
         choices=SEARCHES,
         default=BATCHED,
-        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start",
+        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: "
+        "IPOPT from every start",
     )
-    add_out_option(parser, "save the result to this HDF5 file; killed, the same command goes on")
-    parser.add_argument(
+    add_out_option(
+        parser, "save the result to this HDF5 file; after a kill, the same command continues"
+    )
+    add(
         "--no-profiles",
         action="store_true",
-        help="no profiles of parameters whose standard error misleads",
+        help="omit the profiles of parameters whose standard error misleads",
     )
-    add_time_options(parser, "fit")
+    add("--seconds", type=seconds, metavar="S", help="time limit of the fit")
     add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Fit the problem of the options; save and draw the result if asked to."""
-    goes_on = options.out is not None and folder_beside(options.out).is_dir()
-    require_fit_file(options.out, options.force or goes_on)
-    require_figure(options.plot, options.force or goes_on)
+    continues = options.out is not None and folder_beside(options.out).is_dir()
+    require_fit_file(options.out, options.force or continues)
+    require_figure(options.plot, options.force or continues)
     make = _stated_fit(options)
-    limits = TimeLimits.from_now(options.seconds, options.start_seconds)
+    limits = TimeLimits.from_now(options.seconds, None)
     store = nullcontext() if options.out is None else runs_beside(options.out)
     try:
         with store as kept, stated_executor(options) as executor, limited(limits):
@@ -115,8 +119,8 @@ def _fitted(
     except KeptRunsError as error:
         if kept is None or not options.force:
             raise UsageError(
-                f"{folder_beside(options.out)} has runs of another, unfinished fit: repeat its command, or give --force to "
-                "begin anew."
+                f"{folder_beside(options.out)} has runs of another, unfinished fit: repeat its "
+                "command, or give --force to begin anew."
             ) from error
         kept.remove()
         return _fitted(make, kept, options)
@@ -125,7 +129,7 @@ def _fitted(
 def _answer(
     options: argparse.Namespace, kept: StoredRuns | None, result: Fit, interrupted: bool
 ) -> Answer:
-    """Save and draw a fit, and return the answer; its runs are stored until it is complete and saved."""
+    """Save and draw a fit; its runs are stored until it is complete and saved."""
     answer = summary(result)
     status = USABLE if result.converged else FAILED
     if not result.converged:

@@ -13,6 +13,7 @@ from greybox.cli.measurement_options import add_measurement_options, stated_choi
 from greybox.cli.options import (
     UsageError,
     add_common_options,
+    add_words,
     assignments,
     intervals,
     nonnegative,
@@ -23,6 +24,7 @@ from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_w
 from greybox.cli.parameter_options import add_value_options
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
+from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.identification.families import FAMILIES, Structure
 from greybox.identification.identify import STARTS, Identification, identify
@@ -46,43 +48,38 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="LOG",
         help="flight logs with tests of one axis, or tables of signals",
     )
-    add(
-        "--input",
-        default="",
-        metavar="[NAME=]SIGNAL",
-        help="the control (default: that of the axis)",
-    )
-    add(
-        "--output",
-        default="",
-        metavar="[NAME=]SIGNAL",
-        help="the output (default: the best-sampled angle)",
-    )
+    for flag, about in (
+        ("--input", "the control (default: that of the axis)"),
+        ("--output", "the output (default: the best-sampled angle)"),
+    ):
+        add(flag, default="", metavar="[NAME=]SIGNAL", help=about)
     add_measurement_options(parser)
     add(
         "--all-points",
         action="store_true",
-        help="fit also the frequencies of which the check of the response warns",
+        help="also fit the frequencies of which the check of the response warns",
     )
     add(
         "--through",
         nargs="*",
         metavar="FILTER",
-        help="filters between the output and its log, by the names that the log gives them: gyro-filter, gyro-notch, "
-        "d-term-filter, target-filter; none without a name (default: what the output is known to have passed)",
+        help="filters between the output and its log, by their names in the log: gyro-filter, "
+        "gyro-notch, d-term-filter, target-filter; without a name, no filter (default: those that "
+        "the output is known to have passed)",
     )
     add(
         "--vehicle",
         default="",
         metavar="FAMILY",
-        help=f"fit the structures of {' or '.join(FAMILIES)} (default: rational transfer functions of rising order, for "
-        "any vehicle)",
+        help=f"fit the structures of {' or '.join(FAMILIES)} (default: rational transfer "
+        "functions of rising order, for any vehicle)",
     )
-    add(
+    add_words(
+        parser,
         "--structures",
-        nargs="+",
-        metavar="MODEL[+NAME]",
-        help="models to fit and compare instead, as of greybox fit --model, each with the parameters to free",
+        "MODEL[+NAME]",
+        "models to fit and compare instead, as in greybox fit --model, each with the parameters to "
+        "free",
     )
     add_value_options(parser)
     add(
@@ -95,7 +92,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--out",
         metavar="PREFIX",
-        help="begin the names of response, result and figure with this (default: the name of the log, in this folder)",
+        help="first part of the names of response, result and figure (default: the name of the "
+        "log, in this folder)",
     )
     add_common_options(parser, writes=True)
 
@@ -110,11 +108,12 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(figure, options.force)
     if options.vehicle and options.structures:
         raise UsageError("--vehicle and --structures contradict one another: give one of them.")
+
     columns = stated_columns(options) or None
-    found = identify(
+    identification = identify(
         [read(log, columns=columns) for log in options.logs],
         vehicle=options.vehicle,
-        structures=[_structure(word) for word in options.structures or ()],
+        structures=[_structure(word) for word in options.structures],
         through=options.through,
         fixed=assignments(options.fix, "--fix"),
         free=options.free,
@@ -125,31 +124,27 @@ def run(options: argparse.Namespace) -> Answer:
         seed=options.seed,
         **stated_choices(options),
     )
+    lines = commands(identification, options, prefix)
+    answer = _json(identification, lines)
+    text = [str(identification), "", "The same in single commands:", *(f"  {x}" for x in lines)]
+    selection, fit = identification.selection, identification.fit
+    if identification.refusals or selection is None:
+        answer["error"] = " ".join(identification.refusals)
+        return answer, "\n".join(text), FAILED
 
-    lines = commands(found, options, prefix)
-    answer = _json(found, lines)
-    text = "\n".join(
-        [str(found), "", "The same in single commands:", *(f"  {line}" for line in lines)]
-    )
-    if found.refusals or found.selection is None:
-        answer["error"] = " ".join(found.refusals)
-        return answer, text, FAILED
-    for measurement, path in zip(found.measurements, responses, strict=True):
+    for measurement, path in zip(identification.measurements, responses, strict=True):
         assert measurement.response is not None
         write_response(measurement.response, path)
-    notes = [f"saved {path}" for path in responses]
-    if found.fit is None:
-        answer["error"] = found.selection.verdict
-        return answer, "\n".join([text, "", *notes]), FAILED
-    save(replace(found.fit, command=options.arguments), result)
-    notes += [f"saved {result}", *save_figure(figure, lambda: _figure(found))]
-    answer["files"] = [*map(str, responses), str(result), str(figure)]
-    if not found.selection.explains:
-        answer["error"] = found.selection.verdict
-    else:
-        notes += ["", "Next:", *(f"  {line}" for line in _next(found, options, result))]
-    status = USABLE if found.selection.explains else FAILED
-    return answer, "\n".join([text, "", *notes]), status
+    text += ["", *(f"saved {path}" for path in responses)]
+    if fit is not None:
+        save(replace(fit, command=options.arguments), result)
+        text += [f"saved {result}", *save_figure(figure, lambda: _figure(fit))]
+        answer["files"] = [*responses, result, figure]
+    if fit is None or not selection.explains:
+        answer["error"] = selection.verdict
+        return answer, "\n".join(text), FAILED
+    text += ["", "Next:", f"  greybox report {result}", f"  greybox profile {result}"]
+    return answer, "\n".join(text), USABLE
 
 
 def _response_files(prefix: str, count: int) -> list[Path]:
@@ -162,27 +157,21 @@ def _structure(word: str) -> Structure:
     return Structure(find_model(name), name, "stated", free)
 
 
-def _next(found: Identification, options: argparse.Namespace, result: Path) -> list[str]:
-    """Return the commands that judge the model further."""
-    return [f"greybox report {result}", f"greybox profile {result}"]
-
-
 def commands(result: Identification, options: argparse.Namespace, prefix: str) -> list[str]:
-    """Return the single commands that do the same as `identify`; files are named after `prefix`."""
+    """Return the commands that do the same step by step; files are named after `prefix`."""
     reading = ["--columns", *options.columns] if options.columns else []
     files = [str(path) for path in _response_files(prefix, len(options.logs))]
     lines = []
     for log, measurement, file in zip(options.logs, result.measurements, files, strict=True):
         settings = measurement.settings
-        finding = _given("announced", settings.announced)
+        finding = _words(settings, "announced")
         if settings.fields:
             finding += ["--fields", *(f"{key}={name}" for key, name in settings.fields.items())]
-        finding += _given("setpoint", settings.setpoint)
-        measuring = ["--input", settings.input, "--output", settings.output, *finding]
-        usual = Settings(settings.input, settings.output)
-        for name in ("axis", "tests", "instrument", "rate", "settle", "period", "points"):
-            value = getattr(settings, name)
-            measuring += _given(name, "" if value == getattr(usual, name) else value)
+        finding += _words(settings, "setpoint")
+
+        signals = ["--input", settings.input, "--output", settings.output]
+        usual = ("axis", "tests", "instrument", "rate", "settle", "period", "points")
+        measuring = [*signals, *finding, *_words(settings, *usual)]
         if settings.band:
             measuring += ["--band", *(repr(float(edge)) for edge in settings.band)]
         for name in ("whole", "open_loop", "drop_warned"):
@@ -193,6 +182,14 @@ def commands(result: Identification, options: argparse.Namespace, prefix: str) -
     if result.selection is not None and result.selection.chosen is not None:
         lines.append([*_fitting(result, options, files), "--out", f"{prefix}_fit.h5"])
     return [shlex.join(["greybox", *words]) for words in lines]
+
+
+def _words(settings: Settings, *names: str) -> list[str]:
+    """Return the options for settings that differ from their defaults."""
+    usual = Settings(settings.input, settings.output)
+    values = ((name, getattr(settings, name)) for name in names)
+    stated = ((name, value) for name, value in values if value != getattr(usual, name))
+    return [word for name, value in stated for word in (f"--{name}", str(value))]
 
 
 def _fitting(
@@ -228,27 +225,23 @@ def _fitting(
     ]
 
 
-def _given(name: str, value: Any) -> list[str]:
-    return [f"--{name}", str(value)] if value not in ("", None) else []
-
-
-def _figure(found: Identification) -> Any:
+def _figure(fit: Fit) -> Any:
     from greybox.plotting import plot  # noqa: PLC0415  (imports matplotlib)
 
-    assert found.fit is not None
-    return plot(found.fit)
+    return plot(fit)
 
 
-def _json(found: Identification, lines: list[str]) -> dict[str, Any]:
+def _json(result: Identification, lines: list[str]) -> dict[str, Any]:
     return {
         "chosen": [
-            {"what": c.what, "why": c.why, "option": f"--{c.argument}"} for c in found.choices
+            {"what": choice.what, "why": choice.why, "option": f"--{choice.argument}"}
+            for choice in result.choices
         ],
         "measurements": [
             response_json(recording, measurement)
-            for recording, measurement in zip(found.recordings, found.measurements, strict=True)
+            for recording, measurement in zip(result.recordings, result.measurements, strict=True)
         ],
-        "through": list(found.through),
-        **(selection_json(found.selection) if found.selection else {"explains": False}),
+        "through": result.through,
+        **(selection_json(result.selection) if result.selection else {"explains": False}),
         "commands": lines,
     }

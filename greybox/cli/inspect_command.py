@@ -5,12 +5,11 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
+from greybox.cli.log_tests import add_test_options, read_log, segments_of
 from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
-from greybox.files.json_numbers import finite
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
@@ -54,15 +53,15 @@ def run(options: argparse.Namespace) -> Answer:
         _tests(recording, segments, manoeuvres),
         "\n".join([*(f"  {finding}" for finding in recording.findings), *notes]),
     ]
+    metadata = ("vehicle", "firmware", "modes")
     answer = {
         "log": recording.source,
         "checksum": recording.checksum,
-        **{key: recording.metadata.get(key) for key in ("vehicle", "firmware")},
-        "modes": [[time, name] for time, name in recording.metadata.get("modes", ())],
+        **{name: recording.metadata.get(name) for name in metadata},
         "messages": [_message(name, record) for name, record in recording.items()],
-        "segments": [segment_as_json(segment) for segment in segments],
-        "manoeuvres": [segment_as_json(segment) for segment in manoeuvres],
-        "findings": list(recording.findings),
+        "segments": segments,
+        "manoeuvres": manoeuvres,
+        "findings": recording.findings,
         "next": command,
     }
     return answer, "\n\n".join(part for part in parts if part), USABLE
@@ -84,29 +83,27 @@ def next_command(
     options: argparse.Namespace,
 ) -> str:
     """Return the command to type next, if there is something to identify."""
-    if manoeuvres and not segments:
-        number = next((k for k, s in enumerate(manoeuvres, 1) if s.kind != "stick input"), 1)
-        words = ["greybox", "response", options.log, "--manoeuvre", str(number)]
-        words += ["--setpoint", options.setpoint] if options.setpoint else []
-        control = manoeuvres[number - 1].axis
-        return f"{shlex.join(words)} --input {control} --output SIGNAL --out manoeuvre.csv"
-    if not any(segment.usable for segment in segments) and not announcing(recording):
+    names = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
+    if any(segment.usable for segment in segments) or announcing(recording):
+        words = ["greybox", "identify", options.log]
+        if not any(map(axis_of, names)):  # the names of a table do not tell input from output
+            words = ["greybox", "response", options.log, "--input", "SIGNAL", "--output", "SIGNAL"]
+    elif manoeuvres:
+        numbers = [k for k, test in enumerate(manoeuvres, 1) if test.kind != "stick input"] or [1]
+        words = ["greybox", "response", options.log, "--manoeuvre", str(numbers[0])]
+        words += ["--input", manoeuvres[numbers[0] - 1].axis, "--output", "SIGNAL"]
+    else:
         return ""
 
-    words = ["greybox", "identify", options.log]
-    signals = [f"{name}.{field}" for name, record in recording.items() for field in record.signals]
-    if not any(axis_of(signal) for signal in signals):  # a table does not tell input from output
-        words = ["greybox", "response", options.log, "--input", "u=SIGNAL"]
-        words += ["--output", "theta=SIGNAL"]
-    words += ["--announced", options.announced] if options.announced else []
-    words += ["--setpoint", options.setpoint] if options.setpoint else []
-    words += ["--fields", *options.fields] if options.fields else []
-    words += ["--columns", *options.columns] if options.columns else []
+    for name in ("announced", "setpoint"):
+        words += [f"--{name}", value] if (value := getattr(options, name)) else []
+    for name in ("fields", "columns"):
+        words += [f"--{name}", *values] if (values := getattr(options, name)) else []
     return shlex.join(words)
 
 
 def about(recording: Recording) -> str:
-    """Return source, vehicle and modes, one a line."""
+    """Return source, vehicle and modes, one on each line."""
     metadata = recording.metadata
     lines = [recording.source, f"SHA-256 {recording.checksum[:16]}..."]
     lines += [str(metadata[key]) for key in ("vehicle", "firmware") if metadata.get(key)]
@@ -143,11 +140,9 @@ def _fields(record: Record) -> str:
 
 
 def _message(name: str, record: Record) -> dict[str, Any]:
-    return {
-        "name": name,
-        "samples": len(record),
-        "rate": finite(rate(record)) if record.has_time else None,
-        "start": float(record.time[0]) if record.has_time else None,
-        "end": float(record.time[-1]) if record.has_time else None,
-        "signals": {signal: record.units.get(signal, "") for signal in record.signals},
-    }
+    start, end, hertz = None, None, None
+    if record.has_time:
+        start, end, hertz = record.time[0], record.time[-1], rate(record)
+    signals = {signal: record.units.get(signal, "") for signal in record.signals}
+    numbers = {"samples": len(record), "rate": hertz, "start": start, "end": end}
+    return {"name": name, **numbers, "signals": signals}

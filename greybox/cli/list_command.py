@@ -1,14 +1,12 @@
 """The command `greybox list`: the included models and problems."""
 
 import argparse
-import re
 from types import ModuleType
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
 from greybox.cli.options import add_common_options
-from greybox.cli.output import USABLE, Answer
-from greybox.files.json_numbers import finite
+from greybox.cli.output import USABLE, Answer, attributes
 from greybox.files.text_table import number, text_table
 from greybox.modeling.model import Model, equation
 
@@ -35,27 +33,23 @@ def run(options: argparse.Namespace) -> Answer:
     """List the included models and problems, or show one."""
     if options.name is not None:
         return _show(options.name)
-    problems = [(name, _doc(shipped_module("problems", name))) for name in shipped("problems")]
-    models = [
-        (f"{name}:{model.__name__}", equation(model))
-        for name in shipped("models")
-        for model in models_of(shipped_module("models", name))
-    ]
-    blocks = []
-    answer = {}
-    for kind, rows in (("problem", problems), ("model", models)):
-        summaries = [(name, doc.partition("\n\n")[0].replace("\n", " ")) for name, doc in rows]
-        blocks.append(text_table([kind, "what it is"], summaries, (0, 1)))
-        answer[f"{kind}s"] = [
-            {"name": name, "summary": summary, "source": source_of(doc), "about": doc}
-            for (name, summary), (_, doc) in zip(summaries, rows, strict=True)
-        ]
 
-    # Of each source only the title: without equation, section or page.
-    sources = (source_of(doc) for _, doc in (*problems, *models))
-    titles = (re.split(r", (?=[(]|section|below|which)", source)[0] for source in sources)
-    blocks.append("\n".join(f"Source: {title}" for title in dict.fromkeys(filter(None, titles))))
-    blocks.append("`greybox list NAME` shows the details of one, with its equation.")
+    docs = {
+        "problem": {name: _doc(shipped_module("problems", name)) for name in shipped("problems")},
+        "model": {
+            f"{name}:{model.__name__}": equation(model)
+            for name in shipped("models")
+            for model in models_of(shipped_module("models", name))
+        },
+    }
+    blocks, answer = [], {}
+    for kind, items in docs.items():
+        rows = [(name, " ".join(doc.split("\n\n")[0].split())) for name, doc in items.items()]
+        blocks.append(text_table([kind, "what it is"], rows, (0, 1)))
+        answer[f"{kind}s"] = [
+            {"name": name, "summary": summary, "about": items[name]} for name, summary in rows
+        ]
+    blocks.append("`greybox list NAME` shows the details of one, with equation and source.")
     return answer, "\n\n".join(blocks), USABLE
 
 
@@ -77,20 +71,9 @@ def _show(name: str) -> Answer:
 
 
 def _parameters(model: Model) -> dict[str, Any]:
-    rows = [
-        {
-            "name": name,
-            "start": p.start,
-            "bounds": [finite(end) for end in p.bounds],
-            "unit": p.unit,
-            "about": p.about,
-            "fixed": p.fixed,
-            "scale": p.scale,
-        }
-        for name, p in model.parameters.items()
-    ]
-    names = {"inputs": list(model.input_names), "outputs": list(model.output_names)}
-    return {"parameters": rows, **names}
+    names = ("start", "bounds", "unit", "about", "fixed", "scale")
+    rows = [{"name": name, **attributes(p, *names)} for name, p in model.parameters.items()]
+    return {"parameters": rows, "inputs": model.input_names, "outputs": model.output_names}
 
 
 def _model_text(model: Model) -> str:
@@ -105,10 +88,3 @@ def _model_text(model: Model) -> str:
 
 def _doc(module: ModuleType) -> str:
     return (module.__doc__ or "").strip()
-
-
-def source_of(doc: str) -> str:
-    """Return the sentence after "Source:"."""
-    # A capital before the dot is somebody's first name.
-    match = re.search(r"Source: (.+?)(?:(?<![A-Z])\.\s|\.$|\n\n|$)", doc, re.DOTALL)
-    return " ".join(match[1].split()) if match else ""

@@ -1,14 +1,11 @@
-"""The test segments of a log: the options for finding them, and the segments as JSON."""
+"""The test segments of a log, and the options for finding them."""
 
 import argparse
-from dataclasses import asdict
-from typing import Any
 
 from greybox.cli.columns import RECORD, add_columns_option, stated_columns
-from greybox.cli.options import UsageError
+from greybox.cli.options import UsageError, add_words
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
-from greybox.files.json_numbers import finite
 from greybox.logs.readers import read
 from greybox.logs.segment_detection import find_segments
 
@@ -22,13 +19,8 @@ def add_test_options(parser: argparse.ArgumentParser) -> None:
         metavar="MESSAGE",
         help="message that announces sine tests, e.g. SINE",
     )
-    add(
-        "--fields",
-        nargs="+",
-        default=[],
-        metavar="WHAT=FIELD",
-        help="fields of that message, e.g. omega=W amplitude=Eta axis=Ax",
-    )
+    about = "fields of that message, e.g. omega=W amplitude=Eta axis=Ax"
+    add_words(parser, "--fields", "WHAT=FIELD", about)
     add_columns_option(parser, RECORD)
     add(
         "--setpoint",
@@ -67,16 +59,3 @@ def stated_fields(options: argparse.Namespace) -> dict[str, str]:
             )
         fields[what] = field
     return fields
-
-
-def segment_as_json(segment: Segment) -> dict[str, Any]:
-    """Return a segment as JSON."""
-    values = asdict(segment)
-    numbers = {
-        name: finite(value) if isinstance(value, float) else value for name, value in values.items()
-    }
-    return {
-        **numbers,
-        "band": [finite(edge) for edge in segment.band],
-        "findings": list(segment.findings),
-    }

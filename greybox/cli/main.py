@@ -18,7 +18,7 @@ from greybox.files.text_table import alternatives, nearest
 
 # The command `fit` is the module `greybox.cli.fit_command`.
 COMMANDS = {
-    "list": "list the included models and problems, with equations and sources",
+    "list": "list the included models and problems",
     "inspect": "show what a log contains, its test segments and its defects",
     "identify": "go from a log to a fitted model in one step",
     "response": "measure a frequency response from a log",

@@ -6,20 +6,19 @@ from dataclasses import fields
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, stated_fields
-from greybox.cli.options import UsageError
+from greybox.cli.options import UsageError, add_words
 from greybox.identification.measurement import Settings
 
 
 def add_measurement_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options: which tests, which samples, which estimate."""
     add = parser.add_argument
-    add(
+    add_words(
+        parser,
         "--instrument",
-        nargs="+",
-        default=[],
-        metavar="SIGNAL",
-        help="the injected signal, for the joint estimate in closed loop (default: the injected "
-        "signal that the log names); one for each of several inputs",
+        "SIGNAL",
+        "the injected signal, for the joint estimate in closed loop (default: the injected signal "
+        "that the log names); one for each of several inputs",
     )
     add(
         "--open-loop",
@@ -32,12 +31,11 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="common sampling rate (default: the rate of the slowest signal)",
     )
-    add(
+    add_words(
+        parser,
         "--band",
-        nargs="+",
-        default=[],
-        metavar="FREQUENCY",
-        help="lowest and highest frequency to use, in rad/s or followed by Hz (default: the excited "
+        "FREQUENCY",
+        "lowest and highest frequency to use, in rad/s or followed by Hz (default: the excited "
         "band)",
     )
     add("--axis", default="", help="use only the tests of this axis")
@@ -76,8 +74,8 @@ def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options for one input and one output, by the names of `Settings`."""
     if len(options.instrument) > 1:
         raise UsageError(
-            f"--instrument {' '.join(options.instrument)} are several signals: give one for each "
-            "input."
+            f"--instrument {' '.join(options.instrument)} has more signals than there are inputs: "
+            "give one for each input."
         )
     names = {field.name for field in fields(Settings)}
     values = {name: value for name, value in vars(options).items() if name in names}

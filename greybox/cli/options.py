@@ -1,6 +1,7 @@
 """What several commands share: common options, numbers, assignments, and mistakes in them."""
 
 import argparse
+import contextlib
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -50,6 +51,11 @@ def add_common_options(
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
+def add_words(parser: argparse.ArgumentParser, flag: str, metavar: str, about: str) -> None:
+    """Add an option with several words; by default there are none."""
+    parser.add_argument(flag, nargs="+", default=[], metavar=metavar, help=about)
+
+
 def as_options(text: str, options: argparse.Namespace) -> str:
     """Return a text of the library with its arguments as options: ``settle=-1`` becomes ``--settle -1``."""
     names = "|".join(name for name in vars(options) if name.isidentifier())
@@ -79,36 +85,19 @@ def _integer(text: str, least: int) -> int:
 
 def probability(text: str) -> float:
     """Return a number between 0 and 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a probability between 0 and 1")
-    return value
+    return _between(text, 1.0, "a probability between 0 and 1")
 
 
 def seconds(text: str) -> float:
     """Return a time above zero, s."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
-    return value
+    return _between(text, math.inf, "a number of seconds above 0")
 
 
-def add_time_options(parser: argparse.ArgumentParser, whole: str) -> None:
-    """Add the time limits of the `whole` and of a start."""
-    add = parser.add_argument
-    add(
-        "--seconds",
-        type=seconds,
-        metavar="S",
-        help=f"time limit of the {whole}",
-    )
-    add("--start-seconds", type=seconds, metavar="S", help="time limit of the runs from one start")
+def _between(text: str, limit: float, kind: str) -> float:
+    with contextlib.suppress(ValueError):
+        if 0 < float(text) < limit:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not {kind}")
 
 
 def assignments(words: Sequence[str], flag: str) -> dict[str, float]:

@@ -3,12 +3,14 @@
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.cli.terminal import colored, write
+from greybox.cli.terminal import write
+from greybox.files.json_numbers import finite
 from greybox.files.safe_files import replacing
 from greybox.files.text_table import printable
 
@@ -26,16 +28,36 @@ NO_WORKING_DIRECTORY = "the working directory was removed: change to one that ex
 def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
     """Write an answer to standard output, or its error to standard error; return the exit status."""
     if "error" in result:
-        write(colored(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr), sys.stderr)
+        write(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr)
 
-    # The text contains names from files, which may hold control characters.
-    text = colored(printable(text, keep="\n\t"), sys.stdout)
+    # The text contains names from files, which may have control characters.
+    text = printable(text, keep="\n\t")
     if as_json and result:
-        text = json.dumps(result, allow_nan=False)
+        text = json.dumps(plain(result), allow_nan=False)
     trouble = write(text, sys.stdout) if text else ""
     if trouble:
         write(f"greybox: cannot write to standard output: {trouble}.", sys.stderr)
     return FAILED if trouble and status == USABLE else status
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: dataclasses by field, arrays as lists, None for NaN."""
+    if isinstance(value, float):
+        return finite(value)
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # numpy, which help and version do not import
+        return plain(value.tolist())
+    return [*map(plain, value)] if isinstance(value, list | tuple) else value
+
+
+def attributes(thing: Any, *names: str) -> dict[str, Any]:
+    """Return some attributes by name."""
+    return {name: getattr(thing, name) for name in names}
 
 
 def has_working_directory() -> bool:

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from greybox.cli.options import add_common_options
+from greybox.cli.options import add_common_options, probability
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.estimate.profile import profile
@@ -19,10 +19,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_fit_argument(parser)
     parser.add_argument(
-        "names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default"
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help="parameters and derived quantities (default: all)",
     )
     parser.add_argument(
-        "--level", type=float, default=0.95, help="of the intervals, 0.95 by default"
+        "--level",
+        type=probability,
+        default=0.95,
+        help="confidence level of the intervals (default: 0.95)",
     )
     add_common_options(parser, figure="the profiles")
 

@@ -1,21 +1,13 @@
 """The command `greybox report`: a page about saved results."""
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.batch_command import ORIGIN
-from greybox.cli.data_file import read_data
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.saved_fits import add_model_option, saved_fit
-from greybox.cli.study_file import read_json
-from greybox.data.record import Record
 from greybox.study.study import read_study
-from greybox.validation.compare import compare
-from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
 
 EXAMPLES = (
@@ -33,7 +25,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="RESULT",
-        help="a fit that greybox fit --out or greybox identify wrote, or the folder of a study; several side by side",
+        help="a fit that greybox fit --out or greybox identify wrote, or the folder of a study; "
+        "several are shown side by side",
     )
     add(
         "--out",
@@ -42,21 +35,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="the page (default: the name of the first result, ending in .html)",
     )
     add_model_option(parser)
-    add(
-        "--held-out",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="records that none of two or more fits has seen: how well each predicts them",
-    )
-    add(
-        "--details",
-        nargs="+",
-        default=[],
-        metavar="NAME",
-        help="members of a study to show in detail, names or patterns such as 'pitch*' (default: the best twelve)",
-    )
     add("--title", default="", help="heading of the page (default: the name of the fit)")
     add_common_options(parser, writes=True)
 
@@ -68,9 +46,9 @@ def run(options: argparse.Namespace) -> Answer:
     out = options.out or Path(f"{options.results[0].resolve().stem}.html")
     require_writable(out, options.force, (".html", ".htm"), "page")
     entries = _entries(options)
-    write_page(entries, out, _held_out(options.held_out, entries), options.title)
+    write_page(entries, out, title=options.title)
     size = out.stat().st_size
-    answer = {"page": str(out), "bytes": size, "results": [entry.label for entry in entries]}
+    answer = {"page": out, "bytes": size, "results": [entry.label for entry in entries]}
     return answer, f"wrote {out} ({size / 1000:.0f} kB)", USABLE
 
 
@@ -83,35 +61,6 @@ def _entries(options: argparse.Namespace) -> list[Any]:
     for path in options.results:
         if path in fits:
             entries.append(Entry(labels[path], fits[path], file=str(path)))
-            continue
-        command = command_of_study(path)
-        members = study_entries(read_study(path), options.details)
-        entries += [replace(member, command=command) for member in members]
+        else:
+            entries += study_entries(read_study(path))
     return entries
-
-
-def command_of_study(study: Path) -> tuple[str, ...]:
-    """Return the command that made a study, if its folder has it."""
-    origin = read_json(study / ORIGIN) if (study / ORIGIN).is_file() else {}
-    if not isinstance(origin.get("study"), str):
-        return ()
-    command = ("batch", origin["study"], "--out", str(study))
-    starts = origin.get("starts")
-    return (*command, "--starts", str(starts)) if isinstance(starts, int) else command
-
-
-def _held_out(paths: Sequence[Path], entries: Sequence[Any]) -> Comparison | None:
-    """Return how well the fits predict these records; None without records."""
-    if not paths:
-        return None
-    fitted = [entry for entry in entries if entry.fit is not None]
-    if len(fitted) < 2:
-        raise UsageError("--held-out compares fits by what they predict: give two or more results.")
-    model = fitted[0].fit.model_of()
-    records = [data for path in paths if isinstance(data := read_data(path, model), Record)]
-    if len(records) < len(paths):
-        raise UsageError(
-            "--held-out takes records, columns of time and signals: compare responses in Python."
-        )
-    labels = [entry.label for entry in fitted]
-    return compare(*(entry.fit for entry in fitted), records=records, labels=labels)

@@ -1,17 +1,25 @@
-"""The command `greybox response`: measures a response, a matrix of responses, or a manoeuvre's spectrum."""
+"""The command `greybox response`: a response, a matrix of responses, or a manoeuvre's spectrum."""
 
 import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.log_tests import read_log, segment_as_json
+from greybox.cli.log_tests import read_log
 from greybox.cli.measurement_options import add_measurement_options, stated_band, stated_choices
-from greybox.cli.options import UsageError, add_common_options
-from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
+from greybox.cli.options import UsageError, add_common_options, add_words
+from greybox.cli.output import (
+    FAILED,
+    USABLE,
+    Answer,
+    attributes,
+    require_figure,
+    require_writable,
+    save_figure,
+)
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
 from greybox.data.transient_file import write_spectrum
-from greybox.files.arrays import ComplexArray
+from greybox.files.arrays import Array, ComplexArray
 from greybox.identification.manoeuvre import measure_manoeuvre
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
@@ -40,17 +48,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "number in `greybox inspect` or its kind, with any number of inputs and outputs",
     )
     add_measurement_options(parser)
-    add(
-        "--held",
-        nargs="+",
-        default=[],
-        metavar="NAME",
-        help="with --manoeuvre: inputs that are held between samples",
-    )
+    add_words(parser, "--held", "NAME", "with --manoeuvre: inputs that are held between samples")
     add(
         "--drop-warned",
         action="store_true",
-        help="leave out the frequencies of which the check of the response warns, as identify does",
+        help="omit the frequencies of which the check of the response warns, as identify does",
     )
     add("--out", type=Path, metavar="FILE", help="save the response to this .csv file")
     add_common_options(parser, "Bode diagram and coherence")
@@ -95,14 +97,10 @@ def _manoeuvre(options: argparse.Namespace) -> Answer:
     spectrum = measured.spectrum
     answer = {
         **_origin(recording, measured),
-        "manoeuvre": segment_as_json(measured.manoeuvre),
-        "manoeuvres": [segment_as_json(segment) for segment in measured.manoeuvres],
-        "omega": spectrum.omega.tolist(),
+        **attributes(measured, "manoeuvre", "manoeuvres"),
+        **attributes(spectrum, "omega", "duration", "step", "units"),
         "inputs": {name: _parts(values) for name, values in spectrum.inputs.items()},
         "outputs": {name: _parts(values) for name, values in spectrum.outputs.items()},
-        "duration": spectrum.duration,
-        "step": spectrum.step,
-        "units": dict(spectrum.units),
     }
     if options.out is not None:
         write_spectrum(spectrum, options.out)
@@ -111,13 +109,8 @@ def _manoeuvre(options: argparse.Namespace) -> Answer:
 
 def _matrix(options: argparse.Namespace) -> Answer:
     if options.period is None:
-        signals = [
-            f"--{name} {' '.join(words)}"
-            for name, words in (("input", options.input), ("output", options.output))
-            if len(words) > 1
-        ]
         raise UsageError(
-            f"{' and '.join(signals)} are several signals: give one, or the --period of the "
+            "--input or --output has several signals: give one of each, or the --period of the "
             "multisines that excite all inputs at once, or a --manoeuvre."
         )
     recording = read_log(options)
@@ -134,12 +127,7 @@ def _matrix(options: argparse.Namespace) -> Answer:
     answer = {
         **_origin(recording, measured),
         "responses": [
-            {
-                "input": response.input,
-                "output": response.output,
-                "omega": response.omega.tolist(),
-                **{name: values.tolist() for name, values in response.columns.items()},
-            }
+            {**attributes(response, "input", "output", "omega"), **response.columns}
             for response in measured.responses
         ],
         "units": {name: unit for name, unit in measured.record.units.items() if unit},
@@ -171,8 +159,8 @@ def _notes(options: argparse.Namespace, figure: str, *items: Any) -> list[str]:
     return saved + save_figure(options.plot, draw)
 
 
-def _parts(values: ComplexArray) -> dict[str, list[float]]:
-    return {"alpha": values.real.tolist(), "beta": values.imag.tolist()}
+def _parts(values: ComplexArray) -> dict[str, Array]:
+    return {"alpha": values.real, "beta": values.imag}
 
 
 def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
@@ -180,32 +168,24 @@ def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
     return {
         "log": recording.source,
         "checksum": recording.checksum,
-        "choices": list(measured.choices),
-        "log_findings": list(recording.findings),
+        "choices": measured.choices,
+        "log_findings": recording.findings,
     }
 
 
 def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
-    """Return a measurement as JSON."""
+    """Return the JSON of a measurement; what a response would add is None if there is none."""
     response, quality = measured.response, measured.quality
-    answer: dict[str, Any] = {
+    facts: dict[str, Any] = {"input": None, "output": None, "units": {}, "about": {}}
+    if response is not None:
+        facts = {"coherence": None, "variance": None, "dof": None, **response.columns}
+        facts |= attributes(response, "omega", "input", "output", "units", "about")
+    return {
         **_origin(recording, measured),
-        "input": None,
-        "output": None,
-        "units": {},
-        "about": {},
+        **facts,
         "closed_loop": bool(measured.controller),
         "instrument": measured.signals.get(INSTRUMENT),
-        "segments": [segment_as_json(segment) for segment in measured.tests],
+        "segments": measured.tests,
         "usable": quality.usable,
-        "findings": [
-            {"about": f.about, "severity": f.severity, "text": f.text} for f in quality.findings
-        ],
+        "findings": quality.findings,
     }
-    if response is not None:
-        answer |= {"coherence": None, "variance": None, "dof": None}
-        answer |= {name: values.tolist() for name, values in response.columns.items()}
-        answer |= {"omega": response.omega.tolist()}
-        answer |= {"input": response.input, "output": response.output}
-        answer |= {"units": dict(response.units), "about": dict(response.about)}
-    return answer

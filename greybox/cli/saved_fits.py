@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from greybox.cli.catalog import find_problem
+from greybox.cli.options import add_words
 from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.result import Fit
@@ -23,14 +24,7 @@ def add_fit_argument(parser: argparse.ArgumentParser) -> None:
 
 def add_model_option(parser: argparse.ArgumentParser) -> None:
     """Declare the option."""
-    parser.add_argument(
-        "--model",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="Python files with models of your own",
-    )
+    add_words(parser, "--model", "FILE", "Python files with models of your own")
 
 
 def saved_fit(path: Path, options: argparse.Namespace) -> Fit:

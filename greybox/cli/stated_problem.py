@@ -1,4 +1,4 @@
-"""The problem that the options of `greybox fit` state: an included one, one in a file, or a model with data."""
+"""The problem that the options of `greybox fit` describe."""
 
 import argparse
 import re
@@ -9,7 +9,7 @@ from typing import Any
 from greybox.cli.catalog import find_model, find_problem, shipped
 from greybox.cli.columns import add_columns_option, stated_columns
 from greybox.cli.data_file import read_data
-from greybox.cli.options import UsageError, assignments
+from greybox.cli.options import UsageError, add_words, assignments
 from greybox.cli.parameter_options import add_parameter_options, with_parameter_options
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.collocation import Collocation
@@ -34,7 +34,16 @@ METHODS = {
     "single-shooting": SingleShooting,
     "collocation": Collocation,
 }
-FILTER_NAMES = ("-filter", "-notch")  # ends of the names by which responses state filters
+FILTER_NAMES = ("-filter", "-notch")  # ends of the names of filters in responses
+# Kinds of data, and their criteria.
+KINDS = {
+    "frequency responses": (FrequencyResponse, CRITERIA),
+    "records": (Record, TIME_CRITERIA),
+    "manoeuvres": (TransientSpectrum, SPECTRUM_CRITERIA),
+}
+CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
+    criterion.name: criterion for _, criteria in KINDS.values() for criterion in criteria
+}
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
@@ -47,36 +56,31 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
         "--model",
         help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class",
     )
-    add(
+    add_words(
+        parser,
         "--data",
-        nargs="+",
-        metavar="FILE",
-        help="with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance, dof]), the "
-        "spectrum of a manoeuvre (greybox response --manoeuvre), or a record (columns time and, in SI units, the "
-        "model's inputs and outputs; without a time, rows for a static model); several are fitted together; for a "
-        "flight log write a problem file",
+        "FILE",
+        "with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, "
+        "variance, dof]), the spectrum of a manoeuvre (greybox response --manoeuvre), or a record "
+        "(columns time and, in SI units, the inputs and outputs of the model; without a time, rows "
+        "for a static model); several are fitted together; for a flight log write a problem file",
     )
-    add(
+    add_words(
+        parser,
         "--through",
-        nargs="+",
-        metavar="FILTER",
-        help="with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by the names that "
-        "the response states, gyro-filter, gyro-notch ...",
+        "FILTER",
+        "with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by "
+        "their names in the response, gyro-filter, gyro-notch ...",
     )
-    several = "of a frequency response, if the model or the file has several"
-    add("--input", default="", metavar="NAME", help=f"input {several}")
-    add("--output", default="", metavar="NAME", help=f"output {several}")
-    add(
-        "--at",
-        nargs="+",
-        default=[],
-        metavar="NAME=VALUE",
-        help="with --model: operating point at which an ODE is linearized",
-    )
+    for name in ("input", "output"):
+        about = f"{name} of a frequency response, if the model or the file has several"
+        add(f"--{name}", default="", metavar="NAME", help=about)
+    about = "with --model: operating point at which an ODE is linearized"
+    add_words(parser, "--at", "NAME=VALUE", about)
     add_columns_option(parser)
     add_parameter_options(parser)
     add("--delay", help="exact or pade:n (default: the problem's)")
-    add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")
+    add("--criterion", help=f"{', '.join(CRITERIA_BY_NAME)} (default: the problem's)")
     add(
         "--method",
         choices=METHODS,
@@ -94,7 +98,8 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
     """
     if (options.problem is None) == (options.model is None):
         raise UsageError(
-            "give either a PROBLEM or --model with --data; `greybox list` shows the included problems."
+            "give either a PROBLEM or --model with --data; `greybox list` shows the included "
+            "problems."
         )
     settings: dict[str, Any] = {}
     if options.problem is not None:
@@ -109,7 +114,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
     if options.delay is not None:
         problem = problem.with_(delay=options.delay)
     if options.criterion is not None:
-        problem = _with_criterion(problem, _criterion(options.criterion))
+        problem = _with_criterion(problem, options.criterion)
     if options.method is not None:
         if not any(isinstance(part.data, Record) for part in problem.parts):
             raise UsageError(f"--method is for records and {problem.name} has none: leave it out.")
@@ -118,42 +123,40 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
 
 
 def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
-    if options.data is None:
+    if not options.data:
         raise UsageError("--model needs --data FILE, a frequency response or a record.")
     model = find_model(options.model)
     columns = stated_columns(options)
     data = [read_data(path, model, options.input, options.output, columns) for path in options.data]
-    for word in options.through or ():
-        for filtered in filters_of(word, data[0]):
-            model = through(model, filtered)
-    at = assignments(options.at, "--at")
+    for word in options.through:
+        for known_filter in filters_of(word, data[0]):
+            model = through(model, known_filter)
     for path, values in zip(options.data, data, strict=True):
-        for name in ("input", "output"):
+        for name in ("input", "output", "at"):
             if getattr(options, name) and not isinstance(values, FrequencyResponse):
                 raise UsageError(
-                    f"--{name} is for a frequency response, and {path} is something else: leave it out."
+                    f"--{name} is for a frequency response, and {path} is something else: leave "
+                    "it out."
                 )
-        if at and isinstance(values, Record):
-            raise UsageError(
-                f"--at is for a frequency response, and {path} is a record: leave it out."
-            )
+    at = assignments(options.at, "--at")
     parts = tuple(Problem(model, values, at=at) for values in data)
     return parts[0] if len(parts) == 1 else Sum(parts)
 
 
 def filters_of(word: str, data: FrequencyResponse | Record | TransientSpectrum) -> list[Model]:
-    """Return the filters of a word of --through: a model, or filters of the vehicle that a response knows."""
-    if re.fullmatch(r"\w+(-\w+)+", word):
-        about = data.about if isinstance(data, FrequencyResponse) else {}
-        if word not in about:
-            filters = [name for name in about if name.endswith(FILTER_NAMES)]
-            known = f"they know {', '.join(filters)}" if filters else "they know none"
-            raise UsageError(f"--through {word} is not a filter that the data know; {known}.")
-        return [filter_model(known_filter) for known_filter in from_text(about[word])]
-    return [find_model(word)]
+    """Return the filters that a word of --through names: a model, or filters in the response."""
+    if not re.fullmatch(r"\w+(-\w+)+", word):
+        return [find_model(word)]
+    about = data.about if isinstance(data, FrequencyResponse) else {}
+    if word not in about:
+        filters = ", ".join(name for name in about if name.endswith(FILTER_NAMES))
+        raise UsageError(
+            f"--through {word} is not a filter of the data: they have {filters or 'none'}."
+        )
+    return [filter_model(known_filter) for known_filter in from_text(about[word])]
 
 
-def through(model: Model, filtered: Model) -> Model:
+def through(model: Model, known_filter: Model) -> Model:
     """Return a transfer function behind a filter, whose output keeps its name and unit.
 
     Raises
@@ -161,19 +164,20 @@ def through(model: Model, filtered: Model) -> Model:
     UsageError
         If one of the two is not a transfer function.
     """
-    if not isinstance(model, TransferFunction) or not isinstance(filtered, TransferFunction):
+    if not isinstance(model, TransferFunction) or not isinstance(known_filter, TransferFunction):
         raise UsageError(
-            "--through needs two transfer functions, the plant's and the filter's: write a model of your own."
+            "--through needs two transfer functions, the plant's and the filter's: write a model "
+            "of your own."
         )
-    return model.through(filtered)
+    return model.through(known_filter)
 
 
 def _require_problem(name: str) -> None:
     """Explain what to write if the name is that of a data file or of a model."""
     if not name.endswith(".py") and Path(name).is_file():
         raise UsageError(
-            f"{name} is a data file, not a problem: give it a model, --model tilt:Tilt --data {name}, or a problem "
-            "file, my.py with a function problem()."
+            f"{name} is a data file, not a problem: give it a model, --model tilt:Tilt --data "
+            f"{name}, or a problem file, my.py with a function problem()."
         )
     place = name.partition(":")[0]
     if place in shipped("models") and place not in shipped("problems"):
@@ -181,51 +185,39 @@ def _require_problem(name: str) -> None:
         raise UsageError(f"{name} names a model, not a problem: write --model {cure} --data FILE.")
 
 
-def _criteria() -> dict[str, Criterion | TimeCriterion]:
-    """Return the included criteria by name."""
-    return {
-        criterion.name: criterion for criterion in (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)
-    }
+def _with_criterion(problem: AnyProblem, name: str) -> AnyProblem:
+    """Give a criterion to the parts with its kind of data; for records, biases and such remain."""
+    if name not in CRITERIA_BY_NAME:
+        names = alternatives(name, CRITERIA_BY_NAME)
+        raise UsageError(f"criterion {name!r} is not known; use {names}")
 
-
-def _criterion(text: str) -> Criterion | TimeCriterion:
-    known = _criteria()
-    if text not in known:
-        raise UsageError(f"criterion {text!r} is not known; use {alternatives(text, known)}")
-    return known[text]
-
-
-# What data are called, and the criteria that serve them.
-KINDS = {
-    "frequency responses": (FrequencyResponse, CRITERIA),
-    "records": (Record, TIME_CRITERIA),
-    "manoeuvres": (TransientSpectrum, SPECTRUM_CRITERIA),
-}
-
-
-def _with_criterion(problem: AnyProblem, criterion: Criterion | TimeCriterion) -> AnyProblem:
-    """Give a criterion to the parts with its kind of data; for records, biases and the like remain."""
+    criterion = CRITERIA_BY_NAME[name]
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
-    if not any(isinstance(part.data, tuple(served.values())) for part in problem.parts):
-        others = [
-            each.name
+    kinds = tuple(served.values())
+    if not any(isinstance(part.data, kinds) for part in problem.parts):
+        suitable = [
+            suitable.name
             for kind, criteria in KINDS.values()
             if any(isinstance(part.data, kind) for part in problem.parts)
-            for each in criteria
+            for suitable in criteria
         ]
         raise UsageError(
-            f"--criterion {criterion.name} is for {' and '.join(served)} and {problem.name} has none: use "
-            f"{', '.join(dict.fromkeys(others))}, or leave it out."
+            f"--criterion {name} is for {' and '.join(served)} and {problem.name} has none: use "
+            f"{', '.join(dict.fromkeys(suitable))}, or leave it out."
         )
-    parts = []
-    for part in problem.parts:
-        if not isinstance(part.data, tuple(served.values())):
-            parts.append(part)
-        elif isinstance(criterion, TimeCriterion) and isinstance(part.criterion, TimeCriterion):
-            shared = {
-                field.name: getattr(part.criterion, field.name) for field in fields(TimeCriterion)
-            }
-            parts.append(part.with_(criterion=replace(criterion, **shared)))
-        else:
-            parts.append(part.with_(criterion=criterion))
-    return problem.with_parts(parts)
+    return problem.with_parts(
+        [
+            part.with_(criterion=_like(criterion, part.criterion))
+            if isinstance(part.data, kinds)
+            else part
+            for part in problem.parts
+        ]
+    )
+
+
+def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | TimeCriterion:
+    """Return a criterion with the settings that all criteria for records have."""
+    if not (isinstance(criterion, TimeCriterion) and isinstance(previous, TimeCriterion)):
+        return criterion
+    shared = {field.name: getattr(previous, field.name) for field in fields(TimeCriterion)}
+    return replace(criterion, **shared)

@@ -1,21 +1,17 @@
 """The command `greybox stepwise`: terms of a model chosen from a list of candidates."""
 
 import argparse
-from dataclasses import asdict
-from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, positive, probability
-from greybox.cli.output import USABLE, Answer
+from greybox.cli.options import UsageError, add_common_options, positive
+from greybox.cli.output import USABLE, Answer, attributes
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
 from greybox.cli.stated_problem import add_problem_options, stated_problem
 from greybox.estimate.summary import summary
-from greybox.files.json_numbers import finite
-from greybox.validation.comparison import SIGNIFICANT
-from greybox.validation.stepwise import StepwiseSelection, stepwise
+from greybox.validation.stepwise import stepwise
 
 EXAMPLES = (
     "pitch_moment --candidates b_vv b_vtheta b_vtau b_vq b_thetatheta b_thetaq",
-    "my.py --candidates k_v k_vv exponent=1 --size 0.01 --out chosen.h5",
+    "my.py --candidates k_v k_vv exponent=1 --out chosen.h5",
 )
 
 
@@ -30,16 +26,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="parameters that may be left out, with the value without their term (default: 0)",
     )
     parser.add_argument(
-        "--size",
-        type=probability,
-        default=SIGNIFICANT,
-        help=f"of the tests, {SIGNIFICANT:g} by default",
-    )
-    parser.add_argument(
         "--starts",
         type=positive,
         default=4,
-        help="of every structure, beside the one before; 4 by default",
+        help="number of starts of every structure, beside the previous estimate (default: 4)",
     )
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
     add_common_options(parser, writes=True)
@@ -50,9 +40,11 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     candidates = _candidates(options.candidates)
     problem, _ = stated_problem(options)
-    selection = stepwise(problem, candidates, size=options.size, starts=options.starts)
+    selection = stepwise(problem, candidates, starts=options.starts)
     notes = save_fit(selection.fit, options.out)
-    return _summary(selection), "\n".join([str(selection), "", str(selection.fit), *notes]), USABLE
+    answer = attributes(selection, "terms", "candidates", "verdict", "trials", "alike")
+    answer["fit"] = summary(selection.fit)
+    return answer, "\n".join([str(selection), "", str(selection.fit), *notes]), USABLE
 
 
 def _candidates(words: list[str]) -> dict[str, float]:
@@ -66,17 +58,3 @@ def _candidates(words: list[str]) -> dict[str, float]:
                 f"--candidates {word!r} is not understood: write NAME or NAME=VALUE, e.g. n=1."
             ) from None
     return values
-
-
-def _summary(selection: StepwiseSelection) -> dict[str, Any]:
-    trials = [
-        asdict(t) | {"cost": finite(t.cost), "p_value": finite(t.p_value)} for t in selection.trials
-    ]
-    return {
-        "terms": list(selection.terms),
-        "candidates": list(selection.candidates),
-        "verdict": selection.verdict,
-        "trials": trials,
-        "alike": {term: dict(rivals) for term, rivals in selection.alike.items()},
-        "fit": summary(selection.fit),
-    }

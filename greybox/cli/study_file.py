@@ -2,7 +2,6 @@
 
 import importlib
 import itertools
-import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ from typing import Any
 from greybox.cli.main import parser_of
 from greybox.cli.options import UsageError
 from greybox.cli.stated_problem import stated_problem
-from greybox.files.safe_files import require_file, write_text
+from greybox.files.safe_files import require_file
 from greybox.files.text_table import alternatives
 from greybox.modeling.model_file import module_from_file
 from greybox.study.batch import Member, require_distinct
@@ -41,7 +40,8 @@ def find_study(text: str) -> Path:
         return Path(str(importlib.import_module(f"greybox.problems._{text}_study").__file__))
     if not path.suffix and not path.exists():
         raise UsageError(
-            f"there is no included study {text!r}, there is {', '.join(INCLUDED)}: or give study.toml."
+            f"there is no included study {text!r}: the included one is {', '.join(INCLUDED)}; "
+            "or give study.toml."
         )
     return path
 
@@ -67,34 +67,13 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
         members = _stated_in_toml(path)
     else:
         raise UsageError(
-            f"{path} is not a known kind of study file: write study.toml, or study.py with members()."
+            f"{path} is not a known kind of study file: write study.toml, or study.py with "
+            "members()."
         )
     require_distinct(members)
     if starts is None:
         return members
     return [replace(member, starts=starts) for member in members]
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Return the object in a JSON file.
-
-    Raises
-    ------
-    ValueError
-        If the file has none.
-    """
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):
-        values = None
-    if not isinstance(values, dict):
-        raise ValueError(f"{path} is damaged: it has no JSON object.")
-    return values
-
-
-def write_json(path: Path, values: dict[str, Any]) -> None:
-    """Write a JSON file, whole or not at all."""
-    write_text(path, json.dumps(values, indent=1, allow_nan=False) + "\n")
 
 
 def _stated_in_python(path: Path) -> list[Member]:
@@ -127,7 +106,8 @@ def _stated_in_toml(path: Path) -> list[Member]:
     for name in content:
         if name not in SETTINGS:
             raise UsageError(
-                f"{path} states {name!r}, which is not known; there are member, {alternatives(name, SETTINGS)}"
+                f"{path} states {name!r}, which is not known; there are member, "
+                f"{alternatives(name, SETTINGS)}"
             )
     is_list = isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
     if not entries or not is_list:
@@ -139,27 +119,29 @@ def _stated_in_toml(path: Path) -> list[Member]:
 
 def _members(entry: Mapping[str, Any], path: Path) -> list[Member]:
     """Return the members of one entry, named by the problem and by the values that differ."""
+    keys = (*GRID, *SINGLE)
     for name in entry:
-        if name not in (*GRID, *SINGLE):
+        if name not in keys:
             raise UsageError(
-                f"a member in {path} has {name!r}, which is not known; use {alternatives(name, (*GRID, *SINGLE))}"
+                f"a member in {path} has {name!r}, which is not known; use "
+                f"{alternatives(name, keys)}"
             )
     grid = {name: entry[name] for name in GRID if isinstance(entry.get(name), list)}
     varied = [name for name, values in grid.items() if len(values) > 1 and name != "problem"]
     members = []
     for values in itertools.product(*grid.values()):
-        stated = {**entry, **dict(zip(grid, values, strict=True))}
-        member = _member(stated, path)
-        differences = ", ".join(_difference(name, stated[name]) for name in varied)
+        keys = {**entry, **dict(zip(grid, values, strict=True))}
+        member = _member(keys, path)
+        differences = ", ".join(_difference(name, keys[name]) for name in varied)
         name = f"{member.name}: {differences}" if differences else member.name
         members.append(replace(member, name=name))
     return members
 
 
-def _member(stated: Mapping[str, Any], path: Path) -> Member:
+def _member(entry: Mapping[str, Any], path: Path) -> Member:
     """Return a member, whose keys are read as the options of ``greybox fit``."""
     words = []
-    for key, value in stated.items():
+    for key, value in entry.items():
         if key == "name":
             continue
         values = [_beside(word, path.parent) for word in _words(key, value)]
@@ -176,14 +158,14 @@ def _member(stated: Mapping[str, Any], path: Path) -> Member:
         settings.get("seed") if options.seed is None else options.seed,
         settings.get("method"),
         search=options.search,
-        name=str(stated.get("name", problem.name)),
+        name=str(entry.get("name", problem.name)),
     )
 
 
 def _words(key: str, value: Any) -> list[str]:
     """Return the words that an option has for a value of TOML."""
     if isinstance(value, list):
-        return [word for each in value for word in _words(key, each)]
+        return [word for item in value for word in _words(key, item)]
     if not isinstance(value, dict):
         return [str(value)]
     between = "+-" if key == "prior" else ":"

@@ -1,48 +1,9 @@
-"""Standard output and standard error: colors, other encodings, closed streams, full disks."""
+"""Standard output and standard error: other encodings, closed streams, full disks."""
 
 import contextlib
 import os
-import re
 import sys
-from typing import Any, TextIO
-
-# What is colored: why there is no answer, and what to know before believing one.
-RED, YELLOW, PLAIN = "\033[1;31m", "\033[33m", "\033[0m"
-STANDS_OUT = re.compile(
-    r"^(?P<red>greybox:|[ ]*FAILED:)|(?P<yellow>^[ ]*warning:|\bAT BOUND\b)", re.MULTILINE
-)
-
-
-def colored(text: str, stream: TextIO | None) -> str:
-    """Return the text with colors if the stream is a terminal with colors and NO_COLOR is not set.
-
-    See https://no-color.org.
-    """
-    plain = (
-        os.environ.get("NO_COLOR")
-        or os.environ.get("TERM", "" if os.name == "nt" else "dumb") == "dumb"
-    )
-    if stream is None or plain or not stream.isatty():
-        return text
-    return STANDS_OUT.sub(lambda found: f"{RED if found['red'] else YELLOW}{found[0]}{PLAIN}", text)
-
-
-class _NoTerminal:
-    """A stream that claims not to be a terminal, so that nothing draws progress bars on it."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def isatty(self) -> bool:
-        return False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-
-def no_terminal(stream: TextIO | None) -> Any:
-    """Return a stream that claims not to be a terminal."""
-    return stream if stream is None else _NoTerminal(stream)
+from typing import TextIO
 
 
 def make_writable() -> None:

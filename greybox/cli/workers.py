@@ -1,14 +1,15 @@
-"""The options that say what makes the runs of a fit: this process, others on this machine, or Dask's workers."""
+"""Where runs are made: in this process, in others on this machine, or by Dask's workers."""
 
 import argparse
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from pathlib import Path
 
 from greybox.cli.options import UsageError, positive
 from greybox.solve.worker_pool import WorkerPool
 
-CONNECTING = 10  # s, after which a scheduler that does not answer is not there
+CONNECTING = 10  # s, until a scheduler that does not answer is given up
 
 
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +25,7 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def stated_executor(options: argparse.Namespace) -> Iterator[Executor | None]:
-    """Give the executor that the options state, None for this process, and end it.
+    """Yield the executor of the options, None for this process, and end it.
 
     Raises
     ------
@@ -43,13 +44,25 @@ def stated_executor(options: argparse.Namespace) -> Iterator[Executor | None]:
 
 def _client(address: str):
     try:
-        from distributed import Client  # noqa: PLC0415  (optional, and takes half a second to import)
+        from distributed import Client  # noqa: PLC0415  (optional, and takes half a second)
     except ModuleNotFoundError:
         raise UsageError("--scheduler needs Dask: pip install 'greybox-id[dask]'.") from None
     try:
         return Client(address, timeout=CONNECTING)
     except (OSError, ValueError) as error:
-        said = " ".join(str(error).split())[:200].rstrip(".")
+        reason = " ".join(str(error).split())[:200].rstrip(".")
         raise UsageError(
-            f"no Dask scheduler answers at {address!r} ({said}): start one with `dask scheduler`."
+            f"no Dask scheduler answers at {address!r} ({reason}): start one with `dask scheduler`."
         ) from None
+
+
+def require_folder(path: Path | None) -> None:
+    """Check that runs can be stored in a folder; None is no folder.
+
+    Raises
+    ------
+    UsageError
+        If it is a file.
+    """
+    if path is not None and path.exists() and not path.is_dir():
+        raise UsageError(f"{path} is a file: give a folder.")

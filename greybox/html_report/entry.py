@@ -24,8 +24,6 @@ class Entry:
     file : str
     error : str
         Why there is no result.
-    command : tuple of str
-        Arguments of the command ``greybox`` that made this result and others.
     """
 
     label: str
@@ -33,7 +31,6 @@ class Entry:
     numbers: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
     error: str = ""
-    command: tuple[str, ...] = ()
 
     @cached_property
     def answer(self) -> Mapping[str, Any]:

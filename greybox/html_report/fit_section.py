@@ -46,7 +46,7 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
         count = min(len(fit.spectra), MOST)
         yield "Manoeuvres", [figure_grid([spectrum_figure(fit, k) for k in range(count)])]
     yield "Starts", [figure_grid([starts_figure(fit)])]
-    yield "Data and provenance", provenance(fit, entry.file, entry.command)
+    yield "Data and provenance", provenance(fit, entry.file)
 
 
 def _verdict_box(fit: Fit) -> Element:

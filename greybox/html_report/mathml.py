@@ -130,10 +130,8 @@ def _function(name: str, arguments: Sequence[Expression]) -> Element:
         return tag("mrow", operator("["), texts[0], operator("]"), _space(), value)
     if name in RELATIONS:
         return tag("mrow", texts[0], operator(name), texts[1])
-    inside = [
-        part for k, text in enumerate(texts) for part in ([operator(","), text] if k else [text])
-    ]
-    return tag("mrow", tag("mi", name, mathvariant="normal"), parenthesized(*inside))
+    inside = [part for text in texts for part in (operator(","), text)]
+    return tag("mrow", tag("mi", name, mathvariant="normal"), parenthesized(*inside[1:]))
 
 
 def _is_relation(expression: Expression) -> bool:

@@ -37,8 +37,8 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
     content = [overview(entries), *comparison_section(entries, comparison, columns)]
     if any(entry.fit is None and not entry.error for entry in entries):
         text = (
-            f"Below are details of {counted(len(fits), 'result')}; greybox report STUDY --details "
-            "NAME shows others."
+            f"Below are details of {counted(len(fits), 'result')}; greybox report FILE shows those "
+            "of another member, whose file is in the folder of the study."
         )
         content.insert(0, tag("p", text))
     sections = [
@@ -74,8 +74,8 @@ def _section(title: str, content: Child) -> Element:
 def _document(title: str, sections: Sequence[Element]) -> str:
     script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
     policy = (
-        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; base-uri 'none'; "
-        "form-action 'none'"
+        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
+        "base-uri 'none'; form-action 'none'"
     )
     head = tag(
         "head",

@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
@@ -22,12 +22,8 @@ def data_summary(fit: Fit) -> str:
     return f"{models} with {free}, fitted to {data_text(fit)} by {fit.rule}."
 
 
-def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[Element]:
-    """Return how a fit was made, and where its data come from.
-
-    `command` is that of `identify` or `batch`, which made more than this fit.
-    """
-    made_by = command or fit.command
+def provenance(fit: Fit, file: str = "") -> list[Element]:
+    """Return how a fit was made, and where its data come from."""
     converged = sum(run.converged for run in fit.runs)
     versions = (f"{name} {version}" for name, version in fit.versions.items())
     other_costs = [
@@ -35,9 +31,11 @@ def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[El
         for name, cost in fit.costs.items()
         if name != fit.criterion and math.isfinite(cost)
     ]
+
     facts: dict[str, Child] = {"result file": file} if file else {}
+    if fit.command:
+        facts["made by"] = tag("code", shlex.join(["greybox", *fit.command]))
     facts |= {
-        "made by": "gb.fit, from Python",
         "cost": f"{number(fit.cost, 6)} ({fit.rule})",
         "delay": fit.delay,
         "starts": f"{fit.starts}; {len(fit.runs)} runs, {converged} converged",
@@ -45,8 +43,6 @@ def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[El
         "time taken": f"{fit.seconds:.2f} s",
         "versions": ", ".join(versions),
     }
-    if made_by:
-        facts["made by"] = tag("code", shlex.join(["greybox", *made_by]))
     if fit.dof > 0:
         facts["standard errors"] = error_statement(fit)
     if other_costs:

@@ -1,7 +1,6 @@
 """A page about one or several fits, to look at and to share."""
 
-from collections.abc import Collection, Sequence
-from fnmatch import fnmatchcase
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ def report(
     path: str | Path,
     *,
     comparison: Comparison | None = None,
-    details: Collection[str] = (),
     title: str = "",
 ) -> None:
     """Write a page about fits: one HTML file for a browser, for print, or for a colleague.
@@ -31,16 +29,14 @@ def report(
     Parameters
     ----------
     fits : Fit, Study or sequence of them
-        Several are shown side by side. For a fit that was loaded without its model the page shows
-        the contents of the file, and says what it cannot draw.
+        Several are shown side by side; of a study, the first twelve members with an answer in
+        detail. For a fit that was loaded without its model the page shows the contents of the
+        file, and says what it cannot draw.
     path : str or Path
         An existing file is replaced once the new one is complete.
     comparison : Comparison, optional
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
-    details : collection of str
-        Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default
-        the first twelve.
     title : str
         By default the name of the fit.
 
@@ -67,7 +63,7 @@ def report(
         if isinstance(result, Fit):
             entries.append(Entry(next(labels), result))
         else:
-            entries += study_entries(result, details)
+            entries += study_entries(result)
     write_page(entries, Path(path), comparison, title)
 
 
@@ -91,33 +87,16 @@ def write_page(
     write_text(path, text)
 
 
-def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
-    """Return the members of a study, with the fits of those that are shown in detail.
-
-    Raises
-    ------
-    ValueError
-        If no member with an answer has one of the names in `details`.
-    """
+def study_entries(study: Study) -> list[Entry]:
+    """Return the members of a study, with the fits of the first that have an answer."""
     done = [member for member in study.members if member.status == "done"]
-    detailed = {member.name for member in done[:DETAILED]}
-    if details:
-        detailed = set()
-        for pattern in details:
-            names = {m.name for m in done if m.name == pattern or fnmatchcase(m.name, pattern)}
-            if not names:
-                raise ValueError(
-                    f"the study has no answer of a member {pattern!r}: its members are in its "
-                    "table."
-                )
-            detailed |= names
     return [
         Entry(
             member.name,
-            member.fit if member.name in detailed else None,
+            member.fit if member in done[:DETAILED] else None,
             member.answer,
             str(member.file),
-            "" if member.status == "done" else member.error or "unfinished",
+            "" if member in done else member.error or "unfinished",
         )
         for member in study.members
     ]

@@ -2,22 +2,21 @@
 
 import json
 import sys
-from argparse import Namespace
 
 import pytest
 
-from greybox.cli.batch_command import ORIGIN, _stated
 from greybox.cli.main import main
-from greybox.cli.options import UsageError
-from greybox.cli.study_file import write_json
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.store import StoredRuns, add_members
+from greybox.study.store import StoredRuns
 
 STUDY = """
-starts = 12
+starts = 4
 
 [[member]]
-problem = "rotors"
+problem = "yaw_hover"
+
+[[member]]
+problem = "mine.py:small"
 criterion = ["relative-error", "magnitude-phase"]
 seed = [0, 1]
 
@@ -25,6 +24,7 @@ seed = [0, 1]
 problem = "mine.py:small"
 fix = [{}, {T = 0.05}]
 """
+TWO_SEEDS = '[[member]]\nproblem = "mine.py:small"\nstarts = 12\nseed = [0, 1]\n'
 
 MINE = """
 import numpy as np
@@ -67,26 +67,27 @@ def test_a_study_is_run_compared_and_resumed(study, tmp_path, capsys):
     status, found, _ = answer(capsys, "batch", study, "--out", "out")
     assert status == 0
     assert [member["name"] for member in found["members"]] == [
-        "rotors: relative-error, seed 0",
-        "rotors: relative-error, seed 1",
-        "rotors: magnitude-phase, seed 0",
-        "rotors: magnitude-phase, seed 1",
+        "yaw_hover",
+        "mine:small: relative-error, seed 0",
+        "mine:small: relative-error, seed 1",
+        "mine:small: magnitude-phase, seed 0",
+        "mine:small: magnitude-phase, seed 1",
         "mine:small: nothing fixed",
         "mine:small: T=0.05",
     ]
-    assert all(member["status"] == "done" and member["runs"] == 12 for member in found["members"])
-    assert found["members"][5]["answer"]["standard_error"]["T"] == 0
+    assert all(member["status"] == "done" and member["runs"] == 4 for member in found["members"])
+    assert found["members"][6]["answer"]["standard_error"]["T"] == 0
 
     assert answer(capsys, "compare", "out")[:2] == (0, found)
     assert main(["compare", "out"]) == 0
     table = capsys.readouterr().out
-    assert "Study out, 6 members: 6 done" in table
+    assert "Study out, 7 members: 7 done" in table
     assert "mine:small: T=0.05" in table
-    assert answer(capsys, "batch", "--resume", "out")[:2] == (0, found)
+    assert answer(capsys, "batch", study, "--out", "out")[:2] == (0, found)
 
-    status, more, _ = answer(capsys, "batch", "--resume", "out", "--starts", 20)
+    status, more, _ = answer(capsys, "batch", study, "--out", "out", "--starts", 6)
     assert status == 0
-    assert all(member["runs"] == 20 for member in more["members"])
+    assert all(member["runs"] == 6 for member in more["members"])
     assert more["members"][0]["answer"]["cost"] == pytest.approx(
         found["members"][0]["answer"]["cost"]
     )
@@ -105,7 +106,8 @@ def test_a_study_in_python(tmp_path, capsys):
 
 def test_members_without_an_answer_are_named(study, capsys):
     study.write_text(
-        '[[member]]\nproblem = "rotors"\nstarts = 5\n[[member]]\nproblem = "mine.py:hopeless"\n'
+        '[[member]]\nproblem = "mine.py:small"\nstarts = 5\n[[member]]\n'
+        'problem = "mine.py:hopeless"\nstarts = 2\n'
     )
     (study.parent / "mine.py").write_text(
         MINE + "\ndef hopeless():\n    return small().with_(constraints=[lambda p: -1 - p.K**2])\n"
@@ -150,109 +152,46 @@ def test_what_is_wrong_in_a_study_file_is_said_before_anything_is_written(
 
 
 def test_usage(study, tmp_path, capsys):
-    for words, said in [
-        (["batch"], "give a study file and --out DIR, or --resume DIR"),
-        (["batch", study], "give a study file and --out DIR"),
+    for words, message in [
+        (["batch"], "the following arguments are required: STUDY, --out"),
+        (["batch", study], "the following arguments are required: --out"),
         (["batch", "none.toml", "--out", "out"], "there is no file none.toml"),
+        (["batch", study, "--out", study], "is a file: give a folder"),
         (["batch", tmp_path / "files" / "mine.py", "--out", "out"], "has no function members()"),
-        (["batch", "--resume", "none"], "none is no study"),
-        (["batch", study, "--resume", "out"], "leave out the others"),
         (["compare", "none"], "none is no study"),
     ]:
-        status, found, _ = answer(capsys, *words)
+        status, result, _ = answer(capsys, *words)
         assert status == 2, words
-        assert said in found["error"]
-    study.write_text("[[member]]\nproblem = 'rotors'\nstarts = 2\n")
-    assert answer(capsys, "batch", study, "--out", "out")[0] == 0
-    assert (
-        "go on with it by --resume out"
-        in answer(capsys, "batch", study, "--out", "out")[1]["error"]
-    )
+        assert message in result["error"]
 
 
 def test_ctrl_c_says_how_to_go_on(study, capsys, monkeypatch, press_ctrl_c):
-    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 12\nseed = [0, 1]\n')
+    study.write_text(TWO_SEEDS)
     add = StoredRuns.add
     monkeypatch.setattr(
         StoredRuns, "add", lambda self, *run: (add(self, *run), run[0] == 7 and press_ctrl_c())
     )
     assert main(["batch", str(study), "--out", "out"]) == 130
     shown = capsys.readouterr()
-    assert "greybox: interrupted; `greybox batch --resume out` goes on." in shown.err
+    assert "greybox: interrupted; the same command continues." in shown.err
     assert "2 members: 2 unfinished" in shown.out
     monkeypatch.setattr(StoredRuns, "add", add)
-    status, found, _ = answer(capsys, "batch", "--resume", "out")
+    status, result, _ = answer(capsys, "batch", study, "--out", "out")
     assert status == 0
-    assert all(member["runs"] == 12 for member in found["members"])
+    assert all(member["runs"] == 12 for member in result["members"])
 
 
 def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
-    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 12\nseed = [0, 1]\n')
-    status, found, said = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    study.write_text(TWO_SEEDS)
+    status, result, message = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
     assert status == 1
-    assert [member["status"] for member in found["members"]] == ["unfinished"] * 2
-    assert found["error"].startswith(
-        "2 of 2 members have no answer: rotors: seed 0, rotors: seed 1;"
-    )
-    assert found["error"].endswith(
-        "; the time limit ended the study, `greybox batch --resume out` goes on."
-    )
-    assert "greybox: 2 of 2 members" in said
-    status, found, _ = answer(
-        capsys, "batch", "--resume", "out", "--seconds", 1e6, "--start-seconds", 1e6
-    )
+    assert [member["status"] for member in result["members"]] == ["unfinished"] * 2
+    assert result["error"].startswith("2 of 2 members have no answer: ")
+    assert result["error"].endswith("; the time limit ended the study, the same command continues.")
+    assert "greybox: 2 of 2 members" in message
+    status, result, _ = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e6)
     assert status == 0
-    assert all(member["status"] == "done" and member["runs"] == 12 for member in found["members"])
-
-
-def test_a_start_of_a_study_has_its_time_limit(study, capsys):
-    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 5\n')
-    status, found, _ = answer(capsys, "batch", study, "--out", "out", "--start-seconds", 1e-9)
-    assert status == 1
-    assert found["members"][0]["status"] == "failed"
-    assert "5 × time limit of a start" in found["members"][0]["error"]
-    assert answer(capsys, "batch", "--resume", "out")[0] == 0  # with more time they are made again
-
-
-def options(**stated):
-    return Namespace(**{"study": None, "out": None, "resume": None, "starts": None} | stated)
-
-
-def test_where_a_study_is_and_what_it_was_begun_with(tmp_path):
-    file, begun = tmp_path / "file", tmp_path / "begun"
-    file.write_text("")
-    begun.mkdir()
-    add_members(begun, ["one"])
-    stated = options(study="paper", out=tmp_path / "new", starts=7)
-    assert _stated(stated) == ("paper", tmp_path / "new", 7)
-    goes_on = options(resume=begun)
-    for origin, said in (
-        (None, "does not say which study"),
-        ({"study": 3}, "does not say which study file it is of"),
-    ):
-        if origin is not None:
-            write_json(begun / ORIGIN, origin)
-        with pytest.raises(UsageError, match=said):
-            _stated(goes_on)
-    write_json(begun / ORIGIN, {"study": "paper", "starts": "5"})
-    with pytest.raises(
-        UsageError, match=r"does not say which study file it is of: call gb.batch as it was begun"
-    ):
-        _stated(goes_on)
-    write_json(begun / ORIGIN, {"study": "paper", "starts": 5})
-    assert _stated(goes_on) == ("paper", begun, 5)
-    assert _stated(options(resume=begun, starts=9)) == ("paper", begun, 9)
-    for wrong, said in (
-        (options(study="paper", out=file), "file is a file: give a folder"),
-        (options(study="paper", out=begun), "has a study: go on with it by --resume"),
-        (options(study="paper"), "give a study file and --out DIR, or --resume DIR"),
-        (options(out=begun), "give a study file and --out DIR, or --resume DIR"),
-        (options(resume=begun, study="paper"), "--resume DIR knows its study file and its folder"),
-        (options(resume=begun, out=begun), "--resume DIR knows its study file and its folder"),
-        (options(resume=tmp_path), "is no study: begin one with greybox batch STUDY --out"),
-    ):
-        with pytest.raises(UsageError, match=said):
-            _stated(wrong)
+    assert all(member["status"] == "done" and member["runs"] == 12 for member in result["members"])
 
 
 @pytest.mark.parametrize(
@@ -266,12 +205,12 @@ def test_where_a_study_is_and_what_it_was_begun_with(tmp_path):
         (
             OSError("the disk is full."),
             1,
-            "the disk is full; `greybox batch --resume out` goes on.",
+            "the disk is full; the same command continues.",
         ),
         (
             ExecutorLostError("the workers are gone."),
             1,
-            "the workers are gone; `greybox batch --resume out` goes on.",
+            "the workers are gone; the same command continues.",
         ),
     ],
 )

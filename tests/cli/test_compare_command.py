@@ -4,12 +4,14 @@ import json
 
 from command_line import refused, run
 
+QUICK = ("--starts", "3", "--no-profiles")
+
 
 def test_saved_fits_are_compared(capsys, tmp_path):
     paths = {name: str(tmp_path / f"{name}.h5") for name in ("four", "three", "other")}
-    run(capsys, "fit", "yaw_hover", "--starts", "8", "--out", paths["four"])
-    run(capsys, "fit", "yaw_hover", "--fix", "a4=0", "--starts", "8", "--out", paths["three"])
-    run(capsys, "fit", "pitch_hover", "--starts", "8", "--out", paths["other"])
+    run(capsys, "fit", "yaw_hover", *QUICK, "--out", paths["four"])
+    run(capsys, "fit", "yaw_hover", "--fix", "a4=0", *QUICK, "--out", paths["three"])
+    run(capsys, "fit", "pitch_hover", *QUICK, "--out", paths["other"])
     status, out, _ = run(capsys, "compare", paths["four"], paths["three"])
     assert status == 0
     assert "four (4 free) is supported" in out

@@ -337,21 +337,10 @@ def test_a_fit_that_its_time_limit_ends_goes_on(capsys, own, clock):
     assert kept_runs() == 0
 
 
-def test_a_start_has_its_time_limit(capsys, own, clock):
-    status, out, _ = run(
-        capsys, *command(own(), "--starts", 3, "--start-seconds", 2.5, "--json")[3:]
-    )
-    found = json.loads(out)
-    assert status == 1
-    assert found["error"].startswith("no start converged (3 × time limit of a start)")
-    assert "3 of 3 starts were cut at 2.5 s" in found["warnings"][0]
-
-
-@pytest.mark.parametrize("flag", ["--seconds", "--start-seconds"])
 @pytest.mark.parametrize("text", ["0", "-1", "soon", "nan", "inf"])
-def test_what_is_no_time_is_refused(capsys, flag, text):
-    said = refused(capsys, "fit", "pitch_hover", f"{flag}={text}")
-    assert f"argument {flag}: '{text}' is not a number of seconds above 0" in said
+def test_what_is_no_time_is_refused(capsys, text):
+    message = refused(capsys, "fit", "pitch_hover", f"--seconds={text}")
+    assert f"argument --seconds: '{text}' is not a number of seconds above 0" in message
 
 
 def fit_options(**stated):

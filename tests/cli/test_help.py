@@ -1,7 +1,6 @@
-"""What a new user types first: help; and what is shown on a terminal only."""
+"""What a new user types first: help."""
 
 import argparse
-import io
 import json
 import re
 import shlex
@@ -10,7 +9,6 @@ import pytest
 from command_line import OWN, refused, run
 
 from greybox.cli.main import parser_of
-from greybox.cli.terminal import colored, no_terminal
 
 (COMMANDS,) = (
     action.choices
@@ -50,40 +48,11 @@ def test_quiet_prints_errors_alone(capsys, own):
     assert json.loads(out)["status"] == "converged"
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
-TEXT = "greybox: no.\n\n  K  1.0  AT BOUND  gain\n\n  warning: beware of a warning: this\n  FAILED: no start\n"
-
-
-def test_colors_stand_on_terminals_only(monkeypatch):
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    shown = colored(TEXT, Terminal())
-    assert re.sub(r"\x1b\[[\d;]*m", "", shown) == TEXT
-    assert re.findall(r"\x1b\[[^0][\d;]*m(.*?)\x1b\[0m", shown) == [
-        "greybox:",
-        "AT BOUND",
-        "  warning:",
-        "  FAILED:",
-    ]
-    assert colored(TEXT, io.StringIO()) == TEXT
-    assert colored(TEXT, None) == TEXT
-    assert colored(TEXT, no_terminal(Terminal())) == TEXT
-    monkeypatch.setenv("NO_COLOR", "1")
-    assert colored(TEXT, Terminal()) == TEXT
-    monkeypatch.delenv("NO_COLOR")
-    monkeypatch.setenv("TERM", "dumb")
-    assert colored(TEXT, Terminal()) == TEXT
-
-
-def test_the_orders_that_are_tried_are_those_that_are_told():
+def test_the_defaults_in_the_help_are_those_of_the_options():
     options = parser_of().parse_args(["orders", "response.csv"])
-    told = re.search(
-        r"--n .*?([\d ]+) by default.*--integrators .*?([\d ]+) by default",
+    shown = re.search(
+        r"--n .*?default: ([\d ]+)\).*--integrators .*?default: ([\d ]+)\)",
         " ".join(COMMANDS["orders"].format_help().split()),
     )
-    assert [*map(str, options.n)] == told[1].split()
-    assert [*map(str, options.integrators)] == told[2].split()
+    assert [*map(str, options.n)] == shown[1].split()
+    assert [*map(str, options.integrators)] == shown[2].split()

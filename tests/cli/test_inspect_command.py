@@ -54,9 +54,7 @@ def test_the_next_command_for_a_table_names_what_it_needs(capsys, tmp_path):
     rows = "\n".join(f"{t},{math.sin(3 * t)},{math.cos(3 * t)}" for t in time)
     (tmp_path / "flight.csv").write_text(f"time,r,y\n{rows}\n")
     out = run(capsys, "inspect", tmp_path / "flight.csv")[1]
-    expected = (
-        f"next: greybox response {tmp_path / 'flight.csv'} --input u=SIGNAL --output theta=SIGNAL"
-    )
+    expected = f"next: greybox response {tmp_path / 'flight.csv'} --input SIGNAL --output SIGNAL"
     assert out.splitlines()[-1] == expected
 
 
@@ -122,15 +120,15 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
             {"announced": "SINE", "setpoint": "A.x", "fields": ["omega=W"], "columns": ["time=1"]},
             "greybox identify my.BIN --announced SINE --setpoint A.x --fields omega=W --columns time=1",
         ),
-        ("T.u", ["sine"], {}, "greybox response my.BIN --input u=SIGNAL --output theta=SIGNAL"),
+        ("T.u", ["sine"], {}, "greybox response my.BIN --input SIGNAL --output SIGNAL"),
         ("T.u", [], {}, ""),
         (
             "T.u", ["stick input", "2-1-1", "step"], {},
-            "greybox response my.BIN --manoeuvre 2 --input T.u --output SIGNAL --out manoeuvre.csv",
+            "greybox response my.BIN --manoeuvre 2 --input T.u --output SIGNAL",
         ),
         (
             "T.u", ["stick input"], {"setpoint": "T.u"},
-            "greybox response my.BIN --manoeuvre 1 --setpoint T.u --input T.u --output SIGNAL --out manoeuvre.csv",
+            "greybox response my.BIN --manoeuvre 1 --input T.u --output SIGNAL --setpoint T.u",
         ),
     ],
 )  # fmt: skip

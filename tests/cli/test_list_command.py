@@ -5,7 +5,6 @@ import json
 import pytest
 from command_line import run
 
-from greybox.cli.list_command import source_of
 from greybox.files.text_table import number
 from greybox.models.tilt import Tilt
 
@@ -16,9 +15,8 @@ def test_list_names_every_shipped_problem_and_model(capsys):
     for name in ("pitch_hover", "rotors", "tilt:Tilt", "yaw:YawStates", "rigid_body:RigidBody"):
         assert name in out
     answer = json.loads(run(capsys, "list", "--json")[1])
-    assert all("$$" in model["about"] and model["source"] for model in answer["models"])
-    assert all(problem["source"] for problem in answer["problems"])
-    assert "Source: S. Butterworth, On the theory of filter amplifiers" in out
+    assert all("$$" in model["about"] for model in answer["models"])
+    assert all("Source:" in item["about"] for item in answer["models"] + answer["problems"])
 
 
 @pytest.mark.parametrize("name", ["tilt:Tilt", "pitch_hover", "polynomial:Polynomial(3, 1)"])
@@ -61,15 +59,3 @@ def test_a_model_is_shown_with_all_that_it_declares(capsys):
             *p.about.split(),
         ]
         assert line.split() == words
-
-
-@pytest.mark.parametrize(
-    ("doc", "source"),
-    [
-        ("A lag.\n\nSource: A. B. Name (2012), Title, section 3. More of it.", "A. B. Name (2012), Title, section 3"),
-        ("Source: a line\nand another.", "a line and another"),
-        ("A lag.", ""),
-    ],
-)  # fmt: skip
-def test_the_source_is_the_first_sentence_after_its_word(doc, source):
-    assert source_of(doc) == source

@@ -59,6 +59,6 @@ def test_names_that_are_not_there_and_an_earlier_fit_as_prior_are_told():
     assert stated(known, "--fix", "c=2").fixed_values == {"c": 2.0}
     with pytest.raises(
         UsageError,
-        match="--prior goes with parameters, and a has an earlier fit as prior: leave it",
+        match="--prior is for single parameters, and the prior of a is an earlier fit: leave it",
     ):
         stated(known, "--prior", "K=3+-0.1")

@@ -4,14 +4,10 @@ import json
 import sys
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from command_line import OWN, RECORD, refused, run
+from command_line import OWN, refused, run
 
 import greybox as gb
-from greybox.cli.batch_command import ORIGIN
-from greybox.cli.report_command import command_of_study
-from greybox.cli.study_file import write_json
 
 QUICK = "--starts", "4"
 
@@ -62,7 +58,7 @@ def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
     assert "no start converged" in text
 
 
-def test_of_a_large_study_the_first_or_chosen_members_are_read_and_drawn(
+def test_of_a_large_study_the_first_members_are_read_and_drawn(
     capsys, results, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(sys.modules["greybox.html_report.report"], "DETAILED", 1)
@@ -73,22 +69,13 @@ def test_of_a_large_study_the_first_or_chosen_members_are_read_and_drawn(
         lambda path, *a: loaded.append(path.stem) or load(path, *a),
     )
     page = tmp_path / "study.html"
-
-    def drawn(*options):
-        loaded.clear()
-        assert run(capsys, "report", results / "study", "--out", page, "--force", *options)[0] == 0
-        text = page.read_text(encoding="utf-8")
-        worse = gb.study.read_study(results / "study")["worse one"].answer
-        assert f"{worse['cost']:.6g}" in text  # the numbers of all stand in the tables
-        assert f"{worse['estimate']['a4']:.0f} ±" in text
-        assert "Below are details of 1 result;" in text
-        return list(loaded)
-
-    assert drawn() == ["001-good-one"]
-    assert drawn("--details", "worse*") == ["002-worse-one"]
-    assert "no answer of a member 'bad one'" in refused(
-        capsys, "report", results / "study", "--out", "x.html", "--details", "bad one"
-    )
+    assert run(capsys, "report", results / "study", "--out", page)[0] == 0
+    text = page.read_text(encoding="utf-8")
+    worse = gb.study.read_study(results / "study")["worse one"].answer
+    assert f"{worse['cost']:.6g}" in text  # the tables have the numbers of all members
+    assert f"{worse['estimate']['a4']:.0f} ±" in text
+    assert "Below are details of 1 result;" in text
+    assert loaded == ["001-good-one"]
 
 
 def test_profiles_are_in_the_page(capsys, results, tmp_path):
@@ -111,59 +98,3 @@ def test_a_model_of_ones_own_is_drawn_where_its_file_is_given(capsys, own, tmp_p
     assert "Bode diagram" in without
     run(capsys, "report", "own.h5", "--model", file, "--out", "with.html")
     assert "<mfrac>" in (tmp_path / "with.html").read_text(encoding="utf-8")
-
-
-def test_held_out_records_are_predicted(capsys, own, tmp_path):
-    text = RECORD.replace(
-        "settings =",
-        'def slow():\n    return gb.Problem(Lag(), problem().data, fixed={"T": 1.0})\n\nsettings =',
-    )
-    file = own(text)
-    for name in ("problem", "slow"):
-        assert run(capsys, "fit", f"{file}:{name}", "--starts", "2", "--out", f"{name}.h5")[0] == 0
-    time = np.arange(150) / 50
-    u = np.sin(5 * time)
-    lines = [
-        f"{t:.2f},{a:.6f},{b:.6f}"
-        for t, a, b in zip(time, u, 0.3 * np.sin(5 * time - 1), strict=True)
-    ]
-    (tmp_path / "flight.csv").write_text("\n".join(["time,u,y [m]", *lines]))
-    both = ("problem.h5", "slow.h5", "--model", file)
-    assert run(capsys, "report", *both, "--held-out", "flight.csv", "--out", "held.html")[0] == 0
-    page = (tmp_path / "held.html").read_text(encoding="utf-8")
-    assert "held-out" in page
-    assert "Time history, flight" in page
-    alone = refused(
-        capsys, "report", "slow.h5", "--model", file, "--held-out", "flight.csv", "--out", "x.html"
-    )
-    assert "give two or more results" in alone
-
-
-@pytest.mark.parametrize(
-    ("origin", "command"),
-    [
-        (None, ()),
-        ({"starts": 3}, ()),
-        ({"study": "paper", "starts": 30}, ("batch", "paper", "--out", "{}", "--starts", "30")),
-        ({"study": "paper", "starts": None}, ("batch", "paper", "--out", "{}")),
-    ],
-)
-def test_the_command_of_a_study_is_what_its_folder_knows(tmp_path, origin, command):
-    if origin is not None:
-        write_json(tmp_path / ORIGIN, origin)
-    assert command_of_study(tmp_path) == tuple(word.format(tmp_path) for word in command)
-
-
-def test_responses_are_not_held_out(capsys, results, tmp_path):
-    (tmp_path / "bode.csv").write_text("omega_rad_s,alpha,beta\n1,0.5,-0.1\n2,0.4,-0.3\n")
-    both = (
-        "report",
-        results / "roll.h5",
-        results / "roll.h5",
-        "--out",
-        tmp_path / "x.html",
-        "--held-out",
-    )
-    assert "takes records, columns of time and signals: compare responses in Python" in refused(
-        capsys, *both, tmp_path / "bode.csv"
-    )

@@ -117,23 +117,17 @@ def test_ctrl_c_while_a_figure_is_drawn_leaves_the_fit(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"matplotlib.py", "x.h5"}
 
 
-@pytest.mark.parametrize("options", [[], ["--json"]], ids=["text", "json"])
-def test_an_answer_in_ascii(options):
+def test_an_answer_in_ascii():
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = greybox("list", "tilt:Tilt", *options, env=environment)
+    done = greybox("list", "tilt:Tilt", env=environment)
     assert (done.returncode, done.stderr) == (0, b"")
-    text = done.stdout.decode("ascii")
-    if options:
-        assert {row["unit"] for row in json.loads(text)["parameters"]} >= {"1/s²"}
-    else:
-        assert r"1/s\xb2" in text
+    assert r"1/s\xb2" in done.stdout.decode("ascii")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-@pytest.mark.parametrize("arguments", [["--help"], ["list", "--json"]])
-def test_a_full_disk_under_standard_output_is_said(arguments):
+def test_a_full_disk_under_standard_output_is_an_error():
     with open("/dev/full", "wb") as full:
-        done = greybox(*arguments, stdout=full)
+        done = greybox("--help", stdout=full)
     assert done.returncode == 1
     assert done.stderr == b"greybox: cannot write to standard output: No space left on device.\n"
 

@@ -118,12 +118,12 @@ def test_what_else_a_problem_says_of_its_records_stays_with_another_criterion():
     rule = gb.OutputError(noise="full", inputs="held", biases=("y",))
     record = gb.Record(np.arange(9.0), {"u": np.arange(9.0), "y": np.arange(9.0)})
     problem = gb.Problem(Lag(), record, rule) + gb.Problem(Lag(), measured(Lag(), [1.0, 2.0]))
-    found = _with_criterion(problem, gb.OutputError())
+    found = _with_criterion(problem, "output-error")
     assert [part.criterion for part in found.parts] == [rule, gb.RelativeLikelihood()]
     with pytest.raises(
         ValueError, match=r"MagnitudePhase and .* OutputError: the cost of a likelihood adds"
     ):
-        _with_criterion(problem, gb.MagnitudePhase())
+        _with_criterion(problem, "magnitude-phase")
 
 
 def test_biases_of_records_are_fixed_by_their_names(capsys):

@@ -50,14 +50,14 @@ def test_what_a_structure_could_tell_and_what_a_fit_has_told(capsys, own, yaw):
     assert "a1" not in found["identifiable"]
     assert {"a2", "a3", "a4"} <= set(found["identifiable"])
     lost = own(OWN.replace("p.K / (p.T", "p.K * p.T / (0.2"))
-    assert answer(capsys, "identifiability", lost)["not_identifiable"] == [
-        {"names": ["K", "T"], "initial_states": [], "to_fix": 1}
-    ]
+    (group,) = answer(capsys, "identifiability", lost)["groups"]
+    assert (group["names"], group["directions"]) == (["K", "T"], 1)
     assert "K and T cannot be separated: fix one of them" in run(capsys, "identifiability", lost)[1]
 
     told = answer(capsys, "identifiability", yaw)
     assert told["beyond"] == ["a1_tilde", "a2", "a3_tilde"]
-    assert told["determined"]["a3_tilde/a2"]["value"] == pytest.approx(2.87, abs=0.02)
+    values = {c["formula"]: c["value"] for c in told["combinations"]}
+    assert values["a3_tilde/a2"] == pytest.approx(2.87, abs=0.02)
     assert "guidelines: 20 % error" in run(capsys, "identifiability", yaw)[1]
     assert "--fix is for a structure" in refused(capsys, "identifiability", yaw, "--fix", "a2=1")
 

@@ -124,7 +124,7 @@ def test_files_of_other_kinds_and_without_members_are_told(folder):
         read_study_file(folder / "other_study.py")
     with pytest.raises(
         UsageError,
-        match=r"there is no included study 'papers', there is paper: or give study\.toml",
+        match=r"there is no included study 'papers': the included one is paper; or give",
     ):
         find_study("papers")
     assert find_study("study.toml").name == "study.toml"

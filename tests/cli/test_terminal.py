@@ -2,11 +2,10 @@
 
 import errno
 import io
-import os
 
 import pytest
 
-from greybox.cli.terminal import colored, make_writable, write
+from greybox.cli.terminal import make_writable, write
 
 
 def stream(encoding, monkeypatch):
@@ -47,15 +46,3 @@ def test_what_stands_in_the_way_is_returned():
         write("text", Broken(OSError(errno.ENOSPC, "No space left on device")))
         == "No space left on device"
     )
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no TERM")
-@pytest.mark.parametrize(("term", "colors"), [("xterm", True), ("dumb", False), (None, False)])
-def test_colors_are_for_terminals_that_say_what_they_are(monkeypatch, term, colors):
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    monkeypatch.delenv("TERM", raising=False)
-    if term:
-        monkeypatch.setenv("TERM", term)
-    out = io.StringIO()
-    monkeypatch.setattr(out, "isatty", lambda: True)
-    assert (colored("FAILED: why", out) != "FAILED: why") == colors

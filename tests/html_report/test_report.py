@@ -237,10 +237,3 @@ def test_the_members_of_a_study_stand_with_their_answers_or_why_there_are_none()
     assert [each.error for each in made] == [""] * 14 + ["no log", "unfinished"]
     assert made[3].file == "of/pitch3"
     assert made[14].fit is made[15].fit is None
-    named = study_entries(study, ["pitch1", "*2"])
-    assert [each.label for each in named if each.fit] == ["pitch1", "pitch2", "pitch12"]
-    with pytest.raises(
-        ValueError,
-        match=r"the study has no answer of a member 'lost': its members are in its table",
-    ):
-        study_entries(study, ["pitch1", "lost"])

@@ -86,7 +86,7 @@ def test_parameters_stand_with_errors_intervals_and_shares(fit):
 def test_provenance_says_where_everything_came_from(fit):
     costs = {"relative-error": 1.23456, fit.criterion: fit.cost, "none": math.nan}
     fact, data, *_ = provenance(
-        replace(fit, costs=costs, independent=None), "lag.h5", ("fit", "my lag")
+        replace(fit, costs=costs, independent=None, command=("fit", "my lag")), "lag.h5"
     )
     said = facts(fact)
     assert said.pop("time taken").endswith(" s")
@@ -104,7 +104,7 @@ def test_provenance_says_where_everything_came_from(fit):
     no_other = replace(fit, costs={fit.criterion: fit.cost, "other": math.nan}, seed=None, dof=1.0)
     said = facts(provenance(no_other)[0])
     assert said["seed"] == "none"
-    assert said["made by"] == "gb.fit, from Python"
+    assert "made by" not in said
     assert "1 degree of freedom" in said["standard errors"]
     assert "other criteria" not in said
     assert "standard errors" not in facts(provenance(replace(fit, dof=0.0))[0])
