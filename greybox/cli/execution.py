@@ -41,7 +41,7 @@ def _answer(options: argparse.Namespace, arguments: Sequence[str]) -> Answer:
             streams.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:
             result, text, status = options.command(options)
-            if hasattr(options, "log"):  # measurements name the arguments that choose otherwise
+            if "announced" in options:  # measurements name the arguments that choose otherwise
                 text = as_options(text, options)
             return result, "" if options.quiet else text, status
         except SystemExit:

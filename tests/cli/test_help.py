@@ -46,13 +46,3 @@ def test_quiet_prints_errors_alone(capsys, own):
     assert "exists" in refused(capsys, "fit", name, "--quiet", "--out", "fit.h5")
     out = run(capsys, "fit", name, "--quiet", "--json")[1]
     assert json.loads(out)["status"] == "converged"
-
-
-def test_the_defaults_in_the_help_are_those_of_the_options():
-    options = parser_of().parse_args(["orders", "response.csv"])
-    shown = re.search(
-        r"--n .*?default: ([\d ]+)\).*--integrators .*?default: ([\d ]+)\)",
-        " ".join(COMMANDS["orders"].format_help().split()),
-    )
-    assert [*map(str, options.n)] == shown[1].split()
-    assert [*map(str, options.integrators)] == shown[2].split()

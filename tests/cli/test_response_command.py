@@ -129,7 +129,6 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
             "are the same signal",
         ),
         (["response", LOG, *PITCH, "--axis", "roll"], "no test has the axis 'roll'"),
-        (["response", LOG, *PITCH, "--method", "magic"], "'magic'"),
         (["response", LOG, *PITCH, "--rate", "0"], "rate 0"),
         (["response", LOG, *PITCH, "--out", "x.txt"], "end it in .csv"),
         (["response", LOG, *PITCH, "--fields", "omega"], "write WHAT=FIELD"),

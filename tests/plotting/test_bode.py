@@ -36,7 +36,7 @@ def test_phase_is_unwrapped_and_points_lie_next_to_their_curve(sweep):
 
 
 def test_phases_of_each_pair_begin_within_half_a_turn(rotors, pitch):
-    joint = replace(rotors, parts=(*pitch.parts, *rotors.parts), known=None)
+    joint = replace(rotors, parts=(*pitch.parts, *rotors.parts), directions=None)
     axes = gb.plotting.bode(joint)[1]
     assert [-180 < line.get_ydata()[0] <= 180 for line in curves(axes)] == [True, True]
     for line in points(axes):

@@ -43,7 +43,7 @@ def test_nyquist_of_many_points_numbers_a_few(sweep):
 
 
 def test_each_pair_has_a_panel_when_one_would_vanish_beside_another(rotors, pitch):
-    joint = replace(rotors, parts=(*rotors.parts, *pitch.parts), known=None)
+    joint = replace(rotors, parts=(*rotors.parts, *pitch.parts), directions=None)
     for first, second in (gb.plot(joint).axes[:2],):
         assert [line.get_label() for line in points(first)] == [f"rotor {k}" for k in (1, 2, 3, 4)]
         assert [line.get_label() for line in points(second)] == ["pitch"]
