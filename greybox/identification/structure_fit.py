@@ -65,8 +65,9 @@ def fit_within_far_bounds(
     stated = stated or {}
     bounds = {**(bounds or {}), **stated.get("bounds", {})}
     options |= {name: value for name, value in stated.items() if name != "bounds"}
+    boxes = options.pop("starts", {})
     for _ in range(WIDENINGS):
-        problem = problem_of_structure(model, responses, bounds=bounds, **options)
+        problem = problem_of_structure(model, responses, bounds=bounds, starts=boxes, **options)
         result = fit(problem, points, seed, profiles=False, progress=False)
         held = [
             q for q in result.quantities if q.at_bound and q.name not in stated.get("bounds", {})
@@ -74,6 +75,8 @@ def fit_within_far_bounds(
         wider = {q.name: moved for q in held if (moved := _wider(q)) != q.bounds}
         if not wider:
             break
+        # Starts are drawn where they were: a box of six decades would hold few good ones.
+        boxes = {q.name: q.box for q in held} | boxes
         bounds |= wider
     return result
 

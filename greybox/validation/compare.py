@@ -1,11 +1,10 @@
 """Fits side by side: on their own data and on records that none of them has seen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.modeling.model import require_known
 from greybox.simulation.windows import require_lengths
 from greybox.validation.common_likelihood import Likelihoods, common_likelihood
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, Row
@@ -13,7 +12,6 @@ from greybox.validation.held_out import (
     Predictions,
     not_held_out,
     predict_same_windows,
-    require_own,
     window_lengths,
 )
 from greybox.validation.measures import fit_rows, prediction_rows
@@ -35,8 +33,6 @@ def compare(
     window: float | None = None,
     lead: float | None = None,
     labels: Sequence[str] = (),
-    removed_at: Mapping[str, float] | None = None,
-    own: Sequence[str] | None = None,
 ) -> Comparison:
     """Compare fits of different structures: which describes its data best, which predicts others.
 
@@ -49,9 +45,9 @@ def compare(
     predictions of the same windows, see `predict`, on the data of the fits and on `records`.
     Windows in which a model has no finite value are left out for all and counted.
 
-    Where one model is another with terms removed, `nested_test` compares them. Other models in
-    time are compared by Vuong's test, other models of responses by AIC; AIC that differs by less
-    than 2 prefers neither (Burnham and Anderson, section 2.6). Two models predict equally well
+    Where one model is another with terms removed, `nested_test` compares them. Other models of
+    responses are compared by AIC; AIC that differs by less than 2 prefers neither (Burnham and
+    Anderson, section 2.6). Two models predict equally well
     where their mean squared errors differ by less than 0.1 %, or where no test finds a difference
     and its 95 % interval is within 10 %.
 
@@ -67,11 +63,6 @@ def compare(
         one by one.
     labels : sequence of str, optional
         One for each fit; by default the names of the models.
-    removed_at : mapping of name to value, optional
-        Values at which parameters leave a larger model, see `nested_test`.
-    own : sequence of str, optional
-        Parameters and biases that are estimated from every held-out record before its windows are
-        predicted, see `predict`, whose default is used here.
 
     Raises
     ------
@@ -91,9 +82,6 @@ def compare(
     require_lengths(**{name: value for name, value in lengths.items() if value is not None})
     names = tuple(labels) or labels_of(fits)
     held_out = _as_records(records)
-    free = {name: None for fit in fits for name in fit.free}
-    require_known(removed_at or {}, free, "free parameter", "each fit")
-    own = require_own(fits, own)
 
     different = data_difference(fits, names)
     if different and not held_out:
@@ -101,7 +89,7 @@ def compare(
             f"{different}: fit them to the same data, or give records=[...] on which to judge them."
         )
     not_comparable = different or why_not_comparable(fits, names)
-    predictions, notes = _predictions(fits, names, held_out, (window, lead), own, not different)
+    predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)
 
     is_known = not not_comparable and all(map(is_likelihood, fits))
     likelihoods = common_likelihood(fits) if not different and not is_known else None
@@ -116,7 +104,6 @@ def compare(
         predictions,
         same_data=not different,
         comparable=not not_comparable,
-        removed_at=removed_at,
         likelihoods=likelihoods,
         aic=_known("AIC", rows),
     )
@@ -152,7 +139,6 @@ def _predictions(
     names: Sequence[str],
     held_out: Sequence[Record],
     lengths: tuple[float | None, float | None],
-    own: Sequence[str] | None,
     same_data: bool,
 ) -> tuple[dict[str, Predictions], list[str]]:
     """Return the predictions of all fits by kind of data, and notes on them."""
@@ -168,7 +154,7 @@ def _predictions(
     for kind, of_fits in data.items():
         is_fitted = kind == IDENTIFICATION
         predictions[kind], texts = predict_same_windows(
-            fits, names, of_fits, window_and_lead, fitted=is_fitted, own=own
+            fits, names, of_fits, window_and_lead, fitted=is_fitted
         )
         notes += texts
     return predictions, notes

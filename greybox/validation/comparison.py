@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.windows import seconds
@@ -119,16 +118,6 @@ class Comparison:
             for output in dict.fromkeys(row.output for row in rows):
                 lines += self._section([row for row in rows if row.output == output], output)
         return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
-
-    def _repr_html_(self) -> str:
-        rows = [
-            [r.data, r.output, r.measure, r.unit, *(_cell(v) for v in r.values)] for r in self.rows
-        ]
-        table = html_table(["data", "output", "measure", "unit", *self.labels], rows, (0, 1, 2, 3))
-        title = html_text(f"Comparison of {', '.join(self.labels)}", "b") + html_text(
-            f"Data: {self.data}"
-        )
-        return title + table + html_list(self.statements)
 
     def _windows(self, data: str) -> str:
         """Say how many windows there are and how long, in records that may differ."""

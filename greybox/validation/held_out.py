@@ -47,13 +47,12 @@ def predict_same_windows(
     lengths: tuple[float, float],
     *,
     fitted: bool,
-    own: Sequence[str] | None = None,
 ) -> tuple[Predictions, list[str]]:
     """Predict the records of `data`, in the same order for every fit, over the same windows.
 
     With `fitted` they are the records that each fit was made with. On others each fit estimates
-    values of the record's own, by default those of its fit, else those named `own`, see
-    `greybox.predict`. Returns the predictions, and notes on windows left out and values estimated.
+    values of the record's own, see `greybox.predict`. Returns the predictions, and notes on windows
+    left out and values estimated.
     """
     window, lead = lengths
     by_record: list[list[Prediction]] = []
@@ -64,9 +63,7 @@ def predict_same_windows(
         inputs = dict.fromkeys(name for model in models for name in model.system.inputs)
         outputs = _shared_outputs(models, record)
         windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
-        results = [
-            predict_windows(m, windows, outputs, own=() if fitted else _own(m, own)) for m in models
-        ]
+        results = [predict_windows(m, windows, outputs, own=() if fitted else None) for m in models]
         predictions, record_notes = _where_all_are_finite(results, labels)
         by_record.append(predictions)
         notes += record_notes
@@ -75,39 +72,6 @@ def predict_same_windows(
             common = "the standard errors"  # which are the same for all fits
             notes += [text if text.startswith(common) else f"{label}: {text}" for text in texts]
     return tuple(zip(*by_record, strict=True)), notes
-
-
-def _own(model: ModelAtEstimate, names: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return those of the named values that a model has; None for its own where none are named."""
-    if names is None:
-        return None
-    possible = {
-        *model.names,
-        *(f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs)),
-    }
-    return tuple(name for name in names if name in possible)
-
-
-def require_own(fits: Sequence[Fit], own: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return the names of values of held-out records, each of which some model must have.
-
-    Raises
-    ------
-    ValueError
-        For a name that no model has.
-    """
-    if own is None:
-        return None
-    names = (own,) if isinstance(own, str) else tuple(own)
-    models = [fit.at_estimate() for fit in fits]
-    for name in names:
-        if not any(_own(model, (name,)) for model in models):
-            existing = dict.fromkeys(name for model in models for name in model.names)
-            raise ValueError(
-                f"own names {name!r}, which no fit has; they have {', '.join(existing)}, and a bias "
-                "of any signal."
-            )
-    return names
 
 
 def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:

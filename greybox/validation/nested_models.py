@@ -84,9 +84,7 @@ class NestedTest:
         return f"{', '.join(self.terms)} {verdict} ({statistic}, {p_text(self.p_value)}{scale})."
 
 
-def nested_test(
-    small: Fit, large: Fit, *, removed_at: Mapping[str, float] | None = None
-) -> NestedTest:
+def nested_test(small: Fit, large: Fit) -> NestedTest:
     """Test whether the parameters that only `large` has free are needed.
 
     `large` contains `small` where parameters of one name are the same and the equations agree with
@@ -103,9 +101,6 @@ def nested_test(
     ----------
     small, large : Fit
         Of the same data.
-    removed_at : mapping of name to value, optional
-        Values at which parameters leave the larger model, where that cannot be shown:
-        ``{"T_rotor": 0.0}``. They are not checked.
 
     Raises
     ------
@@ -123,11 +118,11 @@ def nested_test(
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
 
     try:
-        values = nested_values(small, large, labels, removed_at)
+        values = nested_values(small, large, labels)
     except NotNestedError as reason:
         raise ValueError(
-            f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. "
-            "Use gb.compare, which needs no nesting, or give the values that remove them, removed_at={name: value}."
+            f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. Use gb.compare, which needs no "
+            "nesting."
         ) from None
     return nested_test_at(values, small, large, labels)
 

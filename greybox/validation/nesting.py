@@ -17,7 +17,7 @@ from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.text_table import listed
 from greybox.modeling.linear_response import frequency_response
-from greybox.modeling.model import Model, require_known
+from greybox.modeling.model import Model
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
@@ -42,21 +42,16 @@ class NotNestedError(ValueError):
         self.undecided = undecided
 
 
-def nested_values(
-    small: Fit, large: Fit, labels: tuple[str, str], removed_at: Mapping[str, float] | None = None
-) -> dict[str, float]:
+def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, float]:
     """Return the values at which the terms of the larger model make it the smaller one.
 
-    Terms are the parameters that are free in the larger model alone. The user's values `removed_at`
-    are taken on trust.
+    Terms are the parameters that are free in the larger model alone.
 
     Raises
     ------
     NotNestedError
         If the smaller model is not shown to lie within the larger one.
     """
-    trusted = removed_at or {}
-    require_known(trusted, large.free, "free parameter", labels[1])
     for a, b in zip(small.parts, large.parts, strict=True):
         _require_same_assumptions(a, b, labels)
     pairs = _pairs(small, large)
@@ -67,12 +62,11 @@ def nested_values(
         raise NotNestedError(f"every free parameter of {labels[1]} is also free in {labels[0]}")
     sources = {name: counterparts[name] for name in terms}
     held = {name: small.estimate[source] for name, source in sources.items() if source}
-    removed = {name: float(value) for name, value in trusted.items() if name not in held}
     # A bias or a gain, which the criterion adds and not the model, is absent at zero.
     of_model = {pair.outside(name) for pair in pairs for name in pair.large.parameters}
-    removed |= {n: 0.0 for n in terms if n not in {*of_model, *held, *removed}}
+    removed = {n: 0.0 for n in terms if n not in {*of_model, *held}}
     unknown = [name for name in terms if name not in {*held, *removed}]
-    if pairs and (unknown or not trusted):
+    if pairs:
         equations = _Equations(pairs, _draws(small), large, labels)
         removed |= equations.removing(unknown, removed)
         equations.require_effects([n for n in terms if n in of_model], {**removed, **held})
@@ -250,8 +244,7 @@ class _Equations:
         for pair in self.pairs:
             if isinstance(pair.small, StateSpace) != isinstance(pair.large, StateSpace):
                 raise NotNestedError(
-                    f"the equations of {self.labels[0]} and {self.labels[1]} have different forms; "
-                    "if one is the other with terms removed, give removed_at={name: value}",
+                    f"the equations of {self.labels[0]} and {self.labels[1]} have different forms",
                     undecided=True,
                 )
         bounds = {q.name: q.bounds for q in self.large.quantities}

@@ -7,7 +7,6 @@ import pytest
 from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
-from greybox.models.tilt import PAPER_G
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +22,7 @@ def test_a_quadratic_truth_is_told_on_records_that_were_held_out(quadratic):
     found = gb.compare(wrong, right, records=other)
     text = str(found)
     assert "QuadraticDrag predicts held-out data better than LinearDrag" in text
-    assert "QuadraticDrag fits the data better than LinearDrag (Vuong, p < 0.0001)" in text
+    assert "QuadraticDrag predicts its own data better than LinearDrag" in text
     (said,) = [s for s in found.statements if s.startswith("C_x")]
     assert said.endswith("1/m (QuadraticDrag): distinguishable from zero.")
     for place in ("identification", "held-out"):
@@ -45,7 +44,7 @@ def test_a_linear_truth_is_not_taken_for_a_quadratic_one():
     assert said.endswith("(Drag): not distinguishable from zero.")
     assert "equally well" in str(found)
     found = gb.compare(quadratic, linear, records=[other])
-    assert "LinearDrag fits the data better than QuadraticDrag (Vuong" in str(found)
+    assert "LinearDrag predicts its own data better than QuadraticDrag" in str(found)
 
 
 def test_slow_flight_does_not_determine_the_quadratic_term():
@@ -58,8 +57,7 @@ def test_slow_flight_does_not_determine_the_quadratic_term():
 
 
 def test_a_comparison_does_not_contradict_the_nested_test():
-    # A term of three to six standard errors: Vuong's test, which takes no account of nesting, found
-    # no difference.
+    # A term of three to six standard errors.
     significant = 0
     for seed in range(60, 63):
         record = flight({"a5": 0.2, "C_x": 0.05}, seed, duration=15.0, noise=0.25)
@@ -68,7 +66,6 @@ def test_a_comparison_does_not_contradict_the_nested_test():
         found = gb.compare(*((small, large) if seed % 2 else (large, small)))
         assert str(test) in found.statements[0]
         (said,) = [s for s in found.statements if s.startswith("C_x = ")]
-        assert not any("Vuong" in s for s in found.statements)
         assert said.endswith("not distinguishable from zero.") == (test.p_value >= 0.05)
         significant += test.p_value < 0.05
     assert significant >= 2
@@ -78,27 +75,7 @@ def test_too_few_held_out_windows_take_nothing_from_what_the_fits_show(quadratic
     right, wrong, other = quadratic
     found = gb.compare(right, wrong, records=other.between(0, 2.5))
     assert "2 windows cannot show which of QuadraticDrag and LinearDrag" in str(found)
-    assert "QuadraticDrag fits the data better than LinearDrag" in str(found)
-
-
-def test_the_user_may_say_what_removes_a_term(quadratic):
-    record = quadratic[0].parts[0].data
-    small, large = fitted(LinearDrag(), record), fitted(Shifted(), record)
-    assert "Vuong" in gb.compare(small, large).statements[0]
-    found = gb.compare(small, large, removed_at={"C": -0.5})
-    assert found.statements[0].startswith("Shifted contains LinearDrag, and C is needed")
-    assert gb.validation.nested_test(small, large, removed_at={"C": -0.5}).p_value < 1e-4
-    with pytest.raises(ValueError, match="each fit has no free parameter 'D'"):
-        gb.compare(small, large, removed_at={"D": 0.0})
-
-
-class Shifted(LinearDrag):
-    """Linear drag where C = -0.5."""
-
-    C = gb.Parameter(-0.4, bounds=(-2, 2))
-
-    def derivative(self, x, u, p):
-        return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - (p.C + 0.5) * abs(x.v) * x.v,)
+    assert "QuadraticDrag predicts its own data better than LinearDrag" in str(found)
 
 
 def test_the_table_is_plain(quadratic):

@@ -1,7 +1,6 @@
 """The table of a comparison, as values and as text."""
 
 import math
-from xml.etree import ElementTree as ET
 
 import pytest
 
@@ -79,16 +78,3 @@ def test_rows_stand_under_their_data_and_output():
             [kind, "p"],
             [kind, "q"],
         ]
-
-
-def test_a_notebook_shows_all_rows_and_statements():
-    shown = Comparison(("a", "b<"), "the same for all", ROWS, ("a is better.",))._repr_html_()
-    body = ET.fromstring(f"<div>{shown}</div>")
-    header, *rows = [["".join(cell.itertext()) for cell in row] for row in body.iter("tr")]
-    assert header == ["data", "output", "measure", "unit", "a", "b<"]
-    assert rows == [["fit", "", "AIC", "", "3", "-"], ["fit", "", "free parameters", "", "2", "4"]]
-    said = "".join(body.itertext())
-    assert said.startswith("Comparison of a, b<")
-    assert "Data: the same for all" in said
-    assert said.endswith("a is better.")
-    assert repr(Comparison(("a", "b"), "", ROWS, ())) == "<Comparison of a, b, 2 rows>"

@@ -20,13 +20,13 @@ def record():
 FITS = {}
 
 
-def place(record, small, large, removed_at=None, **options):
+def place(record, small, large, **options):
     """The values of the terms in the smaller model; both are fitted to a record, each only once."""
     fits = [
         fitted_once(record, model, **{k: v[i] for k, v in options.items() if v[i]})
         for i, model in enumerate((small, large))
     ]
-    return nested_values(*fits, NAMES, removed_at)
+    return nested_values(*fits, NAMES)
 
 
 def fitted_once(record, model, **options):
@@ -148,10 +148,6 @@ def test_names_alone_do_not_make_models_nested(record):
         place(record, LinearDrag(), PositiveDrag())
     with pytest.raises(NotNestedError, match="is also free in small"):
         place(record, LinearDrag(), LinearDrag())
-    # The values that the user gives are not checked.
-    assert place(record, LinearDrag(), OtherDrag(), removed_at={"C_x": -0.3}) == {"C_x": -0.3}
-    with pytest.raises(ValueError, match="large has no free parameter 'k'"):
-        place(record, LinearDrag(), Drag(), removed_at={"k": 0.0})
 
 
 def test_a_parameter_that_is_held_elsewhere_makes_another_model(record):
@@ -164,7 +160,6 @@ def test_states_are_met_by_their_names(record):
     assert place(record, LinearDrag(), LaggedDrag()) == {"k": 0.0}
     with pytest.raises(NotNestedError, match="is not small where C_x"):
         place(record, LinearDrag(), RenamedDrag())
-    assert place(record, LinearDrag(), RenamedDrag(), removed_at={"C_x": 0.0}) == {"C_x": 0.0}
 
 
 def test_a_term_without_effect_where_another_is_zero_is_reported(record):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
-from scipy.stats import multivariate_normal, norm, ttest_1samp
+from scipy.stats import ttest_1samp
 
 import greybox as gb
 from greybox.files.text_table import number
@@ -19,39 +19,6 @@ from greybox.validation.nested_models import NestedTest
 def fits():
     record = flight(QUADRATIC, 1, duration=15.0)
     return fitted(LinearDrag(), record), fitted(QuadraticDrag(), record)
-
-
-def test_log_likelihoods_are_those_of_the_normal_distribution(fits):
-    part = fits[1].records[0]
-    expected = norm.logpdf(part.residual("v"), scale=np.sqrt(part.noise[0, 0]))
-    assert significance.log_likelihoods(part) == pytest.approx(expected)
-    assert np.sum(significance.log_likelihoods(part)) == pytest.approx(-fits[1].cost, rel=1e-6)
-
-
-class TwoOutputs:
-    """A part with correlated residuals of two outputs, of which one sample lacks one."""
-
-    outputs = ("a", "b")
-
-    def __init__(self, noise):
-        self.noise = np.array(noise)
-        self.e = np.random.default_rng(0).normal(size=(2, 5))
-        self.e[1, 2] = np.nan
-
-    def residual(self, name):
-        return self.e[self.outputs.index(name)]
-
-
-def test_a_missing_output_leaves_out_a_sample_only_where_outputs_are_correlated():
-    part = TwoOutputs([[1.0, 0.3], [0.3, 0.5]])
-    expected = [
-        multivariate_normal.logpdf(e, cov=part.noise) if np.isfinite(e).all() else np.nan
-        for e in part.e.T
-    ]
-    assert significance.log_likelihoods(part) == pytest.approx(expected, nan_ok=True)
-    part = TwoOutputs([[1.0, 0.0], [0.0, 0.5]])
-    alone = norm.logpdf(part.e, scale=np.sqrt(np.diag(part.noise))[:, None])
-    assert significance.log_likelihoods(part) == pytest.approx(np.nansum(alone, axis=0))
 
 
 def test_squares_of_windows_are_those_of_the_residuals(fits):
@@ -99,59 +66,6 @@ def test_few_windows_have_the_p_value_of_students_t(fits):
     sentence = verdict(shifted(made, errors), shifted(made, worse))
     assert sentence.startswith("a predicts held-out data better than b")
     assert f"100 % of {len(made)} windows ({p_text(p)})" in sentence
-
-
-class Spring(gb.StateSpace):
-    """Position and velocity of a mass on a spring, both measured."""
-
-    states, inputs, outputs = ("x", "v"), ("force",), ("x", "v")
-    stiffness = gb.Parameter(3.0, bounds=(0.1, 20))
-    damping = gb.Parameter(0.5, bounds=(0, 5))
-
-    def derivative(self, x, u, p):
-        return (x.v, u.force - p.stiffness * x.x - p.damping * x.v)
-
-    def output(self, x, u, p):
-        return (x.x, x.v)
-
-
-class DrySpring(Spring):
-    """The same with another kind of damping."""
-
-    def derivative(self, x, u, p):
-        return (x.v, u.force - p.stiffness * x.x - p.damping * gb.tanh(4 * x.v))
-
-
-def test_vuongs_test_of_correlated_outputs_is_that_of_their_joint_density():
-    time = np.arange(400) / 20
-    random = np.random.default_rng(4)
-    force = 2 * np.sign(np.sin(0.9 * time))
-    clean = gb.simulate(
-        Spring(), {"stiffness": 4.0, "damping": 0.6}, gb.Record(time, {"force": force})
-    )
-    error = 0.1 * random.multivariate_normal([0, 0], [[1.0, 0.7], [0.7, 1.0]], size=time.size).T
-    record = gb.Record(
-        time, {"force": force, "x": clean["x"] + error[0], "v": clean["v"] + error[1]}
-    )
-    full = gb.OutputError(noise="full")
-    fits = [fitted(model, record, criterion=full) for model in (Spring(), DrySpring())]
-    densities = []
-    for fit in fits:
-        part = fit.records[0]
-        assert part.noise[0, 1] > 0.3 * part.noise[0, 0]
-        errors = np.array([part.residual(name) for name in part.outputs])
-        densities.append(multivariate_normal.logpdf(errors.T, cov=part.noise))
-        assert significance.log_likelihoods(part) == pytest.approx(densities[-1])
-        assert np.sum(densities[-1]) == pytest.approx(-fit.cost, rel=1e-6)
-    assert np.sum(densities[0] - densities[1]) > 10
-    sentence = significance.verdict_by_vuong(fits, ("viscous", "dry"), (0, 1))
-    assert sentence.startswith("viscous fits the data better than dry (Vuong, p")
-    assert significance.verdict_by_vuong(fits, ("viscous", "dry"), (1, 0)) == sentence
-
-
-def test_one_model_fitted_twice_fits_equally_well(fits):
-    sentence = significance.verdict_by_vuong((fits[1], fits[1]), ("a", "b"), (0, 1))
-    assert sentence.startswith("a and b fit the data equally well")
 
 
 @pytest.mark.parametrize(
@@ -240,30 +154,3 @@ def test_samples_that_one_of_two_predictions_lacks_count_in_neither(fits):
     for found, e in zip((first, second), errors, strict=True):
         e[1, 1:] = np.nan
         assert found == pytest.approx(np.nanmean(e**2, axis=1) / noise)
-
-
-@pytest.mark.parametrize("more", [0, 3])
-def test_the_difference_of_aic_is_that_of_the_likelihoods_and_of_the_numbers_that_were_estimated(
-    more,
-):
-    """Of residuals that two models share but for a little, where Vuong's test finds nothing."""
-    random = np.random.default_rng(5)
-    e = random.normal(size=(2, 200))
-    e[1] = np.roll(e[0], 7) + 0.2 * random.normal(size=200)
-
-    def fit(residuals, free):
-        data = SimpleNamespace(independent_pieces=[slice(None)])
-        noise = np.array([[np.mean(residuals**2)]])
-        part = SimpleNamespace(
-            outputs=("y",), noise=noise, data=data, nuisances=1, residual=lambda _: residuals
-        )
-        return SimpleNamespace(records=[part], parts=[part], free=("p",) * free)
-
-    logs = [-100 * (np.log(2 * np.pi * np.mean(r**2)) + 1) for r in e]
-    aic = 2 * (2 + more - logs[0]) - 2 * (2 - logs[1])
-    assert abs(aic) > 2
-    pair = (fit(e[0], 1 + more), fit(e[1], 1))
-    sentence = significance.verdict_by_vuong(pair, ("a", "b"), (0, 1))
-    assert f"AIC differs by {number(abs(aic), 2)})" in sentence
-    close = (fit(e[0], 1), fit(e[0], 3))
-    assert "AIC differs by 4)" in significance.verdict_by_vuong(close, ("a", "b"), (0, 1))
