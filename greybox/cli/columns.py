@@ -1,8 +1,8 @@
-"""The option `--columns`: which columns of a table are the signals, and their units."""
+"""The options `--columns` and `--rate` of a table: its signals, their units, and their rate."""
 
 import argparse
 
-from greybox.cli.options import UsageError, add_words
+from greybox.cli.options import UsageError, add_words, positive_number
 
 RESPONSE_OR_RECORD = (
     "with --data: the columns of a table with other names. For a response frequency=f:Hz "
@@ -18,6 +18,12 @@ RECORD = (
 def add_columns_option(parser: argparse.ArgumentParser, about: str = RESPONSE_OR_RECORD) -> None:
     """Declare the option; `about` is its help."""
     add_words(parser, "--columns", "NAME=COLUMN[:UNIT]", about)
+
+
+def add_rate_option(parser: argparse.ArgumentParser) -> None:
+    """Declare the option."""
+    about = "sampling rate of a table without a time"
+    parser.add_argument("--rate", type=positive_number, metavar="HZ", help=about)
 
 
 def stated_columns(options: argparse.Namespace) -> dict[str, str]:

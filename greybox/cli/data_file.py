@@ -8,15 +8,15 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import read_response
+from greybox.data.time_column import seconds
 from greybox.data.transient_file import claims_spectrum, read_spectrum
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.data.units import to_si
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
 from greybox.formulation.signal_units import as_the_only_pair
+from greybox.logs.named_columns import in_si
 from greybox.logs.readers import read
-from greybox.logs.readers.table_columns import seconds
 from greybox.modeling.model import Model
 
 LONG = 200  # characters of a list in a sentence: more would hide the cure after it
@@ -28,16 +28,17 @@ def read_data(
     input: str = "",
     output: str = "",
     columns: Mapping[str, str] | None = None,
+    rate: float | None = None,
 ) -> FrequencyResponse | Record | TransientSpectrum:
     """Return a response, the spectrum of a manoeuvre, or the only record with the model's signals.
 
     `columns` come from `--columns`. They are those of a response if they contain its frequency or
-    magnitude.
+    magnitude. The `rate`, Hz, comes from `--rate`: that of a table without a time.
 
     Raises
     ------
     ValueError, FileNotFoundError
-        If the file does not exist, has no or several such records, or units other than SI.
+        If the file does not exist, has no or several such records, or its columns do not exist.
     """
     path = Path(path)
     require_file(path)
@@ -48,9 +49,9 @@ def read_data(
             model, read_response(path, input=input, output=output, columns=columns)
         )
     try:
-        log = read(path, columns=columns or None)
+        log = read(path, columns=columns or None, rate=rate)
     except ValueError as error:
-        if columns:
+        if columns or rate:
             raise
         raise ValueError(
             f"{path} is neither a frequency response, with columns {', '.join((OMEGA, *RECTANGULAR))}, nor a record: {error}"
@@ -95,20 +96,8 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
             f"{cure if is_table else _preparation(path, names)}."
         )
     (record,) = records
+    record = in_si(record, [name for name in names if name in record.signals])
     findings = list(record.findings)
-    for name in names:
-        unit = record.units.get(name, "")
-        try:
-            conversion = to_si(unit)
-        except ValueError as error:
-            findings.append(f"{name} was taken as it is, in {unit!r}: {error}.")
-            continue
-        if conversion.changes:
-            columns = " ".join(f"{n}={n}" for n in names if n in record.signals)
-            cure = f"--columns {columns} converts it" if is_table else _preparation(path, names)
-            raise ValueError(
-                f"{path} has {name} in {unit}, but a fit needs {conversion.si}: {cure}."
-            )
     # Findings about other messages are left out.
     findings += [
         text

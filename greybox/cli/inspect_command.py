@@ -5,6 +5,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
+from greybox.cli.columns import add_rate_option
 from greybox.cli.log_tests import add_test_options, read_log, segments_of
 from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
@@ -25,6 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
     add_test_options(parser)
+    add_rate_option(parser)
     add_common_options(parser, "setpoints, angles and tests")
 
 

@@ -93,6 +93,11 @@ def seconds(text: str) -> float:
     return _between(text, math.inf, "a number of seconds above 0")
 
 
+def positive_number(text: str) -> float:
+    """Return a finite number above zero."""
+    return _between(text, math.inf, "a number above 0")
+
+
 def _between(text: str, limit: float, kind: str) -> float:
     with contextlib.suppress(ValueError):
         if 0 < float(text) < limit:

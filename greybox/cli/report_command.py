@@ -1,13 +1,19 @@
 """The command `greybox report`: a page about saved results."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import add_common_options
+from greybox.cli.columns import RECORD, add_columns_option, add_rate_option, stated_columns
+from greybox.cli.data_file import read_data
+from greybox.cli.options import UsageError, add_common_options, add_words
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.data.record import Record
 from greybox.study.study import read_study
+from greybox.validation.compare import compare
+from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
 
 EXAMPLES = (
@@ -35,6 +41,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="the page (default: the name of the first result, ending in .html)",
     )
     add_model_option(parser)
+    about = "records that none of two or more fits has seen: how well each predicts them"
+    add_words(parser, "--held-out", "FILE", about)
+    add_columns_option(parser, f"with --held-out: {RECORD}")
+    add_rate_option(parser)
     add("--title", default="", help="heading of the page (default: the name of the fit)")
     add_common_options(parser, writes=True)
 
@@ -46,7 +56,7 @@ def run(options: argparse.Namespace) -> Answer:
     out = options.out or Path(f"{options.results[0].resolve().stem}.html")
     require_writable(out, options.force, (".html", ".htm"), "page")
     entries = _entries(options)
-    write_page(entries, out, title=options.title)
+    write_page(entries, out, _held_out(options, entries), options.title)
     size = out.stat().st_size
     answer = {"page": out, "bytes": size, "results": [entry.label for entry in entries]}
     return answer, f"wrote {out} ({size / 1000:.0f} kB)", USABLE
@@ -64,3 +74,22 @@ def _entries(options: argparse.Namespace) -> list[Any]:
         else:
             entries += study_entries(read_study(path))
     return entries
+
+
+def _held_out(options: argparse.Namespace, entries: Sequence[Any]) -> Comparison | None:
+    """Return how well the fits predict the held-out records; None without records."""
+    columns = stated_columns(options)
+    if not options.held_out:
+        if columns or options.rate:
+            raise UsageError("--columns and --rate go with --held-out.")
+        return None
+    fitted = [entry for entry in entries if entry.fit is not None]
+    if len(fitted) < 2:
+        raise UsageError("--held-out compares fits by what they predict: give two or more results.")
+    model = fitted[0].fit.model_of()
+    data = [read_data(path, model, columns=columns, rate=options.rate) for path in options.held_out]
+    records = [record for record in data if isinstance(record, Record)]
+    if len(records) < len(data):
+        raise UsageError("--held-out takes records, which are tables of signals.")
+    labels = [entry.label for entry in fitted]
+    return compare(*(entry.fit for entry in fitted), records=records, labels=labels)

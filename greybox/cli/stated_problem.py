@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, shipped
-from greybox.cli.columns import add_columns_option, stated_columns
+from greybox.cli.columns import add_columns_option, add_rate_option, stated_columns
 from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError, add_words, assignments
 from greybox.cli.parameter_options import add_parameter_options, with_parameter_options
@@ -78,6 +78,7 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     about = "with --model: operating point at which an ODE is linearized"
     add_words(parser, "--at", "NAME=VALUE", about)
     add_columns_option(parser)
+    add_rate_option(parser)
     add_parameter_options(parser)
     add("--delay", help="exact or pade:n (default: the problem's)")
     add("--criterion", help=f"{', '.join(CRITERIA_BY_NAME)} (default: the problem's)")
@@ -127,7 +128,8 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
         raise UsageError("--model needs --data FILE, a frequency response or a record.")
     model = find_model(options.model)
     columns = stated_columns(options)
-    data = [read_data(path, model, options.input, options.output, columns) for path in options.data]
+    names = options.input, options.output
+    data = [read_data(path, model, *names, columns, options.rate) for path in options.data]
     for word in options.through:
         for known_filter in filters_of(word, data[0]):
             model = through(model, known_filter)
@@ -138,6 +140,8 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
                     f"--{name} is for a frequency response, and {path} is something else: leave "
                     "it out."
                 )
+        if options.rate and not isinstance(values, Record):
+            raise UsageError(f"--rate is for a table of signals, and {path} is something else.")
     at = assignments(options.at, "--at")
     parts = tuple(Problem(model, values, at=at) for values in data)
     return parts[0] if len(parts) == 1 else Sum(parts)

@@ -250,9 +250,16 @@ def sampled_data(
             f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs lasts "
             f"{longest:.3g} s{reason}; give a longer record{' or a smaller upper bound' if delay else ''}."
         )
-    if not static and all(_is_constant(record[name]) for name in outputs):
+    constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
+    if constant_outputs and len(constant_outputs) == len(outputs):
         raise ValueError(
             f"the outputs of the record never change ({', '.join(outputs)}): nothing can be estimated from it."
+        )
+    dead = [name for name in constant_outputs if not np.isnan(record[name]).all()]
+    if dead:  # its residuals would decide the fit
+        raise ValueError(
+            f"{_called(record)} has {dead[0]} = {np.nanmax(record[dead[0]]):g} at all times, while other outputs "
+            "change: if the sensor is dead, leave it out of the record."
         )
     measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
     masked = sum(int(measured[s.rows[: s.masked]].sum()) for s in stretches)

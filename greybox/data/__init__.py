@@ -10,6 +10,7 @@ Begin with `record` and `frequency_response`.
 | `test_segment` | one test within a record, and the table of several |
 | `intersample` | signals between their samples: held or continuous |
 | `units` | conversion of units to SI |
+| `time_column` | time columns of tables, and the clocks that wrote them |
 | `magnitude_phase` | complex responses from decibels and degrees |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
 | `response_file` | frequency responses in CSV |

@@ -4,6 +4,8 @@ Fourth powers of the numbers, as in squares of sums of squares, must be finite. 
 in any unit is outside of this range, but damaged files have such numbers.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,21 +18,38 @@ SMALLEST = 1e-75
 def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
     """Return a read-only copy (n,) of measured numbers, in floating point or complex.
 
+    Masked values are missing: they become NaN.
+
     Raises
     ------
     ValueError
-        If the values are not a one-dimensional array of numbers.
+        If the values are not a one-dimensional array of numbers; complex ones are not real.
     """
     try:
+        dtype = values.dtype if hasattr(values, "dtype") else np.asanyarray(values).dtype
+        if dtype.kind not in ("biufc" if kind is complex else "biuf"):
+            raise TypeError(dtype)
+        if hasattr(values, "filled"):  # a masked array
+            values = values.astype(kind).filled(np.nan)  # type: ignore[union-attr]
         array = np.array(values, dtype=kind)
     except (TypeError, ValueError):
         raise ValueError(
-            f"{name} must be a one-dimensional array of numbers, not {values!r:.60}."
+            f"{name} must be a one-dimensional array of numbers, not {values!r:.60}: convert it."
         ) from None
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
     array.setflags(write=False)
     return array
+
+
+def seconds_from_first(values: Any) -> Any:
+    """Return dates and time differences in s from the first one; anything else as it is."""
+    if getattr(values, "tz", None) is not None:  # numpy has dates with a time zone as objects
+        values = values.tz_convert("UTC").tz_localize(None)
+    if getattr(getattr(values, "dtype", None), "kind", "") not in ("M", "m"):
+        return values
+    array = np.asarray(values)
+    return (array - array[:1]) / np.timedelta64(1, "s")
 
 
 def within_range(values: Array) -> Array:

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.checked_array import checked_array, seconds_from_first
+from greybox.data.time_column import seconds, times_in_seconds
 from greybox.files.arrays import Array
+from greybox.files.heading import heading
 from greybox.files.optional_package import required
-
-SECOND = np.timedelta64(1, "s")
 
 Frame = Any
 """A `pandas.DataFrame`; pandas is imported when it is first needed."""
@@ -33,49 +34,66 @@ def frame_of(
     return frame
 
 
-def columns_of(frame: Frame) -> dict[str, Array]:
-    """Return the columns of a data frame as numbers, by name.
-
-    Raises
-    ------
-    TypeError
-        If it is no data frame.
-    ValueError
-        If two columns have one name, or a column is not one of numbers.
-    """
+def require_frame(frame: Frame) -> None:
+    """Raise TypeError for what is no data frame, and ValueError for two columns of one name."""
     if not hasattr(frame, "columns") or not hasattr(frame, "attrs"):
         raise TypeError(f"frame is {frame!r:.60}: give a pandas.DataFrame.")
     names = [str(name) for name in frame.columns]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise ValueError(f"the data frame has two columns {twice[0]!r}: rename or drop one.")
-    result = {}
-    for position, name in enumerate(names):
-        try:
-            result[name] = frame.iloc[:, position].to_numpy(dtype=float, na_value=np.nan)
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"the column {name!r} of the data frame is not one of numbers: drop or convert it."
-            ) from None
-    return result
 
 
-def seconds_of(index: Any, name: str) -> Array:
-    """Return an index as times in s: numbers are seconds, dates and time differences count from the first.
+def columns_of(frame: Frame, without: str = "") -> dict[str, Array]:
+    """Return the columns of a data frame as numbers, by name, without that of the time.
 
     Raises
     ------
     ValueError
-        For anything else.
+        If a column is not one of numbers.
     """
-    values = np.asarray(index)
-    if np.issubdtype(values.dtype, np.datetime64) or np.issubdtype(values.dtype, np.timedelta64):
-        return (values - values[:1]) / SECOND
-    if getattr(index, "tz", None) is not None:  # dates with a time zone are objects in numpy
-        return seconds_of(index.tz_convert("UTC").tz_localize(None), name)
-    try:
-        return values.astype(float)
-    except (TypeError, ValueError):
+    result = {}
+    for position, name in enumerate(map(str, frame.columns)):
+        if name == without:
+            continue
+        column = frame.iloc[:, position]
+        if column.dtype.kind not in "biuf":
+            raise ValueError(
+                f"the column {name!r} of the data frame is not one of numbers: drop or convert it."
+            )
+        result[name] = column.to_numpy(dtype=float, na_value=np.nan)
+    return result
+
+
+def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...]]:
+    """Return the times of a data frame in s, the column that they come from, and findings.
+
+    The index is the time if it has dates, a name as of a time, or numbers that are not whole.
+
+    Raises
+    ------
+    ValueError
+        If no column and no index is a time.
+    """
+    names = [str(name) for name in frame.columns]
+    if time is not None and time not in names:
+        raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(names)}.")
+    index = frame.index
+    is_time = index.dtype.kind in "mMf" or seconds(*heading(str(index.name)))
+    column = time or next((name for name in names if seconds(*heading(name))), "")
+    if time is None and is_time:
+        values, name, column = index, str(index.name), ""
+    elif column:
+        values, name = frame.iloc[:, names.index(column)], column
+        values = values.array if values.dtype.kind == "M" else values
+    else:
         raise ValueError(
-            f"the {name} of the data frame holds no times: give seconds, or dates."
-        ) from None
+            "the data frame has no time: name it, time='COLUMN', or its index, in s or as dates; "
+            "or state that its rows have none, has_time=False."
+        )
+    if values.dtype.kind in "mM":
+        return seconds_from_first(values), column, ()
+    times = checked_array(f"the time {name!r} of the data frame", values.to_numpy())
+    label, unit = heading(name)
+    times, findings = times_in_seconds(label, unit, times)
+    return times, column, findings

@@ -10,11 +10,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.checked_array import checked_array, within_range
+from greybox.data.checked_array import checked_array, seconds_from_first, within_range
 from greybox.data.intersample import checked_hold
-from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
+from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 from greybox.files.arrays import Array, IntArray
-from greybox.files.text_table import counted, one_line, printable
+from greybox.files.text_table import alternatives, counted, one_line, printable
 
 # A step longer than this number of median steps is a gap: nothing is interpolated across it. One lost
 # sample makes a step of two, which is not a gap; the half allows for jitter.
@@ -32,12 +32,13 @@ class Record:
     Parameters
     ----------
     time : (n,) array, s, or None
-        Strictly increasing. None for rows that have no order in time, as in a table of independent
-        measurements: `time` is then the number of each row, `has_time` is False, and static models
-        alone can be fitted.
+        Strictly increasing; dates and time differences count from the first. None for rows that
+        have no order in time, as in a table of independent measurements: `time` is then the number
+        of each row, `has_time` is False, and static models alone can be fitted.
     signals : mapping of name to (n,) array
-        NaN marks a sample that is missing. Beyond ±1e75 values become infinite, which is missing
-        too, and below 1e-75 zero: sums of squares could not hold them.
+        Real numbers. NaN marks a sample that is missing, and so does the mask of a masked array.
+        Beyond ±1e75 values become infinite, which is missing too, and below 1e-75 zero: sums of
+        squares could not hold them.
     units : mapping of name to str
         SI after `prepare`; those of the log before.
     name, source : str
@@ -61,7 +62,8 @@ class Record:
     Raises
     ------
     ValueError
-        For empty records, lengths that differ, times that do not increase, or a hold below 0.
+        For empty records, lengths that differ, times that do not increase, units of unknown
+        signals, or a hold below 0.
     """
 
     time: Array
@@ -83,7 +85,7 @@ class Record:
         if self.time is None:
             object.__setattr__(self, "time", _row_numbers(self.signals))
             object.__setattr__(self, "has_time", False)
-        time = _read_only(self.time, "time")
+        time = _read_only(seconds_from_first(self.time), "time")
         if time.size == 0:
             raise ValueError("the record is empty: give at least one sample.")
         if not np.all(np.isfinite(time)):
@@ -96,16 +98,25 @@ class Record:
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
             )
-        signals = {
-            _printable(name): within_range(_read_only(values, name))
-            for name, values in self.signals.items()
-        }
+        measured = {_printable(name): _read_only(x, name) for name, x in self.signals.items()}
+        signals = {name: within_range(values) for name, values in measured.items()}
+        lost = [
+            f"{name} has values beyond 1e75, which count as missing: check its sensor."
+            for name, values in measured.items()
+            if np.isinf(signals[name][np.isfinite(values)]).any()
+        ]
+        object.__setattr__(self, "findings", (*self.findings, *lost))
         for name, values in signals.items():
             if values.size != time.size:
                 other = "time" if self.has_time else next(iter(signals))
                 raise ValueError(
                     f"{other} has {time.size} samples but {name} has {values.size}: they must match."
                 )
+        unknown = [name for name in map(_printable, self.units) if name not in signals]
+        if unknown:
+            raise ValueError(
+                f"units names {unknown[0]!r}, which is no signal; it has {alternatives(unknown[0], signals)}"
+            )
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
         hold = {
@@ -184,10 +195,9 @@ class Record:
         self, units: Mapping[str, str] | None = None, **signals: ArrayLike
     ) -> "Record":
         """Return the record with signals added or replaced."""
-        new = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
         return replace(
             self,
-            signals={**self.signals, **new},
+            signals={**self.signals, **signals},
             units={**self.units, **(units or {})},
             checksum="",
         )
@@ -206,10 +216,10 @@ class Record:
         Parameters
         ----------
         frame : pandas.DataFrame
-            Its index is the time in s; dates and time differences count from the first. Missing
-            values are NaN.
+            Missing values are NaN. The time is its index, if that has dates or a name such as
+            ``time``, or else the column ``time``, ``t``, ``timestamp`` or ``Time (ms)``.
         time : str, optional
-            The column that is the time instead of the index.
+            Another column that is the time. Dates and time differences count from the first.
         units : mapping of name to str, optional
             In place of ``frame.attrs["units"]``, which `to_pandas` writes.
         others
@@ -220,21 +230,18 @@ class Record:
         TypeError, ValueError
             For what is no data frame, no table of numbers, or no record.
         """
-        columns = columns_of(frame)
+        require_frame(frame)
+        moments, column, findings = None, "", ()
+        if others.pop("has_time", True):
+            moments, column, findings = times_of(frame, time)
+        columns = columns_of(frame, without=column)
         described = {
             name: frame.attrs[name]
             for name in ("units", "hold", "name", "source")
             if name in frame.attrs
-        }
-        if time is not None and time not in columns:
-            raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(columns)}.")
-        if not others.pop("has_time", True):
-            moments = None
-        elif time is not None:
-            moments = seconds_of(frame[time], f"column {time!r}")
-            columns.pop(time)
-        else:
-            moments = seconds_of(frame.index, "index")
+        } | {"findings": findings}
+        if "units" in described:  # those of columns that were dropped later stay in `attrs`
+            described["units"] = {n: u for n, u in described["units"].items() if n in columns}
         options = described | others | ({} if units is None else {"units": units})
         return cls(moments, columns, **options)  # type: ignore[arg-type]
 
@@ -369,7 +376,7 @@ def require_time(record: Record, what: str) -> None:
     if not record.has_time:
         raise ValueError(
             f"{what} needs samples in time, and {record.name or 'the record'} has rows without a time: give their "
-            "times, Record(time, ...), or in a table a column named 'time [s]'."
+            "times, Record(time, ...), or for a table a column named 'time [s]' or a rate."
         )
 
 
@@ -414,9 +421,9 @@ def _read_only(values: ArrayLike, name: str) -> Array:
     owner = values.base if isinstance(values, np.ndarray) and values.base is not None else values
     arrays = (values, owner)
     is_frozen = all(isinstance(x, np.ndarray) and not x.flags.writeable for x in arrays)
-    if not is_frozen or np.ndim(values) != 1:
-        return checked_array(name, values)
-    return np.asarray(values, dtype=float)
+    if is_frozen and type(values) is np.ndarray and values.dtype == float and values.ndim == 1:
+        return values
+    return checked_array(name, values)
 
 
 def _printable(thing: Any) -> Any:

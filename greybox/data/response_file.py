@@ -12,7 +12,7 @@ from greybox.data.response_columns import (
     columns_by_role,
     written_columns,
 )
-from greybox.files.delimited_text import read_delimited, write_delimited
+from greybox.files.delimited_text import numbered, read_delimited, write_delimited
 from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit
@@ -38,8 +38,9 @@ def read_response(
     Tables with other columns are read with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB",
     "phase": "ph:deg", "coherence": "coh"}``: the name of each in the header and, unless it stands
     there, its unit; ``alpha`` and ``beta`` may stand for magnitude and phase, rad/s, rad and
-    ``absolute`` for the units. Cells are separated by commas, semicolons or tabs, numbers may have
-    decimal commas, and lines that start with ``#`` or ``%`` are comments.
+    ``absolute`` for the units. Without a header line the columns have numbers, from 1, for names.
+    Cells are separated by commas, semicolons or tabs, numbers may have decimal commas, and lines
+    that start with ``#`` or ``%`` are comments.
 
     Raises
     ------
@@ -52,6 +53,7 @@ def read_response(
     path = Path(path)
     require_file(path)
     table = read_delimited(path, path.read_bytes())
+    table = numbered(table) if columns else table
     if f"{output}_{input}_alpha" in table.header and "alpha" not in table.header:
         prefix = prefix or f"{output}_{input}_"
     try:

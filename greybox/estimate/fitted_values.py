@@ -136,7 +136,12 @@ def _(
         **_of_problem(part.problem),
         data=stored,
         simulated=replace(
-            stored, signals=signals, name=part.problem.model.label, source="", checksum=""
+            stored,
+            signals=signals,
+            units={name: unit for name, unit in stored.units.items() if name in signals},
+            name=part.problem.model.label,
+            source="",
+            checksum="",
         ),
         outputs=part.outputs,
         noise=noise,

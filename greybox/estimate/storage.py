@@ -35,6 +35,7 @@ from greybox.estimate.stored_values import (
     write_fields,
     write_table,
 )
+from greybox.files.safe_files import HDF5
 from greybox.files.sealed_files import Node, Stored, open_sealed, write_sealed
 from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
@@ -61,10 +62,18 @@ def save(fit: Fit, path: str | Path) -> None:
 
     Raises
     ------
+    ValueError
+        If the name of the file does not end in .h5 or .hdf5: it would be taken for something else.
     OSError
         If the file cannot be written.
     """
-    write_sealed(Path(path), KIND, lambda file: _write(file, fit))
+    path = Path(path)
+    if path.suffix.lower() not in HDF5:
+        raise ValueError(
+            f"{path} is not the name of an HDF5 file: give one that ends in {' or '.join(HDF5)}; "
+            "for JSON see Fit.to_json."
+        )
+    write_sealed(path, KIND, lambda file: _write(file, fit))
 
 
 def load(

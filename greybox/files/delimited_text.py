@@ -10,7 +10,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +164,21 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         [k + 1 for k in body[1:]],
         {match["key"]: match["value"] for match in matches if match},
     )
+
+
+def numbered(text: DelimitedText) -> DelimitedText:
+    """Return a table without a header line with the numbers of its columns as names."""
+    line = text.separator.join(text.header)
+    lines = [line, *text.lines]
+    if len(text.header) == 1 and len(line.split()) > 1:
+        lines = ["\t".join(cells.split()) for cells in lines]
+        text = replace(text, separator="\t")
+    cells = lines[0].split(text.separator)
+    if not are_numbers(cells):
+        return text
+    names = tuple(str(k) for k in range(1, len(cells) + 1))
+    numbers = [text.line_numbers[0] - 1 if text.line_numbers else 1, *text.line_numbers]
+    return replace(text, header=names, lines=lines, line_numbers=numbers)
 
 
 def write_delimited(

@@ -266,6 +266,8 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
     for key, value in {**contents, **simulink}.items():
         if key.startswith("__") or (simulink and key == "signals"):
             continue
+        if key == "Ts" and isinstance(value, int | float):  # the sampling interval, s
+            value = np.array([float(value)])  # noqa: PLW2901
         if isinstance(value, Mapping):
             if group.count("/") < DEEPEST:
                 keep_struct(f"{group}{key}/", value, collector)

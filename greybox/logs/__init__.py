@@ -9,7 +9,7 @@ Begin with `readers`, then `prepare`.
 | `segment_detection` | tests in a log: System Identification mode, announced sines, sines in a setpoint |
 | `sine_detection` | sines and sweeps in one signal |
 | `manoeuvre_detection` | doublets, 2-1-1 and other inputs |
-| `named_columns` | columns of a table under the names that the user gives them |
+| `named_columns` | columns of a table under the names that the user gives them; signals in SI |
 | `flight_controllers` | signals of an axis and filters, for ArduPilot and PX4 together |
 | `ardupilot`, `px4` | the same for each flight controller |
 | `axis_signals` | the signals of one axis |

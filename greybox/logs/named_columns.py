@@ -1,49 +1,67 @@
-"""Renames the columns of a table, and converts them to SI."""
+"""Columns of a table under the names that the user gives them, and signals in SI."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
 
-from greybox.data.record import Recording
+from greybox.data.record import Record
 from greybox.data.response_columns import find_column
 from greybox.data.units import to_si
+from greybox.files.arrays import Array
 
-TIME = "time"
+HOLDS = (" held", " sampled")  # end a unit, see `table_columns.table`
 
 
-def with_columns(log: Recording, columns: Mapping[str, str]) -> Recording:
-    """Return a log of one table with its columns under these names, in SI units, and no others.
+def renamed(
+    columns: Mapping[str, Array], units: Mapping[str, str], stated: Mapping[str, str], source: str
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """Return the columns of a table with the stated ones first, under their new names, and all units.
 
     Raises
     ------
     ValueError
-        If a column is not there, or its unit is not known.
+        If a column does not exist, its unit is not known, or the table has it in another unit.
     """
-    if len(log) != 1:
-        raise ValueError(
-            f"{log.source} has {len(log)} messages, but `columns` names the columns of one table."
-        )
-    ((key, record),) = log.items()
-    header = [
-        f"{name} [{unit}]" if (unit := record.units.get(name)) else name for name in record.signals
-    ]
-    signals: dict[str, Any] = {}
-    units: dict[str, str] = {}
-    hold: dict[str, float] = {}
-    for name, text in columns.items():
-        if name == TIME and record.has_time and text.partition(":")[0] not in record.signals:
-            continue  # the column that the reader took for the time
+    header = [f"{name} [{unit}]" if (unit := units.get(name)) else name for name in columns]
+    own_names: dict[str, str] = {}
+    labels: dict[str, str] = {}
+    for name, text in stated.items():
         try:
             place, unit = find_column(text, header)
-            conversion = to_si(unit)
+            own_names[name] = [*columns][place]
+            labels[name] = _agreed(unit, units.get(own_names[name], ""))
         except ValueError as error:
             sentence = str(error)
             joint = " " if sentence.startswith("has ") else f": {text}: "
-            raise ValueError(f"{log.source}{joint}{sentence.rstrip('.')}.") from None
-        column = [*record.signals][place]
-        signals[name] = conversion.apply(record[column])
+            raise ValueError(f"{source}{joint}{sentence.rstrip('.')}.") from None
+    others = [name for name in columns if name not in (*own_names, *own_names.values())]
+    own_names |= {name: name for name in others}
+    labels |= {name: unit for name in others if (unit := units.get(name))}
+    return {name: columns[own] for name, own in own_names.items()}, labels
+
+
+def _agreed(stated: str, written: str) -> str:
+    """Return the unit of a column with how it runs between samples; ValueError if the table has another one."""
+    unit, _, hold = written.rpartition(" ") if written.endswith(HOLDS) else (written, "", "")
+    if stated in (unit, written):
+        to_si(unit)
+        return written
+    if unit and to_si(stated) != to_si(unit):
+        raise ValueError(f"its unit is {unit} in the table, not {stated}: leave the unit out")
+    to_si(stated)
+    return f"{stated} {hold}".rstrip()
+
+
+def in_si(record: Record, names: Iterable[str]) -> Record:
+    """Return a record with these signals in SI; units that are not known become findings."""
+    signals, units, findings = dict(record.signals), dict(record.units), [*record.findings]
+    for name in names:
+        unit = record.units.get(name, "")
+        try:
+            conversion = to_si(unit)
+        except ValueError as error:
+            findings.append(f"{name} was taken as it is, in {unit!r}: {error}.")
+            continue
+        signals[name] = conversion.apply(record[name])
         units[name] = conversion.si
-        hold |= {name: record.hold[column]} if column in record.hold else {}
-    time = signals.pop(TIME, record.time if record.has_time else None)
-    renamed = replace(record, time=time, signals=signals, units=units, hold=hold, has_time=True)
-    return replace(log, records={key: renamed})
+        findings += [f"{name}: {conversion.remark}."] if conversion.remark else []
+    return replace(record, signals=signals, units=units, findings=tuple(findings))

@@ -364,7 +364,9 @@ def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) 
         present,
         data["step"],
     ]
-    joined = [row[:, :, : segments.length].reshape(len(row), -1) for row in rows]
+    cut = [row[:, :, : segments.length] for row in rows]
+    # A model without inputs has no row of them, of which a reshape cannot tell the length.
+    joined = [row.reshape(len(row), row.shape[1] * row.shape[2]) for row in cut]
     return segments.columns(np.concatenate(joined))
 
 

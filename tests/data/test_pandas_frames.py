@@ -41,16 +41,31 @@ def test_frames_of_ones_own(pd):
     assert not gb.Record.from_pandas(pd.DataFrame({"x": [1, 2]}), has_time=False).has_time
 
 
+@pytest.mark.parametrize("name", ["time", "t", "timestamp", "Time (s)", "time_ms", "Time [ms]"])
+def test_a_column_of_times_is_the_time(pd, name):
+    """Not the number of the row, which would be taken for seconds."""
+    ticks = TIME * (1e3 if "ms" in name else 1)
+    record = gb.Record.from_pandas(pd.DataFrame({name: ticks, "x": SIGNALS["u"]}))
+    np.testing.assert_allclose(record.time, TIME)
+    assert list(record.signals) == ["x"]
+    for times in (pd.to_datetime(TIME, unit="s"), pd.to_timedelta(TIME, unit="s")):
+        dated = gb.Record.from_pandas(pd.DataFrame({"when": times, "x": ticks}), time="when")
+        np.testing.assert_allclose(dated.time, TIME, atol=1e-9)
+
+
 def test_what_is_no_table_of_numbers_is_refused(pd):
-    frame = pd.DataFrame({"x": ["a", "b"]})
-    with pytest.raises(ValueError, match="the column 'x' of the data frame is not one of numbers"):
-        gb.Record.from_pandas(frame)
+    dates = pd.to_datetime([0.0, 1.0], unit="s")
+    for values in (["a", "b"], np.array([1.0, 2.0], dtype=object), [1j, 2j], dates):
+        frame = pd.DataFrame({"t": [0.0, 0.1], "x": values})
+        with pytest.raises(ValueError, match=r"the column 'x' of .* is not one of numbers"):
+            gb.Record.from_pandas(frame)
     with pytest.raises(ValueError, match="the data frame has no column 't'; it has x"):
         gb.Record.from_pandas(pd.DataFrame({"x": [1.0, 2.0]}), time="t")
     with pytest.raises(ValueError, match="two columns 'x'"):
         gb.Record.from_pandas(pd.DataFrame([[1, 2]], columns=["x", "x"]))
-    with pytest.raises(ValueError, match="the index of the data frame holds no times"):
-        gb.Record.from_pandas(pd.DataFrame({"x": [1.0]}, index=["first"]))
+    for index in (["first", "second"], [3, 5], None):
+        with pytest.raises(ValueError, match="the data frame has no time"):
+            gb.Record.from_pandas(pd.DataFrame({"x": [1.0, 2.0]}, index=index))
     with pytest.raises(TypeError, match=r"give a pandas\.DataFrame"):
         gb.Record.from_pandas([1, 2, 3])
 

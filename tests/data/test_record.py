@@ -299,3 +299,37 @@ def test_names_and_texts_from_files_are_written_out():
         {good: [good, (1.0, good)]},
         (good,),
     )
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_dates_and_time_differences_are_converted(unit):
+    """Numbers of another unit would make every time constant wrong by 1000."""
+    steps = (np.arange(4) * 10**9).astype("timedelta64[ns]").astype(f"timedelta64[{unit}]")
+    for time in (steps, np.datetime64("2026-11-22") + steps):
+        np.testing.assert_array_equal(Record(time, {"x": np.ones(4)}).time, np.arange(4))
+
+
+def test_a_mask_is_a_gap():
+    values = np.ma.array([1, 2, 3], mask=[False, True, False])
+    np.testing.assert_array_equal(Record(np.arange(3), {"x": values})["x"], [1, np.nan, 3])
+    with pytest.raises(ValueError, match="time is nan at index 1"):
+        Record(values, {"x": np.ones(3)})
+
+
+@pytest.mark.parametrize(
+    "values", [[1j, 2.0], np.array([1, 2], dtype=object), ["1", "2"], np.zeros(2, "M8[s]")]
+)
+def test_what_is_no_real_number_is_refused(values):
+    with pytest.raises(ValueError, match="x must be a one-dimensional array of numbers"):
+        Record([0, 1], {"x": values})
+    with pytest.raises(ValueError, match="x must be a one-dimensional array of numbers"):
+        Record([0, 1], {"y": [1, 2]}).with_signals(x=values)
+
+
+def test_units_of_unknown_signals_are_refused():
+    with pytest.raises(ValueError, match=r"units names 'thta'.*did you mean 'theta'"):
+        Record([0, 1], {"theta": [1, 2]}, {"thta": "rad"})
+
+
+def test_a_sensor_beyond_the_range_of_arithmetic_is_a_finding():
+    assert "x has values beyond 1e75" in Record([0, 1], {"x": [1, 1e150]}).findings[0]

@@ -114,7 +114,7 @@ def test_a_comma_in_a_text_column_decides_nothing(tmp_path):
 def test_digits_with_underscores_are_no_numbers(tmp_path):
     with pytest.raises(ValueError, match="line 2: beta is '1_5', which is not a number"):
         gb.read_response(saved(tmp_path, "omega_rad_s,alpha,beta\n1,2,1_5\n"))
-    recording = gb.read(saved(tmp_path, "t,x\n0,1\n1,1_5\n2,2\n"))
+    recording = gb.read(saved(tmp_path, "t [s],x\n0,1\n1,1_5\n2,2\n"))
     assert_array_equal(recording["flight"]["x"], [1, np.nan, 2])
     assert recording.findings == (
         "cells that are not numbers, which count as missing: x (1 cell, the first '1_5' in line 3).",

@@ -31,7 +31,7 @@ def test_names_may_be_replaced(tmp_path):
     path = tmp_path / "flight.csv"
     np.savetxt(path, TABLE, delimiter=",", header="tick,stick,angle", comments="")
     record = gb.read(path, columns={"time": "tick:ms", "theta": "angle:deg"})["flight"]
-    assert list(record.signals) == ["theta"]
+    assert list(record.signals) == ["theta", "stick"]
     assert record.rate == pytest.approx(100)
 
 

@@ -27,6 +27,7 @@ loads neither pymavlink nor h5py nor scipy.
 """
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -35,7 +36,7 @@ from typing import NamedTuple
 from greybox.data.record import Recording
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import printable
-from greybox.logs.named_columns import with_columns
+from greybox.logs.named_columns import in_si
 
 HEAD = 4096  # bytes by which a format is recognized
 
@@ -100,6 +101,7 @@ def read(
     path: str | Path,
     messages: Collection[str] | None = None,
     columns: Mapping[str, str] | None = None,
+    rate: float | None = None,
 ) -> Recording:
     """Read a flight log or a table of measured signals, whatever its format.
 
@@ -112,9 +114,11 @@ def read(
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
     columns : mapping of str to str, optional
         Of a table whose own names do not say what is in it, by new name: the column and, behind a
-        colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. The
-        columns of a file without a header line go by their numbers: ``{"time": "1", "u": "2",
-        "theta": "3:deg"}``.
+        colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. These signals are in SI
+        then; the others stay as they are. The columns of a file without a header line go by their
+        numbers: ``{"time": "1", "u": "2", "theta": "3:deg"}``.
+    rate : float, Hz, optional
+        The sampling rate of a table without a time.
 
     Returns
     -------
@@ -130,12 +134,21 @@ def read(
     """
     path = Path(path)
     names = (messages,) if isinstance(messages, str) else messages
-    reader = import_module(f"greybox.logs.readers.{_format(path).module}")
+    kind = _format(path)
+    reader = import_module(f"greybox.logs.readers.{kind.module}")
+    if columns is None and rate is None:
+        stated = {}
+    elif "stated" in signature(reader.read).parameters:
+        stated = {"stated": columns, "rate": rate}
+    else:
+        raise ValueError(f"{path} is a log ({kind.about}): columns and rate are those of a table.")
     try:
-        if columns is None:
-            return reader.read(path, names)
-        numbered = {"numbered": True} if "numbered" in signature(reader.read).parameters else {}
-        return with_columns(reader.read(path, names, **numbered), columns)
+        log = reader.read(path, names, **stated)
+        if not columns:
+            return log
+        ((name, record),) = log.items()
+        signals = [key for key in columns if key in record.signals]
+        return replace(log, records={name: in_si(record, signals)})
     except ValueError as error:
         raise ValueError(printable(str(error))) from None  # it may quote the file
 

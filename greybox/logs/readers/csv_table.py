@@ -9,27 +9,33 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
+from greybox.data.time_column import SECONDS, TIMES, seconds
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import (
     MISSING,
     DelimitedText,
     are_numbers,
     has_decimal_comma,
+    numbered,
     parsed,
     read_delimited,
 )
 from greybox.files.heading import Heading, heading
 from greybox.files.progress import counted_off
 from greybox.files.text_table import counted, printable
+from greybox.logs.named_columns import renamed
 from greybox.logs.readers.betaflight import with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
-from greybox.logs.readers.table_columns import SECONDS, TIMES, name_list, of_rows, seconds, table
+from greybox.logs.readers.table_columns import name_list, of_rows, table
 
 LONGEST = 30  # characters of a cell that is shown in a finding
 
 
 def read(
-    path: str | Path, messages: Collection[str] | None = None, numbered: bool = False
+    path: str | Path,
+    messages: Collection[str] | None = None,
+    stated: Mapping[str, str] | None = None,
+    rate: float | None = None,
 ) -> Recording:
     """Read a table with a header line into one record named after the file.
 
@@ -41,8 +47,8 @@ def read(
     ``nan``, are missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
-    in ``time_s``, ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; without a unit it
-    is in seconds. Otherwise it is the first column, if this increases and has a unit of time. The
+    in ``time_s``, ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; for times without a
+    unit see `greybox.data.time_column`. Otherwise it is the first column, if this increases and has a unit of time. The
     rows of a table without a time column have no order in time, see `Record`.
 
     Parameters
@@ -50,9 +56,11 @@ def read(
     path : str or Path
     messages : collection of str, optional
         Not used: a table is one record, and all of it is read.
-    numbered : bool
-        Name the columns of a table without a header line by their numbers, from 1; blanks may
-        separate them too.
+    stated : mapping of str to str, optional
+        Columns by new name, see `greybox.logs.read`. Those of a table without a header line have
+        numbers, from 1, for names; blanks may separate them too.
+    rate : float, Hz, optional
+        The sampling rate of a table without a time.
 
     Returns
     -------
@@ -77,17 +85,23 @@ def read(
             f"{path} has no table: write a header line with names, then one line of numbers per sample."
         )
 
-    text = _numbered(text) if numbered else text
+    text = numbered(text) if stated else text
     headings = with_units(_headings(text))
     columns, findings = _columns(headings, text)
     units = {h.name: h.unit for h in headings}
+    if stated:
+        columns, units = renamed(columns, units, stated, path.name)
+        headings = [Heading(name, units.get(name, "")) for name in columns]
     columns = _time_first(headings, columns, path)
-    if columns and not any(seconds(name, units.get(name, "")) for name in columns):
+    has_time = any(seconds(name, units.get(name, "")) for name in columns)
+    if has_time and rate:
+        raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
+    if columns and not has_time and not rate:
         record = of_rows(
             path.stem, columns, units, source=path.name, checksum=checksum, findings=findings
         )
         return Recording({path.stem: record}, path.name, checksum, {}, findings)
-    group, left_out = table(path.stem, columns, units)
+    group, left_out = table(path.stem, columns, units, rate)
     log = on_one_clock([group] if group else [])
     by_name, dropped = records(log.groups, path.name, checksum)
     if not by_name:
@@ -98,21 +112,6 @@ def read(
     findings = (*findings, *left_out, *log.findings, *dropped)
     by_name = {name: replace(record, findings=findings) for name, record in by_name.items()}
     return Recording(by_name, path.name, checksum, {}, findings)
-
-
-def _numbered(text: DelimitedText) -> DelimitedText:
-    """Return a table without a header line with the numbers of its columns as names."""
-    line = text.separator.join(text.header)
-    lines = [line, *text.lines]
-    if len(text.header) == 1 and len(line.split()) > 1:
-        lines = ["\t".join(cells.split()) for cells in lines]
-        text = replace(text, separator="\t")
-    cells = lines[0].split(text.separator)
-    if not are_numbers(cells):
-        return text
-    names = tuple(str(k) for k in range(1, len(cells) + 1))
-    numbers = [text.line_numbers[0] - 1 if text.line_numbers else 1, *text.line_numbers]
-    return replace(text, header=names, lines=lines, line_numbers=numbers)
 
 
 def _headings(text: DelimitedText) -> list[Heading]:

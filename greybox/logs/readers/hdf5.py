@@ -1,6 +1,6 @@
 """HDF5 files (.h5), and MATLAB 7.3 files, which are HDF5: groups of vectors with a time vector."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from greybox.data.record import Recording
@@ -8,11 +8,16 @@ from greybox.files.arrays import Array
 from greybox.logs.readers import named_arrays
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(
+    path: str | Path,
+    messages: Collection[str] | None = None,
+    stated: Mapping[str, str] | None = None,
+    rate: float | None = None,
+) -> Recording:
     """Read every group that has a time vector into a record.
 
     A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see
-    `table_columns.seconds`), and vectors of the same length. Matrices with one sample per row (as
+    `greybox.data.time_column`), and vectors of the same length. Matrices with one sample per row (as
     MATLAB shows them, in MATLAB's files) give one signal per column. Units are attributes ``unit``
     or ``units`` of the datasets, followed by the word held or sampled where it is known how the
     signal runs between its samples. A record is named after its group (``flight/ATT``), one at the
@@ -23,6 +28,10 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     path : str or Path
     messages : collection of str, optional
         Groups to read; all by default.
+    stated : mapping of str to str, optional
+        Columns of the only group by new name, see `greybox.logs.read`.
+    rate : float, Hz, optional
+        The sampling rate where there is no time vector.
 
     Returns
     -------
@@ -42,7 +51,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     rows = [
         variable._replace(values=_rows(variable.values, matlab)) for variable in contents.variables
     ]
-    return named_arrays.recording(path, contents._replace(variables=rows), messages)
+    return named_arrays.recording(
+        path, contents._replace(variables=rows), messages, None, stated, rate
+    )
 
 
 def _rows(values: Array, matlab: bool) -> Array:

@@ -1,25 +1,35 @@
 """MATLAB files (.mat) up to version 7: vectors beside a time vector, and structs of them. Version 7.3 is HDF5."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from greybox.data.record import Recording
 from greybox.logs.readers import named_arrays
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(
+    path: str | Path,
+    messages: Collection[str] | None = None,
+    stated: Mapping[str, str] | None = None,
+    rate: float | None = None,
+) -> Recording:
     """Read every struct that has a time vector into a record, and the vectors beside a time vector of the workspace.
 
-    The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``); see
-    `table_columns.seconds`. Matrices with one sample per row give one signal per column. A record
-    is named after its struct (``flight/att``), that of the workspace after the file. Simulink's
-    "structure with time" is read too. Units are not known.
+    The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``), see
+    `greybox.data.time_column`; without one, ``Ts`` is the sampling interval, s. Matrices with one
+    sample per row give one signal per column. A record is named after its struct (``flight/att``),
+    that of the workspace after the file. Simulink's "structure with time" is read too. Units are
+    not known.
 
     Parameters
     ----------
     path : str or Path
     messages : collection of str, optional
         Structs to read; all by default.
+    stated : mapping of str to str, optional
+        Variables of the only struct by new name, see `greybox.logs.read`.
+    rate : float, Hz, optional
+        The sampling rate where there is neither a time vector nor an interval ``Ts``.
 
     Returns
     -------
@@ -35,4 +45,5 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         If the file cannot be opened.
     """
     path = Path(path)
-    return named_arrays.recording(path, named_arrays.read_contents("matlab", path), messages)
+    contents = named_arrays.read_contents("matlab", path)
+    return named_arrays.recording(path, contents, messages, None, stated, rate)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from greybox.data.record import Recording
 from greybox.files.arrays import Array
 from greybox.files.subprocess_reader import read_in_subprocess
+from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import table
@@ -59,10 +60,13 @@ def recording(
     contents: Contents,
     messages: Collection[str] | None,
     parameters: Mapping[str, float] | None = None,
+    stated: Mapping[str, str] | None = None,
+    rate: float | None = None,
 ) -> Recording:
     """Make a record of every group that has a time, the root named after the file; ValueError if none has.
 
-    With the `parameters` of a vehicle the groups are known messages of its flight controller.
+    With the `parameters` of a vehicle the groups are known messages of its flight controller. The
+    `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`.
     """
     with open(path, "rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
@@ -76,10 +80,16 @@ def recording(
     by_name = {}
     findings = list(contents.findings)
     findings += [f"there is no group {name}." for name in messages or () if name not in columns]
-    for name, group in columns.items():
-        if messages is not None and name not in messages:
-            continue
-        part, problems = table(name, group, units[name])
+    groups = {n: group for n, group in columns.items() if messages is None or n in messages}
+    if stated and len(groups) != 1:
+        raise ValueError(
+            f"{path.name} has {len(groups)} groups, but `columns` names the columns of one table."
+        )
+    for name, group in groups.items():
+        labels = units[name]
+        if stated:
+            group, labels = renamed(group, labels, stated, path.name)  # noqa: PLW2901
+        part, problems = table(name, group, labels, rate)
         log = on_one_clock([part] if part else [])
         clocked = log.groups if parameters is None else with_holds(log.groups, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)

@@ -1,6 +1,5 @@
 """Makes messages of the columns of a table: units in headings, and the time column."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,55 +8,23 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
+from greybox.data.time_column import seconds, times_in_seconds
 from greybox.files.arrays import Array
 from greybox.logs.readers.messages import Messages
 
-SECONDS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "seconds": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
-}
-TIMES = (
-    "time",
-    "t",
-    "timestamp",
-    "timestamps",
-    "tout",
-)  # names of a time column, in lower case and without unit
-ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
-SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}
 WIDEST = (
     64  # columns of a matrix that become signals of their own: a convention, to keep images out
 )
 
 
-def seconds(name: str, unit: str = "") -> float | None:
-    """Return the seconds of one tick if this is the name of a time column, else None.
-
-    That is time, t, timestamp or tout, in any case, with a unit of its own or as in ``time_ms``
-    (else in seconds), and TimeUS and TimeMS as ArduPilot's tools write them.
-    """
-    name = name.lower()
-    unit = unit.lower()
-    if name in ARDUPILOT:
-        return ARDUPILOT[name]
-    suffix = SUFFIX.match(name)
-    if suffix and suffix[1] in TIMES:
-        return SECONDS[suffix[2]]
-    return SECONDS.get(unit, None if unit else 1.0) if name in TIMES else None
-
-
 def table(
-    name: str, columns: Mapping[str, Array], units: Mapping[str, str]
+    name: str, columns: Mapping[str, Array], units: Mapping[str, str], rate: float | None = None
 ) -> tuple[Messages | None, tuple[str, ...]]:
     """Make messages of columns that share a time column; None where there is no time or nothing beside it.
+
+    Without a time column the samples are `rate` Hz apart, or ``Ts`` seconds where the table has
+    this sampling interval, as in System Identification Toolbox.
 
     Parameters
     ----------
@@ -79,12 +46,19 @@ def table(
     timer = next(
         (key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), ""
     )
-    if not timer or not columns[timer].size:
+    interval = columns["Ts"] if np.size(columns.get("Ts", ())) == 1 else None
+    if timer and columns[timer].size:
+        time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
+    elif rate or interval is not None:
+        columns = {key: values for key, values in columns.items() if key != "Ts"}
+        count = max((len(values) for values in columns.values()), default=0)
+        step = 1 / rate if rate else float(np.ravel(interval)[0])
+        time, assumed = np.arange(count) * step, ()
+    else:
         return None, (
             f"{name or 'the file'}: {len(columns)} variables without a time were left out.",
         )
 
-    time = columns[timer].astype(float) * (seconds(timer, units.get(timer, "")) or 1.0)
     signals = {}
     labels = {}
     hold = {}
@@ -100,7 +74,7 @@ def table(
                 hold[label] = seconds_held
         if values.shape[:1] != time.shape:
             wrong_length.append(key)
-    findings = []
+    findings = [*assumed]
     if wrong_length:
         findings.append(
             f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}."

@@ -54,7 +54,7 @@ def test_a_table_has_a_time_signals_and_a_word_on_what_was_left_out():
 
 def test_without_a_time_or_without_anything_else_there_is_no_table():
     assert table("a", {"x": TIME}, {}) == (None, ("a: 1 variables without a time were left out.",))
-    assert table("a", {"t": TIME}, {}) == (None, ())
+    assert table("a", {"t": TIME}, {"t": "s"}) == (None, ())
 
 
 def test_a_matrix_of_64_columns_is_signals_and_one_of_65_an_image():
@@ -64,11 +64,11 @@ def test_a_matrix_of_64_columns_is_signals_and_one_of_65_an_image():
         "image": np.zeros((5, 65)),
         "cube": np.zeros((5, 2, 2)),
     }
-    messages, findings = table("a", columns, {})
+    messages, findings = table("a", columns, {"t": "s"})
     assert [*messages.columns] == [f"m[{k}]" for k in range(64)]
     assert [column[0] for column in messages.columns.values()] == list(range(64))
     assert (messages.order.tolist(), findings) == (list(range(5)), ())
-    np.testing.assert_array_equal(messages.time, TIME)  # in seconds where no unit is stated
+    np.testing.assert_array_equal(messages.time, TIME)
 
 
 def test_a_unit_may_say_how_a_signal_runs():

@@ -1,0 +1,89 @@
+"""Recognizes the time column of a table by its name, and the clock that wrote it by the size of its numbers.
+
+Loggers write times in s, ms, µs or ns, often without saying which: ROS counts ns since 1970, PX4's
+``ulog2csv`` µs and Crazyflie ms since the start. A wrong unit makes every time constant wrong by
+1000. So a column without a unit is in s only where the rate is plausible, and what was assumed
+becomes a finding.
+"""
+
+import math
+import re
+
+import numpy as np
+
+from greybox.files.arrays import Array
+from greybox.files.text_table import printable
+
+SECONDS = {
+    "s": 1.0,
+    "sec": 1.0,
+    "seconds": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "ns": 1e-9,
+    "min": 60.0,
+    "h": 3600.0,
+}
+# Names of a time column, in lower case and without a unit.
+TIMES = ("time", "t", "timestamp", "timestamps", "tout")
+ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
+SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
+# Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
+EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
+# Hz: no logger of flights or of motor stands is slower or faster, but a wrong unit is.
+PLAUSIBLE = (1e-3, 1e5)
+
+
+def seconds(name: str, unit: str = "") -> float | None:
+    """Return the seconds of one tick if this is the name of a time column, else None.
+
+    That is time, t, timestamp or tout, in any case, with a unit of its own or as in ``time_ms``
+    (else in seconds), and TimeUS and TimeMS as ArduPilot's tools write it.
+    """
+    name = name.lower()
+    unit = unit.lower()
+    if name in ARDUPILOT:
+        return ARDUPILOT[name]
+    suffix = SUFFIX.match(name)
+    if suffix and suffix[1] in TIMES:
+        return SECONDS[suffix[2]]
+    return SECONDS.get(unit, None if unit else 1.0) if name in TIMES else None
+
+
+def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return the times of a column (n,) in s, and a finding where its unit had to be assumed.
+
+    Times since 1970 count from the first sample.
+
+    Raises
+    ------
+    ValueError
+        If the unit is not stated, and seconds would be implausible.
+    """
+    times = values.astype(float)
+    finite = times[np.isfinite(times)]
+    if unit or name.lower() not in TIMES or finite.size < 2:
+        return times * (seconds(name, unit) or 1.0), ()
+
+    name = printable(name)
+    step = float(np.median(np.diff(finite)))
+    for ticks, first in EPOCHS.items():
+        if first <= finite[0] < 4.1 * first:
+            text = f"{name} was taken for {ticks} since 1970: times are from the first sample."
+            return (times - finite[0]) * SECONDS[ticks], (text,)
+
+    is_whole = bool(np.all(finite == np.round(finite)))
+    if name.lower().startswith("timestamp") and is_whole and step >= 1:
+        # A log at 1 kHz has 1000 µs a step, and one at 1 Hz has 1000 ms.
+        ticks = "µs" if step >= 1000 else "ms"
+        return times * SECONDS[ticks], (f"{name} has no unit and was taken for {ticks}.",)
+
+    rate = 1 / step if step > 0 else math.inf
+    if step > 0 and not PLAUSIBLE[0] <= rate <= PLAUSIBLE[1]:
+        raise ValueError(
+            f"{name} has no unit, and in s the rate would be {rate:.3g} Hz: state its unit, as "
+            f"'{name} [ms]' in the header or '{name}:ms' for the column of the time."
+        )
+    assumed = (f"{name} has no unit and was taken for s, {rate:.3g} Hz.",) if rate < 1 else ()
+    return times, assumed
