@@ -60,11 +60,6 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
             "no message with the signals of Drag (theta, v); it has data: pitch, v: name its columns",
         ),
         (
-            "[rad]",
-            "[deg]",
-            "theta in deg, but a fit needs rad: --columns theta=theta v=v converts it.",
-        ),
-        (
             "time [s]",
             "when",
             "the dynamic model Drag needs samples in time, and data has rows without a time: give",

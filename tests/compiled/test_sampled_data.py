@@ -421,4 +421,10 @@ def test_outputs_that_never_change_say_nothing():
         ValueError, match=r"the outputs of the record never change \(y\): nothing can be estimated"
     ):
         cut(record(y=np.full(60, 3.0)))
-    assert cut(record(outputs=("y", "z"), y=np.full(60, 3.0)), outputs=("y", "z")).segments
+
+
+def test_a_dead_sensor_beside_a_good_one_is_named():
+    """Its residuals, with an estimated variance, would decide the fit; one that is missing does not take part."""
+    with pytest.raises(ValueError, match=r"has y = 3 at all times.* leave it out of the record"):
+        cut(record(outputs=("y", "z"), y=np.full(60, 3.0)), outputs=("y", "z"))
+    assert cut(record(outputs=("y", "z"), y=np.full(60, np.nan)), outputs=("y", "z")).segments
