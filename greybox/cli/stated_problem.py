@@ -104,7 +104,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
         )
     settings: dict[str, Any] = {}
     if options.problem is not None:
-        for name in ("data", "columns", "through", "input", "output", "at"):
+        for name in ("data", "columns", "rate", "through", "input", "output", "at"):
             if getattr(options, name):
                 raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
         _require_problem(options.problem)
