@@ -31,6 +31,7 @@ from greybox.estimate.structural_identifiability import (
     structural_identifiability as structural_identifiability,
 )
 from greybox.experiment import Controller as Controller
+from greybox.experiment import margins as margins
 from greybox.experiment import virtual_flight as virtual_flight
 from greybox.formulation import Criterion as Criterion
 from greybox.formulation import EquationError as EquationError

@@ -1,4 +1,4 @@
-"""Test signals, controllers, virtual flights, and the planning of flight tests.
+"""Test signals, controllers, loops and their margins, virtual flights, and the planning of flight tests.
 
 Begin with `excitation` (what a test signal is) or `expected_errors` (what a planned test would
 tell).
@@ -9,6 +9,8 @@ tell).
 | `scripts` | files that fly them on a vehicle |
 | `controller` | sampled control laws |
 | `virtual_flight` | flights in simulation |
+| `sampled_loop` | the loop of a plant and its controllers, as linear equations |
+| `margins` | stability margins with errors |
 | `expected_errors` | the standard errors that a planned test would give |
 | `sine_plan` | sines that reach the wanted errors in the shortest flight |
 | `optimal_design` | shares of time for frequencies and tests |
@@ -22,6 +24,8 @@ from greybox.experiment.controller import Controller as Controller
 from greybox.experiment.excitation import Excitation as Excitation
 from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
 from greybox.experiment.expected_errors import expected_errors as expected_errors
+from greybox.experiment.margins import Margins as Margins
+from greybox.experiment.margins import margins as margins
 from greybox.experiment.multisine import multisine as multisine
 from greybox.experiment.scripts import ardupilot_script as ardupilot_script
 from greybox.experiment.scripts import systemid_parameters as systemid_parameters

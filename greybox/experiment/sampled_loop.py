@@ -1,0 +1,320 @@
+"""The loop of a plant and its sampled controllers as linear equations from one sample to the next.
+
+Begin with `sampled_loop`. The plant is exact between samples: its control is held, and arrives
+after a delay of any fraction of a sample. A loop holds many plants at once, one for each draw of
+the parameters.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from greybox.experiment.controller import Controller, connected, updated
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.modeling.model import Model
+from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.realization import Dynamics, dynamics
+from greybox.modeling.state_space import StateSpace
+from greybox.modeling.trim import trim_of
+
+DOT = "_dot"  # after the name of a signal: its derivative in time
+
+
+class LinearController(NamedTuple):
+    """``x+ = F x + G (y, e)``, ``commands = H x + J (y, e)``: all controllers of a loop, about their initial states.
+
+    `y` is what they measure, `e` what is added to each command: a setpoint, or a control.
+    """
+
+    commands: tuple[str, ...]
+    F: Array
+    G: Array
+    H: Array
+    J: Array
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Return the gains (n, commands, sensors + commands) at `z` (n,)."""
+        pencil = z[:, None, None] * np.eye(len(self.F)) - self.F
+        states = np.linalg.solve(pencil, np.broadcast_to(self.G, (z.size, *self.G.shape)))
+        return self.H @ states + self.J
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """Many plants, each in a loop with the same controllers.
+
+    The control of sample k reaches the plant between ``whole`` and ``whole + 1`` samples later:
+    ``x[k+1] = A x[k] + late u[k-whole] + early u[k-whole-1]``, ``y[k] = C x[k] + D u[k-whole-1]``.
+
+    Attributes
+    ----------
+    inputs, sensors : tuple of str
+        Inputs of the plant, and what is measured.
+    A, early, late, C, D : arrays (plants, ...)
+    whole : (plants, inputs) array
+        Whole samples in the delay of each input.
+    controller : LinearController
+    period : float, s
+    """
+
+    inputs: tuple[str, ...]
+    sensors: tuple[str, ...]
+    A: Array
+    early: Array
+    late: Array
+    C: Array
+    D: Array
+    whole: IntArray
+    controller: LinearController
+    period: float
+
+    @property
+    def first(self) -> "SampledLoop":
+        """The loop of the first plant alone."""
+        arrays = ("A", "early", "late", "C", "D", "whole")
+        return replace(self, **{name: getattr(self, name)[:1] for name in arrays})
+
+    def plant_response(self, omega: Array) -> ComplexArray:
+        """Return the gains (plants, n, sensors, inputs) of the sampled plants at `omega` (n,) rad/s."""
+        z = np.exp(1j * omega * self.period)
+        delay = z[:, None, None] ** -self.whole[:, None, None, :]
+        before = delay / z[:, None, None]
+        pencil = z[:, None, None] * np.eye(self.A.shape[-1]) - self.A[:, None]
+        driven = self.late[:, None] * delay + self.early[:, None] * before
+        return self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * before
+
+    def gains(self, added_to: str, signals: Sequence[str], omega: ArrayLike) -> ComplexArray:
+        """Return the gains (plants, n, signals) in the closed loop from what is added to one signal.
+
+        `added_to` and `signals` are inputs of the plant, setpoints or outputs of controllers, or
+        measured signals; the added signal is part of the signal that it is added to.
+
+        Raises
+        ------
+        ValueError
+            For a signal that is not in the loop.
+        """
+        names = (*self.sensors, *self.controller.commands)
+        for name in (added_to, *signals):
+            if name not in names:
+                raise ValueError(
+                    f"there is no {name!r} in the loop: give one of {', '.join(names)}."
+                )
+
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        plant = self.plant_response(omega)
+        control = self.controller.response(np.exp(1j * omega * self.period))
+        k = len(self.sensors)
+        feedback, commanded = control[..., :k], control[..., k:]
+        rows = [self.controller.commands.index(name) for name in self.inputs]
+
+        # u = feedback y + command and y = plant u + error, of which one is added
+        error = np.zeros((k, 1))
+        command = np.zeros((len(omega), len(names) - k, 1))
+        if added_to in self.sensors:
+            error[self.sensors.index(added_to)] = 1
+        else:
+            command = commanded[..., [self.controller.commands.index(added_to)]]
+        around = np.eye(k) - plant @ feedback[:, rows]
+        measured = np.linalg.solve(around, plant @ command[:, rows] + error)
+        every = np.concatenate([measured, feedback @ measured + command], axis=2)
+        return every[..., [names.index(name) for name in signals], 0]
+
+    def broken_at(self, signal: str, omega: ArrayLike) -> ComplexArray:
+        """Return the gain (plants, n) of the loop broken at a signal, with every other loop closed.
+
+        It is that of negative feedback, so that -1 is the critical point.
+
+        Raises
+        ------
+        ValueError
+            For a signal that is not in the loop.
+        """
+        return 1 / self.gains(signal, [signal], omega)[..., 0] - 1
+
+    def poles(self) -> ComplexArray:
+        """Return the poles (plants, states) of the closed loops in z, which are stable within the unit circle."""
+        commands, F, G, H, J = self.controller
+        rows = [commands.index(name) for name in self.inputs]
+        measured = len(self.sensors)
+        plants, n = self.A.shape[:2]
+        m = len(self.inputs)
+        length = int(self.whole.max()) + 1  # past controls that some plant still waits for
+        size = n + len(F) + m * length
+        every = np.arange(plants)
+        past = np.zeros((plants, 2, m, size))  # u[k-whole-1] and, where it is past, u[k-whole]
+        for i in range(m):
+            begin = n + len(F) + i * length
+            past[every, 0, i, begin + self.whole[:, i]] = 1
+            delayed = self.whole[:, i] > 0
+            past[every[delayed], 1, i, begin + self.whole[delayed, i] - 1] = 1
+
+        y = self.D @ past[:, 0]
+        y[:, :, :n] += self.C
+        u = J[rows, :measured] @ y
+        u[:, :, n : n + len(F)] += H[rows]
+        arriving = past[:, 1] + (self.whole == 0)[:, :, None] * u
+
+        closed = np.zeros((plants, size, size))
+        closed[:, :n] = self.late @ arriving + self.early @ past[:, 0]
+        closed[:, :n, :n] += self.A
+        closed[:, n : n + len(F)] = G[:, :measured] @ y
+        closed[:, n : n + len(F), n : n + len(F)] += F
+        for i in range(m):
+            begin = n + len(F) + i * length
+            closed[:, begin] = u[:, i]
+            shifted = np.arange(begin + 1, begin + length)
+            closed[:, shifted, shifted - 1] = 1
+        return np.linalg.eigvals(closed).astype(complex)
+
+    @property
+    def is_stable(self) -> BoolArray:
+        """Whether each closed loop is stable, (plants,)."""
+        return np.abs(self.poles()).max(axis=1) < 1
+
+
+def sampled_loop(
+    model: Model,
+    values: Array,
+    controller: Controller | Sequence[Controller] | None,
+    *,
+    at: Mapping[str, float] | None = None,
+    measured: Sequence[str] = (),
+    rate: float | None = None,
+    delay_has: Literal["hold", "nothing"] = "nothing",
+) -> SampledLoop:
+    """Return the loops of a model with each row of `values` (plants, parameters), linearized about `at`.
+
+    The delay of a response that was measured from logged controls contains the half sample by which
+    a held control is late; say so by ``delay_has="hold"``, and it is not counted twice. `measured`
+    are signals beside the outputs and what the controllers measure. Without a controller, give the
+    `rate` at which the control changes.
+
+    Raises
+    ------
+    ValueError
+        If the controllers do not fit the model, or a signal cannot be measured.
+    """
+    system = dynamics(model)
+    controllers = connected(
+        controller, system.inputs, {*system.outputs, *system.states}, model.label
+    )
+    if not controllers and rate is None:
+        raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
+    wanted = (c.outside(n) for c in controllers for n in c.inputs)
+    sensors = tuple(dict.fromkeys((*wanted, *system.outputs, *measured)))
+    A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
+    period = 1 / (controllers[0].rate if controllers else float(rate or 0))
+    if delay_has == "hold":
+        delay = np.maximum(delay - period / 2, 0)
+    whole = np.floor(delay / period + 1e-9)
+    part = np.maximum(delay / period - whole, 0)
+
+    # Before a control arrives the one before it acts: exp(A t) and its integral, by one exponential.
+    transition, _ = _held(A, B, np.full(len(A), period))
+    early, late = np.zeros_like(B), np.zeros_like(B)
+    for i in range(B.shape[2]):
+        column = B[:, :, i : i + 1]
+        _, first = _held(A, column, part[:, i] * period)
+        decay, second = _held(A, column, (1 - part[:, i]) * period)
+        early[:, :, i : i + 1] = decay @ first
+        late[:, :, i : i + 1] = second
+    return SampledLoop(
+        system.inputs,
+        sensors,
+        transition,
+        early,
+        late,
+        C,
+        D,
+        whole.astype(int),
+        _linear(controllers, sensors, system.inputs),
+        period,
+    )
+
+
+def _held(A: Array, B: Array, time: Array) -> tuple[Array, Array]:
+    """Return exp(A t) and the effect of a constant input over t (plants,)."""
+    from scipy.linalg import expm  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    n, m = B.shape[1:]
+    both = np.zeros((len(A), n + m, n + m))
+    both[:, :n, :n] = A
+    both[:, :n, n:] = B
+    result = expm(both * time[:, None, None])
+    return result[:, :n, :n], result[:, :n, n:]
+
+
+@one_thread_at_a_time
+def _plants(
+    model: Model, system: Dynamics, sensors: tuple[str, ...], values: Array, at: Mapping[str, float]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return A, B, and C, D of the sensors, and the delays (plants, inputs)."""
+    p = ca.SX.sym("p", len(system.parameters))
+    x = ca.SX.sym("x", len(system.states))
+    u = ca.SX.sym("u", len(system.inputs))
+    f = system.derivative(x, u, p)
+    y = ca.vertcat(*[_sensor(model, system, name, x, u, p) for name in sensors])
+    blocks = [ca.jacobian(e, v) for e in (f, y) for v in (x, u)]
+    matrices = ca.Function("plant", [p, x, u], [*blocks, system.delay(p)])
+    if isinstance(model, StateSpace):
+        point = trim_of(model, at).closed()
+    else:
+        point = ca.Function("rest", [p], [ca.SX.zeros(x.numel()), ca.SX.zeros(u.numel())])
+
+    results = []
+    for row in values:
+        results.append([np.asarray(ca.DM(block)) for block in matrices(row, *point(row))])
+    A, B, C, D, delay = (np.array(block) for block in zip(*results, strict=True))
+    return A, B, C, D, delay[:, :, 0]
+
+
+def _sensor(model: Model, system: Dynamics, name: str, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+    """Return an output, a state, or the derivative of either, as an expression."""
+    stem = name.removesuffix(DOT)
+    for names, signals in ((system.outputs, system.output(x, u, p)), (system.states, x)):
+        if name in names:
+            return signals[names.index(name)]
+        if stem in names:
+            return ca.jacobian(signals[names.index(stem)], x) @ system.derivative(x, u, p)
+    known = tuple(dict.fromkeys((*system.outputs, *system.states)))
+    raise ValueError(
+        f"{model.label} has no {name!r} to measure; it has {', '.join(known)} and their derivatives, such as "
+        f"'{known[0]}{DOT}': name one of them, for a controller with signals={{{name!r}: ...}}."
+    )
+
+
+@one_thread_at_a_time
+def _linear(
+    controllers: Sequence[Controller], sensors: tuple[str, ...], inputs: tuple[str, ...]
+) -> LinearController:
+    """Linearize the chain of controllers about their initial states and signals of zero."""
+    outside = [c.outside(n) for c in controllers for n in (*c.setpoints, *c.outputs)]
+    commands = tuple(dict.fromkeys((*outside, *inputs)))
+    y = ca.SX.sym("y", len(sensors))
+    e = ca.SX.sym("e", len(commands))
+    added = dict(zip(commands, ca.vertsplit(e), strict=True))
+    memory = [ca.SX.sym("x", len(c.states)) for c in controllers]
+
+    signals = dict(zip(sensors, ca.vertsplit(y), strict=True)) | added
+    following = []
+    for controller, state in zip(controllers, memory, strict=True):
+        names = (*controller.inputs, *controller.setpoints)
+        next_state, outputs = updated(
+            controller, state, {n: signals[controller.outside(n)] for n in names}
+        )
+        following.append(next_state)
+        for k, name in enumerate(map(controller.outside, controller.outputs)):
+            signals[name] = outputs[k] + added[name]
+
+    x = ca.SX(ca.vertcat(*memory))
+    total = ca.vertcat(*[signals[name] for name in commands])
+    v = ca.vertcat(y, e)
+    blocks = [ca.jacobian(f, z) for f in (ca.SX(ca.vertcat(*following)), total) for z in (x, v)]
+    rest = [value for c in controllers for value in c.initial]
+    numbers = ca.Function("controller", [x, v], blocks)(rest, np.zeros(v.numel()))
+    return LinearController(commands, *(np.asarray(ca.DM(block)) for block in numbers))

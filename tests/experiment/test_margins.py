@@ -1,0 +1,202 @@
+"""Margins of loops, held against python-control, virtual flights and many noisy fits."""
+
+import control
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.experiment.sampled_loop import sampled_loop
+
+RATE = 100.0
+
+
+class RateDynamics(gb.TransferFunction):
+    """Angular rate per control: K e^(-tau s) / ((s + a) (T s + 1))."""
+
+    input, output = "u", "q"
+    K = gb.Parameter(40.0, bounds=(0, 1000))
+    a = gb.Parameter(2.0, bounds=(-20, 50))
+    T = gb.Parameter(0.05, bounds=(0.001, 1))
+    tau = gb.Parameter(0.02, bounds=(0, 0.2))
+
+    def response(self, s, p):
+        return p.K * gb.exp(-p.tau * s) / ((s + p.a) * (p.T * s + 1))
+
+
+class RateLoop(gb.Controller):
+    """A proportional-integral controller of the rate, whose integral is one sample late."""
+
+    states, inputs, outputs, rate = ("integral",), ("q",), ("u",), RATE
+    K_P = gb.Parameter(0.15, bounds=(0, 10))
+    K_I = gb.Parameter(0.3, bounds=(0, 10))
+
+    def update(self, x, u, p):
+        error = u.reference - u.q
+        return (x.integral + error / self.rate,), (p.K_P * error + p.K_I * x.integral,)
+
+
+TRUTH = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.023}
+OMEGA = np.geomspace(1, 40, 30)
+
+
+def fitted(seed, noise=0.03, model=None, omega=OMEGA):
+    exact = gb.frequency_response(RateDynamics(), TRUTH, omega).response
+    errors = noise * np.random.default_rng(seed).normal(size=(2, omega.size))
+    data = gb.FrequencyResponse(omega, exact * (1 + errors[0] + 1j * errors[1]), "u", "q")
+    return gb.fit(gb.Problem(model or RateDynamics(), data), starts=2, progress=False)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return fitted(0)
+
+
+def in_python_control(values, gains):
+    """The broken loop of python-control: plant by zero-order hold, whole samples of delay, controller."""
+    numerator, denominator = [values["K"]], np.polymul([1, values["a"]], [values["T"], 1])
+    plant = control.c2d(control.tf(numerator, denominator), 1 / RATE)
+    delay = control.tf([1], [1, *[0] * round(values["tau"] * RATE)], 1 / RATE)
+    law = control.tf([gains["K_P"], gains["K_I"] / RATE - gains["K_P"]], [1, -1], 1 / RATE)
+    return plant * delay * law
+
+
+def test_margins_are_those_of_python_control():
+    rng = np.random.default_rng(3)
+    compared = 0
+    for _ in range(40):
+        values = {
+            "K": rng.uniform(5, 80),
+            "a": rng.uniform(-3, 10),
+            "T": rng.uniform(0.02, 0.2),
+            "tau": rng.integers(0, 5) / RATE,
+        }
+        gains = {"K_P": rng.uniform(0.02, 0.4), "K_I": rng.uniform(0, 1)}
+        exact = gb.margins(RateDynamics(), RateLoop(gains), values)
+        loop = in_python_control(values, gains)
+        poles = control.feedback(loop, 1).poles()
+        assert exact.is_stable == bool(np.all(np.abs(poles) < 1))
+        if not exact.is_stable:
+            continue
+        compared += 1
+        gain, phase, *_ = control.stability_margins(loop, returnall=True, method="poly")
+        larger = gain[gain > 1]
+        expected = 20 * np.log10(larger.min()) if larger.size else np.inf
+        assert exact["gain margin"].value == pytest.approx(expected, rel=1e-8)
+        if phase.size:
+            # Its roots of polynomials are less exact than its response at the crossover found here.
+            value, omega = exact["phase margin"].value, exact["phase margin"].omega
+            assert value == pytest.approx(np.abs(phase).min(), abs=0.01)
+            there = loop(np.exp(1j * omega / RATE))
+            assert np.abs(there) == pytest.approx(1, abs=1e-9)
+            assert value == pytest.approx(180 - np.abs(np.degrees(np.angle(there))), abs=1e-7)
+        omega = np.geomspace(0.1, 0.999 * np.pi * RATE, 20000)
+        distance = np.abs(1 + loop(np.exp(1j * omega / RATE))).min()
+        assert exact["modulus margin"].value == pytest.approx(distance, rel=1e-5)
+    assert compared > 15
+
+
+@pytest.mark.parametrize(("margin", "sign"), [("gain margin", 1), ("gain reduction margin", -1)])
+def test_a_flight_diverges_where_the_gain_margin_is_used_up(margin, sign):
+    values = {**TRUTH, "a": -2.0}  # unstable without its loop
+    found = gb.margins(RateDynamics(), RateLoop(), values)[margin].value
+    assert np.isfinite(found)
+    kick = {"u": np.r_[1.0, np.zeros(3000)]}
+    growth = []
+    for share in (0.97, 1.03):
+        gain = values["K"] * 10 ** (sign * share * found / 20)
+        flight = gb.virtual_flight(
+            RateDynamics(), {**values, "K": gain}, kick, controller=RateLoop()
+        )
+        q = np.abs(flight["q"])
+        growth.append(q[-500:].max() / q[1000:1500].max())
+    assert growth[0] < 1 < growth[1]
+
+
+def test_gains_of_the_closed_loop_are_those_of_a_sampled_lag():
+    class Lag(gb.StateSpace):
+        states, inputs, outputs = ("y",), ("u",), ("y",)
+        K = gb.Parameter(3.0)
+        T = gb.Parameter(0.5)
+
+        def derivative(self, x, u, p):
+            return ((p.K * u.u - x.y) / p.T,)
+
+        def output(self, x, u, p):
+            return (x.y,)
+
+    class Proportional(gb.Controller):
+        inputs, setpoints, outputs, rate = ("y",), ("r",), ("u",), 50.0
+
+        def update(self, x, u, p):
+            return (), (1.5 * (u.r - u.y),)
+
+    omega = np.array([2.0, 4.25, 9.0])
+    z, a = np.exp(1j * omega / 50), np.exp(-1 / 50 / 0.5)
+    plant = 3 * (1 - a) / (z - a)
+    loop = sampled_loop(Lag(), np.array([[3.0, 0.5]]), Proportional())
+    expected = np.array([plant, np.ones(3)]) * 1.5 / (1 + 1.5 * plant)
+    gains = loop.gains("r", ["y", "u"], omega)[0].T
+    assert gains == pytest.approx(expected, rel=1e-12)
+    assert loop.broken_at("u", omega)[0] == pytest.approx(1.5 * plant, rel=1e-12)
+    alone = sampled_loop(Lag(), np.array([[3.0, 0.5]]), None, rate=50.0)
+    assert alone.gains("u", ["y"], omega)[0, :, 0] == pytest.approx(plant, rel=1e-12)
+
+
+def test_intervals_cover_the_true_margins_and_are_as_wide_as_the_scatter():
+    # A measured response has the delay of the hold of its control.
+    truth = gb.margins(RateDynamics(), RateLoop(), {**TRUTH, "tau": TRUTH["tau"] - 0.5 / RATE})
+    answers = [gb.margins(fitted(seed), RateLoop()) for seed in range(12)]
+    for name in ("phase margin", "gain margin", "delay margin", "modulus margin", "crossover"):
+        low, value, high = np.array([(a[name].low, a[name].value, a[name].high) for a in answers]).T
+        assert np.sum((low <= truth[name].value) & (truth[name].value <= high)) >= 10
+        half_width = np.mean(high - low) / 2
+        assert 1.2 < half_width / np.std(value, ddof=1) < 3.4
+
+
+def test_the_answer_begins_with_the_margins_and_names_what_is_extrapolated(fit):
+    text = str(gb.margins(fit, RateLoop()))
+    assert text.startswith("The loop of RateDynamics, broken at u, has a phase margin of")
+    narrow = gb.margins(fitted(0, omega=np.geomspace(0.5, 3, 30)), RateLoop())
+    assert narrow["crossover"].is_extrapolated
+    assert "extrapolated" in narrow.verdict
+    assert not gb.margins(fit, RateLoop())["crossover"].is_extrapolated
+
+
+def test_an_unstable_loop_has_no_margins(fit):
+    answer = gb.margins(fit, RateLoop({"K_P": 5.0}))
+    assert not answer.is_stable
+    assert answer.margins == ()
+    assert "unstable" in answer.verdict
+    assert answer.to_dict()["stable"] is False
+
+
+def test_a_loop_that_may_be_unstable_has_a_probability_and_no_interval(fit):
+    limit = 10 ** (gb.margins(fit, RateLoop())["gain margin"].value / 20)
+    answer = gb.margins(fit, RateLoop({"K_P": 0.15 * 0.99 * limit, "K_I": 0.3 * 0.99 * limit}))
+    assert 0.1 < answer.instability < 0.9
+    assert np.isnan(answer["phase margin"].low)
+    assert "unstable with a probability" in answer.verdict
+
+
+class TwoGains(RateDynamics):
+    """The gain is a product of which the data determine nothing more."""
+
+    L = gb.Parameter(1.0, bounds=(0.01, 100))
+
+    def response(self, s, p):
+        return p.L * super().response(s, p)
+
+
+def test_what_the_data_do_not_determine_matters_only_where_it_is_felt():
+    answer = gb.margins(fitted(0, model=TwoGains()), RateLoop())
+    assert answer.notes == ()  # the loop feels the product alone
+    assert answer["phase margin"].low == pytest.approx(
+        gb.margins(fitted(0), RateLoop())["phase margin"].low, rel=0.05
+    )
+
+
+def test_signals_that_are_not_in_the_loop_are_refused(fit):
+    with pytest.raises(ValueError, match="no 'theta' in the loop: give one of q"):
+        gb.margins(fit, RateLoop(), broken_at="theta")
+    with pytest.raises(ValueError, match="level"):
+        gb.margins(fit, RateLoop(), level=95)
