@@ -15,7 +15,7 @@ NAMES = """
 Bootstrap Collocation Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load plot
+Transcription TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load margins plot
 predict prepare profile read read_response report save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
@@ -27,8 +27,8 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
     "segment_table write_response write_responses write_spectrum",
-    "experiment": "ChosenTests Controller Excitation ExpectedErrors SinePlan ardupilot_script choose_tests "
-    "expected_errors multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight write_excitation",
+    "experiment": "ChosenTests Controller Excitation ExpectedErrors Margins SinePlan ardupilot_script choose_tests "
+    "expected_errors margins multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement Selection Settings "

@@ -9,6 +9,7 @@
 | `orders_command`, `identifiability_command` | structures |
 | `fit_command`, `profile_command`, `bootstrap_command` | fits and their errors |
 | `stepwise_command`, `compare_command`, `report_command` | several fits |
+| `margins_command` | the loop of a fit and a controller |
 | `batch_command` | studies |
 | `options`, `workers` | options that several commands share |
 | `output` | what a command gives: answer, exit status, files, figures |

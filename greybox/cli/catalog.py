@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
+from greybox.experiment.controller import Controller
 from greybox.files.text_table import alternatives, nearest
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -110,6 +111,29 @@ def find_model(text: str) -> Model:
             f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, models)}"
         )
     return models[name](*_arguments(match["arguments"] or "()", text))
+
+
+def find_controller(text: str) -> type[Controller]:
+    """Return a class of controllers from ``controller:AttitudeController`` or ``my.py:Class``.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError
+        If it does not exist or is not a controller.
+    """
+    module, name = _locate("models", text)
+    controllers = {
+        key: value
+        for key, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, Controller) and value is not Controller
+    }
+    if not name and len(controllers) == 1:
+        (name,) = controllers
+    if name not in controllers:
+        raise ValueError(
+            f"there is no controller {text!r}; {text.partition(':')[0]} has {alternatives(name, controllers)}"
+        )
+    return controllers[name]
 
 
 def _locate(kind: str, text: str) -> tuple[ModuleType, str]:

@@ -27,6 +27,7 @@ COMMANDS = {
     "fit": "fit a problem from many starts",
     "profile": "compute intervals that need not be symmetric",
     "bootstrap": "compute errors and intervals from resampled data",
+    "margins": "compute stability margins of a fit in the loop of a controller",
     "stepwise": "choose terms of a model from a list of candidates, by tests",
     "batch": "fit many problems, and lose nothing when killed",
     "compare": "compare saved fits, or the fits of a study",

@@ -8,13 +8,12 @@ tell).
 | `sines`, `sweep`, `multisine` | test signals |
 | `scripts` | files that fly them on a vehicle |
 | `controller` | sampled control laws |
-| `virtual_flight` | flights in simulation |
 | `sampled_loop` | the loop of a plant and its controllers, as linear equations |
 | `margins` | stability margins with errors |
+| `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |
 | `sine_plan` | sines that reach the wanted errors in the shortest flight |
 | `optimal_design` | shares of time for frequencies and tests |
-| `closed_loop` | amplitudes of signals in the loop |
 | `chosen_tests` | which of several tests to fly, and how often |
 """
 

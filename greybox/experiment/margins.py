@@ -100,12 +100,17 @@ class Margins:
         )
 
     @property
+    def is_safe(self) -> bool:
+        """Whether the loop is stable at the estimate and, at this level, for what the fit leaves open."""
+        return self.is_stable and not self.instability > (1 - self.level) / 2
+
+    @property
     def verdict(self) -> str:
         """The answer in one sentence."""
         loop = f"the loop of {self.plant}, broken at {self.signal},"
         if not self.is_stable:
             return f"{loop} is unstable: no margin exists."
-        if self.instability > (1 - self.level) / 2:
+        if not self.is_safe:
             return (
                 f"{loop} is unstable with a probability of {100 * self.instability:.1f} %: "
                 "the data do not show that it is safe."
@@ -143,7 +148,7 @@ class Margins:
             (
                 m.name,
                 number(m.value, 4),
-                "-" if math.isnan(m.low) else f"{number(m.low, 4)} to {number(m.high, 4)}",
+                "-" if not math.isfinite(m.low) else f"{number(m.low, 4)} to {number(m.high, 4)}",
                 m.unit,
                 number(m.omega, 4) + (" *" if m.is_extrapolated else ""),
             )
@@ -264,7 +269,7 @@ def _margins_of_fit(
     return replace(
         answer,
         margins=tuple(
-            replace(m, is_extrapolated=m.omega < data.omega.min() or m.omega > data.omega.max())
+            replace(m, is_extrapolated=bool(m.omega < data.omega[0] or m.omega > data.omega[-1]))
             for m in answer.margins
         ),
     )

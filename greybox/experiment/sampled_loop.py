@@ -85,7 +85,8 @@ class SampledLoop:
         before = delay / z[:, None, None]
         pencil = z[:, None, None] * np.eye(self.A.shape[-1]) - self.A[:, None]
         driven = self.late[:, None] * delay + self.early[:, None] * before
-        return self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * before
+        plant = self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * before
+        return plant.astype(complex)
 
     def gains(self, added_to: str, signals: Sequence[str], omega: ArrayLike) -> ComplexArray:
         """Return the gains (plants, n, signals) in the closed loop from what is added to one signal.
@@ -122,7 +123,7 @@ class SampledLoop:
         around = np.eye(k) - plant @ feedback[:, rows]
         measured = np.linalg.solve(around, plant @ command[:, rows] + error)
         every = np.concatenate([measured, feedback @ measured + command], axis=2)
-        return every[..., [names.index(name) for name in signals], 0]
+        return every[..., [names.index(name) for name in signals], 0].astype(complex)
 
     def broken_at(self, signal: str, omega: ArrayLike) -> ComplexArray:
         """Return the gain (plants, n) of the loop broken at a signal, with every other loop closed.
@@ -137,7 +138,7 @@ class SampledLoop:
         return 1 / self.gains(signal, [signal], omega)[..., 0] - 1
 
     def poles(self) -> ComplexArray:
-        """Return the poles (plants, states) of the closed loops in z, which are stable within the unit circle."""
+        """Return the poles (plants, states) of the closed loops, in z."""
         commands, F, G, H, J = self.controller
         rows = [commands.index(name) for name in self.inputs]
         measured = len(self.sensors)
@@ -173,8 +174,9 @@ class SampledLoop:
 
     @property
     def is_stable(self) -> BoolArray:
-        """Whether each closed loop is stable, (plants,)."""
-        return np.abs(self.poles()).max(axis=1) < 1
+        """Whether no signal grows in each closed loop, (plants,)."""
+        # A pole at one, such as that of a position that no controller holds, is one to rounding.
+        return np.abs(self.poles()).max(axis=1) < 1 + 1e-7
 
 
 def sampled_loop(
@@ -206,7 +208,13 @@ def sampled_loop(
     if not controllers and rate is None:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
     wanted = (c.outside(n) for c in controllers for n in c.inputs)
-    sensors = tuple(dict.fromkeys((*wanted, *system.outputs, *measured)))
+    commands = {
+        *system.inputs,
+        *(c.outside(n) for c in controllers for n in (*c.setpoints, *c.outputs)),
+    }
+    sensors = tuple(
+        dict.fromkeys((*wanted, *system.outputs, *(n for n in measured if n not in commands)))
+    )
     A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
     period = 1 / (controllers[0].rate if controllers else float(rate or 0))
     if delay_has == "hold":
@@ -245,7 +253,7 @@ def _held(A: Array, B: Array, time: Array) -> tuple[Array, Array]:
     both = np.zeros((len(A), n + m, n + m))
     both[:, :n, :n] = A
     both[:, :n, n:] = B
-    result = expm(both * time[:, None, None])
+    result = np.asarray(expm(both * time[:, None, None]), dtype=float)
     return result[:, :n, :n], result[:, :n, n:]
 
 
@@ -258,7 +266,7 @@ def _plants(
     x = ca.SX.sym("x", len(system.states))
     u = ca.SX.sym("u", len(system.inputs))
     f = system.derivative(x, u, p)
-    y = ca.vertcat(*[_sensor(model, system, name, x, u, p) for name in sensors])
+    y = ca.vertcat(*[measured_signal(model.label, system, name, x, u, p) for name in sensors])
     blocks = [ca.jacobian(e, v) for e in (f, y) for v in (x, u)]
     matrices = ca.Function("plant", [p, x, u], [*blocks, system.delay(p)])
     if isinstance(model, StateSpace):
@@ -273,18 +281,26 @@ def _plants(
     return A, B, C, D, delay[:, :, 0]
 
 
-def _sensor(model: Model, system: Dynamics, name: str, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-    """Return an output, a state, or the derivative of either, as an expression."""
+def measured_signal(
+    label: str, system: Dynamics, name: str, x: ca.SX, u: ca.SX, p: ca.SX | Array
+) -> ca.SX:
+    """Return an output, a state, or the time derivative of either, as an expression.
+
+    Raises
+    ------
+    ValueError
+        If the model has no such signal, or its derivative contains that of an input.
+    """
     stem = name.removesuffix(DOT)
-    for names, signals in ((system.outputs, system.output(x, u, p)), (system.states, x)):
+    for names, values in ((system.outputs, system.output(x, u, p)), (system.states, x)):
         if name in names:
-            return signals[names.index(name)]
-        if stem in names:
-            return ca.jacobian(signals[names.index(stem)], x) @ system.derivative(x, u, p)
+            return values[names.index(name)]
+        if stem in names and not ca.depends_on(value := values[names.index(stem)], u):
+            return ca.jacobian(value, x) @ system.derivative(x, u, p)
     known = tuple(dict.fromkeys((*system.outputs, *system.states)))
     raise ValueError(
-        f"{model.label} has no {name!r} to measure; it has {', '.join(known)} and their derivatives, such as "
-        f"'{known[0]}{DOT}': name one of them, for a controller with signals={{{name!r}: ...}}."
+        f"{label} has no {name!r} to measure; it has {', '.join(known)} and their time derivatives, "
+        f"such as '{known[0]}{DOT}': name one of them for {name!r} in the signals of the controller."
     )
 
 

@@ -17,6 +17,7 @@ from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, updated
 from greybox.experiment.excitation import Excitation
+from greybox.experiment.sampled_loop import measured_signal
 from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -31,7 +32,6 @@ NOTHING: Mapping[str, float] = MappingProxyType({})
 TOLERANCE = 1e-7
 MOST_SUBSTEPS = 256  # in a controller period; the size of a compiled step grows with them
 
-DOT = "_dot"  # suffix of a time derivative
 ADDED = "_excitation"  # suffix of the excitation of a signal
 
 
@@ -269,7 +269,10 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
             system.inputs, _late(past, signals, loop), early, delays, strict=True
         )
     ]
-    y = {n: _sensor(loop, n, x, ca.vertcat(*now)) + errors[k] for k, n in enumerate(loop.measured)}
+    y = {
+        n: measured_signal(loop.label, system, n, x, ca.vertcat(*now), loop.p) + errors[k]
+        for k, n in enumerate(loop.measured)
+    }
     remembered = _control(loop, memory, y, signals, excitation)
     late = _late(past, signals, loop)
     parts = [part for _, part in delays]
@@ -325,25 +328,6 @@ def _control(
             if n in excitation:
                 signals[n + ADDED] = excitation[n]
     return remembered
-
-
-@one_thread_at_a_time
-def _sensor(loop: _Loop, name: str, x: ca.SX, u: ca.SX) -> ca.SX:
-    """Return an output, a state, or the time derivative of either."""
-    system = loop.system
-    y = system.output(x, u, loop.p)
-    f = system.derivative(x, u, loop.p)
-    stem = name.removesuffix(DOT)
-    for names, values in ((system.outputs, y), (system.states, x)):
-        if name in names:
-            return values[names.index(name)]
-        if stem in names and not ca.depends_on(value := values[names.index(stem)], u):
-            return ca.jacobian(value, x) @ f
-    known = tuple(dict.fromkeys((*system.outputs, *system.states)))
-    raise ValueError(
-        f"{loop.label} has no {name!r} to measure; it has {', '.join(known)} and their time derivatives, "
-        f"such as '{known[0]}{DOT}': name one of them, for a controller with signals={{{name!r}: ...}}."
-    )
 
 
 def _runge_kutta(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:

@@ -1,0 +1,103 @@
+"""The command `greybox margins`: stability margins of a saved fit in the loop of a controller."""
+
+import argparse
+from typing import Any
+
+from greybox.cli.catalog import find_controller
+from greybox.cli.options import UsageError, add_common_options, assignments
+from greybox.cli.output import FAILED, USABLE, Answer
+from greybox.cli.saved_fits import add_fit_argument, stated_fit
+from greybox.experiment.controller import Controller
+from greybox.experiment.margins import margins
+
+EXAMPLES = (
+    "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot",
+    "rate.h5 --controller my.py:RateLoop --set K_P=0.12 K_I=0.1 --rate 400 --broken-at u q",
+)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_fit_argument(parser)
+    parser.add_argument(
+        "--controller",
+        nargs="+",
+        required=True,
+        metavar="CLASS",
+        help="controller:AttitudeController or my.py:Class; several in the order in which they run",
+    )
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE",
+        help="gains other than the declared ones",
+    )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="of the controllers")
+    parser.add_argument(
+        "--signals",
+        nargs="+",
+        default=[],
+        metavar="OWN=PLANT",
+        help="a controller's signal and its name in the plant, such as q=theta_dot",
+    )
+    parser.add_argument(
+        "--broken-at",
+        nargs="+",
+        default=[""],
+        metavar="SIGNAL",
+        help="where to break the loop: an input of the plant (default: the first) or a measured signal",
+    )
+    parser.add_argument(
+        "--at", nargs="+", default=[], metavar="NAME=VALUE", help="operating point of an ODE"
+    )
+    parser.add_argument(
+        "--level", type=float, default=0.95, help="of the intervals, 0.95 by default"
+    )
+    add_common_options(parser)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Read the fit, close the loop, and return the margins wherever it is broken."""
+    controllers = _controllers(options)
+    fit, _ = stated_fit(options)
+    at = assignments(options.at, "--at") or None
+    answers = [
+        margins(fit, controllers, broken_at=signal, at=at, level=options.level)
+        for signal in options.broken_at
+    ]
+    summary: dict[str, Any] = {"loops": [answer.to_dict() for answer in answers]}
+    usable = all(answer.is_safe for answer in answers)
+    return summary, "\n\n".join(map(str, answers)), USABLE if usable else FAILED
+
+
+def _controllers(options: argparse.Namespace) -> list[Controller]:
+    """Return the controllers with the gains and names of signals that the options state."""
+    values = assignments(options.set, "--set")
+    signals = {}
+    for word in options.signals:
+        own, separator, outside = word.partition("=")
+        if not (own and separator and outside):
+            raise UsageError(
+                f"--signals {word!r} is not understood: write OWN=PLANT, e.g. q=theta_dot."
+            )
+        signals[own] = outside
+
+    kinds = [find_controller(text) for text in options.controller]
+    names = {name for kind in kinds for name in kind.parameters}
+    if unknown := sorted(values.keys() - names):
+        raise UsageError(
+            f"--set {unknown[0]}: no controller has it; there are {', '.join(sorted(names))}."
+        )
+    return [
+        kind(
+            {name: value for name, value in values.items() if name in kind.parameters},
+            rate=options.rate,
+            signals={
+                own: outside
+                for own, outside in signals.items()
+                if own in (*kind.inputs, *kind.setpoints, *kind.outputs)
+            },
+        )
+        for kind in kinds
+    ]

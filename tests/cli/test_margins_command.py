@@ -1,0 +1,63 @@
+"""`greybox margins`: the loop of a saved fit and a controller."""
+
+import json
+
+import pytest
+from command_line import refused, run
+
+import greybox as gb
+from greybox.models.controller import AttitudeController
+from greybox.problems import pitch_hover
+
+LOOP = ("--controller", "controller:AttitudeController", "--signals", "q=theta_dot")
+
+
+@pytest.fixture(scope="module")
+def pitch(tmp_path_factory):
+    path = tmp_path_factory.mktemp("fits") / "pitch.h5"
+    gb.save(gb.fit(pitch_hover.problem(), starts=8, profiles=False, progress=False), path)
+    return path
+
+
+def test_the_command_answers_as_the_function_does(capsys, pitch):
+    status, out, _ = run(
+        capsys,
+        "margins",
+        pitch,
+        *LOOP,
+        "--set",
+        "K_P=0.1",
+        "--rate",
+        "200",
+        "--broken-at",
+        "u",
+        "theta",
+        "--json",
+    )
+    assert status == 0
+    controller = AttitudeController({"K_P": 0.1}, rate=200, signals={"q": "theta_dot"})
+    expected = [
+        gb.margins(gb.load(pitch), controller, broken_at=s).to_dict() for s in ("u", "theta")
+    ]
+    assert json.loads(out)["loops"] == expected
+
+
+def test_a_loop_that_is_not_stable_fails(capsys, pitch):
+    status, out, _ = run(capsys, "margins", pitch, *LOOP, "--set", "K_P=5")
+    assert status == 1
+    assert "unstable" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--controller", "controller:Attitude"), "did you mean 'AttitudeController'"),
+        ((*LOOP, "--set", "K_Q=1"), "no controller has it"),
+        ((*LOOP[:2], "--signals", "q"), "OWN=PLANT"),
+        (LOOP[:2], "no 'q' to measure"),
+        ((*LOOP, "--broken-at", "w"), "no 'w' in the loop"),
+        ((*LOOP, "--level", "95"), "between 0 and 1"),
+    ],
+)
+def test_what_does_not_fit_is_refused(capsys, pitch, words, message):
+    assert message in refused(capsys, "margins", pitch, *words)
