@@ -51,7 +51,7 @@ def line(name: str, which: str, case: Certified, **options: Any) -> tuple[str, b
         else f"{digits(fit.standard_error, case.errors):.1f}"
     )
     estimates = f"{found:.1f}" if found >= RIGHT else "another minimum"
-    numbers = f"{case.problem.numbers:4d} {len(case.values):2d}"
+    numbers = f"{len(case.problem.data):4d} {len(case.values):2d}"
     agreeing = f"{fit.agreeing} of {len(fit.runs)}"
     return (
         f"{name:10} {which:10} {numbers}   {estimates:>15}   {errors:>6}   {agreeing:>8} {seconds:7.2f}",

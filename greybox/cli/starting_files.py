@@ -75,7 +75,7 @@ TRANSFER_FUNCTION_TRIAL = """\
         print(f"P(j {{omega:g}} rad/s) = {{value:.4g}}")"""
 
 STATE_SPACE_TRIAL = """\
-    print(gb.modeling.linearize({name}(), {{"c": 0.1}}, at={{"v": 5.0}}))"""
+    print(gb.modeling.linearize({name}(), {{"c": 0.1}}, at={{"v": 5.0}}).A)"""
 
 PROBLEM = '''\
 """What is fitted to what; this line is what `greybox fit` names.

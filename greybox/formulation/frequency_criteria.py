@@ -70,7 +70,10 @@ class Criterion(AnyCriterion):
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return the mismatch of the response `model` (n,) and `data`."""
 
-    @abstractmethod
+    def scale(self, model: ComplexArray, data: FrequencyResponse) -> ComplexArray:
+        """Return what divides the derivatives of the response (n,), held: by default itself."""
+        return model
+
     def jacobian(
         self,
         model: ComplexArray,
@@ -79,10 +82,10 @@ class Criterion(AnyCriterion):
     ) -> Array:
         """Return the Jacobian (2n, p) of the real residuals.
 
-        `sensitivity` (n, p) are the derivatives of the response `model` (n,).
-
-        The first n are along the response, the others across.
+        `sensitivity` (n, p) are the derivatives of the response `model` (n,). The first n rows are
+        along the response, the others across.
         """
+        return stacked(sensitivity / self.scale(model, data)[:, None])
 
     @abstractmethod
     def spread(
@@ -166,19 +169,9 @@ class _Relative(Criterion):
         """Return what the errors are divided by, (n,)."""
         return np.abs(data.response) if self.normalized == "measured" else abs(model)
 
-    def jacobian(
-        self,
-        model: ComplexArray,
-        sensitivity: ComplexArray,
-        data: FrequencyResponse,
-    ) -> Array:
-        """Return the derivatives of the errors along and across the response.
-
-        The magnitude that divides them is held.
-        """
-        return stacked(
-            sensitivity / (self.magnitude(model, data) * np.exp(1j * np.angle(model)))[:, None]
-        )
+    def scale(self, model: ComplexArray, data: FrequencyResponse) -> ComplexArray:
+        """Return the magnitude that divides the errors, in the direction of the response."""
+        return self.magnitude(model, data) * np.exp(1j * np.angle(model))
 
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
@@ -293,18 +286,6 @@ class RelativeLikelihood(Criterion):
             + 1e-18  # the relative variance of rounding errors, for an exact fit
         )
         return len(data) * (log(variance) + 1) + total(log(size / scale))
-
-    def jacobian(
-        self,
-        model: ComplexArray,
-        sensitivity: ComplexArray,
-        data: FrequencyResponse,
-    ) -> Array:
-        """Return the derivatives of the errors along and across the response.
-
-        The magnitude that divides them is held.
-        """
-        return stacked(sensitivity / model[:, None])
 
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
@@ -455,20 +436,15 @@ class MaximumLikelihood(Criterion):
         logarithm = np.log1p if isinstance(squares, np.ndarray) else ca.log1p
         return total((data.dof + 2) / 2 * logarithm(2 * squares / data.dof))
 
-    def jacobian(
-        self,
-        model: ComplexArray,
-        sensitivity: ComplexArray,
-        data: FrequencyResponse,
-    ) -> Array:
-        """Return the derivatives of the errors over their standard deviations.
+    def scale(self, model: ComplexArray, data: FrequencyResponse) -> ComplexArray:
+        """Return the standard deviations of the errors, in the direction of the response.
 
-        Along and across the response, weighted where the variances are estimates.
+        Where they are estimates, large residuals count for less.
         """
-        weight = 1 / _variance(data)
+        variance = _variance(data)
         if data.dof is not None:
-            weight = weight * data.dof / (data.dof + 2 * self._squares(model, data))
-        return stacked(sensitivity * (np.sqrt(weight) * np.exp(-1j * np.angle(model)))[:, None])
+            variance = variance * (1 + 2 * self._squares(model, data) / data.dof)
+        return np.sqrt(variance) * np.exp(1j * np.angle(model))
 
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float

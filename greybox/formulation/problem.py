@@ -388,21 +388,6 @@ class Problem:
         return self.data
 
     @property
-    def numbers(self) -> int:
-        """Count of real numbers in the data that are compared."""
-        if isinstance(self.data, Record):
-            outputs = [name for name in self.model.output_names if name in self.data.signals]
-            return sum(int(np.isfinite(self.data[name]).sum()) for name in outputs)
-        if isinstance(self.data, TransientSpectrum):
-            return (
-                2
-                * len(self.data)
-                * sum(name in self.data.outputs for name in self.model.output_names)
-            )
-
-        return 2 * len(self.data)
-
-    @property
     def parts(self) -> tuple["Problem", ...]:
         """The problem itself, as the only part."""
         return (self,)

@@ -49,18 +49,6 @@ class LinearSystem:
             ),
         )
 
-    def __str__(self) -> str:
-        names = ("x' = A x + B u(t - delay)", "y  = C x + D u(t - delay)")
-        signals = "; ".join(
-            f"{kind} {', '.join(getattr(self, kind))}" for kind in ("states", "inputs", "outputs")
-        )
-        point = ", ".join(f"{name} = {value:.6g}" for name, value in self.point.items())
-        matrices = [
-            f"{name} =\n{np.array2string(getattr(self, name), precision=6)}" for name in "ABCD"
-        ]
-
-        return "\n".join([*names, signals, f"about {point}", *matrices, f"delay = {self.delays} s"])
-
     @property
     def poles(self) -> ComplexArray:
         """Eigenvalues of A, (n,), rad/s."""

@@ -11,7 +11,7 @@ from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunctio
 from greybox.modeling.late_sensors import LateSensors
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of
-from greybox.modeling.transfer_function import FeedbackLoop, SeriesConnection
+from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, SeriesConnection
 
 
 class UnknownModelError(LookupError):
@@ -90,6 +90,7 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
     """Return the class of an included model, of a connection or of a system of known numbers."""
     kinds = (
         SeriesConnection,
+        RenamedParameters,
         FeedbackLoop,
         KnownTransferFunction,
         KnownStateSpace,

@@ -1,17 +1,18 @@
 """Transfer functions: one input, one output, a formula in s; in series and in feedback loops."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from greybox.modeling.model import Model, merged_parameters
+from greybox.modeling.model import Model, Names, merged_parameters, require_known
 
 
 class TransferFunction(Model):
     """A transfer function in s from one input to one output, e.g. equation (4.25).
 
     A subclass declares `input` and `output`, its parameters, and `response`. Transfer functions
-    multiply: ``rotor * tilt`` is the series connection in which the signal passes `rotor` first.
+    multiply: ``rotor * tilt`` is the series connection in which the signal passes `rotor` first. A
+    parameter of one name in both is either renamed or declared shared, see `series`.
     """
 
     input: str = "u"
@@ -36,26 +37,98 @@ class TransferFunction(Model):
         return (self.output,)
 
     def __mul__(self, other: Any) -> "TransferFunction":
-        return (
-            SeriesConnection(self, other) if isinstance(other, TransferFunction) else NotImplemented
-        )
+        return self.series(other) if isinstance(other, TransferFunction) else NotImplemented
+
+    def series(self, other: "TransferFunction", shared: Sequence[str] = ()) -> "TransferFunction":
+        """Return the series connection ``self * other``, in which `shared` parameters are one.
+
+        Raises
+        ------
+        TypeError
+            If `other` is not a transfer function.
+        ValueError
+            If both have a parameter of one name that is not `shared`.
+        """
+        return SeriesConnection(self, other, shared=tuple(shared))
 
     def through(self, other: "TransferFunction") -> "TransferFunction":
         """Return the series connection with a filter of the output, which keeps its name and unit.
 
         Raises
         ------
-        TypeError
-            If `other` is no transfer function.
+        TypeError, ValueError
+            As for `series`.
         """
         return SeriesConnection(self, other, self.output)
 
+    def renamed(self, **names: str) -> "TransferFunction":
+        """Return the model with other names of parameters, ``Tilt().renamed(T_delay="T_tilt")``.
+
+        Raises
+        ------
+        ValueError
+            For a parameter that does not exist, or a name that is in use.
+        """
+        return RenamedParameters(self, *names.items())
+
+
+class RenamedParameters(TransferFunction):
+    """A transfer function with other names of parameters, see `TransferFunction.renamed`."""
+
+    def __init__(self, model: TransferFunction, *pairs: tuple[str, str]) -> None:
+        _require_transfer_functions(model)
+        names = dict(pairs)
+        require_known(names, model.parameters, "parameter", model.label)
+        self.model = model
+        self.names = {name: names.get(name, name) for name in model.parameters}
+        self.parameters = {self.names[name]: value for name, value in model.parameters.items()}
+        if len(self.parameters) < len(model.parameters):
+            raise ValueError(f"{model.label} would have two parameters of one name: {names}.")
+        self.input = model.input
+        self.output = model.output
+        self.units = model.units
+
+    def _inside(self, p: Any) -> Names:
+        return Names({name: p[new] for name, new in self.names.items()}, self.label)
+
+    @property
+    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+        """Derived quantities of the model, under their own names."""
+        quantities = self.model.derived.items()
+        return {name: lambda p, f=f: f(self._inside(p)) for name, f in quantities}
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the response of the model."""
+        return self.model.response(s, self._inside(p))
+
+    @property
+    def label(self) -> str:
+        """Name of the model."""
+        return self.model.label
+
 
 class SeriesConnection(TransferFunction):
-    """Series connection: the signal passes `first`, then `second`."""
+    """Series connection: the signal passes `first`, then `second`.
 
-    def __init__(self, first: TransferFunction, second: TransferFunction, output: str = "") -> None:
+    A parameter that both have, such as a delay, acts twice. So it must be declared `shared`.
+    """
+
+    def __init__(
+        self,
+        first: TransferFunction,
+        second: TransferFunction,
+        output: str = "",
+        shared: Sequence[str] = (),
+    ) -> None:
         _require_transfer_functions(first, second)
+        for name in first.parameters:
+            if name in second.parameters and name not in shared:
+                raise ValueError(
+                    f"{first.label} and {second.label} both have {name!r}: rename one of them, "
+                    f".renamed({name}='{name}_2'), or, if it is the same quantity in both, use "
+                    f".series(..., shared=[{name!r}])."
+                )
+
         self.first = first
         self.second = second
         self.parameters = merged_parameters((first, second))
@@ -66,16 +139,16 @@ class SeriesConnection(TransferFunction):
 
     @property
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Those of both."""
+        """Derived quantities of both."""
         return {**self.first.derived, **self.second.derived}
 
     def response(self, s: Any, p: Any) -> Any:
-        """Product of the two responses."""
+        """Return the product of the two responses."""
         return self.first.response(s, p) * self.second.response(s, p)
 
     @property
     def label(self) -> str:
-        """The names of both."""
+        """Names of both."""
         return f"{self.first.label} * {self.second.label}"
 
 
@@ -102,7 +175,7 @@ class FeedbackLoop(TransferFunction):
 
     @property
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Those of all parts."""
+        """Derived quantities of all parts."""
         return {**self.forward.derived, **(self.back.derived if self.back else {})}
 
     def response(self, s: Any, p: Any) -> Any:
@@ -113,7 +186,7 @@ class FeedbackLoop(TransferFunction):
 
     @property
     def label(self) -> str:
-        """The names of what is in the loop."""
+        """Names of the parts."""
         return f"Feedback({self.forward.label}" + (f", {self.back.label})" if self.back else ")")
 
 

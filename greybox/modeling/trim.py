@@ -167,32 +167,20 @@ def _presolve(
     size: int,
 ) -> tuple[Array, list[int]]:
     """Solve the trim at the start values; return it and as many independent equations."""
-    from scipy.optimize import least_squares  # noqa: PLC0415  (takes a fifth of a second to import)
-
     random = np.random.default_rng(0)
-    guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)] + list(
-        random.normal(0, 3, (15, size))
-    )
+    guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)]
+    guesses += list(random.normal(0, 3, (15, size)))
     for guess in guesses:
-        if not np.all(np.isfinite(np.asarray(residual(guess, start)[0]))):
+        root: Array = guess
+        # At a double root a Newton step only halves the distance: 60 steps reach rounding. Longer
+        # steps than the size of the point would leave the nearest root.
+        for _ in range(60):
+            derivative, jacobian = (np.nan_to_num(np.asarray(v)) for v in residual(root, start))
+            step = np.linalg.lstsq(jacobian, derivative.ravel(), rcond=None)[0]
+            root = root - step / max(1.0, np.linalg.norm(step) / (1 + np.linalg.norm(root)))
+        derivative = np.asarray(residual(root, start)[0])
+        if not np.abs(derivative).max(initial=0) <= TOLERANCE * (1 + np.abs(root).max(initial=0)):
             continue
-        solution = least_squares(
-            lambda w: np.nan_to_num(
-                np.asarray(residual(w, start)[0]).ravel(), nan=1e9, posinf=1e9, neginf=-1e9
-            ),
-            guess,
-            jac=lambda w: np.nan_to_num(np.asarray(residual(w, start)[1])),  # type: ignore
-            xtol=1e-15,
-            ftol=1e-15,
-            gtol=1e-15,
-        )
-        if np.abs(solution.fun).max() > TOLERANCE * (1 + np.abs(solution.x).max(initial=0)):
-            continue
-        # Newton steps: at a double root each only halves the distance, and 30 reach a billionth.
-        root = solution.x
-        for _ in range(30):
-            derivative, jacobian = (np.asarray(v) for v in residual(root, start))
-            root = root - np.linalg.lstsq(jacobian, derivative.ravel(), rcond=None)[0]
 
         # A pivot is zero if it is rounding beside the largest one, or vanishes beside its value a
         # tenth of the point away, as at a double root.

@@ -134,7 +134,7 @@ def test_parameters_that_cannot_be_one_unknown_are_refused(a, b, sentence):
 
 def test_a_fixed_and_a_free_rotor_do_not_connect():
     with pytest.raises(ValueError, match="'T_rotor' is fixed in one part and free in the other"):
-        Rotor() * Tilt()
+        Rotor().series(Tilt(), shared=["T_rotor", "T_delay"])
     assert list(merged_parameters([YawRate(), YawAngle()])) == list(YawRate().parameters)
 
 

@@ -34,6 +34,8 @@ MODELS = [
     Rotor() * Integrator() * Polynomial(2, 1),
     gb.feedback(Rotor(), Polynomial(2, 1), sign=1),
     gb.feedback(Rotor()),
+    Rotor() * Tilt().renamed(T_rotor="T_2", T_delay="T_tilt"),
+    Rotor().series(Rotor(), shared=list(Rotor().parameters)),
 ]
 
 
@@ -111,7 +113,7 @@ def test_nothing_that_a_file_names_is_imported(name, monkeypatch):
 def nested(depth):
     stored = reference(Rotor())
     for _ in range(depth):
-        stored = reference(Rotor() * Rotor()) | {
+        stored = reference(Rotor() * Integrator()) | {
             "arguments": [{"model": stored}, {"model": reference(Rotor())}]
         }
     return stored

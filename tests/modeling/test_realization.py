@@ -158,7 +158,7 @@ def test_what_no_ode_can_follow_is_refused():
 
 
 def test_a_loop_around_a_delay_goes_by_pade_states():
-    loop = gb.feedback(LeadLag() * Gain())
+    loop = gb.feedback(LeadLag() * Gain().renamed(K="K_2"))
     found = response(dynamics(loop, 3), list(loop.values().values()), OMEGA)[0, 0]
     assert_allclose(
         found, gb.frequency_response(loop, {}, OMEGA, delay="pade:3").response, rtol=1e-7

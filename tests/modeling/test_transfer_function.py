@@ -19,7 +19,7 @@ def response(model, values=None, **options):
 
 
 def test_series_multiplies_responses_and_merges_parameters():
-    chain = Rotor() * FreeYaw()
+    chain = Rotor().series(FreeYaw(), shared=["T_rotor", "T_delay"])
     assert (chain.input_names, chain.output_names) == (("u",), ("r",))
     assert list(chain.parameters) == [
         "K_Omega",
@@ -41,6 +41,33 @@ def test_series_multiplies_responses_and_merges_parameters():
     assert form.delay == 0.04
 
 
+def test_a_delay_of_both_is_applied_twice_only_if_it_is_said_to_be_the_same():
+    """Rotor and tilt have a delay each; silently shared, it would count twice."""
+    with pytest.raises(
+        ValueError, match=r"Rotor and Tilt both have 'T_rotor': rename .*shared=\['T_rotor'\]"
+    ):
+        Rotor() * Tilt()
+    chain = Rotor() * Tilt().renamed(T_rotor="T_lag", T_delay="T_tilt")
+    assert {"T_rotor", "T_delay", "T_lag", "T_tilt"} < chain.parameters.keys()
+    values = {"T_rotor": 0.05, "T_delay": 0.01, "T_lag": 0.02, "T_tilt": 0.03}
+    product = response(Rotor(), {"T_rotor": 0.05, "T_delay": 0.01}) * response(
+        Tilt(), {"T_rotor": 0.02, "T_delay": 0.03}
+    )
+    assert_allclose(response(chain, values), product, rtol=1e-13)
+    assert_allclose(compiled_response(chain, OMEGA)(chain.values(values)), product, rtol=1e-12)
+    assert gb.modeling.rational(chain, values).delay == pytest.approx(0.04)
+    assert chain.derived["a3_tilde"](chain.values(a3=2.0)) == Tilt().derived["a3_tilde"](
+        Tilt().values(a3=2.0)
+    )
+
+
+def test_a_parameter_that_is_not_there_or_a_name_in_use_is_not_renamed():
+    with pytest.raises(ValueError, match="Tilt has no parameter 'b'"):
+        Tilt().renamed(b="c")
+    with pytest.raises(ValueError, match="two parameters of one name"):
+        Tilt().renamed(a1="a2")
+
+
 class FreeYaw(YawRate):
     """The yaw rate with its rotor free, as that of `Rotor`."""
 
@@ -53,7 +80,7 @@ def test_series_keeps_derived_quantities_of_both():
 
 
 def test_series_of_three():
-    chain = Lag() * Tilt() * Gain()
+    chain = Lag() * Tilt() * Gain().renamed(k="k_2")
     expected = response(Lag()) * response(Tilt()) * 2.0
     assert_allclose(response(chain), expected, rtol=1e-13)
 

@@ -35,7 +35,7 @@ def test_the_certified_values_and_errors_are_found_from_the_certified_starts(nam
         assert digits(fit.estimate, case.values) > 6, k
         if name not in ROUNDING:
             assert digits(fit.standard_error, case.errors) > 4, k
-            assert fit.dof == pytest.approx(case.problem.numbers - len(case.values))
+            assert fit.dof == pytest.approx(len(case.problem.data) - len(case.values))
 
 
 @pytest.mark.parametrize(("name", "k"), sorted(ELSEWHERE))
