@@ -21,7 +21,7 @@ from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from types import MappingProxyType
@@ -153,7 +153,7 @@ def _on_workers(tasks: "_Tasks") -> Iterator[tuple[int, Array, Outcome]]:
 
         # After Ctrl-C the tasks that have begun are finished.
         tasks.cancel()
-        while tasks.waiting and not tasks.waiting[0].is_cancelled:
+        while tasks.waiting and not tasks.waiting[0].future.cancelled():
             yield from tasks.next()
     finally:
         tasks.cancel()
@@ -161,15 +161,11 @@ def _on_workers(tasks: "_Tasks") -> Iterator[tuple[int, Array, Outcome]]:
 
 @dataclass
 class _Task:
-    """A batch of starts, and the source of their outcomes: a future, or the memory."""
+    """A batch of starts, the future of their outcomes, and whether the memory has them."""
 
     batch: Batch
-    future: Future[list[Outcome]] | None = None
-    outcomes: list[Outcome] | None = None
-
-    @property
-    def is_cancelled(self) -> bool:
-        return self.future is not None and self.future.cancelled()
+    future: Future[list[Outcome]]
+    is_stored: bool = False
 
 
 class _Tasks:
@@ -186,12 +182,9 @@ class _Tasks:
         first: list[Outcome],
     ) -> None:
         self.waiting: deque[_Task] = deque()
-        self._packed = packed(solver)
-        self._together = solver.together
-        self._batches = batches
-        self._executor = executor
-        self._memory = memory
-        self._begins = begins
+        self._packed, self._together = packed(solver), solver.together
+        self._batches, self._begins = batches, begins
+        self._executor, self._memory = executor, memory
         self._next_batch: Batch | None = None
         self._most = min(max(MOST_BYTES // len(self._packed[1]), 2), MOST_WAITING)
         # Sixteen tasks or more, so that workers of unlike speed end at about the same time.
@@ -217,84 +210,75 @@ class _Tasks:
             if batch is None:
                 break
             recalled = _recalled(self._memory, batch)
-            if recalled is not None:
-                if not starts:
-                    return _Task(batch, outcomes=recalled)
+            if recalled is None:
+                starts += batch
+            elif starts:
                 self._next_batch = batch
                 break
-            starts += batch
+            else:
+                task = _Task(batch, Future(), is_stored=True)
+                task.future.set_result(recalled)
+                return task
         return self._submitted(starts) if starts else None
+
+    def _submitted(self, batch: Batch) -> _Task:
+        begins = np.array([self._begins.get(number, start) for number, start in batch])
+        return _Task(
+            batch,
+            self._executor.submit(run_starts, *self._packed, begins, os.getpid(), current_limits()),
+        )
 
     def is_next_done(self) -> bool:
         """Wait for the first of the waiting tasks; False if a stop was requested before."""
-        first = self.waiting[0]
         while not stop_requested():
-            if first.outcomes is not None or first.future is None:
-                return True
-            try:
-                first.future.exception(timeout=0.1)
-            except StillRunning:
-                self._keep_finished()
-                continue
-            except CancelledError:
-                pass
+            with suppress(CancelledError):
+                try:
+                    self.waiting[0].future.exception(timeout=0.1)
+                except StillRunning:
+                    self._store_finished()
+                    continue
             return True
         return False
 
     def next(self) -> Iterator[tuple[int, Array, Outcome]]:
         """Yield the runs of the first waiting task; if its worker was lost, its starts become tasks of their own."""
         task = self.waiting.popleft()
-        if task.outcomes is None:
-            self._finish(task)
-        if task.outcomes is None and len(task.batch) > 1:
+        outcomes = self._stored(task)
+        if outcomes is None and len(task.batch) > 1:
             self.waiting.extendleft([self._submitted([start]) for start in reversed(task.batch)])
             return
-        if task.outcomes is None:
-            start = task.batch[0][1]
-            lost = Outcome(start, WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)
-            task.outcomes = [lost]
-            self._keep(task)
-        for (number, start), outcome in zip(task.batch, task.outcomes, strict=True):
+        if outcomes is None:
+            [(number, start)] = task.batch
+            outcomes = [Outcome(start, WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
+            self._memory.keep(number, start, outcomes[0])
+        for (number, start), outcome in zip(task.batch, outcomes, strict=True):
             yield number, start, outcome
 
     def cancel(self) -> None:
         """Cancel the tasks that have not begun."""
         for task in self.waiting:
-            if task.future is not None:
-                task.future.cancel()
+            task.future.cancel()
 
-    def _keep_finished(self) -> None:
-        """Keep the runs of all finished tasks, whichever task is waited for."""
+    def _store_finished(self) -> None:
+        """Store the runs of all finished tasks, whichever task is waited for."""
         for task in self.waiting:
-            if task.outcomes is None and task.future is not None and _has_result(task.future):
-                self._finish(task)
+            future = task.future
+            if future.done() and not future.cancelled() and future.exception() is None:
+                self._stored(task)
         self._memory.look()
         if _has_lost_scheduler(self._executor):
             raise ExecutorLostError(LOST)
 
-    def _finish(self, task: _Task) -> None:
-        """Take the outcomes of a finished task, if its worker was not lost."""
-        assert task.future is not None
-        task.outcomes = _result(task.future)
-        if task.outcomes is not None:
-            self._runs += len(task.outcomes)
-            self._seconds += sum(outcome.seconds for outcome in task.outcomes)
-            self._keep(task)
-
-    def _keep(self, task: _Task) -> None:
-        for (number, start), outcome in zip(task.batch, task.outcomes or (), strict=True):
-            self._memory.keep(number, start, outcome)
-
-    def _submitted(self, batch: Batch) -> _Task:
-        begins = np.array([self._begins.get(number, start) for number, start in batch])
-        future = self._executor.submit(
-            run_starts, *self._packed, begins, os.getpid(), current_limits()
-        )
-        return _Task(batch, future)
-
-
-def _has_result(future: Future[list[Outcome]]) -> bool:
-    return future.done() and not future.cancelled() and future.exception() is None
+    def _stored(self, task: _Task) -> list[Outcome] | None:
+        """Return the outcomes of a finished task, stored; None if its worker was lost."""
+        outcomes = _result(task.future)
+        if outcomes is not None and not task.is_stored:
+            task.is_stored = True
+            self._runs += len(outcomes)
+            self._seconds += sum(outcome.seconds for outcome in outcomes)
+            for (number, start), outcome in zip(task.batch, outcomes, strict=True):
+                self._memory.keep(number, start, outcome)
+        return outcomes
 
 
 def _has_lost_scheduler(executor: Executor) -> bool:
