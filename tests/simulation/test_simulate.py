@@ -144,13 +144,16 @@ def test_simulation_of_a_fit_is_its_own_answer():
 def fitted(seed, duration=8.0):
     record = driven(duration, noise=0.05, seed=seed)
     return record, gb.fit(
-        gb.Problem(Spring(), record), starts=[{"stiffness": 4.0, "damping": 0.8}], progress=False
+        gb.Problem(Spring(), record),
+        starts=[{"stiffness": 4.0, "damping": 0.8}],
+        progress=False,
+        profiles=False,
     )
 
 
 @pytest.fixture(scope="module")
 def repeats():
-    return [fitted(seed) for seed in range(16)]
+    return [fitted(seed) for seed in range(10)]
 
 
 def test_bands_of_simulations_cover_the_truth(repeats):
@@ -164,7 +167,7 @@ def test_bands_of_simulations_cover_the_truth(repeats):
 
 def test_bands_of_predictions_cover_the_truth_and_the_measurements(repeats):
     inside, measured = [], []
-    for seed, (_, fit) in enumerate(repeats[:12]):
+    for seed, (_, fit) in enumerate(repeats[:8]):
         other = driven(20.0, noise=0.05, seed=100 + seed)
         exact = driven(20.0, seed=100 + seed)["position"]
         found = gb.predict(fit, record=other, horizon=1.0, lead=1.0)
@@ -291,7 +294,9 @@ def test_a_parameter_at_its_bound_counts_as_exact():
 
 
 def test_what_the_data_do_not_determine_is_told_where_it_matters():
-    fit = gb.fit(gb.Problem(Heated(), driven(8.0, noise=0.05)), starts=[{}], progress=False)
+    fit = gb.fit(
+        gb.Problem(Heated(), driven(8.0, noise=0.05)), starts=[{}], progress=False, profiles=False
+    )
     assert np.isnan(fit.standard_error["heating"])
     found = gb.simulate(fit)
     assert np.all(found["position_error"] > 0)
@@ -393,7 +398,7 @@ def test_things_that_are_not_what_they_should_be():
         gb.simulate(Spring(), {}, driven(), initial=[0, 1])
     with pytest.raises(TypeError, match="give one Record; for several, call it for each"):
         gb.predict(Spring(), {}, [driven(), driven()])
-    fit = gb.fit(gb.Problem(Spring(), driven(noise=0.01)), starts=1, progress=False)
+    fit = gb.fit(gb.Problem(Spring(), driven(noise=0.01)), starts=1, progress=False, profiles=False)
     with pytest.raises(TypeError, match="give the record by name, record=r"):
         gb.predict(fit, driven())
     for part in ("0", 1, 0.0, True):
@@ -406,7 +411,7 @@ def test_things_that_are_not_what_they_should_be():
 def test_the_record_that_was_fitted_is_known_again_by_its_checksum_and_its_times():
     """It begins where the fit says; another record begins where its own first samples say."""
     record = driven(noise=0.05)
-    fit = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False)
+    fit = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False, profiles=False)
     again = replace(record)
     later = replace(record, time=record.time + 1.0)
     found = gb.simulate(fit)["position"]

@@ -34,7 +34,7 @@ METHODS = [
 ]
 
 
-def record(samples=300, step=0.05, a=2.0, b=3.0, noise=0.1):
+def record(samples=200, step=0.05, a=2.0, b=3.0, noise=0.1):
     """Return a record of the lag, its response to held inputs in closed form."""
     random = np.random.default_rng(0)
     u = np.repeat(random.normal(size=samples // 10 + 1), 10)[:samples]
@@ -52,23 +52,28 @@ def test_a_start_that_misses_the_constraint_is_led_back_to_it(method):
     data = record()
     fit = gb.fit(
         gb.Problem(Lag(), data, HELD, constraints=[lambda p: p.b - 1.6 * p.a]),
-        starts=3,
+        starts=2,
         method=method,
+        profiles=False,
     )
-    tied = gb.fit(gb.Problem(Lag(), data, HELD, tied={"b": lambda p: 1.6 * p.a}), starts=3)
-    assert fit.agreeing == 3
+    tied = gb.fit(
+        gb.Problem(Lag(), data, HELD, tied={"b": lambda p: 1.6 * p.a}), starts=1, profiles=False
+    )
+    assert fit.agreeing == 2
     assert fit.estimate["b"] >= 1.6 * fit.estimate["a"] - 1e-6
     assert fit.estimate["a"] == pytest.approx(tied.estimate["a"], rel=1e-4)
     assert fit.cost == pytest.approx(tied.cost, abs=1e-4)
     assert fit.standard_error["a"] == pytest.approx(tied.standard_error["a"], rel=1e-3)
 
 
-@pytest.mark.parametrize("samples", [300, 30000])
+@pytest.mark.parametrize("samples", [200, 21000])
 def test_a_curved_constraint_is_kept(samples):
     """On the circle a² + b² = 9 the cost is minimized by hand, over the angle."""
     data = record(samples)
     fit = gb.fit(
-        gb.Problem(Lag(), data, HELD, constraints=[lambda p: 9 - p.a**2 - p.b**2]), starts=2
+        gb.Problem(Lag(), data, HELD, constraints=[lambda p: 9 - p.a**2 - p.b**2]),
+        starts=2,
+        profiles=False,
     )
     angle = np.arctan2(fit.estimate["b"], fit.estimate["a"])
     assert fit.agreeing == 2
@@ -84,7 +89,7 @@ def test_a_curved_constraint_is_kept(samples):
 def test_constraints_that_contradict_one_another_are_no_answer():
     """Nothing can be converged where the constraints leave no point."""
     nothing = [lambda p: p.a - 3, lambda p: 2 - p.a]
-    fit = gb.fit(gb.Problem(Lag(), record(), HELD, constraints=nothing), starts=2)
+    fit = gb.fit(gb.Problem(Lag(), record(), HELD, constraints=nothing), starts=1)
     assert not fit.converged
 
 

@@ -48,8 +48,8 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
         distributed.Client(scheduler_file=str(tmp_path / "scheduler.json"), timeout=120) as client,
     ):
         client.wait_for_workers(2, timeout=120)
-        alone = gb.fit(RESPONSE, 40, search="multistart")
-        together = gb.fit(RESPONSE, 40, search="multistart", executor=client.get_executor())
+        alone = gb.fit(RESPONSE, 16, search="multistart")
+        together = gb.fit(RESPONSE, 16, search="multistart", executor=client.get_executor())
         assert together.estimate == alone.estimate
         for one, other in zip(alone.runs, together.runs, strict=True):
             assert_array_equal(one.estimate, other.estimate)
@@ -69,12 +69,12 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
         # A worker is lost.
         fewer = gb.fit(
             RESPONSE,
-            80,
+            40,
             search="multistart",
             executor=client.get_executor(),
             progress=lambda done, _: first.kill(),
         )
-        assert len(fewer.runs) == 80
+        assert len(fewer.runs) == 40
         assert all(
             one.status == other.status for one, other in zip(alone.runs, fewer.runs, strict=False)
         )
@@ -90,7 +90,7 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
                 head.kill()
 
         monkeypatch.setattr(StoredRuns, "add", noted)
-        member = gb.study.Member(RESPONSE, 150, name="response", search="multistart")
+        member = gb.study.Member(RESPONSE, 80, name="response", search="multistart")
         with pytest.raises(
             RuntimeError,
             match="the executor gave up its tasks: its workers or its scheduler are gone",
@@ -98,9 +98,9 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
             gb.batch([member], tmp_path / "study", executor=client.get_executor(), progress=False)
         assert gb.study.read_study(tmp_path / "study")["response"].status == "unfinished"
         kept = len(made)
-        assert 20 <= kept < 150
+        assert 20 <= kept < 80
     study = gb.batch([member], tmp_path / "study", progress=False)
-    assert sorted(made) == list(range(150))  # none twice
+    assert sorted(made) == list(range(80))  # none twice
     for one, other in zip(alone.runs, study["response"].fit.runs, strict=False):
         assert_array_equal(one.estimate, other.estimate)
 

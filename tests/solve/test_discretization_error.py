@@ -41,11 +41,12 @@ def test_runs_and_minima_tell_the_same_when_substeps_were_refined():
     """What the fit says of its runs is what a fit with as many substeps from the start says."""
     problem = gb.Problem(Swing(), swung(), gb.OutputError(inputs="held"))
     starts = [{"k1": 90, "k2": 20}, {"k1": 20, "k2": 90}, {"k1": 95, "k2": 25, "c": 1.0}]
-    fit = gb.fit(problem, starts=starts, progress=False)
+    fit = gb.fit(problem, starts=starts, progress=False, profiles=False)
     count = int(fit.records[0].method.split("RK4, ")[1].split()[0])
     method = gb.MultipleShooting(integrator=gb.RungeKutta(count))
     fixed, coarse = (
-        gb.fit(problem, starts=starts, progress=False, method=m) for m in (method, COARSE)
+        gb.fit(problem, starts=starts, progress=False, profiles=False, method=m)
+        for m in (method, COARSE)
     )
     assert abs(fixed.cost - coarse.cost) > 0.05  # the refinement did change the cost
     costs = [fit.runs[m.runs[0]].cost for m in fit.minima]
@@ -60,7 +61,7 @@ def test_runs_and_minima_tell_the_same_when_substeps_were_refined():
 def coarse_warnings(record, integrator=None):
     method = gb.MultipleShooting(integrator=integrator or gb.RungeKutta())
     problem = gb.Problem(Swing(), record, gb.OutputError(inputs="held"))
-    fit = gb.fit(problem, starts=1, progress=False, method=method)
+    fit = gb.fit(problem, starts=1, progress=False, profiles=False, method=method)
     return [w for w in fit.warnings if "integration is too coarse" in w]
 
 

@@ -22,7 +22,7 @@ import greybox as gb
 
 
 def fit(problem, starts):
-    return gb.fit(problem, starts=starts, progress=False)
+    return gb.fit(problem, starts=starts, progress=False, profiles=False)
 
 
 def near(found, truth, errors=4.0):

@@ -28,7 +28,7 @@ CRITERIA = [
 
 
 @pytest.mark.parametrize("criterion", CRITERIA, ids=repr)
-def test_two_lags_and_a_delay_are_found_from_95_of_100_starts(criterion):
+def test_two_lags_and_a_delay_are_found_from_nearly_every_start(criterion):
     exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
     data = measured(
         LagLagDelay(),
@@ -37,15 +37,17 @@ def test_two_lags_and_a_delay_are_found_from_95_of_100_starts(criterion):
         columns={"variance": 1e-4 * np.abs(exact.response) ** 2},
     )
     ordered = [lambda p: p.T1 - p.T2]
-    fit = gb.fit(gb.Problem(LagLagDelay(), data, criterion, constraints=ordered), starts=100)
-    assert fit.agreeing >= 95
+    fit = gb.fit(
+        gb.Problem(LagLagDelay(), data, criterion, constraints=ordered), 40, profiles=False
+    )
+    assert fit.agreeing >= 38
     assert fit.estimate == pytest.approx(TWO_LAGS, rel=1e-6)
 
 
 @pytest.mark.parametrize("criterion", CRITERIA[:4], ids=repr)
-def test_tilt_is_found_from_95_of_100_starts(criterion):
-    fit = gb.fit(gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT), criterion), starts=100)
-    assert fit.agreeing >= 95
+def test_tilt_is_found_from_nearly_every_start(criterion):
+    fit = gb.fit(gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT), criterion), 60)
+    assert fit.agreeing >= 57
     assert {n: fit.estimate[n] for n in TILT} == pytest.approx(TILT, rel=1e-6)
 
 

@@ -21,7 +21,7 @@ def point(problem, **values):
 
 
 def test_a_model_without_inputs_sampled_sparsely():
-    fit = gb.fit(lotka_volterra(), starts=5, progress=False)
+    fit = gb.fit(lotka_volterra(), starts=5, progress=False, profiles=False)
     assert fit.converged
     for name, value in LOTKA_VOLTERRA.items():
         assert abs(fit.estimate[name] - value) < 3.5 * fit.standard_error[name]
@@ -148,6 +148,6 @@ def test_a_last_segment_is_not_filled_up_with_inputs_of_zero():
     record = gb.Record(
         time, {"speed": np.full(203, 20.0), "steer": 0.05 * np.sin(3 * time), "r": noisy}
     )
-    fit = gb.fit(gb.Problem(Bicycle(), record), starts=3, progress=False)
+    fit = gb.fit(gb.Problem(Bicycle(), record), starts=3, progress=False, profiles=False)
     assert fit.converged
     assert abs(fit.estimate["C"] - 60) < 3.5 * fit.standard_error["C"]

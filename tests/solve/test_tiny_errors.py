@@ -24,7 +24,7 @@ def test_no_start_stagnates_at_relative_errors_of_a_ten_thousandth():
     problem = gb.Problem(
         Tilt(), measured, gb.RelativeLikelihood(), fixed={"a5": 0.16}, free=("T_rotor", "T_delay")
     )
-    found = gb.fit(problem, starts=20, seed=0, search="multistart", progress=False)
+    found = gb.fit(problem, starts=20, seed=0, search="multistart", progress=False, profiles=False)
     assert (found.agreeing, len(found.minima)) == (20, 1)
     for name in found.free:
         assert abs(found.estimate[name] - TRUTH[name]) < 4 * found.standard_error[name]

@@ -117,15 +117,17 @@ def test_the_search_finds_what_plain_starts_miss(aircraft, solver):
 
 
 def test_what_was_screened_out_is_kept(tmp_path):
-    fit = gb.fit(lag_problem(), progress=False)
+    fit = gb.fit(lag_problem(), progress=False, profiles=False)
     stages = [run.stage for run in fit.runs]
     assert stages[0] == "polished"
     assert stages[:20].count("screened") == 16
     assert len(stages) == 20
     assert "(16 of 20 starts were screened out)" in str(fit)
-    assert fit.cost == pytest.approx(gb.fit(lag_problem(), 20, progress=False).cost, abs=1e-6)
+    assert fit.cost == pytest.approx(
+        gb.fit(lag_problem(), 20, progress=False, profiles=False).cost, abs=1e-6
+    )
     with ThreadPoolExecutor(1) as executor:
-        elsewhere = gb.fit(lag_problem(), executor=executor, progress=False)
+        elsewhere = gb.fit(lag_problem(), executor=executor, progress=False, profiles=False)
     assert [run.cost for run in elsewhere.runs] == [run.cost for run in fit.runs]
     gb.save(fit, tmp_path / "fit.h5")
     loaded = gb.load(tmp_path / "fit.h5")
@@ -134,7 +136,7 @@ def test_what_was_screened_out_is_kept(tmp_path):
 
 
 def test_a_number_that_is_asked_for_is_tried_as_it_is():
-    fit = gb.fit(lag_problem(), 6, progress=False)
+    fit = gb.fit(lag_problem(), 6, progress=False, profiles=False)
     assert {run.stage for run in fit.runs} == {"polished"}
     plain = gb.MultipleShooting(strategies=gb.solve.Strategies(screened_starts=False))
     assert (
