@@ -1,4 +1,4 @@
-"""A model at one estimate, as simulation and prediction take it: values, their covariance, and what the fit assumed."""
+"""A model at one estimate: values, their covariance, and what the fit assumed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -149,7 +149,7 @@ def model_at(
     part: int | None = None,
     record: Record | None = None,
 ) -> ModelAtEstimate:
-    """Bring model and estimate together; a `Fit` may stand for both, by default its part of this `record`.
+    """Return a model at its values; a `Fit` may stand for both, with its part of this `record`.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
 def criterion_of(
     inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]
 ) -> TimeCriterion:
-    """Return the criterion under which a model runs: with innovations where there are `gains` (state, output)."""
+    """Return the criterion under which a model runs, with innovations if there are `gains`."""
     if gains:
         return PredictionError(
             inputs=inputs, biases=biases, corrected=tuple(dict.fromkeys(s for s, _ in gains))

@@ -69,13 +69,15 @@ class OwnValues:
                     f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip()
                 )
             notes.append(
-                f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} itself: "
+                f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
+                "itself: "
                 f"{counted(len(texts), 'value')} from {counted(self.numbers, 'number')}, "
                 "so the record is not held out in them."
             )
         if self.undetermined:
             notes.append(
-                f"{listed(self.undetermined)}: not determined by {record}, the value of the fit is used."
+                f"{listed(self.undetermined)}: not determined by {record}, the value of the fit is "
+                "used."
             )
         return tuple(notes)
 
@@ -87,7 +89,7 @@ def with_own_values(
     integrator: Integrator,
     own: Sequence[str],
 ) -> tuple[ModelAtEstimate, OwnValues | None]:
-    """Return the model with the values `own` estimated from the windows, and these values; None without any.
+    """Return the model with the values `own` estimated from the windows, and these, if any.
 
     Raises
     ------
@@ -150,7 +152,7 @@ class _Solution:
 def _longer(
     model: ModelAtEstimate, windows: Windows, outputs: tuple[str, ...]
 ) -> Iterator[Windows]:
-    """Yield windows of the same record that are four times as long, and so on to the longest stretch.
+    """Yield windows of the record four times as long, and so on to the longest stretch.
 
     The longer a simulation runs free, the better it shows what is constant.
     """
@@ -171,7 +173,7 @@ def _longer(
 def _determined(
     simulator: Simulator, model: ModelAtEstimate, windows: Windows, own: Sequence[str]
 ) -> _Solution:
-    """Estimate those of the values `own` that the windows determine; the others stay as they are."""
+    """Estimate those of the values `own` that the windows determine; the others stay."""
     limits = {name: _limits(model, windows, name) for name in own}
     while True:
         places = np.array([model.names.index(name) for name in limits], dtype=int)
@@ -204,7 +206,7 @@ def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
 
 
 def _limits(model: ModelAtEstimate, windows: Windows, name: str) -> tuple[float, float]:
-    """Return the declared bounds; for a bias, a multiple of the range of its signal in the record."""
+    """Return the declared bounds; for a bias, a multiple of the range of its signal."""
     if name in model.declared:
         return model.declared[name].bounds
     signal = windows.record.signals.get(name.removesuffix("_bias"))
@@ -240,7 +242,7 @@ class _Information:
 
     @property
     def covariance(self) -> Array:
-        """The covariance (a, a) by the noise of the fit, or by the residuals where they are larger."""
+        """The covariance (a, a) by the noise of the fit, or by the residuals if they are larger."""
         return pseudo_inverse(self.matrix) * self.overlap * max(self.mean_square, 1.0)
 
 
@@ -251,7 +253,7 @@ def _minimized(
     places: IntArray,
     limits: Mapping[str, tuple[float, float]],
 ) -> tuple[ModelAtEstimate, _Information]:
-    """Return the model at the best values of `places`, by Gauss-Newton steps, and the information there."""
+    """Return the model at the best values of `places`, and the information there."""
     low, high = np.array([*limits.values()]).reshape(-1, 2).T
     q = model.q.copy()
     q[places] = np.clip(q[places], low, high)
@@ -331,7 +333,7 @@ def _eigen(matrix: Array) -> tuple[Array, Array, Array]:
 
 
 def pseudo_inverse(matrix: Array) -> Array:
-    """Return the inverse of an information matrix (a, a), zero in directions that are not determined."""
+    """Return the inverse of an information matrix (a, a), zero along undetermined directions."""
     if not len(matrix):
         return matrix
     values, vectors, scale = _eigen(matrix)
@@ -341,7 +343,7 @@ def pseudo_inverse(matrix: Array) -> Array:
 
 
 def _not_determined(information: _Information, limits: Mapping[str, tuple[float, float]]) -> str:
-    """Return the value that the record determines least, if it does not determine it; else an empty string.
+    """Return the name of the least determined value if it is not determined, else "".
 
     The samples do not change with such a value, or its error exceeds half of its bounds.
     """
@@ -358,7 +360,7 @@ def _not_determined(information: _Information, limits: Mapping[str, tuple[float,
 
 
 def _covariance(simulator: Simulator, solution: _Solution) -> Array:
-    """Return the covariance (declared, declared) of all values; the own ones follow the model's parameters."""
+    """Return the covariance of all values; the own ones follow the model's parameters."""
     model = solution.model
     places = solution.places
     information = solution.information

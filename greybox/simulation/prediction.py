@@ -21,7 +21,7 @@ def samples_ahead(share: float, samples: int) -> int:
 
 
 def reported_shares(horizons: Sequence[int]) -> list[float]:
-    """Return the shares at which the error over horizons of so many samples is reported, each sample once."""
+    """Return the shares of horizons of so many samples to report, each sample once."""
     places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
     return [
         share
@@ -92,7 +92,7 @@ class Prediction:
 
     @property
     def record(self) -> Record:
-        """Outputs, their standard errors ``<output>_error`` and states at the data's times, NaN outside the windows.
+        """Outputs, standard errors ``<output>_error`` and states, NaN outside the windows.
 
         A state with the name of an output is given once, as the output.
         """
@@ -140,7 +140,7 @@ class Prediction:
         return self.measured(output) - self.predicted[self._place(output)]
 
     def band(self, output: str, level: float = 0.95, noise: bool = False) -> tuple[Array, Array]:
-        """Return the limits, (w, h) each, within which the output lies at this level; with `noise`, its measurement.
+        """Return the limits (w, h) within which an output, or with `noise` its measurement, lies.
 
         They assume the right model structure and normal errors. Process noise (wind) and sensor
         errors that are correlated in time are not included: with these, fewer outputs lie within
@@ -157,7 +157,7 @@ class Prediction:
         return self.predicted[k] - half, self.predicted[k] + half
 
     def rms(self, output: str, share: float | None = None) -> float:
-        """Return the root mean square error over all samples, or at one share (0 to 1] of the horizon."""
+        """Return the rms error over all samples, or at a share (0 to 1] of the horizon."""
         e = self.residual(output)
         return rms(e if share is None else e[:, samples_ahead(share, e.shape[1]) - 1])
 
@@ -183,7 +183,8 @@ class Prediction:
     def __str__(self) -> str:
         head = (
             f"{self.label}: {counted(len(self), 'window')} of {seconds(self.horizon)} s in "
-            f"{self.data.name or 'the record'}, the state of each estimated from the {seconds(self.lead)} s before it"
+            f"{self.data.name or 'the record'}, the state of each estimated from the "
+            f"{seconds(self.lead)} s before it"
         )
         shares = reported_shares([self.rows.shape[1]])
         if not self.data.has_time:

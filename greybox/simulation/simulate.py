@@ -122,7 +122,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     part: int | None = None,
     own: Sequence[str] | None = None,
 ) -> Prediction:
-    """Predict the outputs over windows of a record, each from a state estimated over the lead-in before it.
+    """Predict the outputs over windows of a record, each from the state that its lead-in gives.
 
     The windows follow one another through every stretch without a gap; of rows without a time, each
     is one. A free simulation of an unstable plant diverges however good the model; over windows of
@@ -164,8 +164,8 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     outputs = tuple(name for name in estimated.system.outputs if name in record.signals)
     if not outputs:
         raise ValueError(
-            f"the record has none of the outputs of {estimated.label} ({', '.join(estimated.system.outputs)}); "
-            f"it has {', '.join(record.signals)}."
+            f"the record has none of the outputs of {estimated.label} "
+            f"({', '.join(estimated.system.outputs)}); it has {', '.join(record.signals)}."
         )
     windows = cut(record, estimated.system.inputs, outputs, lead=lead, horizon=horizon)
     prediction, _, trouble = predict_windows(estimated, windows, outputs, integrator, own)
@@ -181,7 +181,7 @@ def predict_windows(
     integrator: Integrator | None = None,
     own: Sequence[str] | None = None,
 ) -> tuple[Prediction, BoolArray, str]:
-    """Predict `outputs`, which the record has, over given windows: the same ones for models that are compared.
+    """Predict `outputs`, which the record has, over given windows.
 
     Values `own` of the record are estimated first, by default those that the model has where the
     record is a new one. Returns also which windows (w,) are not finite, and what is not finite
@@ -192,8 +192,8 @@ def predict_windows(
     horizon = windows.horizon * windows.record.step
     if windows.lead and np.max(model.delays, initial=0.0) >= lead:
         raise ValueError(
-            f"the delay of {model.label} is {np.max(model.delays):.3g} s and lead={lead:.3g} s does not cover it: "
-            "give a longer lead."
+            f"the delay of {model.label} is {np.max(model.delays):.3g} s, and lead={lead:.3g} s "
+            "does not cover it: give a longer lead."
         )
     if own is None:
         own = (
@@ -251,18 +251,18 @@ def _not_finite(
 
 
 def cure(called: str) -> str:
-    """Say what helps where a model is not finite in a window; the user knows the horizon as `called`."""
+    """Say what helps where a model is not finite; the user knows the horizon as `called`."""
     return (
-        f"give a shorter {called} where the model is unstable, or keep its formulas within what they are defined for, "
-        "e.g. gb.sqrt(gb.maximum(x.level, 0))"
+        f"give a shorter {called} where the model is unstable, or keep its formulas within what "
+        "they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0))"
     )
 
 
 def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
     """Say why an error is not known."""
     return (
-        f"the standard errors of {model.label} are not known where they depend on {', '.join(unknown)}, which the data "
-        "of the fit do not determine"
+        f"the standard errors of {model.label} are not known where they depend on "
+        f"{', '.join(unknown)}, which the data of the fit do not determine"
     )
 
 
@@ -300,12 +300,14 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
     # its domain.
     if abs(signals[name][max(when - 1, 0)]) > 1e6 or np.isfinite(signals[name][when]):
         raise ValueError(
-            f"the simulation of {model.label} diverges at {time[when]:.6g} s: the model is unstable at this "
-            "estimate; predict it over windows instead, gb.predict(..., horizon=...)."
+            f"the simulation of {model.label} diverges at {time[when]:.6g} s: the model is "
+            "unstable at this estimate; predict it over windows instead, "
+            "gb.predict(..., horizon=...)."
         )
     raise ValueError(
-        f"the simulation of {model.label} is not finite from {time[when]:.6g} s on, {name} first: keep its "
-        "formulas within what they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0)), or give other initial states."
+        f"the simulation of {model.label} is not finite from {time[when]:.6g} s on, {name} first: "
+        "keep its formulas within what they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0)), "
+        "or give other initial states."
     )
 
 
@@ -321,7 +323,7 @@ def _is_fitted_record(record: Record, model: ModelAtEstimate) -> bool:
 def _initial_states(
     model: ModelAtEstimate, initial: Any, stretches: int, fitted_initial: bool
 ) -> Array:
-    """Return the states (stretches, n) at the beginning of every stretch; zero where none are given."""
+    """Return the first states (stretches, n) of every stretch; zero where none are given."""
     if fitted_initial and model.part is not None:
         fitted = model.part.initial
         initial = {name: fitted[name] for name in model.system.states if name in fitted}
@@ -342,7 +344,8 @@ def _initial_states(
         if values.ndim > 1 or values.size not in (1, stretches):
             raise ValueError(
                 f"initial gives {name!r} {values.size} values and the record has "
-                f"{counted(stretches, 'stretch', 'stretches')} without a gap: give one value, or one for each."
+                f"{counted(stretches, 'stretch', 'stretches')} without a gap: "
+                "give one value, or one for each."
             )
         states[:, model.system.states.index(name)] = values
     return states

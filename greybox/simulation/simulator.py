@@ -1,4 +1,4 @@
-"""A model run over stretches or windows of a record: outputs and states, accurate in time, and standard errors."""
+"""A model run over stretches or windows: outputs and states, accurate in time, and their errors."""
 
 from collections.abc import Callable, Mapping
 from copy import copy
@@ -143,7 +143,7 @@ class Simulator:
     def free_run(
         self, stretch: Stretch, initial: Array, fitted_initial: bool
     ) -> tuple[dict[str, Array], tuple[str, ...]]:
-        """Simulate one stretch from the states `initial` (n,), which may be those that the fit estimated.
+        """Simulate one stretch from the states `initial` (n,), which the fit may have estimated.
 
         Returns outputs, errors and states by name, and the parameters without an error on which an
         output depends.
@@ -205,7 +205,7 @@ class Simulator:
         return WindowSimulations(estimates, outputs, states, error, one_step, unknown)
 
     def linearize_windows(self, windows: Windows, active: IntArray) -> WindowLinearization:
-        """Linearize every window by its state and the `active` values, from the state that its lead-in gives."""
+        """Linearize every window by its first state and the `active` values."""
         data, _, result = self._from_lead_ins(windows, active)
         assert result.estimates is not None
         measured = np.moveaxis(data["measured"], 0, -1)
@@ -225,7 +225,7 @@ class Simulator:
     def _from_lead_ins(
         self, windows: Windows, active: IntArray
     ) -> tuple[dict[str, Array], BoolArray, _Run]:
-        """Run every window from the state that its lead-in gives; derivatives are to be by the `active` values.
+        """Run every window from the state that its lead-in gives, with the `active` values.
 
         Returns the data, which outputs were measured within lead-ins (k, w, samples), and the run.
         """
@@ -292,7 +292,7 @@ class Simulator:
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 
     def _local_error(self, result: _Run) -> float:
-        """Return the largest change of a state in one sample by halved substeps, relative to its size."""
+        """Return the largest change of a state in one sample by halved substeps, in its size."""
         states = result.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
         # At 400 samples, spread over all: each is one more evaluation of the model.
@@ -356,7 +356,7 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
 
 
 def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) -> Array:
-    """Return the data of all windows as far as the segments reach, with the outputs that are `present` as measured."""
+    """Return the data of all windows as far as the segments reach; `present` are measured."""
     rows = [
         data["whole"],
         data["around"],
@@ -377,7 +377,7 @@ def _free_run_sensitivities(
     outputs: tuple[str, ...],
     fitted_initial: bool,
 ) -> tuple[Array, Array]:
-    """Return the derivatives of the outputs (samples, k, a) by the uncertain values, and (samples, k) of variance.
+    """Return derivatives (samples, k, a) of the outputs by the uncertain values, and variances.
 
     Initial states that were fitted to the record follow the parameters and have an error of their
     own.
@@ -416,7 +416,7 @@ def _free_run_sensitivities(
 def _standard_errors(
     by_value: Array, variance: Array, model: ModelAtEstimate
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return the standard errors (..., k) from derivatives (..., k, a) and the variance (..., k) of the states.
+    """Return the standard errors (..., k) of outputs with the variance (..., k) of the states.
 
     Samples that depend on a value without an error have none either; the names of such values are
     returned too.
@@ -450,7 +450,7 @@ def _window_errors(
     model: ModelAtEstimate,
     n: int,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return the standard errors (w, samples, k) of the outputs; the states follow the parameters by the lead-in."""
+    """Return the standard errors (w, samples, k): states follow the parameters by the lead-in."""
     by_state = slopes[..., :n]
     by_value = slopes[..., n:]
     weight = np.linalg.inv(np.linalg.cholesky(estimates.noise))
@@ -467,7 +467,7 @@ def _window_errors(
 
 
 def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:
-    """Return states (w, n) to begin with, the next ones for windows in which a model has no finite value there.
+    """Return states (w, n) to begin with, and others for windows in which they are not finite.
 
     States of an output's name are what was first measured; others zero, as the fit found them, or
     of the outputs' size.

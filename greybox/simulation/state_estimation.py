@@ -1,4 +1,4 @@
-"""State estimation: the state at the beginning of every window from its lead-in, all windows at once.
+"""The state at the beginning of every window, estimated from its lead-in, all at once.
 
 Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and
 a prior that the windows share. The prior's mean and spread of each state are those of all windows
@@ -60,7 +60,9 @@ def estimate_states(
     noise: Array | None,
     spread: Array,
 ) -> StateEstimates:
-    """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing, beginning at one of `guesses`.
+    """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing.
+
+    Every window begins with the first of the `guesses` from which its lead-in is finite.
 
     `noise` (k, k) is None where it is to be estimated; `spread` (k,) is that of the outputs over
     the record.
@@ -138,7 +140,7 @@ def _halved(
 
 
 def without_states(errors: Array, noise: Array | None, spread: Array) -> StateEstimates:
-    """Return the estimates of a static model with these errors (w, samples, k): its noise, given or theirs."""
+    """Return estimates without states: the noise, given or that of the errors (w, samples, k)."""
     w, k = len(errors), errors.shape[-1]
     if noise is None:
         squares = np.nansum(errors.reshape(-1, k) ** 2, axis=0)
@@ -152,7 +154,7 @@ def without_states(errors: Array, noise: Array | None, spread: Array) -> StateEs
 def one_step_errors(
     e: Array, sensitivities: Array, offset: Array, precision: Array, noise: Array
 ) -> Array:
-    """Return the errors one sample ahead in units of their standard deviations, (w, samples, k); NaN where missing.
+    """Return the errors one sample ahead in standard deviations, (w, samples, k), NaN if missing.
 
     Each output is predicted from all that was measured before it in the window, and the prior: a
     Kalman filter of the initial state, linear about a trajectory with residuals `e` (w, samples, k)
@@ -183,14 +185,14 @@ def one_step_errors(
 
 @dataclass(frozen=True, eq=False)
 class _LeadIns:
-    """Residuals e and sensitivities S of the lead-ins as functions of the initial states x (w, n)."""
+    """Residuals e and sensitivities S of the lead-ins as functions of the first states (w, n)."""
 
     outputs: Outputs
     sensitivities: Sensitivities
     measured: Array
 
     def residual(self, x: Array) -> Array:
-        """Return measured less simulated, zero where nothing was measured, infinite where the model is not finite."""
+        """Return measured less simulated: zero if nothing was measured, infinite if not finite."""
         e = self.measured - self.outputs(x)
         return np.where(np.isfinite(self.measured), np.where(np.isfinite(e), e, np.inf), 0.0)
 
@@ -208,7 +210,7 @@ class _LeadIns:
 
 
 def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
-    """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n) over what was measured; S must be zero elsewhere."""
+    """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n); S must be zero where nothing was measured."""
     weight = np.linalg.inv(np.linalg.cholesky(R))
     w, samples, k, n = S.shape
     J = np.einsum("ij,wtjn->wtin", weight, S).reshape(w, samples * k, n)
@@ -248,7 +250,7 @@ def shared_prior(
 
 
 def residual_noise(e: Array, S: Array, present: BoolArray, posterior: Array, R: Array) -> Array:
-    """Return the variances of the residuals, corrected for what the states fitted away, as a diagonal (k, k).
+    """Return the variances of the residuals as a diagonal (k, k), corrected for the fitted states.
 
     `present` (w, samples, k) tells which residuals there are.
     """

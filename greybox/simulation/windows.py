@@ -1,4 +1,4 @@
-"""Windows of equal length in a record: a lead-in, from which a state is estimated, and the samples to be predicted."""
+"""Windows of equal length in a record: a lead-in to estimate a state, then what is predicted."""
 
 import math
 from collections.abc import Sequence
@@ -11,8 +11,10 @@ from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
 from greybox.files.arrays import Array, IntArray
 
-FEWEST = 10  # samples of a default length: two or more for each state of the models here, which have 2 to 5
-DELAYS = 2.0  # longest delays that a default lead-in lasts: within the first, outputs answer to inputs before it
+# Samples of a default length: two or more for each state of the models here, which have 2 to 5.
+FEWEST = 10
+# Longest delays that a default lead-in lasts: in the first, outputs answer to earlier inputs.
+DELAYS = 2.0
 ROUNDING = 1e-6  # of a sample, by which a length may fall short of it: times are rounded
 
 
@@ -48,7 +50,7 @@ def require_lengths(**lengths: Any) -> None:
 
 
 def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
-    """Return `at_least` s, or ten samples of the slowest record, or twice the longest delay, whichever is longest."""
+    """Return the longest of `at_least` s, ten samples of the slowest record, and two delays."""
     slowest = max((record.step for record in records if len(record) > 1), default=0.0)
     return max(at_least, FEWEST * slowest, DELAYS * delay)
 
@@ -85,9 +87,9 @@ def cut(
     for name, length in (("lead", lead), (called, horizon)):
         if length < (1 - ROUNDING) * record.step:
             raise ValueError(
-                f"{name}={seconds(length)} s is shorter than a sample of {record.name or 'the record'}, "
-                f"{seconds(record.step)} s: give several samples, e.g. {name}={seconds(FEWEST * record.step)}, or omit "
-                "it."
+                f"{name}={seconds(length)} s is shorter than a sample of "
+                f"{record.name or 'the record'}, {seconds(record.step)} s: give several samples, "
+                f"e.g. {name}={seconds(FEWEST * record.step)}, or omit it."
             )
     # Half a sample is rounded down in all records alike, however their times are rounded.
     first, after = (
@@ -106,15 +108,15 @@ def cut(
     if not len(rows):
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
-            f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} s with measured "
-            f"outputs: its longest stretch without a gap lasts {seconds(longest)} s; give a shorter lead or {called}, "
-            "or a longer record."
+            f"{record.name or 'the record'} has no room for lead={lead:g} and "
+            f"{called}={horizon:g} s with measured outputs: its longest stretch without a gap "
+            f"lasts {seconds(longest)} s; give a shorter lead or {called}, or a longer record."
         )
     return Windows(record, rows, first, after)
 
 
 def _rows(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Windows:
-    """Return a window for every row that has its inputs and some output; there is nothing before it."""
+    """Return a window for every row that has its inputs and some output."""
     _require_signals(record, inputs)
     kept = [
         s.rows[np.any(np.isfinite(s.outputs), axis=0)]
@@ -129,7 +131,7 @@ def _rows(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Wind
 def sample_data(
     windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array
 ) -> dict[str, Array]:
-    """Return ``whole, around, measured, step``, each (rows, w, samples), of all samples in the windows.
+    """Return ``whole, around, measured, step`` of all samples in the windows, (rows, w, samples).
 
     Inputs before a window are those of its stretch. Outputs measured before the delayed inputs are
     known are left out, see `gapless`.
@@ -151,5 +153,6 @@ def _require_signals(record: Record, inputs: Sequence[str]) -> None:
     if missing:
         raise ValueError(
             f"the record has no signal {missing[0]!r}, an input of the model; it has "
-            f"{', '.join(record.signals) or 'none'}: name it so in gb.prepare(..., signals={{{missing[0]!r}: ...}})."
+            f"{', '.join(record.signals) or 'none'}: name it so in "
+            f"gb.prepare(..., signals={{{missing[0]!r}: ...}})."
         )

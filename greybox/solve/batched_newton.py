@@ -6,11 +6,12 @@ only some of the points need a small eigenvalue problem. Each point is a search 
 own trust region; none depends on the others.
 
 A search passes through levels. First a logarithmic barrier keeps it away from its bounds, where it
-would end in corners of wide boxes, and kinks of the cost at zero residuals are rounded off. Both are
-reduced from level to level; at the last level there is no barrier, and the smoothing is that of every
-solver here. The steps minimize the quadratic model within the trust region, with the eigenvalues of
-the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983), over the variables
-that the gradient does not hold at a bound (Bertsekas, SIAM J. Control Optim. 20, 1982).
+would end in corners of wide boxes, and kinks of the cost at zero residuals are rounded off. Both
+are reduced from level to level; at the last level there is no barrier, and the smoothing is that of
+every solver here. The steps minimize the quadratic model within the trust region, with the
+eigenvalues of the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983),
+over the variables that the gradient does not hold at a bound (Bertsekas, SIAM J. Control Optim. 20,
+1982).
 """
 
 import threading
@@ -105,7 +106,10 @@ class _Searches:
 
 
 class _Iterations(threading.local):
-    """The functions of the iteration by number of variables; CasADi functions must not be shared by threads."""
+    """The functions of the iteration by number of variables.
+
+    CasADi functions must not be shared by threads.
+    """
 
     def __init__(self) -> None:
         self.of = lru_cache(maxsize=16)(_iteration)
@@ -246,7 +250,7 @@ def _filled(columns: IntArray) -> IntArray:
 
 
 def _width(m: int) -> int:
-    """Return the number of columns that are evaluated for m points: a power of two, so that few layouts are built."""
+    """Return how many columns are evaluated for m points: a power of two, to build few layouts."""
     return 1 << (m - 1).bit_length()
 
 

@@ -1,4 +1,4 @@
-"""Bounds and constraints of a problem with records, and the way back to them from a point that violates them."""
+"""Bounds and constraints of a problem with records, and the way back to them."""
 
 from dataclasses import dataclass, replace
 
@@ -45,7 +45,7 @@ class Limits:
         return np.clip(z, self.low, self.high)
 
     def after(self, z: Array, step: Array) -> Array:
-        """Return the point after a step, within the bounds; on a bound where only rounding is between."""
+        """Return the point after a step within the bounds, on a bound if rounding is between."""
         end = self.clipped(z + step)
         for bound in (self.low, self.high):
             end = np.where(np.abs(end - bound) <= 1e-12 * np.abs(step), bound, end)
@@ -76,7 +76,7 @@ class Limits:
         return rows[finite], limits[finite]
 
     def nearest(self, z: Array) -> Array:
-        """Return a point near z that satisfies all limits, or nearly so where 20 steps do not find one."""
+        """Return a point near z that satisfies all limits, as closely as 20 steps find one."""
         z = self.clipped(z)
         for _ in range(20):
             if not self.violation(z) > 0:

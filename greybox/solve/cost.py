@@ -13,7 +13,9 @@ from greybox.solve.multistart import solver_for
 def cost(
     problem: AnyProblem, values: Mapping[str, float], method: Transcription | None = None
 ) -> float:
-    """Return the cost of a problem at parameter `values` by name; what is not given is at its start or fixed value.
+    """Return the cost of a problem at parameter `values` by name.
+
+    Other parameters are at their start or fixed value.
 
     The states of records are those of the smallest cost; NaN where there are none, as where the
     model diverges.

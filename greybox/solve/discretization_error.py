@@ -71,7 +71,7 @@ class DiscretizationError:
 def discretization_error(
     nlp: CompiledProblem, trajectories: Sequence[Trajectory], fine: Sequence[Part] | None = None
 ) -> DiscretizationError:
-    """Return how twice the steps would shift the estimate of the best `trajectories`, to first order.
+    """Return how twice the steps would shift the estimate, to first order.
 
     `fine` are the parts with twice the steps, if they exist already.
     """
@@ -140,7 +140,9 @@ def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
 def without_aliases(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver, fine: Sequence[Part]
 ) -> Multistart:
-    """Return the search without minima that finer steps, of the parts `fine`, move by standard errors.
+    """Return the search without minima that finer steps move by standard errors.
+
+    `fine` are the parts with twice the steps.
 
     Too long steps can turn a fast mode into a slow one. Such an alias costs no more than the true
     parameters, or even less, and may have their response. It stays only where all are aliases.
@@ -194,7 +196,7 @@ def _distinct_ends(nlp: CompiledProblem, runs: Sequence[Run]) -> list[list[Run]]
 def with_finer_steps(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver
 ) -> Multistart | None:
-    """Return the search with its best minima moved to those of `nlp`; None where none of them converges.
+    """Return the search with its best minima moved to those of `nlp`; None if none converges.
 
     The runs that ended there move with them, so that runs and minima have the same costs. Minima
     that are no rivals of the best stay.
@@ -228,7 +230,7 @@ def with_finer_steps(
 
 
 def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
-    """Return Hessian and gradient by the unknowns along a trajectory, the residuals times `weight`."""
+    """Return Hessian and gradient of the weighted squares by the unknowns."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory, np.zeros(trajectory.nodes.shape[1]))
     return condensed.hessian, condensed.gradient
@@ -241,7 +243,7 @@ def _is_rounding(trajectory: Trajectory, finer: Trajectory) -> bool:
 
 
 def _in_standard_errors(hessian: Array, change: Array) -> Array:
-    """Return the Newton step -H⁻¹ g in units of its standard errors, in the directions that the data determine."""
+    """Return the step -H⁻¹ g in standard errors, along directions that the data determine."""
     if not np.all(np.isfinite(change)):
         return np.full(len(change), math.inf)
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
@@ -254,7 +256,7 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
 
 
 def _widened(coarse: Array, fine: Array) -> Array:
-    """Return the relative change of each standard error with the others known, (p,); 0 where undetermined."""
+    """Return the relative change (p,) of each standard error with the other parameters known."""
     a, b = (np.maximum(np.diag(H), 0.0) for H in (coarse, fine))
     determined = a > 0
     return np.where(determined, np.abs(np.sqrt(b / np.where(determined, a, 1.0)) - 1), 0.0)

@@ -1,9 +1,9 @@
 """Runs from many starts: one after the other in this process, or on the workers of an executor.
 
-Begin with `run_all`. A worker receives the solver, pickled as compiled functions and numbers without
-the user's classes, and starts; it returns outcomes. They are taken in the order of the starts,
-whichever finishes first: the answer does not depend on the executor, on the number of workers, or
-on their speed.
+Begin with `run_all`. A worker receives the solver, pickled as compiled functions and numbers
+without the user's classes, and starts; it returns outcomes. They are taken in the order of the
+starts, whichever finishes first: the answer does not depend on the executor, on the number of
+workers, or on their speed.
 
 Dask's workers have ``MALLOC_TRIM_THRESHOLD_`` in their environment, which makes every run of IPOPT
 take twice as long: memory is given back and asked for again. Start them with it and
@@ -169,7 +169,7 @@ class _Task:
 
 
 class _Tasks:
-    """The tasks of one search that are handed out, in the order of the starts; `first` are the runs made here."""
+    """The tasks of one search, in the order of the starts; `first` are the runs made here."""
 
     def __init__(
         self,
@@ -202,7 +202,7 @@ class _Tasks:
             self.waiting.append(task)
 
     def _next_task(self, most: int) -> _Task | None:
-        """Make a task of the next batches, of at most so many starts, or of one batch in the memory."""
+        """Make a task of the next batches, at most `most` starts, or of one stored batch."""
         starts: Batch = []
         while not starts or len(starts) + self._together <= most:
             batch = self._next_batch or next(self._batches, None)
@@ -241,7 +241,11 @@ class _Tasks:
         return False
 
     def next(self) -> Iterator[tuple[int, Array, Outcome]]:
-        """Yield the runs of the first waiting task; if its worker was lost, its starts become tasks of their own."""
+        """Yield the runs of the first waiting task.
+
+        If its worker was lost, each of its starts becomes a task, so that only the start that ends
+        workers is given up.
+        """
         task = self.waiting.popleft()
         outcomes = self._stored(task)
         if outcomes is None and len(task.batch) > 1:
@@ -282,10 +286,11 @@ class _Tasks:
 
 
 def _has_lost_scheduler(executor: Executor) -> bool:
-    """Return whether Dask has lost its scheduler: it cancels its tasks, and new ones are never done."""
+    """Return whether Dask has lost its scheduler: new tasks would never be done."""
     if type(executor).__module__ != "distributed.cfexecutor":
         return False
-    return getattr(executor, "_client").status != "running"  # noqa: B009  (of the class of a package that may be absent)
+    # By name, since the package that defines the class may be absent.
+    return getattr(executor, "_client").status != "running"  # noqa: B009
 
 
 def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
@@ -301,8 +306,8 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
     except Exception as error:
         message = " ".join(str(error).split())[:300].rstrip(".") or "no reason given"
         raise ExecutorLostError(
-            f"a task of the executor failed, {type(error).__name__}: {message}. Start its workers again, or use "
-            "greybox.solve.WorkerPool, which replaces those that it loses."
+            f"a task of the executor failed, {type(error).__name__}: {message}. "
+            "Start its workers again, or use greybox.solve.WorkerPool, which replaces lost workers."
         ) from error
 
 

@@ -33,8 +33,8 @@ class Response(Enum):
     FINISH = auto()  # noted; the current work is finished
 
 
-# Seconds within which a second signal is the same Ctrl-C: the terminal sends it to all processes, and
-# programs such as timeout(1) forward it.
+# Seconds within which a second signal is the same Ctrl-C: the terminal sends it to all processes,
+# and programs such as timeout(1) forward it.
 ECHO = 0.5
 
 
@@ -65,7 +65,7 @@ class TimeLimits:
         for name, value in (("seconds", seconds), ("start_seconds", start_seconds)):
             if value is not None and not (isinstance(value, int | float) and value > 0):
                 raise ValueError(
-                    f"{name}={value!r:.40} must be a number of seconds above 0, or None for no limit."
+                    f"{name}={value!r:.40} must be a number of seconds above 0, or None."
                 )
         return cls(start_seconds or math.inf, time.time() + (seconds or math.inf))
 
@@ -100,7 +100,7 @@ def limited(limits: TimeLimits) -> Iterator[None]:
 
 @contextmanager
 def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
-    """Apply the limit of a start within, or of several that run at once; `spent` seconds of it are over."""
+    """Apply the time limit of so many starts, of which `spent` seconds have passed."""
     previous = _state.run_ends
     _state.run_ends = min(previous, time.time() + starts * _state.limits.start - spent)
     try:

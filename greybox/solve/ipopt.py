@@ -65,7 +65,7 @@ class StopCheck(ca.Callback):
         self.best: Array | None = None
 
     def get_n_in(self) -> int:
-        """Return the number of results of a solver, which the callback receives at every iteration."""
+        """Return the number of results that the callback receives at every iteration."""
         return ca.nlpsol_n_out()
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
@@ -91,9 +91,9 @@ class StopCheck(ca.Callback):
             return False
         if cost < self._lowest:
             self._lowest, self.best = cost, x.copy()
-        # Minima are distinguished to 1e-4. Of 60 runs on each of eleven included problems, none that
-        # converged had more than 39 iterations in a row with a smaller decrease than this; twice
-        # that is the limit.
+        # Minima are distinguished to 1e-4. Of 60 runs on each of eleven included problems, none
+        # that converged had more than 39 iterations in a row with a smaller decrease than this;
+        # twice that is the limit.
         if not math.isfinite(self._level) or cost < self._level - 1e-6 * abs(self._level):
             self._level, self._waited = cost, 0
         self._waited += 1
@@ -141,7 +141,10 @@ class Ipopt:
             raise
 
     def solve(self, x: Array, p: Any, bounds: Mapping[str, Any]) -> tuple[Array, str, int]:
-        """Return the end of a run from x, its status and iterations; the lowest point if it was stopped."""
+        """Return the end of a run from x, its status and iterations.
+
+        The end of a run that was stopped is its lowest point.
+        """
         self._check.begin()
         end: Any = self._solver(x0=x, p=p, **bounds)["x"]
         stats = self._solver.stats()
@@ -151,7 +154,7 @@ class Ipopt:
         return np.asarray(end).ravel(), status, int(stats["iter_count"])
 
     def variant(self, options: Mapping[str, Any]) -> "Ipopt":
-        """Return IPOPT on the same problem with other `options` in addition, built at the first call."""
+        """Return IPOPT on the same problem with more `options`, built at the first call."""
         key = tuple(options.items())
         if key not in self._variants:
             names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}

@@ -15,7 +15,7 @@ class KeptRunsError(ValueError):
 
 
 class KeptRuns(ABC):
-    """The stored runs of one problem by number: that of the start, negative for runs that began elsewhere."""
+    """The stored runs of one problem by number of the start, negative if they began elsewhere."""
 
     @abstractmethod
     def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
@@ -46,7 +46,7 @@ class Memory:
         self._known = {} if kept is None else kept.known(fingerprint)
 
     def recall(self, number: int, start: Array) -> Outcome | None:
-        """Return the stored outcome of a run; None if there is none, or if a shorter time limit cut it.
+        """Return the stored outcome of a run; None without one, or if a shorter time limit cut it.
 
         Raises
         ------
@@ -63,7 +63,8 @@ class Memory:
         if number < 0:
             return None
         raise KeptRunsError(
-            f"the stored runs began at other starts, from number {number} on: give the same rule and seed."
+            f"the stored runs began at other starts, from number {number} on: "
+            "give the same rule and seed."
         )
 
     def keep(self, number: int, start: Array, outcome: Outcome) -> None:

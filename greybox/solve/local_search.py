@@ -1,4 +1,4 @@
-"""What a search on records tries besides its starts: more of unfinished runs, and the neighborhood of the best.
+"""What a search on records tries besides its starts: unfinished runs, and neighbors of the best.
 
 It decides as the runs end, in the order of the starts. A search with more starts that begins with
 the same ones therefore tries all that a shorter one does, and never ends at a higher cost.
@@ -53,7 +53,7 @@ class LocalSearch:
         self.further: list[tuple[Array, Outcome]] = []
 
     def improved(self, outcome: Outcome) -> Outcome:
-        """Return an outcome, continued if unfinished, and try its neighborhood if it is the best."""
+        """Continue an unfinished run, and try the neighborhood of a new best one."""
         if not self._tries_more:
             return outcome
         solver, unfinished = self._solver, outcome
@@ -82,7 +82,7 @@ class LocalSearch:
         return self._best is None or outcome.cost < self._best.cost
 
     def _is_best(self, outcome: Outcome) -> bool:
-        """Tell whether the outcome is better than all previous ones, by more than the scatter of one end."""
+        """Tell whether an outcome is better than all before, beyond the scatter of one end."""
         if not outcome.converged:
             return False
         return self._best is None or outcome.cost < self._best.cost - same_cost(
@@ -107,7 +107,7 @@ class LocalSearch:
             self.further.append((point, lowest))
 
     def _remembered(self, start: Array, make: Callable[[], Outcome], spent: float = 0.0) -> Outcome:
-        """Return the outcome of a run, from the memory if it is there; `spent` s of its time have passed."""
+        """Return the outcome of a run, stored or made; `spent` s of its time have passed."""
         self._number -= 1
         outcome = self._memory.recall(self._number, start)
         if outcome is None:

@@ -1,4 +1,4 @@
-"""The interface of every solver: a run from one start, and what a search from many starts needs besides."""
+"""The interface of every solver: a run from one start, and what a search needs besides."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -90,7 +90,7 @@ class LocalSolver(Runner):
 
     @abstractmethod
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
-        """Return the best nodes at the parameters x (p,); `nodes`, if given, are the best ones already."""
+        """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
 
     @abstractmethod
     def cost(self, values: Array) -> float:
@@ -105,11 +105,11 @@ class LocalSolver(Runner):
         return None
 
     def judged(self, estimates: Array) -> tuple[Array, Any] | None:
-        """Return costs (r,) and signatures (r, m) at the ends (r, p) of runs; None if outcomes have them."""
+        """Return costs (r,) and signatures (r, m) at ends (r, p); None if outcomes have them."""
         return None
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
-        """Return outcomes that replace runs, by number, so that each of the `minima` has a certified run."""
+        """Return outcomes that replace runs, by number: every minimum needs a certified run."""
         return {}
 
     @abstractmethod
@@ -117,5 +117,5 @@ class LocalSolver(Runner):
         """Return the solver of the same problem with finer steps."""
 
     def polished(self, search: Multistart) -> Multistart:
-        """Return the search with its best minimum as exact as the arithmetic allows, beyond the tolerances of a run."""
+        """Return the search with its best minimum as exact as the arithmetic allows."""
         return search

@@ -16,7 +16,8 @@ from greybox.solve.runs import AT_ONCE, SCREENED, TOO_COARSE, Run, Runs
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
 TOLD_APART = 0.1  # of a unit of log-likelihood
-SAME_RESPONSE = 1e-2  # root mean square of the difference of two signatures, relative to the data or the response
+# Root mean square of the difference of two signatures, relative to the data or the response.
+SAME_RESPONSE = 1e-2
 
 Signatures = Sequence[NDArray[np.floating] | None] | NDArray[np.floating]
 """Those of the responses of all runs, see `Part.signature`."""
@@ -101,7 +102,7 @@ class Multistart:
 
 
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
-    """Return the run with the lowest cost of those that did not converge; None if none has a finite cost."""
+    """Return the run with the lowest finite cost of those that did not converge, if any."""
     ended = [
         run
         for run in runs
@@ -114,7 +115,7 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
 def agreeing_runs(
     runs: Sequence[Run], minima: Sequence[Minimum], *, numbers: int, is_likelihood: bool
 ) -> tuple[int, ...]:
-    """Return the indices of the runs whose cost the data cannot distinguish from that of the best minimum.
+    """Return the indices of runs whose cost the data cannot distinguish from the lowest.
 
     The costs differ by at most a tenth of a unit of log-likelihood. With unknown noise the cost of
     `numbers` real numbers is proportional to the noise or its square, and the log-likelihood to
@@ -205,7 +206,7 @@ def _best_first(
 
 
 def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:
-    """Return which points (r, p) lie more than 5 % of the parameters' size from a reference (p,)."""
+    """Return which points (r, p) are more than 5 % of their size from a reference (p,)."""
     distance = np.abs(z - reference)
     return np.any(distance > 0.05 * np.maximum(np.abs(z), np.abs(reference)) + 1e-6, axis=1)
 

@@ -29,7 +29,7 @@ from greybox.solve.transcribed_program import TranscribedProgram
 def agreeing_runs_of(
     nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
 ) -> tuple[int, ...]:
-    """Return the indices of the runs that ended at the cost of the best minimum, within the noise of the data."""
+    """Return the indices of the runs at the lowest cost, within the noise of the data."""
     numbers = sum(part.numbers for part in nlp.parts)
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
     return agreeing_runs(runs, minima, numbers=numbers, is_likelihood=is_likelihood)
@@ -48,8 +48,8 @@ def solver_for(
 ) -> LocalSolver:
     """Return the solver of a problem.
 
-    Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps or IPOPT, others by
-    `ResponseSolver`, which compares the starts and improves many at once if the search is
+    Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps or IPOPT, others
+    by `ResponseSolver`, which compares the starts and improves many at once if the search is
     ``"batched"``.
 
     Raises
@@ -140,9 +140,10 @@ def multistart(
 def _runners(
     solver: LocalSolver, shared: SharedRuns | None, wave: Sequence[int]
 ) -> Iterator[tuple[Runner, Sequence[int]]]:
-    """Yield what makes the runs of a wave, with their numbers; the first start of all always runs alone.
+    """Yield what makes the runs of a wave, with their numbers.
 
-    So a longer search includes what a search from the first start alone tries.
+    The first start of all always runs alone: a longer search then includes what a search from this
+    start alone tries.
     """
     if shared is None:
         yield solver, wave
@@ -159,7 +160,7 @@ def _runners(
 def _certified(
     nlp: CompiledProblem, solver: LocalSolver, made: Mapping[int, tuple[Array, Outcome]]
 ) -> tuple[dict[int, tuple[Array, Outcome]], Runs, tuple[Minimum, ...]]:
-    """Return the runs that were made, by row and in columns, and their minima, certified by the solver."""
+    """Return the runs, by row and in columns, and their minima, certified by the solver."""
     rows = sorted(made)
     starts = [made[row][0] for row in rows]
     outcomes = [made[row][1] for row in rows]
@@ -183,7 +184,7 @@ def _certified(
 
 
 class FiniteStarts:
-    """Starts (r, p) by number, where those without a finite model are moved toward the first with one.
+    """Starts (r, p) by number; those without a finite model move toward the first with one.
 
     A start is moved when it is asked for, so that the first run does not wait for the last start.
     """

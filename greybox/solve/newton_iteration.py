@@ -1,4 +1,4 @@
-"""One iteration of Newton's method within a trust region, as CasADi functions of the numbers of one search.
+"""One iteration of Newton's method within a trust region, as two CasADi functions.
 
 An iteration takes some hundred array operations. For a few searches each operation takes a
 microsecond, ten times as long as its arithmetic. As two CasADi functions they are evaluated for all
@@ -53,7 +53,10 @@ def layout(p: int) -> Vectors:
 
 
 def advanced(p: int, last: int, loose: float) -> ca.Function:
-    """Return (numbers, barrier, tolerance, cost, gradient, Hessian) -> the numbers after the trial was judged.
+    """Return the function that judges a trial, and finds the next one by Newton's step.
+
+    Its arguments are (numbers, barrier, tolerance, cost, gradient, Hessian), its result the next
+    numbers.
 
     The cost and its derivatives are those of the trial, without the barrier. Below the `last` level
     a projected gradient of at most `loose` switches to the next level. The second output is the
@@ -136,8 +139,9 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
 
 
 def bounded(p: int, last: int) -> ca.Function:
-    """Return (numbers, eigenvalues, eigenvectors (p * p,)) -> the trial (p,) that minimizes the model within the radius.
+    """Return the function that minimizes the quadratic model within the radius.
 
+    Its arguments are (numbers, eigenvalues, eigenvectors (p * p,)), its result is the trial (p,).
     The eigenvalues are made positive.
     """
     rows = layout(p)
@@ -170,7 +174,7 @@ def _moved(
 
 
 def _eliminated(hessian: ca.SX, gradient: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return Newton's step (p,), and the pivots (p,): all are positive if the Hessian is definite."""
+    """Return Newton's step (p,) and the pivots (p,), all positive for a definite Hessian."""
     matrix, step, p = ca.SX(hessian), -gradient, gradient.numel()
     for k in range(p - 1):
         factor = matrix[k, k + 1 :].T / matrix[k, k]

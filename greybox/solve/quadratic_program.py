@@ -6,7 +6,9 @@ from greybox.files.arrays import Array
 
 
 def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Array) -> Array:
-    """Minimize d·H·d/2 + g·d subject to normals·d >= limits, for H (p, p) positive semidefinite: (p,).
+    """Return the d (p,) that minimizes d·H·d/2 + g·d subject to normals·d >= limits.
+
+    H (p, p) is positive semidefinite.
 
     By the least distance problem as nonnegative least squares. Source: Lawson and Hanson (1974),
     Solving Least Squares Problems, chapter 23. Where the limits contradict one another, the step

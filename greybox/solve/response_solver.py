@@ -1,8 +1,9 @@
-"""The solver of frequency responses: starts are compared, Newton's method improves many, IPOPT confirms.
+"""The solver of frequency responses: Newton's method improves many starts, IPOPT confirms minima.
 
-Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT. IPOPT
-then solves one run of every distinct minimum again: a minimum counts only where IPOPT's conditions of
-optimality (KKT) are met. IPOPT alone makes all runs of problems for which `fits_a_batch` is false.
+Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT.
+IPOPT then solves one run of every distinct minimum again: a minimum counts only where IPOPT's
+conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems for which
+`fits_a_batch` is false.
 """
 
 import time
@@ -36,11 +37,11 @@ TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in I
 
 
 def fits_a_batch(program: ca.Function | None) -> bool:
-    """Tell whether a batch of a program (z, smoothing, ...) -> cost, constraints is faster than IPOPT's runs.
+    """Tell whether a batch is faster than single runs of IPOPT.
 
-    It needs an explicit cost (an SX function) and no constraints but bounds. From 50 000 instructions
-    of cost, gradient and Hessian on, these take most of IPOPT's time, and from 20 unknowns on
-    eigenvalues do: a batch gains little then.
+    The program (z, smoothing, ...) -> cost, constraints needs an explicit cost (an SX function) and
+    no constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
+    most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
     """
     if program is None or not program.is_a("SXFunction") or program.numel_out(1):
         return False
@@ -53,8 +54,8 @@ class ResponseSolver(LocalSolver):
     Where another criterion locates the minimum, IPOPT solves with that one first.
     """
 
-    # A run takes some milliseconds, and the declared values of a transfer function are rarely better
-    # than random ones.
+    # A run takes some milliseconds, and the declared values of a transfer function are rarely
+    # better than random ones.
     starts = 200
     tries_declared_values = False
     promising = (8, 4)
@@ -148,7 +149,7 @@ class ResponseSolver(LocalSolver):
     # --- many starts
 
     def screened(self, starts: Array) -> Screened | None:
-        """Compare the starts (r, p) by their smoothed costs, with a penalty on missed constraints."""
+        """Compare the starts (r, p) by smoothed costs, with a penalty on missed constraints."""
         if not self._batched:
             return None
         z = self._problem.scaling.to_solver(starts).T
@@ -159,7 +160,7 @@ class ResponseSolver(LocalSolver):
         return Screened(np.argsort(values, kind="stable"), values, starts)
 
     def run_together(self, starts: Array) -> list[Outcome]:
-        """Bring all starts (r, p) to a minimum together; IPOPT continues those that do not arrive."""
+        """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
         # One step on few points takes 0.3 ms, ten times an iteration of IPOPT.
         if len(starts) < 6 or self.together == 1:
             return super().run_together(starts)
@@ -198,7 +199,7 @@ class ResponseSolver(LocalSolver):
         ]
 
     def _again(self, x: Array, earlier: Outcome | Run) -> Outcome:
-        """Return where IPOPT gets to from x (p,), with the iterations and seconds of the earlier run."""
+        """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
         with one_run():
             outcome = self.run(x)
         return replace(
@@ -228,7 +229,7 @@ class ResponseSolver(LocalSolver):
         return certified
 
     def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
-        """Solve by IPOPT from the end of a run; tell whether it stays there. A lower minimum replaces the run."""
+        """Tell whether IPOPT stays at the end of a run; a lower minimum replaces the run."""
         if stop_requested():
             return True
         outcome = self._judged_run(run, run.estimate)
@@ -248,7 +249,10 @@ class ResponseSolver(LocalSolver):
     # --- the last digits
 
     def polished(self, search: Multistart) -> Multistart:
-        """Return the search with the minima close to the best solved with less smoothing; after Ctrl-C the best alone."""
+        """Return the search with the minima close to the best solved with less smoothing.
+
+        After Ctrl-C only the best one is.
+        """
         minima = search.minima
         if not minima or not any(part.is_smoothed for part in self._problem.parts):
             return search
@@ -283,7 +287,7 @@ def _statement(program: ca.Function) -> dict[str, Any]:
 
 
 def _instructions(program: ca.Function) -> int:
-    """Estimate the instructions of cost, gradient and Hessian: two for every operation and unknown."""
+    """Estimate the instructions of cost, gradient and Hessian: two an operation and unknown."""
     return max(program.n_instructions() * 2 * program.numel_in(0), 1)
 
 

@@ -80,7 +80,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Outcome:
-    """The result of one run of a solver; `LocalSolver.judged` evaluates cost and signature of all runs later.
+    """The result of one run of a solver; `LocalSolver.judged` may add cost and signature later.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Hidden states as unknowns of one sparse program for IPOPT, for any transcription and the exact Hessian.
+"""Hidden states as unknowns of one sparse program for IPOPT, for any transcription.
 
 Where the residual covariance is estimated, IPOPT minimizes weighted squares and the weights follow
 from the last residuals, until both agree (relaxation): this is the minimum of the likelihood. The
@@ -142,7 +142,7 @@ class TranscribedProgram(LocalSolver):
         )
 
     def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return the cost of a solution, the next parameters, and whether no delay passed a whole sample."""
+        """Return cost, next parameters, and whether no delay passed a whole sample."""
         z = solution[: len(self._nlp.free)]
         unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
         values = zip(self._programs, unknowns, np.split(w, self._parameter_ends), strict=True)

@@ -24,7 +24,9 @@ class NoWorkerError(RuntimeError):
 
 
 class WorkerPool(Executor):
-    """Worker processes on this machine, one thread each, as an executor for `fit`; killed workers are replaced.
+    """Worker processes on this machine as an executor for `fit`; killed ones are replaced.
+
+    Each has one thread.
 
     ``with gb.solve.WorkerPool(4) as workers: gb.fit(problem, executor=workers)``. In a script, put
     these lines under ``if __name__ == "__main__":``, since the workers import the script.
@@ -105,8 +107,8 @@ class _Line:
         if self._has_worked:
             raise WorkerLostError("the worker was killed.")
         raise NoWorkerError(
-            "no worker process could begin: in a script, put what it runs under if __name__ == '__main__':, since "
-            "the workers import the script."
+            "no worker process could begin: in a script, put what it runs under "
+            "if __name__ == '__main__':, since the workers import the script."
         )
 
     def _submit(
@@ -129,7 +131,7 @@ def _new_pool() -> Executor:
 
 
 def _prepare_worker() -> None:
-    """Leave Ctrl-C, which a terminal sends to all processes, to the parent, and end when the parent ends."""
+    """Leave Ctrl-C, which a terminal sends to all processes, to the parent; end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -149,7 +151,7 @@ _environment = threading.Lock()
 
 @contextmanager
 def _single_threads() -> Iterator[None]:
-    """Let processes that start within use one thread in the libraries, unless the environment says more."""
+    """Let new processes use one thread in libraries, unless the environment says otherwise."""
     with _environment:
         added = [name for name in THREADS if name not in os.environ]
         os.environ.update(dict.fromkeys(added, "1"))

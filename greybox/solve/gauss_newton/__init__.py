@@ -1,4 +1,4 @@
-r"""The Gauss-Newton method for problems that have records: direct multiple shooting with condensing.
+r"""The Gauss-Newton method for records: direct multiple shooting with condensing.
 
 Begin with `iteration`.
 

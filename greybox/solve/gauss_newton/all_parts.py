@@ -21,7 +21,7 @@ GAP_CLOSINGS = 5  # iterations of the second-order correction
 
 
 class AllParts:
-    """The parts of one problem, whose costs add, with their Kalman gains, the limits and the settings.
+    """The parts of one problem, whose costs add, with Kalman gains, limits and settings.
 
     Records that can be evaluated together are one part here; `joined`, `nodes_by_part` and `split`
     translate.
@@ -53,7 +53,7 @@ class AllParts:
     # --- iterates
 
     def at(self, z: Array, nodes: Nodes, like: Iterate | None = None) -> Iterate:
-        """Return the iterate at z with these nodes; simulated where the trajectories of `like` are."""
+        """Return the iterate at z with these nodes, simulated where the iterate `like` is."""
         simulated = [t.simulated for t in like.trajectories] if like else [False] * len(nodes)
         return self._at(z, nodes, simulated)
 
@@ -85,7 +85,7 @@ class AllParts:
         return zip(self.parts, iterate.trajectories, strict=True)
 
     def first_progress(self, *, near_solution: bool = False) -> Progress:
-        """Return the progress of an iteration whose nodes come from the data, exact if there are none."""
+        """Return the progress of an iteration with nodes from the data; exact without nodes."""
         with_nodes = [bool(part.gains) for part in self.parts if part.has_nodes]
         if not with_nodes:
             return EXACT
@@ -131,7 +131,7 @@ class AllParts:
         return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._pairs(iterate)))
 
     def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
-        """Return the cost with fixed residual weights: half the sum of squares, of a finite iterate."""
+        """Return half the sum of squares of a finite iterate, with fixed residual weights."""
         each = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
         return float(sum(part.weight * part.squared_cost(t, w, SMOOTHING) for part, t, w in each))
 
@@ -161,7 +161,7 @@ class AllParts:
         return [part.linearize(trajectory, weight) for part, trajectory, weight in each]
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
-        """Return the variances of the gaps in the first stage, where nodes may follow the data freely.
+        """Return the variances of the gaps in the first stage, where nodes follow the data freely.
 
         Their standard deviations are the jumps of a state that move a segment's outputs by three
         standard deviations of their signals.
@@ -178,7 +178,7 @@ class AllParts:
         return self.at(z, nodes, iterate)
 
     def close_gaps(self, iterate: Iterate, step: Step, length: float) -> Iterate:
-        """Return the iterate with the gaps closed that curvature left, by the least change of the outputs.
+        """Return the iterate with the gaps of curvature closed, by the least change of the outputs.
 
         The gaps would cut every step short otherwise (Maratos effect; Nocedal and Wright, Numerical
         Optimization, section 15.5).

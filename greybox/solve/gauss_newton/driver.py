@@ -32,7 +32,7 @@ DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 
 class GaussNewton(LocalSolver):
-    """The solver of one compiled problem whose parts have hidden unknowns, built once for all starts."""
+    """The solver of one compiled problem with hidden unknowns, built once for all starts."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class GaussNewton(LocalSolver):
         return GaussNewton(self._nlp, settings=self._settings, parts=all_parts)
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
-        """Return the same solver with other bounds of the variables z (p,), and an `equation` (z) -> 0."""
+        """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
         limits = replace(self.limits, low=low, high=high)
         if equation is not None:
             limits = limits.with_equation(equation)
@@ -120,7 +120,7 @@ class GaussNewton(LocalSolver):
     def run_from(
         self, z: Array, iterations: int | None = None, *, near_solution: bool = False
     ) -> tuple[Outcome, Array | None]:
-        """Solve from z (p,) with nodes from the data; also return the Hessian (p, p) of the last step.
+        """Solve from z (p,) and nodes from the data; return also the last Hessian (p, p).
 
         Near a solution, continuity is exact from the first step of the parameters. The Hessian is
         None without a step.
@@ -152,7 +152,7 @@ class GaussNewton(LocalSolver):
         return replace(outcome, seconds=time.perf_counter() - began)
 
     def continued(self, outcome: Outcome) -> Outcome:
-        """Return a run that did not converge, continued from its last iterate with many more iterations."""
+        """Continue a run that did not converge, with many more iterations."""
         if outcome.nodes is None:
             return outcome
         # Three million samples are a moment's work. Bennett5, the narrowest valley among NIST's
@@ -200,7 +200,7 @@ class GaussNewton(LocalSolver):
 
     @property
     def _can_sharpen(self) -> bool:
-        """Whether all parts have their information here: a result does not depend on the process."""
+        """Whether all parts have their information in every process: results must be the same."""
         is_whole = self.samples == sum(part.samples for part in self._nlp.parts)
         return is_whole and all(part.travels_whole for part in self._nlp.parts)
 
@@ -239,7 +239,8 @@ class GaussNewton(LocalSolver):
         """Compare the starts (r, p) by prediction errors over short segments, see `screening`.
 
         The first start, the declared values, is among the promising ones in any case, and as it is.
-        Of several that lead to one point the best begins there; the others are tried last, unchanged.
+        Of several that lead to one point the best begins there; the others are tried last,
+        unchanged.
         """
         if not self._settings.screened_starts or not can_screen(self._nlp):
             return None
@@ -258,7 +259,7 @@ class GaussNewton(LocalSolver):
 
     @DIVERGING
     def profile(self, x: Array, nodes: Nodes | None = None) -> Profile:
-        """Return the best nodes at the parameters x (p,); `nodes`, if given, are known to be the best."""
+        """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
         if nodes is not None:
             iterate, converged = self._at(x, nodes), True
         else:
@@ -268,7 +269,7 @@ class GaussNewton(LocalSolver):
         return Profile(iterate.z, self._parts.split(iterate), cost, converged)
 
     def cost(self, values: Array) -> float:
-        """Return the smallest cost at all values (k,) with exact continuity; NaN where there is none.
+        """Return the smallest cost at all values (k,), continuity exact; NaN if there is none.
 
         Raises
         ------
@@ -294,7 +295,7 @@ class GaussNewton(LocalSolver):
         return self._parts.signature(iterate) if found else None
 
     def _best_nodes(self, x: Array) -> tuple[Iterate, bool]:
-        """Return the iterate with the best nodes at the parameters x (p,), and whether it converged."""
+        """Return the iterate with the best nodes at x (p,), and whether it converged."""
         iterate = self._parts.from_data(self._nlp.scaling.to_solver(x))
         progress = self._parts.first_progress()
         most = self._settings.max_iterations
@@ -306,7 +307,7 @@ class GaussNewton(LocalSolver):
 
     @DIVERGING
     def smoothed(self, z: Array) -> tuple[Trajectory, ...] | None:
-        """Return the trajectories of every part at z with nodes close to the data and nearly continuous.
+        """Return the trajectories at z (p,), with nodes close to the data and nearly continuous.
 
         None where the model diverges.
         """
@@ -331,7 +332,7 @@ class GaussNewton(LocalSolver):
         return np.clip(self._nlp.scaling.to_parameters(z), self._nlp.lower, self._nlp.upper)
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
-        """Return the iterate at the parameters x (p,) with these nodes of every part of the problem."""
+        """Return the iterate at the parameters x (p,) with these nodes of every part."""
         return self._parts.at(self._nlp.scaling.to_solver(x), self._parts.joined(nodes))
 
 

@@ -115,8 +115,8 @@ class Progress:
     Attributes
     ----------
     stages : tuple of float
-        Factors on the standard deviation of the gaps, in this stage and in those that remain. Zero is
-        exact continuity.
+        Factors on the standard deviation of the gaps, in this stage and in those that remain. Zero
+        is exact continuity.
     state_iterations : int
         Remaining iterations of the first stage, which moves the nodes alone.
     gap_variance : sequence of (n,) arrays
@@ -142,7 +142,8 @@ class Progress:
     multipliers: Sequence[Array] = ()
     constraint_penalty: float = 1e3
     damping: float = 0.0
-    # The line search has already damped a shortened step: a hundredth of the first damping is enough.
+    # The line search has already damped a shortened step: a hundredth of the first damping is
+    # enough.
     full_damping: float = 1e-2 * FIRST_DAMPING
     undamped_decrease: float = 5e-4
     delays_held: bool = False
@@ -172,7 +173,7 @@ class Progress:
         return replace(self, delays_held=True, damping=0.0)
 
     def after(self, step: Step, merit: float, gained: float, length: float) -> "Progress":
-        """Return the progress after a share `length` of a step, which `gained` so much of the merit."""
+        """Return the progress after a share `length` of a step, which `gained` so much merit."""
         ratio = gained / step.decrease if step.decrease > 0 else 1.0
         is_full = length == 1
         full_damping = self.damping if is_full and self.damping else self.full_damping

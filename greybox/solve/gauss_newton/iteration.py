@@ -156,8 +156,8 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, step: Step, progress: Pr
     """Tell whether noise hides all that is left to gain, wherever bounds let a step go.
 
     Where the data hardly determine some directions, short steps continue along them for thousands
-    of iterations, for a hundredth of a unit of log-likelihood. A plateau far from the data looks the
-    same; but there the residuals are not noise.
+    of iterations, for a hundredth of a unit of log-likelihood. A plateau far from the data looks
+    the same; but there the residuals are not noise.
     """
     if not (progress.is_exact and parts.is_continuous(iterate) and parts.explain_data(iterate)):
         return False

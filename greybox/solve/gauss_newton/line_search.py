@@ -1,8 +1,8 @@
 """The line search: a step is shortened until the merit function does not grow.
 
-As long as gaps are a penalty, the merit is the sum of weighted squares, with the residual covariance
-held. Where continuity is exact, it is the cost and an l1 penalty of the gaps (Nocedal and Wright,
-Numerical Optimization, 2nd ed., section 18.3).
+As long as gaps are a penalty, the merit is the sum of weighted squares, with the residual
+covariance held. Where continuity is exact, it is the cost and an l1 penalty of the gaps (Nocedal
+and Wright, Numerical Optimization, 2nd ed., section 18.3).
 """
 
 import math
@@ -17,7 +17,7 @@ Merit = Callable[[Iterate], float]
 
 
 def merit_function(parts: AllParts, residual_weights: Sequence[Array], progress: Progress) -> Merit:
-    """Return the merit of an iterate, infinite where it diverges or a simulated predictor is unstable."""
+    """Return the merit function, infinite where a part diverges or a predictor is unstable."""
 
     def exact(iterate: Iterate) -> float:
         if not iterate.finite or not are_stable(parts, iterate, simulated=True):
@@ -42,7 +42,7 @@ SHORTEST_STEP = 1e-3  # share of a step below which the search gives up
 def line_search(
     parts: AllParts, iterate: Iterate, step: Step, merit: Merit, start: float
 ) -> tuple[Iterate | None, float]:
-    """Return the new iterate and the share of the step that was taken; None and 0 if no share will do.
+    """Return the next iterate and the share of the step that was taken; None and 0 without one.
 
     `start` is the merit of the iterate. Where continuity is exact, a trial that fails is tried once
     more with its gaps closed.

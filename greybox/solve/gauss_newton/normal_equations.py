@@ -79,7 +79,7 @@ def gauss_newton_step(
 
 
 def largest_multiplier(force: Array, normals: Array, slack: Array) -> float:
-    """Return the largest multiplier of the active constraints, whose sum times `normals` is `force` (p,)."""
+    """Return the largest multiplier of the active constraints, which balance `force` (p,)."""
     active = slack <= 1e-9  # in scaled variables: what the quadratic program leaves of zero
     if not active.any():
         return 0.0

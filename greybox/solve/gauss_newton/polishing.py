@@ -1,9 +1,9 @@
 """Undamped steps beyond the tolerance of a run, also where the normal equations have lost digits.
 
 The Hessian JᵀJ holds the squares of the singular values of J. Of parameters whose effects differ by
-less than a millionth, as a slope and an intercept far from the data, it holds no digit: a step along
-them is missing although the data determine them. A triangular factor of J itself has them. Source:
-Björck (1996), Numerical Methods for Least Squares Problems, section 2.2.
+less than a millionth, as a slope and an intercept far from the data, it holds no digit: a step
+along them is missing although the data determine them. A triangular factor of J itself has them.
+Source: Björck (1996), Numerical Methods for Least Squares Problems, section 2.2.
 """
 
 import math
@@ -49,7 +49,7 @@ def exact_step(parts: AllParts, iterate: Iterate, progress: Progress) -> Step:
 
 
 def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
-    """Return the end of undamped steps, and the decrease and half squared length of the next one."""
+    """Return the end of undamped steps, and decrease plus half squared length of the next one."""
     progress = EXACT
     cost = parts.cost(iterate)
     highest = cost + COST_ROUNDING * max(1.0, abs(cost))

@@ -1,10 +1,10 @@
 """Starts that are improved and compared on short segments, all of them together, before any run.
 
-Some segments of the records are simulated, each from a state of its own that comes from the data and
-is free to move. Nothing can diverge for long, and neither instability nor many turns of an
-oscillation hide the parameters. A few Gauss-Newton steps of the parameters and of these states, over
-a few samples first and then over whole segments, lead from nearly everywhere to a good start of a
-run. The remaining prediction errors give the order in which the starts are tried.
+Some segments of the records are simulated, each from a state of its own that comes from the data
+and is free to move. Nothing can diverge for long, and neither instability nor many turns of an
+oscillation hide the parameters. A few Gauss-Newton steps of the parameters and of these states,
+over a few samples first and then over whole segments, lead from nearly everywhere to a good start
+of a run. The remaining prediction errors give the order in which the starts are tried.
 
 The result is a start and no estimate: free states at every segment leave out what connects the
 segments. All starts are evaluated in one call, as if each were a record with its own parameters.
@@ -47,7 +47,7 @@ class Points(NamedTuple):
     slope: Array
 
     def reduced(self, damping: Array) -> tuple[Array, Array, Array]:
-        """Return gradient and Hessian with the states eliminated, and how these follow, (r, m, n, 1 + p)."""
+        """Return gradient and Hessian without the states, and how these follow (r, m, n, 1 + p)."""
         right = np.concatenate([self.slope[..., None], self.cross], axis=3)
         follow = -np.linalg.solve(_damped(self.curvature, damping[:, None]), right)
         eliminated = np.einsum("rmnp,rmnq->rpq", self.cross, follow)
@@ -55,7 +55,7 @@ class Points(NamedTuple):
 
 
 def can_screen(nlp: CompiledProblem) -> bool:
-    """Tell whether all records have the same number of states, and no constraints bind the parameters."""
+    """Tell whether all records have equally many states, and parameters no constraints."""
     parts = [part for part in nlp.parts if part.has_states]
     records = [part for part in parts if isinstance(part, RecordPart) and part.states > 0]
     one_size = len({part.states for part in records}) == 1
@@ -63,7 +63,7 @@ def can_screen(nlp: CompiledProblem) -> bool:
 
 
 def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
-    """Return where a few steps lead from the points z (r, p), with their costs over whole segments."""
+    """Return where a few steps lead from the points z (r, p), judged over whole segments."""
     parts = [part for part in nlp.parts if isinstance(part, RecordPart)]
     # Some 32 segments, evenly over at most eight records, are enough for a dozen parameters, and an
     # evaluation takes less than a millisecond a start.
@@ -84,7 +84,7 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
 def descended(
     points: Points, records: Sequence["ShortSegments"], limits: Limits, steps: int
 ) -> Points:
-    """Return where damped Gauss-Newton steps lead from every point, each as long as its cost falls."""
+    """Return where damped Gauss-Newton steps lead from every point."""
     damping = np.full(len(points.z), 1e-3)  # relative to the diagonal of the Hessian
     for _ in range(steps):
         if reason_to_end():
@@ -113,7 +113,7 @@ class ShortSegments:
         self._segments: dict[int, Segments] = {}
 
     def states_from_data(self, z: Array) -> Array:
-        """Return the states that the segments begin with, (r, m, n), as measured where outputs show them."""
+        """Return the first states (r, m, n), as measured where outputs show them."""
         part = self._part
         measured, inputs = (values[:, self.chosen] for values in part.at_nodes)
         initial = part.model.initial_states
@@ -166,7 +166,7 @@ class ShortSegments:
 
 
 def distinct(points: Points) -> list[int]:
-    """Return the numbers of the distinct points with finite costs, the lowest cost of each, in order of cost."""
+    """Return the numbers of the distinct points with finite costs, in order of cost."""
     _, hessian, _ = points.reduced(np.zeros(len(points.z)))
     numbers: list[int] = []
     for k in np.argsort(points.cost, kind="stable").tolist():
@@ -181,7 +181,7 @@ def distinct(points: Points) -> list[int]:
 
 
 def evaluated(z: Array, states: Array, records: Sequence[ShortSegments]) -> Points:
-    """Return the points over all records; where anything is not finite, the cost is infinite and flat."""
+    """Return the points over all records, with an infinite cost where anything is not finite."""
     ends = np.cumsum([len(record.chosen) for record in records])[:-1]
     pieces = [
         record.evaluated(z, begins)
@@ -206,7 +206,7 @@ def _select(flags: BoolArray, these: Array, others: Array) -> Array:
 
 
 def _damped(hessian: Array, damping: Array) -> Array:
-    """Return Hessians (..., p, p) with damping (...) relative to their diagonal, and what keeps them regular."""
+    """Return regular Hessians (..., p, p), with damping (...) relative to their diagonal."""
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
     largest = np.max(np.abs(diagonal), axis=-1, keepdims=True, initial=0.0)
     # The ridge, 1e-12 of the largest entry, is for what short segments do not show.

@@ -41,7 +41,7 @@ class SharedRuns(Runner):
     """
 
     def __init__(self, solver: GaussNewton) -> None:
-        """Build what runs on excerpts, from the longest to the shortest; `solver` runs on the whole records."""
+        """Build the solvers of excerpts; `solver` is that of the whole records."""
         self._alone = solver
         self.levels = [solver]
         for size in _sizes(solver):
@@ -57,14 +57,17 @@ class SharedRuns(Runner):
 
     @classmethod
     def of(cls, solver: GaussNewton) -> "SharedRuns | None":
-        """Return the runs of a solver; None where records are short, or too short to judge the poles of a predictor."""
+        """Return the runs of a solver; None for short records, and for predictors.
+
+        Excerpts are too short to judge the poles of a predictor.
+        """
         if not solver.settings.shared_runs or any(part.gains for part in solver.nlp.parts):
             return None
         shared = cls(solver)
         return shared if len(shared.levels) > 1 else None
 
     def run(self, start: Array, iterations: int | None = None) -> Outcome:
-        """Solve from the parameters `start` (p,), on excerpts and on the whole records in so many `iterations` each."""
+        """Solve from the parameters `start` (p,), in so many `iterations` on every level."""
         began = time.perf_counter()
         z = self._alone.limits.nearest(self._alone.nlp.scaling.to_solver(start))
         outcome, _ = self._end(0, z, iterations)
@@ -74,7 +77,7 @@ class SharedRuns(Runner):
         return replace(outcome, seconds=time.perf_counter() - began)
 
     def _end(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
-        """Return where a run from z (p,) ends on the records of a level, by way of those that are shorter."""
+        """Return where a run from z (p,) ends on a level, by way of the shorter excerpts."""
         if level == len(self.levels) - 1:
             return self.levels[level].run_from(z, iterations)
         first, hessian = self._end(level + 1, z, iterations)
@@ -85,7 +88,7 @@ class SharedRuns(Runner):
         return replace(outcome, iterations=first.iterations + outcome.iterations), hessian
 
     def _once(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
-        """Return where a run from z (p,) ends on the records of a level; equal runs are made once."""
+        """Return where a run from z (p,) ends on a level; equal runs are made once."""
         ends, key = self._ends[level], z.tobytes()
         most = iterations or self._alone.settings.max_iterations
         if key in ends and ends[key][0].iterations <= most:

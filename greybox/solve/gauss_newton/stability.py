@@ -14,7 +14,7 @@ DECADES = 10.0 ** np.arange(-12, 1)
 
 
 def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) -> Array:
-    """Return z (p,) of the iterate with the best gains among its own and those of steady Kalman filters.
+    """Return z (p,) with the best gains: those of the iterate, or of a steady Kalman filter.
 
     `variances` (n,) for every part are those by which each state moves at all; the filters' process
     noise is a share of them.
@@ -48,7 +48,7 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
 
 
 def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) -> bool:
-    """Tell whether all predictors are stable at an iterate; with `simulated`, only those simulated there."""
+    """Tell whether all predictors, or all `simulated` ones, are stable at an iterate."""
     return all(
         gain.is_stable(trajectory)
         for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True)
@@ -57,9 +57,10 @@ def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) ->
 
 
 def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple[Array, Array]:
-    """Return normals (n, p) and limits (n,) of steps that keep simulated predictors stable, if dz does not.
+    """Return normals (n, p) and limits (n,) of steps, normals · step >= limits.
 
-    normals · step >= limits, from the derivatives of the poles' magnitudes.
+    They keep those simulated predictors stable that dz would make unstable, and follow from the
+    derivatives of the poles' magnitudes.
     """
     normals, limits = [np.zeros((0, len(dz)))], [np.zeros(0)]
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
@@ -75,7 +76,7 @@ def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple
 
 
 def simulate_stable(parts: AllParts, iterate: Iterate) -> Iterate:
-    """Return the iterate with stable predictors simulated to the end of their stretches, where finite."""
+    """Return the iterate with stable predictors simulated over whole stretches, where finite."""
     trajectories = []
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
         if gain is not None and not trajectory.simulated and gain.is_stable(trajectory):
