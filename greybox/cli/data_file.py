@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from greybox.cli.options import UsageError
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
@@ -14,6 +15,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
+from greybox.files.text_table import alternatives
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.named_columns import in_si
 from greybox.logs.readers import read
@@ -45,6 +47,9 @@ def read_data(
     if not columns and claims_spectrum(path):
         return read_spectrum(path)
     if {"frequency", "magnitude"} & columns.keys() if columns else _is_response(path):
+        if f"{output}_{input}_alpha" not in (_header(path) or ()):
+            _require_signal("input", input, model.input_names)
+            _require_signal("output", output, model.output_names)
         return as_the_only_pair(
             model, read_response(path, input=input, output=output, columns=columns)
         )
@@ -59,12 +64,25 @@ def read_data(
     return _record_of(log, path, model)
 
 
-def _is_response(path: Path) -> bool:
+def _require_signal(kind: str, name: str, names: Sequence[str]) -> None:
+    if name and name not in names:
+        raise UsageError(
+            f"--{kind} {name} is not an {kind} of the model, and the file has no such pair; the "
+            f"model has {alternatives(name, names)}"
+        )
+
+
+def _header(path: Path) -> tuple[str, ...] | None:
+    """Return the names in the header of a table, or None for a file that is no text."""
     with path.open("rb") as file:
         head = file.read(4096)
-    if b"\0" in head:
+    return None if b"\0" in head else read_delimited(path, head).header
+
+
+def _is_response(path: Path) -> bool:
+    names = _header(path)
+    if names is None:
         return False
-    names = read_delimited(path, head).header
     if OMEGA in names or not names:
         return True
     has_time = any(seconds(*heading(name)) for name in names)

@@ -146,6 +146,17 @@ def test_a_response_without_a_header_goes_by_numbers(tmp_path, monkeypatch, caps
     assert json.loads(out)["cost"] < 1e-6
 
 
+@pytest.mark.parametrize("words", [["--input", "q"], ["--output", "q"]])
+def test_names_that_do_not_fit_the_model_are_refused(table, folder, capsys, words):
+    omega = np.geomspace(0.5, 20, 12)
+    response = gb.FrequencyResponse(omega, 1 / (0.3j * omega + 1), "u", "y")
+    gb.data.write_response(response, folder / "response.csv")
+    command = ["fit", "--model", "tables_my.py:Lag", "--data", "response.csv", "--starts", "2"]
+    assert run(capsys, *command, "--input", "u", "--output", "y")[0] == 0
+    status, _, error = run(capsys, *command, *words)
+    assert (status, f"{' '.join(words)} is not an" in error) == (2, True)
+
+
 def test_models_without_inputs_are_compared_and_reported(table, folder, capsys):
     table("t,u,y", 1e3 * TIME)
     rng = np.random.default_rng(1)
