@@ -31,6 +31,7 @@ COMMANDS = {
     "stepwise": "choose terms of a model from a list of candidates, by tests",
     "batch": "fit many problems, and lose nothing when killed",
     "compare": "compare saved fits, or the fits of a study",
+    "predict": "simulate a saved model on another log, and compare",
     "report": "write a page about results that can be shared",
     "new": "write a commented file to start from",
 }

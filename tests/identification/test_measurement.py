@@ -266,6 +266,24 @@ def test_sines_are_measured_one_by_one():
     assert other.choices[-1] == "SINE may announce tests, too: use it with announced=SINE."
 
 
+def test_frequencies_with_warnings_are_left_out_on_request():
+    """The control of one sine is clipped, and has harmonics."""
+    starts, omega = (2.0, 22.0, 42.0), (1.5, 3.0, 6.0)
+    control = np.zeros(TIME.size)
+    for w, start in zip(omega, starts, strict=True):
+        during = (start <= TIME) & (start + 16 > TIME)
+        control[during] = 0.2 * np.sin(w * (TIME[during] - start))
+    clipped = (starts[1] <= TIME) & (starts[1] + 16 > TIME)
+    control[clipped] = np.clip(control[clipped], -0.08, 0.08)
+    made = flight(control)
+    every, clean = (
+        measure(made, Settings(**PAIR, setpoint="IN.w", drop_warned=drop)) for drop in (False, True)
+    )
+    assert len(every.response) == 3
+    assert clean.response.omega == pytest.approx([1.5, 6.0], rel=1e-2)
+    assert any(text.startswith("left out: 1 point of 3 at ") for text in clean.choices)
+
+
 def test_what_cannot_be_estimated_is_refused_with_the_reason():
     found = measure(flight(SWEEP), Settings(**PAIR, whole=True, band=(200.0, 300.0)))
     assert found.response is None

@@ -1,0 +1,96 @@
+"""The command `greybox predict`: a saved model on another log, simulated and compared."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.columns import RECORD, add_columns_option
+from greybox.cli.log_tests import read_log
+from greybox.cli.options import UsageError, add_common_options, positive_number
+from greybox.cli.output import USABLE, Answer
+from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.estimate.result import Fit
+from greybox.files.json_numbers import finite
+from greybox.identification.measurement import named_signals
+from greybox.logs.prepare import prepare
+from greybox.simulation.prediction import Prediction
+from greybox.simulation.simulate import predict
+
+EXAMPLES = (
+    "pitch_fit.h5 other_flight.BIN",
+    "pitch_fit.h5 other_flight.csv --signals u=elevator q=gyro_y --horizon 2",
+)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add(
+        "result", type=Path, metavar="RESULT", help="a fit that greybox identify or fit --out wrote"
+    )
+    add("log", metavar="LOG", help="a log or a table that the fit has not seen")
+    add(
+        "--signals",
+        nargs="+",
+        default=[],
+        metavar="NAME=SIGNAL",
+        help="inputs and outputs of the model in the log (default: those from which the fit was made)",
+    )
+    add("--rate", type=positive_number, metavar="HZ", help="common sampling rate")
+    add(
+        "--between",
+        nargs=2,
+        type=float,
+        metavar=("START", "END"),
+        help="only this part of the log, in s",
+    )
+    add(
+        "--horizon",
+        type=positive_number,
+        metavar="SECONDS",
+        help="how far to predict from what was measured before (default: as greybox chooses)",
+    )
+    add_columns_option(parser, RECORD)
+    add_model_option(parser)
+    add_common_options(parser)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Predict the log, window by window."""
+    fit = saved_fit(options.result, options)
+    signals = named_signals(options.signals) or _signals_of(fit)
+    record = prepare(read_log(options), signals, options.rate)
+    if options.between:
+        record = record.between(*options.between)
+    prediction = predict(fit, record=record, horizon=options.horizon)
+    return _json(prediction), str(prediction), USABLE
+
+
+def _signals_of(fit: Fit) -> dict[str, str]:
+    """Return the signals of the log from which the response of a fit was measured."""
+    texts = [part.data.about.get("signals", "") for part in fit.responses]
+    pairs = dict(pair.split(" = ") for pair in texts[0].split(", ")) if texts and texts[0] else {}
+    model = fit.model_of(0) if pairs else None
+    names = (*model.input_names, *model.output_names) if model else ()
+    if not set(names) <= set(pairs) or not names:
+        raise UsageError(f"{fit.name} does not know its signals: give --signals NAME=SIGNAL ...")
+    return {name: pairs[name] for name in names}
+
+
+def _json(prediction: Prediction) -> dict[str, Any]:
+    measures = {
+        name: {
+            "fit_percent": finite(prediction.fit_percent(name)),
+            "rms": finite(prediction.rms(name)),
+            "unit": prediction.data.units.get(name, ""),
+        }
+        for name in prediction.outputs
+    }
+    return {
+        "model": prediction.label,
+        "windows": len(prediction),
+        "horizon": prediction.horizon,
+        "lead": prediction.lead,
+        "outputs": measures,
+        "notes": list(prediction.notes),
+    }

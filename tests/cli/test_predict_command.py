@@ -1,0 +1,57 @@
+"""`greybox predict`: a saved model tried on another log, as `gb.predict` does."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import refused, run
+
+import greybox as gb
+from greybox.models.polynomial import Polynomial
+
+
+def flight(path, seed):
+    """A table of a lag with noise, driven by random steps."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0, 20, 0.02)
+    u = np.repeat(random.normal(size=20), 50)
+    record = gb.Record(time, {"stick": u})
+    model = Polynomial(1, 0, input="stick", output="roll")
+    y = gb.simulate(model, {"b0": 6.0, "a0": 3.0}, record)["roll"]
+    y = y + 0.02 * random.normal(size=time.size)
+    np.savetxt(
+        path, np.column_stack([time, u, y]), delimiter=",", header="time,stick,gyro", comments=""
+    )
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("predict")
+    flight(folder / "first.csv", 0)
+    flight(folder / "second.csv", 1)
+    log = gb.read(folder / "first.csv")
+    found = gb.identify(log, input="u=stick", output="p=gyro", whole=True)
+    gb.save(found.fit, folder / "fit.h5")
+    return folder
+
+
+def test_a_model_is_tried_on_another_log_by_the_signals_of_its_own(capsys, saved):
+    status, out, _ = run(capsys, "predict", saved / "fit.h5", saved / "second.csv", "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert answer["outputs"]["p"]["fit_percent"] > 80
+    part = ("--between", "2", "12", "--horizon", "2", "--json")
+    other = json.loads(run(capsys, "predict", saved / "fit.h5", saved / "second.csv", *part)[1])
+    assert (other["windows"], other["horizon"]) == (4, pytest.approx(2.0))
+    assert "p" in run(capsys, "predict", saved / "fit.h5", saved / "second.csv")[1]
+
+
+def test_signals_can_be_stated(capsys, saved, tmp_path):
+    fit = gb.load(saved / "fit.h5")
+    data = gb.FrequencyResponse(fit.responses[0].data.omega, fit.responses[0].data.response)
+    gb.save(gb.fit(gb.Problem(Polynomial(1, 0), data), starts=1), tmp_path / "bare.h5")
+    command = ("predict", tmp_path / "bare.h5", saved / "second.csv")
+    assert "does not know its signals" in refused(capsys, *command)
+    status, out, _ = run(capsys, *command, "--signals", "u=stick", "y=gyro", "--json")
+    assert status == 0
+    assert json.loads(out)["outputs"]["y"]["fit_percent"] > 80
