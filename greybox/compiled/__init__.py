@@ -21,12 +21,14 @@ Begin with `compiled_problem`.
 | `condensing` | elimination of nodes and multipliers of continuity |
 | `residual_covariance` | the weights of the residuals |
 | `kalman_gain`, `riccati` | the gain of a predictor; the one that follows from process noise |
-| `record_sensitivity`, `record_information` | derivatives of the residuals; the information for the covariance |
+| `record_sensitivity` | derivatives of the residuals |
+| `record_information` | the information for the covariance |
 | `colored_errors` | residuals that are correlated in time |
 | `record_program` | a record as expressions for IPOPT |
 | `transcription` | the methods by which the states of a record become unknowns |
 | `strategies` | the settings of the record solver |
 | `scaling`, `limits` | between parameters and the solver's variables; the constraints |
 | `explicit_program` | problems with trims that Newton's method finds |
-| `vectorized`, `alike_terms` | CasADi functions over many columns; costs of terms that differ in constants |
+| `vectorized` | CasADi functions over many columns |
+| `alike_terms` | costs of terms that differ in constants |
 """

@@ -1,4 +1,4 @@
-"""Costs that are sums of similar terms, with their derivatives: built for one term, evaluated for all.
+"""Costs that are sums of similar terms, with derivatives built for one term and evaluated for all.
 
 A response has a term for every frequency, and these terms differ only in their constants. The
 Hessian of one term is built in a fraction of the time of the Hessian of the sum, and all terms of a
@@ -62,7 +62,11 @@ class SecondOrder:
 
 
 class _Group(NamedTuple):
-    """Similar terms: one of them, with symbols (c,) for the constants that differ, and their values (c, n)."""
+    """Similar terms.
+
+    One of them is the expression. Its symbols (c,) are the constants that differ; their values are
+    (c, n).
+    """
 
     term: ca.SX
     symbols: ca.SX
@@ -136,7 +140,7 @@ def summands(cost: ca.SX) -> list[tuple[float, ca.SX]]:
 def _with_constants(
     function: ca.Function, inputs: Sequence[ca.SX], constants: Sequence[ca.SX]
 ) -> ca.SX:
-    """Return the output of an SX function with other constants, in the order of its instructions."""
+    """Return the output of an SX function with other constants, in instruction order."""
     registers: dict[int, ca.SX] = {}
     remaining = iter(constants)
     result = ca.SX(0)

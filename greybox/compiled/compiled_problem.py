@@ -1,4 +1,4 @@
-"""The compiled problem: its parts and constraints as functions of the solver's variables, for all starts."""
+"""The compiled problem: its parts and constraints as functions of the solver's variables."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -111,7 +111,7 @@ class CompiledProblem:
         return float(self._weights @ np.asarray(self.response_cost(values)).ravel())
 
     def costs(self, x: Array) -> Array:
-        """Return the cost without smoothing of the frequency responses, for every row of x (r, p): (r,)."""
+        """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
         if not len(x):
             return np.zeros(0)
         return self._weights @ np.asarray(self.response_cost(self.all_values(x).T))
@@ -121,7 +121,7 @@ class CompiledProblem:
         return np.array([part.weight for part in self.parts if not part.has_states])
 
     def signatures(self, x: Array) -> Array:
-        """Return the signatures (r, 2 N) of the frequency responses for every row of x (r, p), see `Part.signature`."""
+        """Return the signatures (r, 2 N) of the responses for x (r, p), see `Part.signature`."""
         sizes = [part.magnitude for part in self.parts if isinstance(part, ResponsePart)]
         responses = np.asarray(self.responses(self.all_values(x).T))
         return (responses / np.concatenate([np.zeros(0), *sizes, *sizes])[:, None]).T

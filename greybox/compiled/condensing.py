@@ -1,4 +1,4 @@
-"""Condensing: nodes and multipliers of continuity are eliminated from the Gauss-Newton system of records.
+"""Condensing: the elimination of nodes and continuity multipliers from the Gauss-Newton system.
 
 The Karush-Kuhn-Tucker system of a chain of segments is banded: each segment is coupled to the next
 by its end state alone. Solved for several right-hand sides at once (the residuals, and one for each
@@ -10,22 +10,14 @@ problems, IFAC Proceedings 17(2); Betts (2010), Practical Methods for Optimal Co
 Estimation, 2nd ed., chapter 4.
 """
 
-import threading
 from dataclasses import replace
-from functools import lru_cache
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray
-from greybox.modeling.one_thread import one_thread_at_a_time
-
-# Segments from which a chain is long: of fewer, a solver takes less than 50 MB.
-LONG_CHAIN = 10_000
 
 
 def condense(
@@ -36,10 +28,10 @@ def condense(
     data: SampledData,
     segments: Segments,
 ) -> Condensed:
-    """Return the quadratic model in the solver's variables, with the nodes of all records eliminated.
+    """Return the quadratic model in the solver's variables, with all nodes eliminated.
 
-    Continuity is exact where its `variance` (n,) is zero. `damping` holds the free nodes, relative to
-    their curvature (Levenberg-Marquardt).
+    Continuity is exact where its `variance` (n,) is zero. `damping` holds the free nodes, relative
+    to their curvature (Levenberg-Marquardt).
     """
     node_damping = np.zeros_like(trajectory.gaps)
     damped = b
@@ -79,12 +71,9 @@ def condense(
 
 def close_gaps(b: Linearization, trajectory: Trajectory, coupled: BoolArray) -> Array:
     """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
-    columns = 1 + b.cross_hessian.shape[2]  # as in `condense`, whose solver is then used again
-    stationarity = np.zeros((*trajectory.gaps.shape, columns))
-    continuity = np.zeros_like(stationarity)
-    continuity[:, :, 0] = -trajectory.gaps
-    exact = np.zeros(trajectory.gaps.shape[1])
-    x, _ = solve_in_outputs(b, coupled, stationarity, continuity, exact)
+    gaps = trajectory.gaps[:, :, None]
+    exact = np.zeros(gaps.shape[1])
+    x, _ = solve_in_outputs(b, coupled, np.zeros_like(gaps), -gaps, exact)
     return trajectory.nodes + x[:, :, 0]
 
 
@@ -95,7 +84,7 @@ def solve_in_outputs(
     continuity: Array,
     variance: Array,
 ) -> tuple[Array, Array]:
-    """Solve for nodes and multipliers in units in which the curvature is one, so that both are of one size."""
+    """Solve for nodes and multipliers in units of unit curvature: both are then of one size."""
     curvature = np.mean(b.node_hessian.diagonal(axis1=1, axis2=2), axis=0)
     # Smaller curvatures are what rounding makes of zero.
     visible = curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300
@@ -122,7 +111,7 @@ def _by_variables(by_active: Array, slopes: Array, segments: Segments) -> Array:
 def _predicted_decrease(
     b: Linearization, step: Array, multiplier: Array, gaps: Array, variance: Array
 ) -> float:
-    """Return the decrease of the merit that the quadratic model predicts for the step of the nodes alone."""
+    """Return the merit decrease that the quadratic model predicts for the node step alone."""
     curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
     change = float((b.node_gradient * step).sum()) + 0.5 * curved
     if np.all(variance > 0):
@@ -132,7 +121,7 @@ def _predicted_decrease(
 
 
 def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Array:
-    """Return the second derivatives of outputs and continuity penalty by every free node state, (s, n).
+    """Return the curvature (s, n) of outputs and continuity penalty by every free node state.
 
     Where continuity is exact the first nodes of every stretch are free.
     """
@@ -153,12 +142,14 @@ def solve_continuity(
     continuity: Array,
     variance: Array,
 ) -> tuple[Array, Array]:
-    """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states for r right-hand sides.
+    """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states.
+
+    There are r right-hand sides.
 
     H_j x_j + A_jᵀ λ_j - λ_(j-1) = stationarity_j and A_j x_j - x_(j+1) - P λ_j = continuity_j, with
     λ_j = 0 where segment j is not `coupled` to the next. P = diag(variance) is zero for exact
-    continuity; otherwise continuity is a penalty gap²/2P. Sparse QR in the order x_0, λ_0, x_1, λ_1
-    ... takes a time linear in s.
+    continuity; otherwise continuity is a penalty gap²/2P. In the order x_0, λ_0, x_1, λ_1 ... the
+    system is banded, and the time is linear in s.
 
     Parameters
     ----------
@@ -177,41 +168,53 @@ def solve_continuity(
     numpy.linalg.LinAlgError
         If the system is singular.
     """
+    from scipy.linalg import solve_banded  # noqa: PLC0415  (takes half a second to import)
+
     s, n, r = stationarity.shape
     if n == 0:
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = _state_sizes(hessian, transition)
     linked = coupled[:, None, None]
     transition = np.where(linked, transition * size / size[:, None], 0.0)
-    hessian = hessian * size * size[:, None]
-
-    link = np.where(coupled, -1.0, 0.0)
-    # Column by column: of x_k the row of the previous λ, H and A; of λ_k the rows of A, itself, and
-    # the next x.
-    states = np.zeros((s, n, 2 * n + 1))
-    states[1:, :, 0] = link[:-1, None]
-    states[:, :, 1 : n + 1] = hessian.transpose(0, 2, 1)
-    states[:, :, n + 1 :] = transition.transpose(0, 2, 1)
-    multipliers = np.zeros((s, n, n + 2))
-    multipliers[:, :, :n] = transition
-    multipliers[:, :, n] = np.where(coupled[:, None], -variance / size**2, 1.0)
-    multipliers[:, :, n + 1] = link[:, None]
-    values = np.concatenate([states.reshape(s, -1), multipliers.reshape(s, -1)], axis=1).ravel()
-
     gaps = np.where(linked, continuity / size[:, None], 0.0)
+
+    block = np.zeros((s, 2 * n, 2 * n))
+    block[:, :n, :n] = hessian * size * size[:, None]
+    block[:, n:, :n] = transition
+    block[:, :n, n:] = transition.transpose(0, 2, 1)
+    block[:, range(n, 2 * n), range(n, 2 * n)] = np.where(
+        coupled[:, None], -variance / size**2, 1.0
+    )
+
+    # Row i of column j is entry (width + i - j, j) of the bands.
+    width = 2 * n - 1
+    bands = np.zeros((2 * width + 1, s, 2 * n))
+    for column in range(2 * n):
+        bands[width - column : width - column + 2 * n, :, column] = block[:, :, column].T
+    link = np.where(coupled, -1.0, 0.0)[:, None]
+    bands[width + n, :, n:] = link  # of a multiplier, in the row of the next state
+    bands[width - n, 1:, :n] = link[:-1]
+
     right = np.concatenate([stationarity * size[:, None], gaps], axis=1).reshape(2 * n * s, r)
-    solver = _solvers.of(s, n, r)
-    solution = solver(values[solver.inside], np.ascontiguousarray(right.T)).T
+    solution = solve_banded(
+        (width, width),
+        bands.reshape(2 * width + 1, 2 * n * s),
+        right,
+        overwrite_ab=True,
+        overwrite_b=True,
+        check_finite=False,
+    )
     if not np.all(np.isfinite(solution)):
-        raise np.linalg.LinAlgError(
-            "the nodes of the record are not determined: its KKT system is singular."
-        )
-    solution = np.ascontiguousarray(solution).reshape(s, 2 * n, r)
+        raise np.linalg.LinAlgError("the nodes of the record are not determined.")
+    solution = solution.reshape(s, 2 * n, r)
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 
 def _state_sizes(hessian: Array, transition: Array) -> Array:
-    """Return the change (n,) of each state that changes the outputs by one, at once or later; 1 if none does."""
+    """Return the change (n,) of each state that changes the outputs by one, at once or later.
+
+    A state that changes no output has size 1.
+    """
     curvature = np.abs(hessian.diagonal(axis1=1, axis2=2)).mean(axis=0)
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
@@ -219,57 +222,3 @@ def _state_sizes(hessian: Array, transition: Array) -> Array:
     # Square roots and products of these stay within double range.
     usable = (curvature > 1e-200) & (curvature < 1e200)
     return 1 / np.sqrt(np.where(usable, curvature, 1.0))
-
-
-class _Solver:
-    """Sparse QR for one pattern; `inside` are the entries of the uniform blocks that lie in the matrix."""
-
-    @one_thread_at_a_time
-    def __init__(self, s: int, n: int, r: int) -> None:
-        """Analyze the pattern of s blocks of n states, for r right-hand sides."""
-        size = 2 * n * s
-        full, unit, nothing = ca.DM.ones(n, n), ca.DM.eye(n), ca.DM(n, n)
-        own = ca.blockcat([[full, full], [full, unit]]).sparsity()
-        to_next = ca.blockcat([[nothing, nothing], [unit, nothing]]).sparsity()
-        sparsity = ca.kron(ca.Sparsity.diag(s), own)
-        if s > 1:
-            sparsity += ca.kron(ca.Sparsity.band(s, -1), to_next) + ca.kron(
-                ca.Sparsity.band(s, 1), to_next.T
-            )
-        self.inside = np.ones((s, n * (2 * n + 1) + n * (n + 2)), dtype=bool)
-        self.inside[0, : n * (2 * n + 1) : 2 * n + 1] = False
-        self.inside[-1, n * (2 * n + 1) + n + 1 :: n + 2] = False
-        self.inside = self.inside.ravel()
-        values, right = ca.MX.sym("values", sparsity.nnz()), ca.MX.sym("right", size, r)
-        solution = ca.solve(ca.MX(sparsity, values), right, "qr")
-        # A buffer hands over memory as it is; converting numpy arrays to CasADi's takes longer than
-        # the solution.
-        self._function = ca.Function("chain", [values, right], [solution])
-        self._buffer: Any
-        self._buffer, self._evaluate = self._function.buffer()
-        self._shape = (r, size)
-
-    def __call__(self, values: Array, right: Array) -> Array:
-        """Return the solution (r, size) for the entries of the matrix and right-hand sides (r, size)."""
-        result = np.full(self._shape, np.nan)  # stays where the matrix is singular
-        self._buffer.set_arg(0, values.data)
-        self._buffer.set_arg(1, right.data)
-        self._buffer.set_res(0, result.data)
-        self._evaluate()
-        return result
-
-
-class _Solvers(threading.local):
-    """The solvers of one thread: two threads must not share a solver's memory."""
-
-    def __init__(self) -> None:
-        self.of = lru_cache(maxsize=8)(_Solver)
-
-
-_solvers = _Solvers()
-
-
-def forget_long_chain(segments: int) -> None:
-    """Free the memory of the solver of a long chain: 0.3 GB for 60 000 segments, the most of a record."""
-    if segments > LONG_CHAIN:
-        _solvers.of.cache_clear()

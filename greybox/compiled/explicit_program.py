@@ -1,9 +1,9 @@
 """Programs of responses at operating points that Newton's method finds, with these roots as inputs.
 
-A root finder is not an SX function, and CasADi's second derivatives through one take twenty times as
-long as the cost. With the roots as inputs, cost and constraints are an SX function whose derivatives
-hold the roots, see `modeling.trim.Trimmed`. It is evaluated for many points at once, and IPOPT's
-derivatives call it after the root finder.
+A root finder is not an SX function, and CasADi's second derivatives through one take twenty times
+as long as the cost. With the roots as inputs, cost and constraints are an SX function whose
+derivatives hold the roots, see `modeling.trim.Trimmed`. It is evaluated for many points at once,
+and IPOPT's derivatives call it after the root finder.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -54,7 +54,10 @@ def explicit_program(
 
 
 def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Function]:
-    """Return gradient and Hessian of an explicit program (z, smoothing, w) -> cost, limits, as options of `nlpsol`."""
+    """Return gradient and Hessian of an explicit program as options of `nlpsol`.
+
+    The program is (z, smoothing, w) -> cost, limits.
+    """
     z, smoothing, w = (ca.SX.sym("v", explicit.numel_in(k)) for k in range(3))
     cost, limits = explicit(z, smoothing, w)
     factor, multipliers = ca.SX.sym("factor"), ca.SX.sym("multipliers", limits.numel())

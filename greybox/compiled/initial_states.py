@@ -1,9 +1,9 @@
 """Initial states at the nodes: as the outputs show them, and elsewhere where the model is finite.
 
 Most models rest at zero, which is a better start than noisy measurements around it; a state that
-stays away from zero begins as measured. A root, a logarithm or a division may exclude zero (the level of
-a tank, an airspeed, a temperature). Then sizes over many decades are tried for the states that no
-output shows; the model must come closest to the measured outputs.
+stays away from zero begins as measured. A root, a logarithm or a division may exclude zero (the
+level of a tank, an airspeed, a temperature). Then sizes over many decades are tried for the states
+that no output shows; the model must come closest to the measured outputs.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,10 @@ class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
     def __init__(self, system: Dynamics, outputs: tuple[str, ...], *, scanned: bool = True) -> None:
-        """Compile the model and its derivatives; with `scanned`, sizes are tried where it is not finite."""
+        """Compile the model and its derivatives.
+
+        With `scanned`, sizes are tried where the model is not finite.
+        """
         self._n = len(system.states)
         self._scanned = scanned
         x, u, p = (
@@ -80,7 +83,7 @@ class InitialStates:
         return states
 
     def poles(self, states: Array, inputs: Array, p: Array) -> ComplexArray:
-        """Return the poles (s, n) of the linearizations at states (n, s), without those that are not finite."""
+        """Return the finite poles (s, n) of the linearizations at states (n, s)."""
         matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(
             inputs.shape[1], self._n, self._n
         )
@@ -89,7 +92,7 @@ class InitialStates:
     def _sized(
         self, states: Array, hidden: IntArray, measured: Array, inputs: Array, p: Array
     ) -> Array:
-        """Return the states with the best sizes of the hidden ones: of all together, then of each."""
+        """Return the states with the best sizes of the hidden ones: together, then one by one."""
         best, least = states, self._score(states, measured, inputs, p)
         groups = [hidden] if hidden.size else []
         for group in [*groups, *([[k] for k in hidden] * SWEEPS)]:
@@ -102,7 +105,7 @@ class InitialStates:
         return best
 
     def _mended(self, states: Array, measured: Array, inputs: Array, p: Array) -> Array:
-        """Give samples at which the model is not finite the states of the nearest one where it is."""
+        """Give samples where the model is not finite the states of the nearest finite one."""
         finite, _ = self._judged(states, measured, inputs, p)
         if not finite.any():
             return np.zeros_like(states)
@@ -117,7 +120,10 @@ class InitialStates:
     def _judged(
         self, states: Array, measured: Array, inputs: Array, p: Array
     ) -> tuple[BoolArray, Array]:
-        """Return at which samples the model is finite (s,), and the squared errors of its outputs (s,), in their spread."""
+        """Return where the model is finite (s,), and its squared output errors (s,).
+
+        The errors are in units of the largest measured value.
+        """
         f, y, slopes = self._model(states, inputs, p)
         finite = np.asarray(np.isfinite(np.vstack([f, y, slopes])).all(axis=0))
         scale = np.abs(measured).max(axis=1, initial=0.0, keepdims=True)
@@ -147,7 +153,9 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Link]:
 
 
 def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[Array, Array]:
-    """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every n-th sample of a stretch.
+    """Return measured outputs (k, s) and inputs (m, s) at every n-th sample of a stretch.
+
+    Gaps of the outputs are interpolated.
 
     The first of a stretch is its first sample; with `spread` it is another in every stretch, since
     many short ones that begin at rest would show nothing else.

@@ -1,8 +1,8 @@
 """The Kalman gain of a record in innovations form: its stability, and initial values.
 
 A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial
-state. It can be simulated from the first sample of a stretch to the last: an unstable plant does not
-diverge, and no nodes are needed in between.
+state. It can be simulated from the first sample of a stretch to the last: an unstable plant does
+not diverge, and no nodes are needed in between.
 """
 
 import math
@@ -68,13 +68,13 @@ class KalmanGain:
         return distance < 1.02 * (1 - self.limit)
 
     def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
-        """Return the transition over a sample of the errors of those states that innovations reach."""
+        """Return the transition over a sample of the errors of states that innovations reach."""
         at: Placed = placed or trajectory.detail
         A, _ = self.part.segments.mean_transition(trajectory.states, at.q, at.data)
         return self._reached(A)
 
     def pole_derivatives(self, trajectory: Trajectory, z: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the poles' magnitudes (m, p) by z, and how far they may grow (m,).
+        """Return the derivatives of the poles' magnitudes (m, p) by z, and their room to grow (m,).
 
         By finite differences of the transition along a trajectory.
         """
@@ -97,7 +97,7 @@ class KalmanGain:
         return A[np.ix_(rows, rows)]
 
     def excerpt_cost(self, nodes: Array, placed: Placed) -> float:
-        """Return the approximate cost of a simulation, by the first samples of the longest stretch."""
+        """Return the approximate cost of a simulation, from the start of the longest stretch."""
         part, length = self.part, self.part.data.segment_length
         counts = part.data.segment_counts
         longest = int(np.argmax(counts))
@@ -111,7 +111,7 @@ class KalmanGain:
         return part.covariance.cost(residuals.T @ residuals * (len(rows) / len(excerpt)))
 
     def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
-        """Return the unknowns (u,) of steady Kalman filters, None where the predictor would not be stable.
+        """Return the unknowns (u,) of steady Kalman filters; None for an unstable predictor.
 
         The process noise has variances (n,) per sample in the corrected or driven states; the
         residuals of the trajectory are the measurement noise.
@@ -145,7 +145,7 @@ class KalmanGain:
         return unknowns if stable else None
 
     def placed(self, trajectory: Trajectory, z: Array, values: Array) -> Array:
-        """Return the point z (p,) with these values (u,) of the unknowns that a single variable sets."""
+        """Return the point z (p,) with the values (u,) of unknowns that one variable each sets."""
         slope, z = trajectory.detail.slope, z.copy()
         active = self.part.model.active.tolist()
         for k, value in zip(self.unknowns.tolist(), values, strict=True):

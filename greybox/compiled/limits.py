@@ -1,4 +1,4 @@
-"""The constraints of a problem, and the bounds of its tied parameters, as functions that must be >= 0."""
+"""The constraints of a problem and the bounds of its tied parameters, as functions >= 0."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +14,7 @@ from greybox.modeling.model import Names
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """A function of the values of a part that must be >= 0: a constraint, or a bound of a tied parameter."""
+    """A function of a part's values that must be >= 0: a constraint or a tied parameter's bound."""
 
     label: str
     part: Problem
@@ -22,7 +22,7 @@ class Limit:
 
 
 def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
-    """Return all limits for this `kind` of symbols. A constraint that several parts share counts once."""
+    """Return all limits for this `kind` of symbols; a constraint that parts share counts once."""
     limits: dict[Any, Limit] = {}
     parameters = problem.parameters
     x = kind.sym("x", len(parameters))

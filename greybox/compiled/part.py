@@ -1,4 +1,4 @@
-"""The interface that every part of a compiled problem answers: a frequency response, a record, or a spectrum.
+"""The interface of every part of a compiled problem: a frequency response, record or spectrum.
 
 A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns
 besides: the states at the beginning of its segments, its *nodes*. They belong to the part, which
@@ -100,7 +100,7 @@ class Condensed:
         return nodes + length * (self.node_step + self.node_sensitivity @ dz)
 
     def largest_multiplier(self, dz: Array) -> Array:
-        """Return the largest multiplier of the continuity of every state, (n,), after a step dz (p,)."""
+        """Return the largest continuity multiplier (n,) of every state after a step dz (p,)."""
         return np.abs(self.multiplier + self.multiplier_sensitivity @ dz).max(axis=0, initial=0.0)
 
     def damping_penalty(self, dz: Array) -> float:
@@ -169,7 +169,9 @@ class CorrelatedPoints:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What a part says about all values x (k,) of a problem, free ones first, for the covariance of the estimate.
+    """The information of a part on all values x (k,), for the covariance of the estimate.
+
+    The free values come first.
 
     Attributes
     ----------
@@ -197,7 +199,7 @@ class Information:
         directions of the root of the covariance of the free parameters for white errors times the
         weight of the part. `spread` takes them as white. Directions of unit variance keep their
         digits where parameters are hardly determined.
-    correlated : function of a correction, a square root (p, r) of B⁻¹ and degrees of freedom, or None
+    correlated : function of a correction, a root (p, r) of B⁻¹ and degrees of freedom, or None
         Of a frequency response, what its errors are where neighboring points are correlated, or
         None where nothing is known of that. `spread` takes them as independent.
     offset : function of a correction, or None
@@ -252,7 +254,7 @@ class Program(ABC):
 
     @abstractmethod
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return what a solution gives: its cost, unweighted; w that follows; whether no delay passed a sample."""
+        """Return the cost of a solution, the following w, and whether no delay passed a sample."""
 
 
 class Part(ABC):
@@ -317,7 +319,7 @@ class Part(ABC):
 
     @property
     def travels_whole(self) -> bool:
-        """True when its `information` is known in another process too, where the user's classes are not."""
+        """True when another process, without the user's classes, can compute `information`."""
         return True
 
     def initial_trajectory(self, z: Array) -> Trajectory:
@@ -358,7 +360,7 @@ class Part(ABC):
         """
 
     def continuity_variance(self, linearization: Any, spread: float) -> Array:
-        """Return the variances (n,) of jumps of the states that change a segment's outputs by `spread`.
+        """Return the variances (n,) of state jumps that change a segment's outputs by `spread`.
 
         In units of the residuals that the linearization was weighted with.
         """
@@ -381,7 +383,7 @@ class Part(ABC):
         return NO_NODES
 
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
-        """Return whether the rms residual of every output is below `factor` times its signal's spread.
+        """Return whether the rms residual of every output is below `factor` times its spread.
 
         True for what is not simulated: it cannot diverge on the way.
         """
@@ -393,7 +395,7 @@ class Part(ABC):
 
     @abstractmethod
     def signature(self, trajectory: Trajectory) -> Array:
-        """Return numbers (m,) by which runs are told apart: the model's outputs in units of the measured ones.
+        """Return numbers (m,) that distinguish runs: outputs in units of the measured ones.
 
         Of a record simulated outputs over the signals' spread, of a frequency response P/|P̂|.
         """
@@ -441,5 +443,8 @@ class Part(ABC):
 
     @cached_property
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
-        """Delays at whose whole samples the cost jumps, with the held input and the output that it reaches directly."""
+        """Delays at whose whole samples the cost jumps.
+
+        With the held input and the output that it reaches directly.
+        """
         return {}

@@ -69,7 +69,7 @@ class RecordGroup(SegmentedPart):
     @cached_property
     @one_thread_at_a_time
     def _located(self) -> tuple[ca.Function, IntArray]:
-        """Return the placement of all distinct records as one function of z, and which of them each record is."""
+        """Return the placement of all distinct records as a function of z, and their indices."""
         distinct = {part.model.expressions: part.model for part in self.parts}
         numbers = {key: k for k, key in enumerate(distinct)}
         z = ca.SX.sym("z", self.model.locate.numel_in(0))
@@ -84,7 +84,7 @@ class RecordGroup(SegmentedPart):
         return ca.Function("located", [z], stacked), which
 
     def place(self, z: Array) -> Placed:
-        """Return the parameters and the data at z (p,), for every record where they have their own."""
+        """Return the parameters and data at z (p,), by record where records differ."""
         function, which = self._located
         q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
         n, active = self.states, len(self.model.active)
@@ -112,18 +112,18 @@ class RecordGroup(SegmentedPart):
 
 
 class Groups:
-    """The parts of a problem as a solver takes them: records that can be evaluated together are one."""
+    """The parts of a problem as a solver takes them: similar records are one."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        """Group the parts; a record with a Kalman gain stays alone: every predictor must be stable."""
+        """Group the parts; a record with a Kalman gain stays alone, because it must be stable."""
         lots: dict[Any, list[int]] = {}
         for k, part in enumerate(parts):
             lots.setdefault(_kind(part, k), []).append(k)
         self._all = tuple(parts)
         self._members = list(lots.values())
+        groups: list[Any] = [[parts[k] for k in members] for members in self._members]
         self.parts: tuple[Part, ...] = tuple(
-            RecordGroup([parts[k] for k in members]) if len(members) > 1 else parts[members[0]]  # type: ignore[misc]
-            for members in self._members
+            RecordGroup(group) if len(group) > 1 else group[0] for group in groups
         )
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:

@@ -1,4 +1,4 @@
-"""The linearization of records beyond that of their segments: steady filters, known initial states."""
+"""The linearization of records beyond their segments: steady filters, known initial states."""
 
 import math
 from dataclasses import fields, replace
@@ -14,7 +14,7 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 def with_filter_covariance(
     b: Linearization, steady: SteadyFilter, weight: Array, products: Array, count: int
 ) -> Linearization:
-    """Return the linearization with what the covariance of a steady filter adds, over `count` samples."""
+    """Add what the covariance of a steady filter contributes over `count` samples."""
     rows = filter_information(steady, weight, count, b.parameter_hessian.shape[1])
     excess = (np.eye(len(weight)) - weight @ products @ weight.T / count).ravel()
     return replace(
@@ -25,7 +25,7 @@ def with_filter_covariance(
 
 
 def filter_information(steady: SteadyFilter, weight: Array, count: int, active: int) -> Array:
-    """Return J (k², active), where JᵀJ is the information of the prediction errors' covariance S.
+    """Return J (k², active); JᵀJ is the information of the prediction errors' covariance S.
 
     The Fisher information on the parameters is n/2 tr(S⁻¹ dS S⁻¹ dS), beside that of the mean.
     """
@@ -64,7 +64,7 @@ def without_known_states(
 
 
 def continuity_variance(b: Linearization, spread: float, samples: int) -> Array:
-    """Return variances (n,) of the jumps of each state that change the outputs of a segment by `spread`.
+    """Return the variances (n,) of jumps of each state that change a segment's outputs by `spread`.
 
     `spread` is in units of the weighted residuals, `samples` the number of outputs of a segment.
     """

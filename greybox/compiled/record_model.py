@@ -1,4 +1,4 @@
-"""A record with its model, compiled: all that depends neither on the cut into segments nor on the substeps."""
+"""A record with its model, compiled independently of segments and substeps."""
 
 import math
 from collections.abc import Sequence
@@ -202,7 +202,7 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
 
 
 def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
-    """Tell whether a record has the equations, criterion, outputs and kinds of inputs of another one."""
+    """Return whether a record has the equations, criterion, outputs and inputs of another one."""
     if problem.delay != other.problem.delay or not _is_same_model(
         problem.model, other.problem.model
     ):
@@ -227,7 +227,7 @@ def _is_same_model(a: Model, b: Model) -> bool:
 
 
 def _parameters(problem: Problem) -> tuple[str, ...]:
-    """Return the names of the parameters of a sample: those declared, and gains that follow from process noise."""
+    """Return the names of a sample's parameters: declared ones, then gains from process noise."""
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)
     if not problem.criterion.driven():
@@ -244,7 +244,7 @@ def _outside_names(problem: Problem) -> tuple[str, ...]:
 
 
 def _called(what: str, value: Any, local: Names) -> Any:
-    """Evaluate an initial state that may be a function of the parameters, naming it where it fails."""
+    """Evaluate an initial state, which may be a function of the parameters; name it if it fails."""
     if not callable(value):
         return value
     try:
@@ -254,7 +254,10 @@ def _called(what: str, value: Any, local: Names) -> Any:
 
 
 def longest_delay(problem: Problem, system: Dynamics) -> Array:
-    """Return the longest delay of every input within the bounds (m,), s; an unbounded one counts with its start."""
+    """Return the longest delay (m,) of every input within the bounds, s.
+
+    An unbounded delay counts with its start.
+    """
     if not system.delayed:
         return np.zeros(len(system.inputs))
     values: dict[str, float] = {}

@@ -31,7 +31,7 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
 
 class RecordPart(SegmentedPart):
-    """One record of a problem: a model, the data cut into segments, and the step from sample to sample."""
+    """One record: a model, the data cut into segments, and the step from sample to sample."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class RecordPart(SegmentedPart):
         )
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
-        """Return the part with other measured outputs (k, n) of every stretch, NaN where there are none."""
+        """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
         data = replace(self.data, stretches=stretches)
@@ -142,7 +142,10 @@ class RecordPart(SegmentedPart):
 
     @cached_property
     def noise_model(self) -> NoiseModel | None:
-        """Return the linear model of which the gains follow, about the means of the record; None without process noise."""
+        """Return the linear model from which the gains follow, about the means of the record.
+
+        None without process noise.
+        """
         model, data = self.model, self.data
         if not model.driven:
             return None
@@ -174,7 +177,10 @@ class RecordPart(SegmentedPart):
         return self.nodes_from_data(placed.q, placed.initial)
 
     def nodes_from_data(self, q: Array, known: Array) -> Array:
-        """Return nodes (s, n) at the declared parameters and the known initial states (n,), else NaN."""
+        """Return nodes (s, n) at the declared parameters and the known initial states (n,).
+
+        Unknown initial states are NaN.
+        """
         p = q[: len(self.system.parameters)]
         outputs, inputs = self.at_nodes
         return self.model.initial_states.at(outputs, inputs, p, known).T
@@ -198,7 +204,8 @@ class RecordPart(SegmentedPart):
         places = tuple(range(trajectory.z.size))
         part = self
         if uncertain:
-            # Constants with a covariance of their own join the unknowns, all of them without scaling.
+            # Constants with a covariance of their own join the unknowns, all of them without
+            # scaling.
             places = (*places, *uncertain)
             point = ca.SX.sym("x", len(places))
             named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
@@ -216,7 +223,9 @@ class RecordPart(SegmentedPart):
 def compile_records(
     problems: Sequence[Problem], expressions: Mapping[str, Any], z: ca.SX, method: Transcription
 ) -> list[RecordPart]:
-    """Compile records for the point z, where `expressions` are the parameters of a problem by outside name.
+    """Compile records for the point z.
+
+    `expressions` are the parameters of a problem by outside name.
 
     Records of one model have one compiled sample, and one choice of substeps and segments where
     they are sampled alike.
@@ -252,8 +261,8 @@ def compile_records(
     parts: dict[int, RecordPart] = {}
     for lot in lots.values():
         model, every = models[lot[0]], joined([data[k] for k in lot])
-        # The poles at a hundred samples: at twenty, the shortest time constant of an igniting reactor
-        # is missed, and two of three runs stall.
+        # The poles at a hundred samples: at twenty, the shortest time constant of an igniting
+        # reactor is missed, and two of three runs stall.
         looks = at_samples(every, max(every.segments // 100, 1), spread=True)
 
         def known_initial(q: Array, model: RecordModel = model) -> Array:

@@ -1,4 +1,4 @@
-"""A record transcribed for IPOPT: states as unknowns, weighted residuals, continuity as equations."""
+"""A record for IPOPT: states as unknowns, weighted residuals, continuity as equations."""
 
 import casadi as ca
 import numpy as np
@@ -9,7 +9,7 @@ from greybox.files.arrays import Array
 
 
 class RecordProgram(Program):
-    """A record transcribed: states as unknowns, weighted residuals, continuity and known initial states as equations.
+    """A record transcribed: continuity and known initial states are equations.
 
     Its parameters are the square root of the inverse residual covariance (k, k), then the data
     (width, samples), both column by column.
@@ -20,8 +20,8 @@ class RecordProgram(Program):
         self._part = part
         if part.model.driven:
             raise ValueError(
-                f"{part.problem.name!r} has process_noise, whose gains {part.model.method.label} does not follow: "
-                "use MultipleShooting()."
+                f"{part.problem.name!r} has process_noise, whose gains "
+                f"{part.model.method.label} does not follow: use MultipleShooting()."
             )
         q = part.model.locate(z)[0]
         weight = ca.MX.sym("W", len(part.outputs), len(part.outputs))
@@ -52,11 +52,11 @@ class RecordProgram(Program):
         return self._transcribed.start(self._part.segments.in_order(trajectory.states))
 
     def initial_parameters(self, z: Array, share: float) -> Array:
-        """Return weights for residuals of a `share` of each signal's spread, and the data at z (p,)."""
+        """Return weights for residuals of a `share` of the spread, and the data at z (p,)."""
         return self._joined(self._part.initial_weight(share), self._part.place(z).data)
 
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return the cost of the residuals, the weights and data that follow, and whether the data stayed."""
+        """Return the cost, the weights and data that follow, and whether the data stayed."""
         covariance = self._part.covariance
         products = self._products(z, unknowns, w).full()
         following = self._joined(covariance.weight(products), self._part.place(z).data)

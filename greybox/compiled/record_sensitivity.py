@@ -1,4 +1,4 @@
-"""How the weighted residuals of a record follow the parameters, with the initial states fitted along."""
+"""Derivatives of the weighted residuals by the parameters, with the initial states fitted too."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from greybox.compiled.condensing import forget_long_chain, solve_in_outputs
+from greybox.compiled.condensing import solve_in_outputs
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_linearization import filter_information
 from greybox.compiled.sampled_data import SampledData
@@ -55,7 +55,6 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     curvature = linearization.node_hessian.diagonal(axis1=1, axis2=2)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
     del linearization, curvature  # of a long record, a tenth of what fits into memory
-    forget_long_chain(data.segments)
     known = part.model.known_states
     if known.any():
         by_nodes[np.ix_(data.begins_record, known)] = placed.initial_slope[known] @ placed.slope
@@ -100,10 +99,10 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
 
 
 def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
-    """Return how the nodes (s, n, m) move in the m directions of the initial states of every stretch.
+    """Return how the nodes (s, n, m) follow the m directions of the stretches' initial states.
 
     The directions are those of unit variance, for white errors and known parameters. The covariance
-    K⁻¹ of the nodes of a stretch has the rank of its initial states, so that a few columns X = K⁻¹ R
+    K⁻¹ of the nodes of a stretch has the rank of its initial states. A few columns X = K⁻¹ R
     determine it: it is X (Rᵀ X)⁻¹ Xᵀ. That holds for unstable models too, whose nodes do not follow
     from the first one.
     """
@@ -113,15 +112,7 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
     given = np.ix_(data.begins_record, part.model.known_states)
     R = np.random.default_rng(0).normal(size=(s, n, n))
     R[given] = 0
-    columns = 1 + b.cross_hessian.shape[2]  # as in `condense`, whose solver is then used again
-    padded = np.pad(R, ((0, 0), (0, 0), (0, -n % columns)))
-    X = np.concatenate(
-        [
-            solve_in_outputs(b, data.coupled, block, np.zeros_like(block), np.zeros(n))[0]
-            for block in np.split(padded, -(-n // columns), axis=2)
-        ],
-        axis=2,
-    )[:, :, :n]
+    X, _ = solve_in_outputs(b, data.coupled, R, np.zeros_like(R), np.zeros(n))
     X[given] = 0
 
     directions = np.zeros_like(X)
@@ -135,7 +126,7 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
 
 
 def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Array) -> Array:
-    """Return how the residuals of the longest stretch follow (k, n, samples) after unit jumps of the states.
+    """Return the residuals (k, n, samples) of the longest stretch after unit jumps of the states.
 
     From the `directions` (s, n, m) of the initial states and what follows from these, WᵀW dy (k, m,
     samples). States whose jumps no output shows are left out, and those after which the outputs
@@ -157,7 +148,7 @@ def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Arr
             for row in response:
                 row[:] = np.interp(samples, samples[present], row[present])
     power = (shocks**2).sum(axis=0)
-    # The power of the last quarter over that of the whole is 2.3 for two integrators, and 3.8 for an
-    # unstable mode over three time constants.
+    # The power of the last quarter over that of the whole is 2.3 for two integrators, and 3.8 for
+    # an unstable mode over three time constants.
     last = power[:, 3 * len(samples) // 4 :].mean(axis=1)
     return shocks[:, last < 2.5 * power.mean(axis=1)]

@@ -1,4 +1,4 @@
-"""The covariance of the residuals in time: given, or estimated with the parameters by maximum likelihood."""
+"""The covariance of the residuals in time: given, or estimated by maximum likelihood."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,9 @@ ROUNDING = 1e-9
 
 
 def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
-    """Check that the measured outputs (k, samples) are independent, so that a full covariance can be inverted.
+    """Check that the measured outputs (k, samples) are independent.
+
+    Otherwise their full covariance cannot be inverted.
 
     Raises
     ------
@@ -40,14 +42,16 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
     names = [outputs[k] for k in moving[share > 1e-3 * share.max()]]
     raise ValueError(
         f"{listed(names)} are exactly dependent in the record, one following from the other"
-        f"{'s' if len(names) > 2 else ''}, so that their full covariance is singular: use noise='diagonal', or leave "
-        "one of them out."
+        f"{'s' if len(names) > 2 else ''}, so that their full covariance is singular: "
+        "use noise='diagonal', or leave one of them out."
     )
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualCovariance:
-    """The covariance that turns residual products (..., k, k), sums over `counts` (..., k) samples, into a cost.
+    """The covariance that turns sums of residual products (..., k, k) into a cost.
+
+    The sums run over `counts` (..., k) samples.
 
     Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood
     of normal errors. With an estimated covariance it is that of the concentrated likelihood, n/2
@@ -113,7 +117,7 @@ def of_diagonal(matrices: Array) -> Array:
 def residual_covariance_of(
     criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
 ) -> ResidualCovariance:
-    """Return the residual covariance by the criterion's option, for compared outputs (k, samples)."""
+    """Return the residual covariance that the criterion asks for; measured outputs (k, samples)."""
     known = None
     if isinstance(criterion.noise, Mapping):
         known = np.array([float(criterion.noise[name]) for name in outputs])
@@ -121,7 +125,7 @@ def residual_covariance_of(
 
 
 def _counts_and_spread(measured: Array) -> tuple[IntArray, Array]:
-    """Return the number of measured values and the standard deviation of each output (k, samples)."""
+    """Return the number of values and the standard deviation of each output (k, samples)."""
     present = np.isfinite(measured)
     rows = [row[finite] for row, finite in zip(measured, present, strict=True)]
     # The scale of a constant output is its size.

@@ -26,7 +26,7 @@ LARGE = 300_000
 
 
 class Mapped(NamedTuple):
-    """One response: its formula (p, omega) -> (real and imaginary part), and the frequencies (n,) in rad/s."""
+    """One response: (p, omega) -> (real, imaginary part), and the frequencies (n,) in rad/s."""
 
     formula: ca.Function
     omega: Array
@@ -39,7 +39,7 @@ class Mapped(NamedTuple):
         )
 
     def function(self) -> ca.Function:
-        """Return the CasADi function from the parameters to real and imaginary part (n,), with its Jacobian."""
+        """Return parameters -> real and imaginary part (n,), with its Jacobian."""
         p = ca.MX.sym("p", self.formula.numel_in(0))
         rows = _rows(self.formula)
         jacobian = ca.Function(
@@ -65,11 +65,12 @@ def lagrangian_hessian(
     z: ca.SX,
     limits: ca.SX,
 ) -> ca.Function:
-    """Return the Hessian of a weighted sum of costs and constraints, as the option ``hess_lag`` of `casadi.nlpsol`.
+    """Return the Hessian of weighted costs and constraints, as option `hess_lag` of `nlpsol`.
 
     Parameters
     ----------
-    parts : sequence of (response, its parameters as functions of z, its cost from response and smoothing, weight)
+    parts : sequence of (response, local, cost, weight)
+        `local` are its parameters as functions of z; `cost` takes response and smoothing.
     z : (p,) symbols
     limits : (c,) expressions of z
         The constraints.
@@ -141,7 +142,10 @@ def _over(function: ca.Function, omega: Array) -> ca.Function:
 def _criterion_derivatives(
     cost: Callable[[Complex, Any], Any], size: int, columns: int
 ) -> tuple[ca.Function, Callable[[Any, Any, Any], Any]]:
-    """Return (r, smoothing) -> φ' and (r, smoothing, X) -> φ'' X, for alternating real and imaginary parts (2 size,)."""
+    """Return (r, smoothing) -> φ' and (r, smoothing, X) -> φ'' X.
+
+    Real and imaginary parts alternate in r (2 size,).
+    """
     r, smoothing = ca.SX.sym("r", 2 * size), ca.SX.sym("smoothing")
     value = ca.SX(cost(Complex(r[0::2], r[1::2]), smoothing))
     gradient = ca.densify(ca.gradient(value, r))

@@ -1,4 +1,4 @@
-"""A frequency response with its model, compiled: its cost with exact derivatives, and its real residuals."""
+"""A frequency response with its model: cost, exact derivatives, and real residuals."""
 
 import math
 from typing import Any
@@ -95,7 +95,7 @@ class ResponsePart(Part):
         return ca.Function("slope", [x], [ca.jacobian(self.model_response(x), x)])
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
-        """Return the ratio of the squared residuals to the given variances; without variances their mean."""
+        """Return the squared residuals over the given variances, or else their mean."""
         re, im = np.asarray(self.scaled_response(trajectory.z)).reshape(2, -1)
         return self.criterion.noise_ratio(re + 1j * im, self.data)
 
@@ -127,7 +127,7 @@ class ResponsePart(Part):
         return gradient.ravel(), (vectors * np.abs(values)) @ vectors.T
 
     def signature(self, trajectory: Trajectory) -> Array:
-        """Return real and imaginary parts of the model's response over the magnitude of the measured one, (2 n,)."""
+        """Return the model's response over the measured magnitude: real, imaginary parts (2 n,)."""
         return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(self.magnitude, 2)
 
     # --- for IPOPT and for the covariance of the estimate
@@ -144,7 +144,7 @@ class ResponsePart(Part):
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
-        """Return the information of the response on the values (k,): Jacobian and spread of its criterion."""
+        """Return the information on the values (k,): Jacobian and spread of the criterion."""
         criterion, data = self.criterion, self.data
         response = self.response(values)
         jacobian = criterion.jacobian(response, self.sensitivity(values), data)
@@ -211,7 +211,7 @@ class ResponsePart(Part):
     def neighbors(
         self, values: Array, root: Array, correction: float
     ) -> NeighborCorrelation | None:
-        """Return the correlation of the errors of neighboring points at all values (k,); None if independent.
+        """Return the correlation of neighboring errors at all values (k,); None if independent.
 
         The fit has removed errors along the columns of `root` (p, r), directions of the first
         values. `correction` scales the noise for the number of estimated parameters.

@@ -1,4 +1,4 @@
-"""The frequency responses of a problem as programs for a solver: cost and constraints at its variables.
+"""The frequency responses of a problem as programs: cost and constraints for a solver.
 
 Responses exist in one of three forms. Most are one SX expression. Large ones are a formula of one
 frequency, mapped over all (`response_map`); the operating point of some is found by Newton's method
@@ -197,7 +197,10 @@ def response_options(part: Problem) -> dict[str, Any]:
 
 
 def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
-    """Return the responses as formulas of one frequency if together they are large and all have one; else none."""
+    """Return the responses as formulas of one frequency if they are large; else none.
+
+    All must have such a formula.
+    """
     size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
     # Formulas have fewer than 300 instructions a frequency: others need not be built to know.
     if 300 * size < LARGE or any(part.amplitude is not None for part in parts):
@@ -263,11 +266,11 @@ def _weighted(parts: Sequence[Problem], costs: Sequence[Any]) -> Any:
 
 
 def solver_weights(parts: Sequence[Problem]) -> list[float]:
-    """Return the weights of responses in what the solver minimizes, so small that its tolerance can be reached.
+    """Return the weights of responses, so small that the solver's tolerance can be reached.
 
-    A model is rounded relative to its magnitude M. Where errors have a known size σ, the gradient of
-    the cost is rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds the tolerance
-    of the solver, 1e-8.
+    A model is rounded relative to its magnitude M. Where errors have a known size σ, the gradient
+    of the cost is rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds the
+    tolerance of the solver, 1e-8.
     """
     precision = 0.0
     for part in parts:

@@ -1,4 +1,4 @@
-"""The steady Kalman filter of a record with estimated process noise: its gain and the derivatives of that.
+"""The steady Kalman filter of a record with estimated process noise: its gain and derivatives.
 
 The model is x[k+1] = F x[k] + w, y = C x + v, with w of the covariance Q that noise on the
 derivatives of some states makes over a sample, and v of that of the sensors, V. The prediction
@@ -21,7 +21,7 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 
 @np.errstate(over="ignore", invalid="ignore")
 def steady_covariance(F: Any, C: Any, process: Any) -> Any:
-    """Return the covariance P (..., n, n) of the predicted states of steady Kalman filters; NaN without one.
+    """Return the covariance P (..., n, n) of states predicted by steady filters; NaN without one.
 
     `process` (..., n, n) is the covariance of the process noise; the sensors have unit variances.
     Leading axes are filters. By the structure-preserving doubling algorithm, which needs as many
@@ -56,7 +56,9 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
 
 
 def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
-    """Return the gain (n, k) of the steady Kalman filter for process noise of variances (n,); NaN without one.
+    """Return the gain (n, k) of the steady filter for process noise of variances (n,).
+
+    NaN if there is no steady filter.
 
     The sensors have unit variances.
     """
@@ -127,7 +129,7 @@ class NoiseModel:
         return SteadyFilter(K[0].real, slopes[0], S[0].real, slopes[1])
 
     def _filters(self, F: Any, half: Any, C: Any, q: Any) -> tuple[Any, Any]:
-        """Return the gains (m, n, k) and covariances of the prediction errors (m, k, k) of m filters."""
+        """Return the gains (m, n, k) and prediction error covariances (m, k, k) of m filters."""
         n, k = F.shape[-1], C.shape[-2]
         K = np.zeros((len(q), n, k), dtype=complex)
         V = diagonal(q[:, self.deviations] ** 2)
@@ -151,7 +153,7 @@ class NoiseModel:
         return K, S
 
     def _linearization(self, q: Array) -> list[tuple[Array, Array]]:
-        """Return matrices and their derivatives (1 + free, rows, columns), the first of which is zero."""
+        """Return matrices and their derivatives (1 + free, rows, columns), the first zero."""
         values = [np.asarray(value, dtype=float) for value in self.linear.call([ca.DM(q)])]
         result = []
         for M, slope in zip(values[:3], values[3:], strict=True):
@@ -169,10 +171,10 @@ def noise_model(
     driven: Sequence[str],
     outputs: Sequence[str],
 ) -> NoiseModel:
-    """Compile the linearization of a `sample` of `step` s about a `reference`, its state and its data.
+    """Compile the linearization of a `sample` of `step` s about a `reference` (state, data).
 
-    `names` are those of the parameters q, where the `active` ones are estimated; gains among them are
-    zero here.
+    `names` are those of the parameters q, where the `active` ones are estimated; gains among them
+    are zero here.
     """
     x, q, d = sample.symbols()
     end, _, y = sample.function(x, q, d)
@@ -200,7 +202,7 @@ def noise_model(
 
 
 def reached(F: Array, states: IntArray) -> BoolArray:
-    """Return which states (n,) depend on the given ones, directly or through others, by a transition F (n, n)."""
+    """Return which states (n,) a transition F (n, n) makes depend on the given ones."""
     dependent = np.zeros(len(F), dtype=bool)
     dependent[states] = True
     for _ in range(len(F)):

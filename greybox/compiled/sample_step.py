@@ -1,4 +1,4 @@
-"""What happens at one sample of a record: delayed inputs, residuals, innovations, and the step to the next sample.
+"""One sample of a record: delayed inputs, residuals, innovations, and the step to the next.
 
 This is the one function that simulation, linearization, transcription and prediction share;
 `SampleStep.folded` repeats it over samples for CasADi, `SampleStep.simulate` and
@@ -20,7 +20,8 @@ from greybox.modeling.integrators import Integrator, step_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
-RUN = 100  # samples of one call: the call's overhead of 12 µs is then a tenth of a microsecond a sample
+# Samples of one call: of its overhead of 12 µs a sample bears a tenth of a microsecond.
+RUN = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +54,7 @@ class SampleStep:
 
     @cached_property
     def evaluated(self) -> dict[Any, Columns]:
-        """Return the functions of many columns by their key, built once for all segments with this step."""
+        """Functions of many columns by their key, shared by all segments with this step."""
         return {}
 
     @cached_property
@@ -62,7 +63,7 @@ class SampleStep:
 
     @one_thread_at_a_time
     def folded(self, samples: int) -> ca.Function:
-        """Return (x, q, D) -> x after each of so many samples (n, samples) and their residuals (k, samples)."""
+        """Return (x, q, D) -> states (n, samples) after each sample, residuals (k, samples)."""
         if samples not in self._folds:
             one: Any = self.function
             if one.is_a("SXFunction"):  # without the outputs, and what they alone need
@@ -75,7 +76,10 @@ class SampleStep:
         return self._folds[samples]
 
     def simulate(self, x: Array, q: Array, data: Array) -> tuple[Array, Array]:
-        """Return the states (m + 1, n) and residuals (m, k) of m samples from a first state (n,); data (m, width)."""
+        """Return the states (m + 1, n) and residuals (m, k) of m samples.
+
+        They begin at a state (n,); data (m, width).
+        """
         m = len(data)
         q = np.ascontiguousarray(q, dtype=float)
         size = -(-m // RUN) * RUN
@@ -109,7 +113,7 @@ def sample_step(
     integrator: Integrator,
     substeps: int,
 ) -> SampleStep:
-    """Compile one sample of the declared parameters `names`: the model's first, then the criterion's.
+    """Compile one sample of the parameters `names`: the model's, then the criterion's.
 
     `held` (m,) says which inputs keep their values until the next sample; the others are
     interpolated.
@@ -131,7 +135,7 @@ def _measurement(
     outputs: tuple[str, ...],
     names: tuple[str, ...],
 ) -> ca.Function:
-    """Return what a sample knows before the step: inputs with delay and bias, residuals, corrected states."""
+    """Return the quantities before the step: delayed inputs, residuals, corrected states."""
     n, m, k = len(system.states), len(system.inputs), len(outputs)
     x, q = ca.SX.sym("x", n), ca.SX.sym("q", len(names))
     whole, window = ca.SX.sym("whole", m), ca.SX.sym("window", 3 * m)

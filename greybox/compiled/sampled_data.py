@@ -2,9 +2,9 @@
 
 Every sample carries its input over the coming step as three neighboring samples (windows) of the
 measured input, from which `input_over_step` makes mean and slope of the delayed input: polynomials
-of the fraction of the delay. For interpolated inputs the cost is so continuously differentiable in an
-estimated delay. For held inputs it is between whole samples; where a held input reaches an output
-directly, the sampled output jumps at whole samples, and so does the cost.
+of the fraction of the delay. For interpolated inputs the cost is so continuously differentiable in
+an estimated delay. For held inputs it is between whole samples; where a held input reaches an
+output directly, the sampled output jumps at whole samples, and so does the cost.
 """
 
 import math
@@ -20,20 +20,20 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
-# Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest to
-# its own place.
+# Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest
+# to its own place.
 JITTER = 0.25
 
-# Share of a step by which a delay may exceed whole samples and count as these: the steps of a log are
-# known no better.
+# Share of a step by which a delay may exceed whole samples and count as these: the steps of a log
+# are known no better.
 WHOLE = 1e-3
 
 # Steps between two samples from which one is missing between them, which ends a stretch; halfway
 # between one and two.
 MISSING = 1.5
 
-# Samples of a stretch, at least, for a model with states: with two, an initial state and a slope fit
-# anything.
+# Samples of a stretch, at least, for a model with states: with two, an initial state and a slope
+# fit anything.
 SHORTEST = 3
 
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest
@@ -43,7 +43,9 @@ REST = 5
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Uniform samples without a gap: inputs (m, n), outputs (k, n) with NaN where missing, step in s.
+    """Uniform samples without a gap, `step` s apart.
+
+    Inputs (m, n); outputs (k, n), NaN where missing.
 
     `rows` (n,) are the indices of its samples in the record. The first `masked` samples are not
     compared: inputs from before the stretch reach them. In a record without a time all rows that
@@ -62,11 +64,11 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class SampledData:
-    """All stretches of a record, samples one after the other, in segments of `segment_length` samples.
+    """All stretches of a record, one after the other, in segments of `segment_length` samples.
 
     The last segment of a stretch is filled up with samples without outputs. `masked` samples of the
-    record with a measured output are not compared, see `Stretch`; `constant_inputs` is True if no input
-    ever changes.
+    record with a measured output are not compared, see `Stretch`; `constant_inputs` is True if no
+    input ever changes.
     """
 
     stretches: tuple[Stretch, ...]
@@ -109,7 +111,7 @@ class SampledData:
         return np.concatenate([np.arange(count) < count - 1 for count in self.segment_counts])
 
     def excerpts(self, samples: int, pieces: int = 5) -> "SampledData":
-        """Return excerpts of about so many samples in all, evenly over the stretches; all where they are few."""
+        """Return evenly spaced excerpts of about so many samples in all; all data if few."""
         total = sum(len(stretch) for stretch in self.stretches)
         if total <= samples:
             return self
@@ -159,7 +161,7 @@ class SampledData:
 
     @property
     def measured_rows(self) -> Array:
-        """Measured outputs, zero where missing; one where they are present; and the step of every sample."""
+        """Measured outputs (zero if missing), whether they are present, and the steps."""
         measured = self.measured
         return np.vstack([np.nan_to_num(measured), np.isfinite(measured), self.steps])
 
@@ -168,7 +170,7 @@ class SampledData:
         return np.broadcast_to(delays.T, (len(self.stretches), len(delays)))
 
     def delayed_inputs(self, delays: Array) -> tuple[Array, Array]:
-        """Return the whole samples of the delays (m, samples), and the inputs around them (3 m, samples).
+        """Return the whole samples of delays (m, samples), and inputs around them (3 m, samples).
 
         Before its first sample an input is taken to have had that value, after its last one to keep
         it. The delays are those of all stretches, (m,), or of every one of them, (m, stretches).
@@ -216,8 +218,8 @@ def sampled_data(
     empty = [name for name in inputs if not np.isfinite(record[name]).any()]
     if empty or not any(np.isfinite(record[name]).any() for name in outputs):
         raise ValueError(
-            f"{_called(record)} has no measured value of {empty[0] if empty else ', '.join(outputs)}: "
-            "every sample is missing."
+            f"{_called(record)} has no measured value of "
+            f"{empty[0] if empty else ', '.join(outputs)}: every sample is missing."
         )
     shortest = 1 if static else SHORTEST
     stretches = gapless(
@@ -240,20 +242,23 @@ def sampled_data(
     if not usable and static:
         what = "sample" if record.has_time else "row"
         raise ValueError(
-            f"{_called(record)} has no {what} with all inputs and an output ({names}; {listed(outputs)})."
+            f"{_called(record)} has no {what} with all inputs and an output "
+            f"({names}; {listed(outputs)})."
         )
     if not usable:
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         delay = float(np.max(lead, initial=0.0))
         reason = f" and the longest delay in the bounds is {delay:.3g} s" if delay else ""
         raise ValueError(
-            f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs lasts "
-            f"{longest:.3g} s{reason}; give a longer record{' or a smaller upper bound' if delay else ''}."
+            f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs "
+            f"lasts {longest:.3g} s{reason}; give a longer record"
+            f"{' or a smaller upper bound' if delay else ''}."
         )
     constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
     if constant_outputs and len(constant_outputs) == len(outputs):
         raise ValueError(
-            f"the outputs of the record never change ({', '.join(outputs)}): nothing can be estimated from it."
+            f"the outputs of the record never change ({', '.join(outputs)}): "
+            "nothing can be estimated from it."
         )
     dead = [name for name in constant_outputs if not np.isnan(record[name]).all()]
     if dead:  # its residuals would decide the fit
@@ -275,15 +280,15 @@ def gapless(
     complete: bool = False,
     shortest: int = 2,
 ) -> list[Stretch]:
-    """Return the stretches of a record in which all inputs are present, without the first, unexplained outputs.
+    """Return the stretches of a record with all inputs, without outputs that lack their past.
 
     Stretches of samples in time have at least the `shortest` samples; rows without a time are one
     stretch, whatever is between them.
 
-    The values of an input before a stretch are unknown, so the outputs of its first seconds are left
-    out, up to the longest delay that it may have, its entry of `lead` (m,). An input that rests, exactly
-    constant, over the first 5 samples and clearly longer than it holds its values later, is taken to
-    have rested before too.
+    The values of an input before a stretch are unknown, so the outputs of its first seconds are
+    left out, up to the longest delay that it may have, its entry of `lead` (m,). An input that
+    rests, exactly constant, over the first 5 samples and clearly longer than it holds its values
+    later, is taken to have rested before too.
 
     Raises
     ------
@@ -339,9 +344,9 @@ def _stretch(
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER:
         raise ValueError(
-            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps): resample first, "
-            "gb.prepare(..., rate=...); put a few irregular samples on a fine uniform time base, with NaN where "
-            "nothing was measured."
+            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps): resample "
+            "first, gb.prepare(..., rate=...); put a few irregular samples on a fine uniform time "
+            "base, with NaN where nothing was measured."
         )
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
     masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size)
@@ -351,24 +356,24 @@ def _stretch(
 
 
 def _rests(values: Array) -> bool:
-    """Tell whether an input rests at the beginning: constant for longer than it usually holds a later value."""
+    """Return whether an input rests at first: constant for longer than its later values."""
     if values.size < REST or not _is_constant(values[:REST]):
         return False
     runs = np.diff(np.flatnonzero(np.diff(values)), prepend=-1)
     # Commands at a lower rate, or of random length, are constant for some samples in the middle of
     # their movement too. An input that returns to its first value after at most three holds had
-    # rested there; for a single step nobody can tell. Otherwise the first hold must be twice as long
-    # as the median of the later ones.
+    # rested there; for a single step nobody can tell. Otherwise the first hold must be twice as
+    # long as the median of the later ones.
     few = runs.size < 2 or (runs.size <= 3 and values[0] == values[-1])
     return few or bool(runs[0] > 2 * sorted(runs[1:])[len(runs) // 2 - 1])
 
 
 def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, Any]:
-    """Return mean and change over the coming step, and the value at the sample, of inputs delayed by a fraction.
+    """Return mean and change of delayed inputs over the coming step, and the value at the sample.
 
     `window` (3,) holds the samples before, at and after the delayed sample; `fraction` of a step is
-    the excess of the delay over whole samples. Mean and change (the slope of the best line) match the
-    moments of the delayed input over the step.
+    the excess of the delay over whole samples. Mean and change (the slope of the best line) match
+    the moments of the delayed input over the step.
 
     The value at the sample is exact. A held input changes a fraction of a step later, so it is
     still the one before: no function of the fraction. The mean in its place would be

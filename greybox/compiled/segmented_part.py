@@ -1,4 +1,4 @@
-"""Records cut into segments: what one record and several that are evaluated together have in common."""
+"""Records cut into segments: what one record and a group of them have in common."""
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
@@ -134,12 +134,12 @@ class SegmentedPart(Part):
     # --- trajectories
 
     def initial_trajectory(self, z: Array) -> Trajectory:
-        """Return the trajectory at z (p,) with nodes from the data, see `greybox.compiled.initial_states`."""
+        """Return the trajectory at z (p,) with nodes from the data, see `initial_states`."""
         placed = self.place(z)
         return self._segmented(z, self.initial_nodes(placed), placed)
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
-        """Return the trajectory at z (p,) from nodes (s, n); `simulated` only from the first of every stretch."""
+        """Return the trajectory at z (p,) from nodes (s, n), or `simulated` from the first ones."""
         placed = self.place(z)
         make = self._simulated if simulated else self._segmented
         return make(z, nodes, placed)
@@ -167,7 +167,7 @@ class SegmentedPart(Part):
         return by_record[0] if self.segments.number == 1 else by_record
 
     def residuals(self, trajectory: Trajectory) -> Array:
-        """Return measured less simulated outputs (k, samples) in the order of the samples, zero where missing."""
+        """Return the residuals (k, samples) in the order of the samples, zero if missing."""
         placed: Placed = trajectory.detail
         residuals = self.segments.residuals(trajectory.states, placed.q, placed.data)
         return self.segments.in_order(residuals)
@@ -179,12 +179,12 @@ class SegmentedPart(Part):
         return self.segments.in_order(outputs)
 
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
-        """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
+        """Return whether the rms residual of every output is below `factor` times its spread."""
         limit = self.covariance.counts * (factor * self.covariance.spread) ** 2
         return bool(np.all(of_diagonal(trajectory.products) <= limit))
 
     def explains_data(self, trajectory: Trajectory) -> bool:
-        """Return whether the residuals of every output are white; rows without a time have no order."""
+        """Return whether all residuals are white; rows without a time have no order."""
         if not self.model.has_time:
             return False
         residuals = self.data.unpadded(self.residuals(trajectory))
@@ -197,7 +197,7 @@ class SegmentedPart(Part):
         return all(test.p_value > 0.01 / len(self.outputs) for test in tests)
 
     def signature(self, trajectory: Trajectory) -> Array:
-        """Return up to some 500 samples of every simulated output, in units of the signal's spread."""
+        """Return up to some 500 samples of every simulated output, in units of its spread."""
         placed: Placed = trajectory.detail
         outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
         spread = np.atleast_2d(self.covariance.spread)[self.segments.records].T
@@ -216,14 +216,14 @@ class SegmentedPart(Part):
         return float(np.sum((weight @ trajectory.products) * weight)) / 2
 
     def covariance_along(self, trajectory: Trajectory) -> ResidualCovariance:
-        """Return the residual covariance, that of the steady filter along the trajectory, if any."""
+        """Return the residual covariance, or that of the steady filter."""
         steady = trajectory.detail.filter
         if steady is None:
             return self.covariance
         return replace(self.covariance, predicted=steady.covariance)
 
     def residual_weight(self, trajectory: Trajectory) -> Array:
-        """Return W (k, k), where WᵀW is the inverse of the residual covariance along a trajectory."""
+        """Return W (k, k), where WᵀW is the inverse residual covariance of a trajectory."""
         return self.covariance_along(trajectory).weight(trajectory.products)
 
     def initial_weight(self, share: float) -> Array:
@@ -251,7 +251,7 @@ class SegmentedPart(Part):
         return int(self.covariance.counts.max())
 
     def continuity_variance(self, linearization: Linearization, spread: float) -> Array:
-        """Return variances (n,) of the jumps of states that change the outputs of a segment by `spread`."""
+        """Return the variances (n,) of state jumps that change a segment's outputs by `spread`."""
         samples = self.data.segment_length * len(self.outputs)
         return continuity_variance(linearization, spread, samples)
 

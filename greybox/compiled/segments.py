@@ -1,4 +1,4 @@
-"""All segments of a record, evaluated at once: simulated from their nodes, and linearized along the simulation.
+"""All segments of a record at once: simulated from their nodes, and linearized.
 
 The data are cut into segments of equal length; the state at the beginning of each, its node, is an
 unknown, and continuity from one to the next a constraint (Bock 1983, Recent advances in parameter
@@ -29,7 +29,7 @@ BATCH = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """Linearization of r records at their s nodes (n,) and q active parameters, of weighted residuals e.
+    """Linearization of r records: s nodes (n,), q active parameters, weighted residuals e.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Segments:
 
     @cached_property
     def _derivatives(self) -> Columns:
-        """Return derivatives of the next state and of the residual by x and active parameters, and the residual."""
+        """Return derivatives of next state and residual by x and parameters, and the residual."""
 
         def results(x: Any, q: Any, d: Any) -> list[Any]:
             end, e, _ = self._step.function(x, q, d)
@@ -111,7 +111,7 @@ class Segments:
 
     @cached_property
     def _output_derivatives(self) -> Columns:
-        """Return derivatives of the next state and of the simulated output by x and active parameters."""
+        """Return derivatives of next state and simulated output by x and active parameters."""
 
         def results(x: Any, q: Any, d: Any) -> list[Any]:
             end, _, y = self._step.function(x, q, d)
@@ -133,7 +133,7 @@ class Segments:
 
     @one_thread_at_a_time
     def _columns(self, name: str, results: Callable[[Any, Any, Any], list[Any]]) -> Columns:
-        """Return the function of x, q and d with these results, the same for all segments with this step."""
+        """Return a function of x, q and d, the same for all segments with this step."""
         key = (name, tuple(self.active.tolist()), self._own)
         evaluated = self._step.evaluated
         if key not in evaluated:
@@ -195,7 +195,7 @@ class Segments:
     # --- simulation
 
     def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
-        """Return the states at all samples (n, columns), and at the ends of the segments (s, n), from nodes (s, n)."""
+        """Return the states (n, columns) at all samples, and the ends (s, n), from nodes (s, n)."""
         # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
         # 0.9 µs: few long segments are simulated one after the other.
         if self.n and self.length > 10 * self.count:
@@ -247,14 +247,14 @@ class Segments:
         return self._evaluate(self._output, states, q, data)[0]
 
     def products(self, residuals: Array) -> Array:
-        """Return the sums of the products of the residuals (k, columns) of two outputs for every record, (r, k, k)."""
+        """Return the residual products (r, k, k) of every record; residuals are (k, columns)."""
         if self.number == 1:
             return (residuals @ residuals.T)[None]
         by_segment = self.by_segment(residuals)
         return self.by_record(by_segment.transpose(0, 2, 1) @ by_segment)
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
-        """Return the sums of values (c, ...) of the segments of a batch over those of every record, (r, ...)."""
+        """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
         if self.number == 1:
             return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
@@ -271,7 +271,9 @@ class Segments:
     # --- linearization
 
     def linearize(self, states: Array, q: Array, weight: Array, data: Array) -> Linearization:
-        """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance.
+        """Linearize along the states, the residuals multiplied by `weight`.
+
+        The weight is a square root of the inverse covariance.
 
         It is one (k, k) for all segments, or one for every record (r, k, k).
         """
@@ -317,7 +319,7 @@ class Segments:
     def sensitivities(
         self, states: Array, q: Array, data: Array, batch: slice
     ) -> tuple[Array, Array, Array]:
-        """Return derivatives of the ends (n, v, c) and residuals (length, k, v, c), and the residuals (length, k, c).
+        """Return derivatives of ends (n, v, c) and residuals (length, k, v, c), and the residuals.
 
         Of the c segments of a `batch`, by node and active parameters. The next call overwrites the
         second array. A second call for all segments with the same arrays returns the last result.
@@ -343,7 +345,7 @@ class Segments:
         return result
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
-        """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not.
+        """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
 
         Not finite from where the simulation is not.
         """
@@ -361,8 +363,8 @@ class Segments:
         """Return the results of `_output_derivatives` for some columns, by central differences.
 
         Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity,
-        though the step is smooth there. The relative step, the cube root of the machine's precision,
-        has as much truncation as rounding.
+        though the step is smooth there. The relative step, the cube root of the machine's
+        precision, has as much truncation as rounding.
         """
         relative_step = float(np.finfo(float).eps) ** (1 / 3)
         size = np.max(np.abs(states), axis=1, initial=0.0, where=np.isfinite(states))
@@ -388,7 +390,9 @@ class Segments:
         return A, C
 
     def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
-        """Carry the derivatives of every sample through the segments: of ends (n, v, count), of rows (length, k, v, c).
+        """Carry the derivatives of every sample through the segments.
+
+        Returns those of ends (n, v, count) and rows (length, k, v, count).
 
         A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks
         matrices, column by column. Segments come last: products of small matrices one after the
@@ -409,7 +413,7 @@ class Segments:
         return S, J
 
     def _workspace(self, count: int) -> Array:
-        """Return an array for the derivatives of so many segments, the same as the last time for as many.
+        """Return an array for the derivatives of so many segments, the previous one if it fits.
 
         New memory at every iteration costs more than the arithmetic in it: the system zeroes its
         pages each time.
@@ -419,7 +423,7 @@ class Segments:
         return self._array
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
-        """Return the mean derivatives of the next state (n, n) and of the outputs (k, n) by the state."""
+        """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(states.shape[1] // 500, 1))
         A, C, _ = _finite(self._derivatives(states[:, sample], q, data[:, sample]))
@@ -439,7 +443,7 @@ def _of(q: Array, segment: int) -> Array:
 
 
 def _finite(values: list[Array]) -> list[Array]:
-    """Return derivatives with zeros where they are not finite, as 0 · inf of a guarded root, sqrt(max(h, 0))."""
+    """Return derivatives with zeros for non-finite ones, as 0 · inf of sqrt(max(h, 0))."""
     return [
         v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0)
         for v in values

@@ -35,7 +35,7 @@ def substeps_and_segment(
     samples: tuple[Array, Array],
     known_initial: Callable[[Array], Array],
 ) -> tuple[int, int]:
-    """Return the substeps per sample and samples per segment of the method, or those that the model needs.
+    """Return the substeps per sample and samples per segment: of the method, or as needed.
 
     The poles along the data need the upper quartile of the substeps over the draws, and no less
     than the declared parameters need.
@@ -73,7 +73,7 @@ def substeps_and_segment(
 
 
 def drawn_parameters(problem: Problem) -> Array:
-    """Return vectors of all declared parameters, the model's first: at the starts, then drawn from the start boxes."""
+    """Return vectors of all declared parameters: at the starts, then drawn from the boxes."""
     random = np.random.default_rng(0)
     drawn = []
     for k in range(DRAWS):

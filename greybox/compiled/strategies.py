@@ -24,26 +24,27 @@ class Strategies:
     Without it 5 of 156 runs fewer end at the best minimum (tanks, conversion, reactor).
     """
     screened_starts: bool = True
-    """Of the default starts only the promising ones are run, from where prediction errors over short segments lead.
+    """Only promising default starts are run, from where short-segment prediction errors lead.
 
-    Of 17 fits from the default starts ten take 1.5 to 8 times as long without it, and four of NIST's regressions more
-    than 40 s; MGH17 takes half as long.
+    Of 17 fits from the default starts ten take 1.5 to 8 times as long without it, and four of
+    NIST's regressions more than 40 s; MGH17 takes half as long.
     """
     scanned_initial_states: bool = True
-    """Sizes over many decades are tried for unmeasured states where the model is not finite at zero.
+    """Sizes over many decades are tried for unmeasured states if zero makes a model not finite.
 
     Without it the two models of tanks are never found (8 of 12 runs with it).
     """
     stretches_first: bool = True
     """A long record is first solved on a few stretches spread over it.
 
-    At 25 000 samples it gains nothing yet; a first pass over 600 000 costs a sixtieth of one over them all.
+    At 25 000 samples it gains nothing yet; of 600 000 a first pass takes a sixtieth.
     """
     shared_runs: bool = True
-    """All but the first of many starts are solved on excerpts; those that meet there continue as one.
+    """All but the first of many starts are solved on excerpts; those that meet there merge.
 
-    20 starts on 6000 samples take a third of their time. Of 180 runs on 15 problems, most of them far below
-    `short_record`, 124 end at the best minimum with it and 106 without (`benchmarks/shared_runs.py`).
+    20 starts on 6000 samples take a third of their time. Of 180 runs on 15 problems, most of them
+    far below `short_record`, 124 end at the best minimum with it and 106 without
+    (`benchmarks/shared_runs.py`).
     """
 
     # --- within an iteration
@@ -54,14 +55,14 @@ class Strategies:
     The overflow is found only with it; elsewhere as many runs are won as lost.
     """
     continuity_homotopy: bool = True
-    """Continuity is a quadratic penalty first, whose weight grows in stages until it is an exact constraint.
+    """Continuity is a quadratic penalty, whose weight grows until it is an exact constraint.
 
     70 % of runs end at the best minimum with it, 62 % without; Lorenz 6 of 6 instead of none.
     """
     damped_parameters: bool = True
     """Levenberg-Marquardt damping of the parameters.
 
-    Without it the predictors of the tilt plant are never found. (Bennett5 would be: 4 of 6 instead of none.)
+    Without it the predictors of the tilt plant are never found. Bennett5 would be: 4 of 6.
     """
     damped_states: bool = True
     """Levenberg-Marquardt damping of the node states besides that of the parameters.
@@ -69,9 +70,10 @@ class Strategies:
     Without it six runs fewer succeed on chain, tanks and thrust, with 17 % more iterations.
     """
     second_order_correction: bool = True
-    """Gaps that curvature leaves after a step are closed before the step is judged (Maratos effect).
+    """Gaps left by curvature are closed before a step is judged (Maratos effect).
 
-    Mixed: tanks, stiff and guarded tanks lose 4 runs without it, the tanh chain is solved without it.
+    Mixed: tanks, stiff and guarded tanks lose 4 runs without it, the tanh chain is solved without
+    it.
     """
     held_discontinuous_delays: bool = True
     """Delays at which the cost jumps keep their values once they block the steps of all parameters.
@@ -99,16 +101,16 @@ class Strategies:
     stability_constraints: bool = True
     """Steps that would make a stable predictor unstable are constrained by its linearized poles.
 
-    It adds nothing on the benchmark. Where the likelihood grows toward the limit, runs crawl without it
-    (`tests/compiled/test_kalman_gain.py`).
+    It adds nothing on the benchmark. Where the likelihood grows toward the limit, runs crawl
+    without it (`tests/compiled/test_kalman_gain.py`).
     """
 
     # --- around the starts
 
     scaled_neighbors: bool = True
-    """The best end is left again with every parameter with a positive lower bound a factor smaller and larger.
+    """The best end is restarted with every positive parameter a factor smaller and larger.
 
-    The overflow with 12 starts is found only with it; it takes up to half the time of a fit with two starts.
+    The overflow with 12 starts is found only with it. It takes half the time of two starts.
     """
     simulated_neighbors: bool = True
     """Runs from the neighborhood of the best end begin with a simulation from its initial states.
@@ -123,10 +125,10 @@ class Strategies:
     polished_minimum: bool = True
     """Undamped steps polish the best minimum beyond the tolerance of a run.
 
-    It adds digits, not success: of NIST's 27 regressions nine or more are right instead of four to eight.
+    It adds digits: of NIST's 27 regressions nine or more are right instead of four to eight.
     """
     refined_substeps: bool = True
-    """Substeps are refined, and the best minima followed, until that shifts the estimate negligibly.
+    """Substeps are refined, and the best minima followed, until the estimate hardly shifts.
 
     One of eleven problems, the swing, is biased without it.
     """
@@ -136,7 +138,8 @@ class Strategies:
     max_iterations: int = 100
     """Iterations of a run.
 
-    With 10 of them 48 % of runs end at the best minimum instead of 72 %; with 1000 it is 81 %, in three times the time.
+    With 10 of them 48 % of runs end at the best minimum instead of 72 %; with 1000 it is 81 %, in
+    three times the time.
     """
     tolerance: float = 1e-8
     """Of half the squared length of a step in standard errors, and of the decrease of the cost."""
@@ -162,8 +165,8 @@ def with_options(settings: Strategies, options: Mapping[str, Any]) -> Strategies
     for name, value in options.items():
         if name not in names:
             raise ValueError(
-                f"solver_options {name!r} is not an option of the Gauss-Newton solver: give max_iter "
-                "or tol, or solve by IPOPT, method=MultipleShooting(ipopt=True)."
+                f"solver_options {name!r} is not an option of the Gauss-Newton solver: give "
+                "max_iter or tol, or solve by IPOPT, method=MultipleShooting(ipopt=True)."
             )
         if not isinstance(value, int if name == "max_iter" else int | float) or not value > 0:
             kind = "a whole number of iterations" if name == "max_iter" else "a number above 0"

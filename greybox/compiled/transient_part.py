@@ -1,9 +1,10 @@
-"""The Fourier integrals of a manoeuvre with their model, compiled: errors, their derivatives, and end terms.
+"""The Fourier integrals of a manoeuvre with their model: errors, derivatives, end terms.
 
 With X, Y, U the integrals of the states, outputs and inputs over a manoeuvre of duration T, and
 exp(-jωT) = 1,
 
-    jωX + x(T) - x(0) = A X + B U,    so    Y = [C (jωI - A)⁻¹ B + D] U + C (jωI - A)⁻¹ b,    b = x(0) - x(T).
+    jωX + x(T) - x(0) = A X + B U,    so
+    Y = [C (jωI - A)⁻¹ B + D] U + C (jωI - A)⁻¹ b,    b = x(0) - x(T).
 
 A manoeuvre that ends elsewhere than it began has b ≠ 0, which biases a ratio Y/U. Here b is
 estimated along, linearly: for given parameters it follows by least squares, and what remains of the
@@ -49,7 +50,7 @@ UNSEEN = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Matrices:
-    """A, B, C, D and the delays (m,) of the inputs; or their derivatives, with one axis more at the end."""
+    """A, B, C, D and the delays (m,) of the inputs; or their derivatives, by a last axis."""
 
     A: Array
     B: Array
@@ -140,7 +141,10 @@ class TransientPart(Part):
         return np.array([self.data.outputs[name] for name in self.outputs])
 
     def _real(self, values: ComplexArray) -> Array:
-        """Return complex rows (..., lines) as real ones (..., 2 lines), in units of the deviation of one sample."""
+        """Return complex rows (..., lines) as real ones (..., 2 lines).
+
+        In units of the deviation of one sample.
+        """
         return np.concatenate([values.real, values.imag], axis=-1) / self._unit
 
     # --- the errors at given parameters
@@ -191,7 +195,7 @@ class TransientPart(Part):
         )
 
     def _as_matrices(self, entries: Array) -> Matrices:
-        """Return the matrices whose entries these are, column by column; a second axis becomes the last one."""
+        """Return the matrices with these entries, by columns; a second axis becomes the last."""
         n, m, k = len(self.states), len(self.inputs), len(self.outputs)
         blocks, begin = [], 0
         for rows, columns in ((n, n), (n, m), (k, n), (k, m), (m, 1)):
@@ -211,7 +215,7 @@ class TransientPart(Part):
         return pencil @ np.linalg.inv(matrices.C)
 
     def _covariance(self, transform: ComplexArray | None) -> ResidualCovariance:
-        """Return how products of errors become a cost; what never changes has its size for a scale."""
+        """Return how products of errors become a cost; a constant output's scale is its size."""
         measured = (
             self._measured
             if transform is None
@@ -278,7 +282,7 @@ class TransientPart(Part):
         return np.moveaxis(self._real(np.moveaxis(values, 1, -1)), -1, 1)
 
     def fisher_root(self, at: Along, mean: Array, change: Array) -> tuple[Array, Array, Array]:
-        """Return a root of the Fisher information of x, given the derivatives of mean and transform by x.
+        """Return a root of the Fisher information of x, for derivatives of mean and transform by x.
 
         Returns
         -------
@@ -304,7 +308,7 @@ class TransientPart(Part):
         return left.reshape(weighted.shape), variance, reach
 
     def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
-        """Return of every output its errors (lines,) at the point z, and their derivatives by z and the end term.
+        """Yield every output with its errors (lines,) at z and their derivatives by z and end term.
 
         They are turned by the phase of the modelled output, as those of a response are: what a
         model leaves out is smooth only then.
@@ -335,7 +339,7 @@ class TransientPart(Part):
         )
 
     def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
-        """Return gradient (p,) and Fisher information (p, p): end term and noise are at their best, and follow."""
+        """Return gradient (p,) and Fisher information (p, p); end term and noise follow."""
         at: Along = trajectory.detail
         by_z: Any = [
             np.tensordot(d, self.locate(trajectory.z)[1].full(), 1) for d in self.derivatives(at)
@@ -358,8 +362,8 @@ class TransientPart(Part):
     def program(self, z: ca.MX) -> Program:
         """Refuse: end terms are eliminated, and what remains is no expression for IPOPT."""
         raise ValueError(
-            f"the method transcribes records for IPOPT and {self.name!r} is a TransientSpectrum: leave out method, or "
-            "use MultipleShooting()."
+            f"the method transcribes records for IPOPT and {self.name!r} is a TransientSpectrum: "
+            "leave out method, or use MultipleShooting()."
         )
 
     @one_thread_at_a_time
@@ -371,7 +375,7 @@ class TransientPart(Part):
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
-        """Return what the spectrum says about the values (k,), the end term fitted along, for white errors."""
+        """Return the information on the values (k,) for white errors, the end term fitted too."""
         point = ca.SX.sym("x", len(values))
         local = self.problem.local_values(dict(zip(names, ca.vertsplit(point), strict=True)))
         q = ca.vertcat(ca.SX(0, 1), *local.values())
@@ -398,7 +402,7 @@ class TransientPart(Part):
 
 
 def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> TransientPart:
-    """Compile a spectrum for the point z, of which `expressions` gives every parameter by outside name."""
+    """Compile a spectrum for the point z; `expressions` are all parameters by outside name."""
     q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
     return TransientPart(problem, ca.Function("locate", [z], [q, ca.densify(ca.jacobian(q, z))]))
 
@@ -406,7 +410,7 @@ def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX)
 def _matrix_functions(
     model: Model, system: Dynamics, at: Mapping[str, float], outputs: tuple[str, ...]
 ) -> tuple[ca.Function, ca.Function]:
-    """Return the functions from all parameters to the entries of A, B, C, D and the delays, and their derivatives."""
+    """Return (all parameters) -> entries of A, B, C, D and delays, and the derivatives."""
     p: Any = ca.MX.sym("p", len(model.parameters))
     x, u, q = (
         ca.SX.sym("v", len(names)) for names in (system.states, system.inputs, system.parameters)
@@ -438,7 +442,7 @@ def _matrix_functions(
 def _without_ends(
     errors: Array, basis: Array, covariance: ResidualCovariance
 ) -> tuple[Array, Array]:
-    """Return errors (k, 2 lines) less the best combination of the basis (k, 2 lines, n), and that, (n,)."""
+    """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
     ends = np.zeros(basis.shape[-1])
     if not ends.size:
         return errors, ends
@@ -468,7 +472,10 @@ def _directions(rows: Array) -> Array:
 
 
 def _hermitian_rows(values: ComplexArray) -> Array:
-    """Return V + Vᴴ of matrices (lines, k, k, x) as real rows (lines, k², x) of the same scalar products."""
+    """Return V + Vᴴ of matrices (lines, k, k, x) as real rows (lines, k², x).
+
+    Scalar products stay the same.
+    """
     hermitian = values + values.conj().swapaxes(1, 2)
     own = np.einsum("lkkx->lkx", hermitian).real
     a, b = np.triu_indices(values.shape[1], 1)

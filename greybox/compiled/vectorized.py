@@ -75,7 +75,9 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 
 
 class Columns:
-    """A function of dense inputs, evaluated for many columns; `shared` inputs (by position) are the same in all.
+    """A function of dense inputs, evaluated for many columns.
+
+    The `shared` inputs (by position) are the same in all columns.
 
     CasADi evaluates fewer columns than `fewest`, because the layout of registers for another number
     of columns takes some milliseconds. It also evaluates functions that are not SX or contain an
@@ -90,7 +92,7 @@ class Columns:
         self._layouts: dict[int, _Mapped | _Registers] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what builds the same evaluation: the memory that CasADi writes to cannot be pickled."""
+        """Return what builds the same evaluation: memory for CasADi cannot be pickled."""
         return Columns, (self._function, self._shared, self._fewest)
 
     def __call__(self, *inputs: Array) -> list[Array]:
@@ -113,7 +115,7 @@ class Columns:
         if m not in self._layouts:
             if len(self._layouts) > 12:
                 self._layouts.clear()
-            # A ufunc takes 0.2 µs whatever the number of columns, CasADi's operation 1.6 ns for each.
+            # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each.
             use_casadi = m <= 128 or m < self._fewest or not self._has_ufuncs
             kind = _Mapped if use_casadi else _Registers
             self._layouts[m] = kind(self._function, self._shared, m)
@@ -145,7 +147,7 @@ def _dense(function: ca.Function) -> ca.Function:
 
 
 class _Mapped:
-    """A function of dense inputs and outputs mapped over m columns, with its own memory for both."""
+    """A function of dense inputs and outputs mapped over m columns, with its own memory."""
 
     @one_thread_at_a_time
     def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
@@ -171,7 +173,7 @@ class _Mapped:
 
 
 class _Registers:
-    """The instructions of an SX function as calls of numpy, with registers laid out for m columns."""
+    """The instructions of an SX function as calls of numpy on registers for m columns."""
 
     def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
         self._reads: list[tuple[int, int, Array]] = []
@@ -195,7 +197,7 @@ class _Registers:
             else:
                 arguments = [current[source] for source in sources]
                 is_narrow = all(argument.ndim == 0 for argument in arguments)
-                # The result of shared numbers may be read much later: it gets a register of its own.
+                # The result of shared numbers may be read much later: it needs its own register.
                 out = np.empty(()) if is_narrow else wide.setdefault(targets[0], np.empty(m))
                 self._calls.append((_OPERATIONS[operation], (*arguments, out)))
                 current[targets[0]] = out

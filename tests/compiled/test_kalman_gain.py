@@ -81,9 +81,9 @@ def test_the_cost_of_excerpts_that_are_the_whole_is_that_of_the_simulation(n, se
 
 def test_all_starts_end_in_one_minimum_with_all_gains_free():
     problem = gb.Problem(FullTilt(), windy_flight(2, {"q": 2.0}, 40), WIND, fixed=ROTOR)
-    found = fit(problem, starts=4)
+    found = fit(problem, starts=2)
     assert len([name for name in found.free if name.startswith("K_")]) == 12
-    assert (found.agreeing, found.converged) == (4, True)
+    assert (found.agreeing, found.converged) == (2, True)
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})
 
 
@@ -103,9 +103,8 @@ def test_standard_errors_of_a_predictor_use_the_residuals_not_the_deviations_tha
 def test_a_likelihood_that_grows_toward_the_limit_of_stability_is_no_stall():
     """The velocity is not measured and hardly disturbed: its pole would leave the unit circle."""
     problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 60), WIND, fixed=ROTOR)
-    found = fit(problem, starts=2)
-    assert [run.status for run in found.runs] == ["converged", "converged"]
-    assert found.agreeing == 2
+    found = fit(problem, starts=1)
+    assert [run.status for run in found.runs] == ["converged"]
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})
 
 

@@ -1,4 +1,4 @@
-"""How the states of a record become unknowns of an optimization: one method a file, interchangeable on one problem.
+"""Transcriptions: how the states of a record become unknowns, one method a file.
 
 `method` says what a transcription is; `multiple_shooting` is the default, `single_shooting` and
 `collocation` are solved by IPOPT. The integrator that a method's equations amount to is its

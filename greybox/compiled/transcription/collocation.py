@@ -1,4 +1,4 @@
-"""Direct collocation: the stages of an implicit integrator are unknowns, and its equations are constraints."""
+"""Direct collocation: stages of an implicit integrator are unknowns, its equations constraints."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -17,7 +17,7 @@ MOST_POINTS = 9
 
 @dataclass(frozen=True)
 class Collocation(Transcription):
-    """Radau points between every two samples: no simulation, so neither stiff nor unstable models trouble it.
+    """Radau points between samples: no simulation, so stiff and unstable models are no trouble.
 
     Source: Betts (2010), Practical Methods for Optimal Control and Estimation Using Nonlinear
     Programming, 2nd ed., chapter 5; Hairer and Wanner, Solving ODEs II, IV.5.
@@ -84,7 +84,7 @@ class Collocation(Transcription):
         )
 
     def finer(self, substeps: int) -> str:
-        """Return the option that integrates more accurately: more points per sample, or several steps."""
+        """Return the option that integrates more accurately: more points, or several steps."""
         if self.degree == MOST_POINTS:
             return "method=MultipleShooting(), which takes several steps per sample"
         return self._option(degree=self.degree + 1)

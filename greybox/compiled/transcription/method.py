@@ -1,4 +1,4 @@
-"""What every transcription is: options, the unknowns and equations that stand for a simulated record, and its step."""
+"""The base of transcriptions: options, unknowns and equations of a record, and its step."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -87,7 +87,7 @@ class Transcription(ABC):
 
     @abstractmethod
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
-        """Return the record's unknowns and equations for parameters q; `rows` (width, samples) as `step` reads them."""
+        """Return unknowns and equations for parameters q; `rows` (width, samples) as in `step`."""
 
     def described(self, segment_length: int, substeps: int) -> str:
         """Return the method in words, with what was chosen."""
@@ -97,11 +97,11 @@ class Transcription(ABC):
         )
 
     def finer(self, substeps: int) -> str:
-        """Return the option of `fit` that integrates with so many steps per sample, for a warning."""
+        """Return the option of `fit` for so many steps per sample, for a warning."""
         return self._option(integrator=replace(self.scheme, substeps=substeps))
 
     def _option(self, **changes: Any) -> str:
-        """Return the option of `fit` with these changes and all else that was chosen, strategies left out."""
+        """Return the option of `fit` with these changes and all other choices but strategies."""
         changed = replace(self, **changes)
         usual = type(self)()
         chosen = (f.name for f in fields(self) if f.name != "strategies")

@@ -1,4 +1,4 @@
-"""Multiple shooting: the states at the beginning of short segments are unknowns, continuity is a constraint."""
+"""Multiple shooting: states at the nodes of short segments are unknowns, gaps are constraints."""
 
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -15,7 +15,7 @@ from greybox.modeling.integrators import Integrator, RungeKutta
 
 @dataclass(frozen=True)
 class MultipleShooting(Transcription):
-    """Segments of a few samples, Gauss-Newton steps with their nodes eliminated; the default method.
+    """Segments of a few samples, Gauss-Newton steps, nodes eliminated; the default method.
 
     Source: Bock, Kostina, Schlöder (2007), Numerical methods for parameter estimation in nonlinear
     differential algebraic equations, GAMM-Mitteilungen 30.

@@ -14,7 +14,7 @@ from greybox.modeling.integrators import Integrator, RungeKutta
 
 @dataclass(frozen=True)
 class SingleShooting(Transcription):
-    """The whole record simulated from its first sample: few unknowns, but not for an unstable plant.
+    """Simulation from the first sample: few unknowns, but not for an unstable plant.
 
     Source: Schittkowski (2002), Numerical Data Fitting in Dynamical Systems, chapter 4.
 
