@@ -33,18 +33,17 @@ def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
             value = ca.Function("value", [x], [kind(constraint(part.local_values(named)))])
             limits.setdefault((label, value.serialize()), Limit(label, part, constraint))
         for name in part.tied:
-            low, high = part.declared[name].bounds
-            tied = f"of the tied {part.outside(name)}"
-            if math.isfinite(low):
-                label = f"the lower bound {low:g} {tied}"
-                limits.setdefault(
-                    label, Limit(label, part, lambda p, name=name, low=low: p[name] - low)
-                )
-            if math.isfinite(high):
-                label = f"the upper bound {high:g} {tied}"
-                limits.setdefault(
-                    label, Limit(label, part, lambda p, name=name, high=high: high - p[name])
-                )
+            sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
+            for side, bound, sign in sides:
+                if math.isfinite(bound):
+                    label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
+
+                    def room(
+                        p: Names, name: str = name, bound: float = bound, sign: int = sign
+                    ) -> Any:
+                        return sign * (p[name] - bound)
+
+                    limits.setdefault(label, Limit(label, part, room))
     return list(limits.values())
 
 

@@ -80,12 +80,6 @@ class Segments:
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
         self._ordered: tuple[Array, Array] | None = None
-        self._array: Array | None = None
-        self._last: tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]] | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave behind the memory of the last evaluation."""
-        return vars(self) | {"_array": None, "_last": None}
 
     # --- compiled functions
 
@@ -321,28 +315,19 @@ class Segments:
     ) -> tuple[Array, Array, Array]:
         """Return derivatives of ends (n, v, c) and residuals (length, k, v, c), and the residuals.
 
-        Of the c segments of a `batch`, by node and active parameters. The next call overwrites the
-        second array. A second call for all segments with the same arrays returns the last result.
+        They are those of the c segments of a `batch`, by node and active parameters.
         """
         length = self.length
         count = len(range(self.count)[batch])
-        if count == self.count and self._last is not None:
-            (last_states, last_q, last_data), result = self._last
-            if last_states is states and last_data is data and np.array_equal(last_q, q):
-                return result
 
         def chosen(values: Array) -> Array:
-            return values.reshape(len(values), length, self.count)[:, :, batch].reshape(
-                len(values), length * count
-            )
+            by_sample = values.reshape(len(values), length, self.count)[:, :, batch]
+            return by_sample.reshape(len(values), length * count)
 
-        all_parameters, q = q, q[:, batch] if self._own else q
+        q = q[:, batch] if self._own else q
         A, C, e = _finite(self._evaluate(self._derivatives, chosen(states), q, chosen(data)))
         S, J = self._propagated(A, C, count)
-        result = S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
-        if count == self.count:
-            self._last = (states, all_parameters, data), result
-        return result
+        return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -398,11 +383,10 @@ class Segments:
         matrices, column by column. Segments come last: products of small matrices one after the
         other cost more than their arithmetic.
         """
-        self._last = None  # the workspace is overwritten
         n, k, length = self.n, self.k, self.length
         v = n + len(self.active)
         transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)
-        J = self._workspace(count)
+        J = np.empty((length, k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
         for i in range(length):
@@ -411,16 +395,6 @@ class Segments:
             J[i, :, n:] += rows[n:, :, i].swapaxes(0, 1)
             S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
         return S, J
-
-    def _workspace(self, count: int) -> Array:
-        """Return an array for the derivatives of so many segments, the previous one if it fits.
-
-        New memory at every iteration costs more than the arithmetic in it: the system zeroes its
-        pages each time.
-        """
-        if self._array is None or self._array.shape[-1] != count:
-            self._array = np.empty((self.length, self.k, self.n + len(self.active), count))
-        return self._array
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""

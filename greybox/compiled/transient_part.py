@@ -422,18 +422,12 @@ def _matrix_functions(
         "linear", [q, x, u], [*map(ca.densify, blocks), ca.densify(system.delay(q))]
     )
     point: Any = ca.DM.zeros(len(system.states)), ca.DM.zeros(len(system.inputs))
-    scalar = True
     if isinstance(model, StateSpace):
-        trim = trim_of(model, at).closed()
-        scalar = trim.is_a("SXFunction")
-        states, inputs = trim(p)
+        states, inputs = trim_of(model, at).closed()(p)
         # The states of a Padé delay follow those of the model, and the linear delay has no
         # operating point.
         point = ca.vertcat(states, ca.DM.zeros(len(system.states) - len(model.states))), inputs
     entries: Any = ca.vertcat(*[ca.vec(block) for block in linear(p, *point)])
-    if scalar:  # which are evaluated faster than matrices
-        scalars = ca.SX.sym("p", len(model.parameters))
-        entries, p = ca.Function("entries", [p], [entries]).expand()(scalars), scalars
     return ca.Function("entries", [p], [entries]), ca.Function(
         "slopes", [p], [ca.densify(ca.jacobian(entries, p))]
     )

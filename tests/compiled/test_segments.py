@@ -291,28 +291,3 @@ def test_the_mean_transition_is_that_of_samples_over_the_whole_record(made):
             C[:, column] += (more[2] - less[2]) / 2e-6 / (COUNT * LENGTH)
     assert_allclose(transition, A, rtol=1e-6, atol=1e-8)
     assert_allclose(outputs, C, rtol=1e-6, atol=1e-8)
-
-
-def test_sensitivities_of_other_states_parameters_or_data_are_not_the_last_ones(made):
-    """Those of the same arrays are; what is found anew is what segments that never saw others find."""
-    step, initial, q, rows = made
-    active = np.array([0, 1])
-
-    def fresh():
-        return Segments(step, COUNT, LENGTH, active)
-
-    segments, everything = fresh(), slice(None)
-    data, other_data = (
-        segments.columns(measured_rows(rows)),
-        segments.columns(1.5 * measured_rows(rows)),
-    )
-    states, _ = segments.simulate(initial, q, data)
-    for asked in ((states, 1.1 * q, data), (1.1 * states, q, data), (states, q, other_data)):
-        first = segments.sensitivities(states, q, data, everything)
-        assert segments.sensitivities(states, q.copy(), data, everything) is first
-        found = [value.copy() for value in segments.sensitivities(*asked, everything)]
-        for value, wanted in zip(found, fresh().sensitivities(*asked, everything), strict=True):
-            assert_allclose(value, wanted)
-        part = segments.sensitivities(*asked, slice(1, 3))
-        assert_allclose(part[0], found[0][..., 1:3])
-        assert_allclose(part[2], found[2][..., 1:3])

@@ -21,8 +21,8 @@ from hard_models import (
 import greybox as gb
 
 
-def fit(problem, starts):
-    return gb.fit(problem, starts=starts, progress=False, profiles=False)
+def fit(problem, starts, **options):
+    return gb.fit(problem, starts=starts, progress=False, profiles=False, **options)
 
 
 def near(found, truth, errors=4.0):
@@ -38,8 +38,8 @@ def test_tanks_are_found_from_starts_that_would_drain_them(model):
 
 
 def test_a_reactor_that_ignites_is_found_in_a_wide_box():
-    found = fit(reactor(), 2)
-    assert found.agreeing == 2
+    found = fit(reactor(), 3)
+    assert found.agreeing >= 2
     near(found, REACTOR)
 
 
@@ -71,7 +71,7 @@ def test_a_state_that_nothing_shows_hinders_nothing_and_its_parameter_is_named()
 
 def test_a_limit_that_no_start_reaches_is_found_along_what_the_data_do_not_determine():
     problem = overflow()
-    found = fit(problem, 4)
+    found = fit(problem, 4, seed=1)
     assert found.cost <= gb.cost(problem, OVERFLOW) + 5
     for name, value in OVERFLOW.items():
         assert found.estimate[name] == pytest.approx(value, rel=0.05)
