@@ -53,7 +53,7 @@ def seconds_from_first(values: Any) -> Any:
 
 
 def within_range(values: Array) -> Array:
-    """Return the values (n,), read-only: larger ones as infinite, which counts as missing, and smaller ones as zero."""
+    """Return the values (n,), read-only: larger ones as infinite, smaller ones as zero."""
     if not out_of_range(values).any():
         return values
     size = np.abs(values)
@@ -64,6 +64,6 @@ def within_range(values: Array) -> Array:
 
 
 def out_of_range(values: NDArray) -> BoolArray:
-    """Return which of the values (n,), real or complex, are too large, or too small without being zero."""
+    """Return which values (n,), real or complex, are too large, or too small but not zero."""
     size = np.abs(values)
     return (size > LARGEST) | ((size > 0) & (size < SMALLEST))

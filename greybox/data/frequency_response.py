@@ -32,7 +32,8 @@ class Stretch:
         """Check the times, and write out control characters."""
         if not (math.isfinite(self.start) and math.isfinite(self.end) and self.start <= self.end):
             raise ValueError(
-                f"a stretch runs from {self.start:g} to {self.end:g} s: give its first and its last time."
+                f"a stretch runs from {self.start:g} to {self.end:g} s: give its first and its "
+                "last time."
             )
         object.__setattr__(self, "checksum", printable(str(self.checksum)))
         object.__setattr__(self, "start", float(self.start))
@@ -41,7 +42,7 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """Complex response `response = alpha + j beta` of one input-output pair at the frequencies `omega`.
+    """The complex response alpha + j beta of one input-output pair at the frequencies `omega`.
 
     Parameters
     ----------
@@ -96,7 +97,7 @@ class FrequencyResponse:
     common_errors: ComplexArray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        """Convert to read-only arrays and check every value; write out control characters in names."""
+        """Convert to read-only arrays, check every value, and write out control characters."""
         for name in ("input", "output", "name", "source"):
             object.__setattr__(self, name, printable(str(getattr(self, name))))
         for name in COLUMNS:
@@ -121,7 +122,8 @@ class FrequencyResponse:
             values = getattr(self, name)
             if values is not None and values.size != self.omega.size:
                 raise ValueError(
-                    f"omega has {self.omega.size} values but {name} has {values.size}: they must match."
+                    f"omega has {self.omega.size} values but {name} has {values.size}: they must "
+                    "match."
                 )
 
         positive = np.isfinite(self.omega) & (self.omega > 0)
@@ -129,7 +131,8 @@ class FrequencyResponse:
         values, counts = np.unique(self.omega, return_counts=True)
         if counts.max() > 1:
             raise ValueError(
-                f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one frequency, "
+                f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one "
+                "frequency, "
                 "or add two problems, one for each experiment."
             )
         measured = np.isfinite(self.response)
@@ -138,7 +141,8 @@ class FrequencyResponse:
             self._require(
                 name,
                 ~out_of_range(getattr(self, name)),
-                "squares of such numbers are beyond floating-point arithmetic; choose another unit, "
+                "squares of such numbers are beyond floating-point arithmetic; choose another "
+                "unit, "
                 "or leave the point out",
             )
         for name in ("coherence", "variance", "dof"):
@@ -157,14 +161,16 @@ class FrequencyResponse:
         errors = np.atleast_2d(np.array(value, dtype=np.complex128))
         if errors.ndim != 2 or errors.shape[1] != self.omega.size or not np.isfinite(errors).all():
             raise ValueError(
-                f"common_errors has shape {np.shape(value)}: give finite numbers, a row of {self.omega.size} for each."
+                f"common_errors has shape {np.shape(value)}: give finite numbers, a row of "
+                f"{self.omega.size} for each."
             )
         if self.variance is not None:
             # 1e-9 allows for the rounding of sums of squares that were written out in decimals.
             within = (np.abs(errors) ** 2).sum(axis=0) <= (1 + 1e-9) * self.variance
             if not within.all():
                 raise ValueError(
-                    f"common_errors exceed the variance at omega = {self.omega[np.argmin(within)]:g} rad/s, "
+                    "common_errors exceed the variance at omega = "
+                    f"{self.omega[np.argmin(within)]:g} rad/s, "
                     "but they are a part of it: add their squares to it."
                 )
         errors.setflags(write=False)
@@ -182,7 +188,7 @@ class FrequencyResponse:
         phase_unit: str = "deg",
         **others: Any,
     ) -> Self:
-        """Return the response with these magnitudes and phases, as MATLAB's `bode` and most instruments give them.
+        """Return the response of magnitudes and phases, as most instruments give them.
 
         Parameters
         ----------
@@ -205,7 +211,11 @@ class FrequencyResponse:
         --------
         >>> import greybox as gb
         >>> data = gb.FrequencyResponse.from_magnitude_phase(
-        ...     [0.5, 1.0, 2.0], [-3.0, -6.1, -12.2], [-40, -62, -80], frequency_unit="Hz", magnitude_unit="dB"
+        ...     [0.5, 1.0, 2.0],
+        ...     [-3.0, -6.1, -12.2],
+        ...     [-40, -62, -80],
+        ...     frequency_unit="Hz",
+        ...     magnitude_unit="dB",
         ... )
         """
         response = complex_response(magnitude, phase, magnitude_unit, phase_unit)
@@ -216,7 +226,7 @@ class FrequencyResponse:
 
     @property
     def independent_share(self) -> Array:
-        """Share of the variance that is independent from point to point, (n,): all but the common errors."""
+        """Share of the variance that is independent from point to point, (n,)."""
         if self.common_errors is None or self.variance is None:
             return np.ones(len(self))
         return np.maximum(1 - (np.abs(self.common_errors) ** 2).sum(axis=0) / self.variance, 0.0)
@@ -233,7 +243,7 @@ class FrequencyResponse:
 
     @property
     def columns(self) -> dict[str, Array]:
-        """The values at each frequency as real numbers, (n,) arrays by name, as tables and files have them.
+        """The values at each frequency as real numbers, (n,) arrays by name, for tables and files.
 
         ``alpha, beta``, then, if known, ``coherence, variance, dof``, and ``alpha_common1,
         beta_common1`` and so on for the common errors.
@@ -248,7 +258,7 @@ class FrequencyResponse:
 
     @property
     def checksum(self) -> str:
-        """SHA-256 of the numbers and the signal names: the same data have the same checksum wherever they came from."""
+        """SHA-256 of the numbers and the signal names, whatever file they came from."""
         digest = hashlib.sha256(f"{self.input}->{self.output}".encode())
         for name in COLUMNS:
             values = getattr(self, name)
@@ -309,7 +319,7 @@ class FrequencyResponse:
 
     @property
     def degrees(self) -> Array:
-        """Phase, (n,), degrees, without jumps along the frequencies; the lowest lies between -180 and 180."""
+        """Phase, (n,), degrees, without jumps; that of the lowest frequency is within ±180."""
         order = np.argsort(self.omega)
         phase = np.empty(len(self))
         phase[order] = np.degrees(np.unwrap(np.angle(self.response[order])))
@@ -339,7 +349,8 @@ class FrequencyResponse:
         optional = {c: getattr(self, c) for c in ("coherence", "variance", "dof", "common_errors")}
         extras = [name.replace("_", " ") for name, values in optional.items() if values is not None]
         return (
-            f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
+            f"{self.name or 'frequency response'}: {pair}, "
+            f"{counted(len(self), 'frequency', 'frequencies')} from "
             f"{self.omega.min():g} to {self.omega.max():g} rad/s"
             + (f", with {', '.join(extras)}" if extras else "")
         )

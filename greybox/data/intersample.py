@@ -20,8 +20,8 @@ HELD = math.inf
 CONTINUOUS = 0.0
 
 # A value that lasts for this share of a step lasts until the next sample. A log has every value of
-# the controller, or every second, third ...: apart from the jitter of time stamps, a hold is a whole
-# step or at most half of one.
+# the controller, or every second, third ...: apart from the jitter of time stamps, a hold is a
+# whole step or at most half of one.
 WHOLE = 0.75
 
 
@@ -52,6 +52,7 @@ def checked_hold(name: str, seconds: Any) -> float:
     ):
         return float(seconds)
     raise ValueError(
-        f"hold gives {name!r} the value {seconds!r:.40}: give math.inf for a signal that is held until its next "
+        f"hold gives {name!r} the value {seconds!r:.40}: give math.inf for a signal that is held "
+        "until its next "
         "sample, 0 for one that is interpolated, or how many seconds each value lasted."
     )

@@ -1,4 +1,4 @@
-"""Complex responses from magnitude and phase in the units that instruments and other programs write."""
+"""Complex responses from magnitude and phase in the units of instruments and other programs."""
 
 import math
 
@@ -30,7 +30,7 @@ def angular_frequency(frequency: ArrayLike, unit: str) -> Array:
 def complex_response(
     magnitude: ArrayLike, phase: ArrayLike, magnitude_unit: str, phase_unit: str
 ) -> ComplexArray:
-    """Return the response (n,) of these magnitudes, absolute or in dB (20 log10), and phases in degrees or radians.
+    """Return the response (n,) of magnitudes, absolute or in dB (20 log10), and phases.
 
     Raises
     ------

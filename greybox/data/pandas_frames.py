@@ -17,7 +17,7 @@ Frame = Any
 
 
 def pandas(what: str) -> Any:
-    """Return the package, or raise ModuleNotFoundError with the extra that installs it; `what` needs it."""
+    """Return pandas, which `what` needs; ModuleNotFoundError names the extra that installs it."""
     return required("pandas", "pandas", what)
 
 
@@ -27,7 +27,7 @@ def frame_of(
     index_name: str,
     attributes: Mapping[str, Any],
 ) -> Frame:
-    """Return a data frame with an index of this name; what pandas has no place for stands in its `attrs`."""
+    """Return a data frame with an index of this name; `attributes` go to its `attrs`."""
     pd = pandas("to_pandas()")
     frame = pd.DataFrame(dict(columns), index=pd.Index(index, name=index_name))
     frame.attrs.update({name: value for name, value in attributes.items() if value})

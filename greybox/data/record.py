@@ -16,11 +16,11 @@ from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_fram
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import alternatives, counted, one_line, printable
 
-# A step longer than this number of median steps is a gap: nothing is interpolated across it. One lost
-# sample makes a step of two, which is not a gap; the half allows for jitter.
+# A step longer than this number of median steps is a gap: nothing is interpolated across it. One
+# lost sample makes a step of two, which is not a gap; the half allows for jitter.
 GAP = 2.5
-# Two records are of one measurement if more than this share of the samples at common times are equal
-# in all common signals.
+# Two records are of one measurement if more than this share of the samples at common times are
+# equal in all common signals.
 SAME_MEASUREMENT = 0.5
 NOT_STORED = {"stored": False}  # in the file of a fit
 
@@ -90,7 +90,8 @@ class Record:
             raise ValueError("the record is empty: give at least one sample.")
         if not np.all(np.isfinite(time)):
             raise ValueError(
-                f"time is {time[np.argmin(np.isfinite(time))]} at index {np.argmin(np.isfinite(time))}."
+                f"time is {time[np.argmin(np.isfinite(time))]} at index "
+                f"{np.argmin(np.isfinite(time))}."
             )
         back = np.flatnonzero(np.diff(time) <= 0)
         if back.size and self.has_time:
@@ -110,12 +111,14 @@ class Record:
             if values.size != time.size:
                 other = "time" if self.has_time else next(iter(signals))
                 raise ValueError(
-                    f"{other} has {time.size} samples but {name} has {values.size}: they must match."
+                    f"{other} has {time.size} samples but {name} has {values.size}: they must "
+                    "match."
                 )
         unknown = [name for name in map(_printable, self.units) if name not in signals]
         if unknown:
             raise ValueError(
-                f"units names {unknown[0]!r}, which is no signal; it has {alternatives(unknown[0], signals)}"
+                f"units names {unknown[0]!r}, which is no signal; it has "
+                f"{alternatives(unknown[0], signals)}"
             )
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
@@ -172,7 +175,7 @@ class Record:
 
     @property
     def independent_pieces(self) -> list[IntArray]:
-        """The rows of each stretch between gaps, across which errors are not correlated; each row without a time."""
+        """The rows of each stretch between gaps, or each row if there is no time."""
         cuts = (
             np.cumsum([len(piece) for piece in self.pieces])[:-1]
             if self.has_time
@@ -295,7 +298,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Recording(Mapping[str, Record]):
-    """The contents of one log file: a `Record` for every kind of message, each on its own time base.
+    """The contents of one log file: a `Record` for every kind of message, on its own time base.
 
     It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages that come
     in several instances (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the
@@ -330,7 +333,8 @@ class Recording(Mapping[str, Record]):
         first = [key for key in self.records if key.partition("[")[0] == name]
         if not first:
             raise KeyError(
-                f"{self.source or 'the recording'} has no message {name!r}; it has {', '.join(self.records)}."
+                f"{self.source or 'the recording'} has no message {name!r}; it has "
+                f"{', '.join(self.records)}."
             )
         return self.records[first[0]]
 
@@ -341,7 +345,7 @@ class Recording(Mapping[str, Record]):
         return len(self.records)
 
     def locate(self, signal: str) -> tuple[Record, str]:
-        """Return the record and the field meant by ``"RATE.POut"``, or by a bare field name that only one message has.
+        """Return the record and the field that ``"RATE.POut"`` names, or a unique ``"POut"``.
 
         Raises
         ------
@@ -375,7 +379,8 @@ def require_time(record: Record, what: str) -> None:
     """Raise ValueError for rows without a time, which `what` needs."""
     if not record.has_time:
         raise ValueError(
-            f"{what} needs samples in time, and {record.name or 'the record'} has rows without a time: give their "
+            f"{what} needs samples in time, and {record.name or 'the record'} has rows without a "
+            "time: give their "
             "times, Record(time, ...), or for a table a column named 'time [s]' or a rate."
         )
 
@@ -427,7 +432,7 @@ def _read_only(values: ArrayLike, name: str) -> Array:
 
 
 def _printable(thing: Any) -> Any:
-    """Return names and texts, in whatever they are, with control characters written out: they come from files."""
+    """Return names and texts, at any depth, with control characters written out."""
     if isinstance(thing, str):
         return printable(thing)
     if isinstance(thing, dict):

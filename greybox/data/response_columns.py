@@ -29,7 +29,7 @@ class Column(NamedTuple):
 
 
 def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
-    """Return the column of every role in ``{"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg"}``.
+    """Return the column of every role, as in ``{"frequency": "f:Hz", "magnitude": "mag:dB", ...}``.
 
     Names are those in the header, with or without a unit in brackets. A unit behind a colon goes
     before the one in brackets.
@@ -43,12 +43,14 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
     for role in columns:
         if role not in ROLES and not COMMON.fullmatch(role):
             raise ValueError(
-                f"has no {role!r}, which is not a column of a frequency response; name {alternatives(role, ROLES)}"
+                f"has no {role!r}, which is not a column of a frequency response; name "
+                f"{alternatives(role, ROLES)}"
             )
     pairs = [pair for pair in (RECTANGULAR, POLAR) if set(pair) & set(columns)]
     if "frequency" not in columns or len(pairs) != 1 or not set(pairs[0]) <= set(columns):
         raise ValueError(
-            f"is no frequency response by {', '.join(columns)} alone: name the columns of frequency, magnitude and "
+            f"is no frequency response by {', '.join(columns)} alone: name the columns of "
+            "frequency, magnitude and "
             "phase, or of frequency, alpha and beta."
         )
     result = {}
@@ -57,7 +59,8 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
         if role in UNITS and not column.unit:
             example = f"{text}:{UNITS[role].split()[-1]}"
             raise ValueError(
-                f"has the column {text!r} without a unit: say whether it is {UNITS[role]}, {example}."
+                f"has the column {text!r} without a unit: say whether it is {UNITS[role]}, "
+                f"{example}."
             )
         result[role] = column
     return result
@@ -76,12 +79,15 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
     missing = [name for name in required.values() if name not in header]
     if missing and pairs and not prefix:
         raise ValueError(
-            f"holds several responses, {', '.join(pairs)}: choose one by the names of its input and output."
+            f"holds several responses, {', '.join(pairs)}: choose one by the names of its input "
+            "and output."
         )
     if missing:
         raise ValueError(
-            f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the columns must be "
-            "omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or be named, columns={...}."
+            f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the "
+            "columns must be "
+            "omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or be named, "
+            "columns={...}."
         )
     roles = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
     optional = [role for role in roles if role in EXTRAS or COMMON.fullmatch(role)]
@@ -108,7 +114,7 @@ def assembled(
 
 
 def extras(values: Mapping[str, Array]) -> dict[str, Any]:
-    """Return coherence, variance, dof and common errors, as far as they are among columns (n,) by name.
+    """Return coherence, variance, dof and common errors if they are among the columns, (n,).
 
     Raises
     ------
@@ -130,7 +136,7 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
 
 
 def find_column(text: str, header: Sequence[str]) -> Column:
-    """Return the column that ``name`` or ``name:unit`` means, in a header that may have units in brackets.
+    """Return the column that ``name`` or ``name:unit`` means; a header may have units in brackets.
 
     Raises
     ------

@@ -84,7 +84,7 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
 
 
 def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) -> None:
-    """Write several responses, as the matrix of a plant, into one CSV file with one common ``omega_rad_s``.
+    """Write several responses, as the matrix of a plant, to one CSV file with common frequencies.
 
     The columns of a response are ``<output>_<input>_alpha`` and so on, blank at the frequencies of
     others. ``read_response(path, input=input, output=output)`` reads one of them.

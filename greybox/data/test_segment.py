@@ -59,7 +59,8 @@ class Segment:
             )
         if self.kind not in (*PERIODIC, *MANOEUVRES):
             raise ValueError(
-                f"the kind of a segment is {self.kind!r}: it must be one of {', '.join((*PERIODIC, *MANOEUVRES))}."
+                f"the kind of a segment is {self.kind!r}: it must be one of "
+                f"{', '.join((*PERIODIC, *MANOEUVRES))}."
             )
         if self.kind == "sine" and math.isnan(self.band[0]):
             object.__setattr__(self, "band", (self.omega, self.omega))
@@ -125,11 +126,12 @@ def segment_table(segments: Sequence[Segment]) -> str:
 
 
 def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
-    """Return the segments; TypeError for anything else, such as the maneuvers of an `Excitation`."""
+    """Return the segments; TypeError for anything else, such as the parts of an `Excitation`."""
     checked = tuple(segments)
     for segment in checked:
         if not isinstance(segment, Segment):
             raise TypeError(
-                f"a segment is {segment!r:.60}: give those of gb.logs.find_segments, or gb.data.Segment(start, end)."
+                f"a segment is {segment!r:.60}: give those of gb.logs.find_segments, or "
+                "gb.data.Segment(start, end)."
             )
     return tuple(segment for segment in checked if isinstance(segment, Segment))

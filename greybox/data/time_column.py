@@ -1,4 +1,4 @@
-"""Recognizes the time column of a table by its name, and the clock that wrote it by the size of its numbers.
+"""Recognizes the time column of a table by its name, and its clock by the size of the numbers.
 
 Loggers write times in s, ms, µs or ns, often without saying which: ROS counts ns since 1970, PX4's
 ``ulog2csv`` µs and Crazyflie ms since the start. A wrong unit makes every time constant wrong by

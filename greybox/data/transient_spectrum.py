@@ -1,4 +1,4 @@
-"""Fourier integrals of inputs and outputs over one manoeuvre: the transforms themselves, not their ratio."""
+"""Fourier integrals of inputs and outputs over one manoeuvre; not their ratio."""
 
 import hashlib
 from collections.abc import Mapping
@@ -65,7 +65,8 @@ class TransientSpectrum:
             object.__setattr__(self, kind, values)
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
-                f"duration {self.duration!r} s and step {self.step!r} s must be finite, and the step the shorter one."
+                f"duration {self.duration!r} s and step {self.step!r} s must be finite, and the "
+                "step the shorter one."
             )
         omega = _checked("omega", self.omega, float)
         lines = omega * self.duration / (2 * np.pi)
@@ -77,7 +78,8 @@ class TransientSpectrum:
             or np.any(np.diff(omega) <= 0)
         ):
             raise ValueError(
-                f"omega must be increasing multiples of {2 * np.pi / self.duration:.6g} rad/s, 2π over the duration: "
+                f"omega must be increasing multiples of {2 * np.pi / self.duration:.6g} rad/s, 2π "
+                "over the duration: "
                 "use gb.spectral.transient_spectrum(record, ...)."
             )
         object.__setattr__(self, "omega", omega)
@@ -92,7 +94,8 @@ class TransientSpectrum:
         for name, values in {**self.inputs, **self.outputs}.items():
             if values.shape != omega.shape:
                 raise ValueError(
-                    f"omega has {omega.size} frequencies but {name} has {values.size}: they must match."
+                    f"omega has {omega.size} frequencies but {name} has {values.size}: they must "
+                    "match."
                 )
         if not all(np.isfinite(float(change)) for change in self.input_change.values()):
             raise ValueError(
@@ -121,7 +124,7 @@ class TransientSpectrum:
 
     @property
     def checksum(self) -> str:
-        """SHA-256 of the numbers and the signal names: the same data have the same checksum wherever they came from."""
+        """SHA-256 of the numbers and the signal names, whatever file they came from."""
         digest = hashlib.sha256(f"{', '.join(self.inputs)}->{', '.join(self.outputs)}".encode())
         ends = [self.duration, self.step, *map(self.change, self.inputs)]
         for values in (self.omega, *self.inputs.values(), *self.outputs.values(), np.array(ends)):
@@ -150,6 +153,7 @@ def _checked(name: str, values: ArrayLike, kind: type) -> NDArray:
         raise ValueError(f"{name} has numbers that are not finite: leave the frequencies out.")
     if np.any(out_of_range(array)):
         raise ValueError(
-            f"{name} has numbers whose squares are beyond floating-point arithmetic: choose another unit."
+            f"{name} has numbers whose squares are beyond floating-point arithmetic: choose "
+            "another unit."
         )
     return array

@@ -143,7 +143,8 @@ POUNDS = ("lb", "lbs", "pound", "pounds")
 SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"
 PLAIN = "0123456789-"
 TOKEN = re.compile(
-    r"\s*(?:(?P<name>(?:[^\W\d]|[°%])+|1(?!\d))(?:(?:\^|\*\*)?(?P<power>[+-]?\d+)|(?:\^|\*\*)\((?P<inner>[+-]?\d+)\))?"
+    r"\s*(?:(?P<name>(?:[^\W\d]|[°%])+|1(?!\d))"
+    r"(?:(?:\^|\*\*)?(?P<power>[+-]?\d+)|(?:\^|\*\*)\((?P<inner>[+-]?\d+)\))?"
     r"|(?P<mark>[/·*.×()]|-(?=[^\W\d])))\s*"
 )
 LEADING = re.compile(r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s+(?=\D)")  # as in "1e-07 deg"
@@ -151,7 +152,7 @@ LEADING = re.compile(r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s+(?=\D)")  # as in "1e
 
 @dataclass(frozen=True)
 class Conversion:
-    """How numbers in some unit become SI: ``factor * value + zero`` in the unit `si`; a `remark` names a doubt."""
+    """Numbers in a unit become ``factor * value + zero`` in `si`; a `remark` names a doubt."""
 
     factor: float
     zero: float
@@ -207,7 +208,7 @@ def to_si(unit: str) -> Conversion:
 
 
 def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
-    """Return whether numbers in two units measure the same kind of quantity; radians are pure numbers."""
+    """Return whether two units measure the same kind of quantity; radians are pure numbers."""
     kinds = []
     for conversion in (a, b):
         powers: dict[str, int] = {}
@@ -258,7 +259,7 @@ def _powers(text: str) -> dict[str, int]:
 
 
 def _written(powers: dict[str, int]) -> str:
-    """Return a product of powers as a person writes it: kg·m², m/s², 1/s, kg/(m·s); 1 for a pure number."""
+    """Return a product of powers as people write it: kg·m², 1/s, kg/(m·s); 1 for a pure number."""
     above = [_power(name, power) for name, power in powers.items() if power > 0 and name != "1"]
     below = [_power(name, -power) for name, power in powers.items() if power < 0 and name != "1"]
     numerator = "·".join(above) or "1"

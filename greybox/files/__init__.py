@@ -14,5 +14,5 @@ Begin with `text_table`.
 | `optional_package` | imports of optional packages |
 | `safe_files` | atomic writes, and clear errors of reading |
 | `sealed_files` | HDF5 files with a checksum |
-| `subprocess_reader` | runs `subprocess_main`, which reads HDF5, MATLAB and PX4 files, in a subprocess |
+| `subprocess_reader` | runs `subprocess_main`, which reads HDF5, MATLAB and PX4 files |
 """

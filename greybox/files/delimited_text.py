@@ -118,7 +118,10 @@ class DelimitedText:
         cure = "name all columns"
         if self.separator == ",":
             cure += ", or, if its numbers have decimal commas, separate the cells by semicolons"
-        return f"{self.path}, line {number}, has {cells} cells where the header has {len(self.header)}: {cure}."
+        return (
+            f"{self.path}, line {number}, has {cells} cells where the header has "
+            f"{len(self.header)}: {cure}."
+        )
 
 
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:
@@ -134,7 +137,8 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     """
     if b"\0" in raw:
         raise ValueError(
-            f"{path} is not a CSV text file (it contains zero bytes, as UTF-16 does): save it as UTF-8."
+            f"{path} is not a CSV text file (it contains zero bytes, as UTF-16 does): save it as "
+            "UTF-8."
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     first = lines[0].strip().lower()
@@ -184,7 +188,7 @@ def numbered(text: DelimitedText) -> DelimitedText:
 def write_delimited(
     path: Path, facts: Mapping[str, str], columns: Mapping[str, Iterable[object]]
 ) -> None:
-    """Write columns of numbers, after facts as comments ``# key: value``; `read_delimited` reads them."""
+    """Write facts as comments ``# key: value``, then columns of numbers, for `read_delimited`."""
     text = io.StringIO()
     text.writelines(f"# {key}: {value}\n" for key, value in facts.items())
     writer = csv.writer(text, lineterminator="\n")
@@ -224,12 +228,14 @@ def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> 
                 certain = certain or not THOUSANDS.fullmatch(cell)
     if comma and point:
         raise ValueError(
-            f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: write all numbers "
+            f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: "
+            "write all numbers "
             "with one decimal mark and without thousands separators."
         )
     if comma and not certain:
         raise ValueError(
-            f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands separator: "
+            f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands "
+            "separator: "
             "write a decimal point."
         )
     return comma is not None
@@ -243,7 +249,7 @@ def parsed(cell: str, decimal_comma: bool) -> float:
 
 
 def _decoded(raw: bytes) -> str:
-    """Return the text, from UTF-8 or a Western encoding; a typographic minus becomes a plain one."""
+    """Return the text, from UTF-8 or a Western encoding, with plain minus signs."""
     for encoding in ("utf-8-sig", "cp1252"):
         try:
             return raw.decode(encoding).replace("\u2212", "-")
@@ -253,7 +259,7 @@ def _decoded(raw: bytes) -> str:
 
 
 def _split(line: str, hint: str) -> tuple[list[str], str]:
-    """Return the cells of a header and their separator: the hint, or the one that makes most cells."""
+    """Return the cells of a header and their separator: the hint, or the one with most cells."""
     best: list[str] = []
     separator = hint or ","
     for mark in hint or ";\t,":

@@ -1,4 +1,4 @@
-"""Small pieces of HTML, as notebooks show them: all text in them is escaped, since names come from files."""
+"""Small pieces of HTML for notebooks; all text is escaped, because names come from files."""
 
 from collections.abc import Sequence
 from html import escape
@@ -23,7 +23,7 @@ def html_list(texts: Sequence[str]) -> str:
 def html_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
 ) -> str:
-    """Return `rows` of text under `header` as a table; columns in `left` are flush left, all others flush right."""
+    """Return `rows` of text under `header` as a table; columns in `left` are flush left."""
 
     def line(cells: Sequence[str], element: str) -> str:
         columns = (

@@ -1,4 +1,4 @@
-"""How far a long piece of work is: a bar with the time left, on a terminal only and after two seconds."""
+"""Bars for the progress of long work, with the time left, on a terminal and after two seconds."""
 
 from collections.abc import Iterable
 from typing import Any, TypeVar

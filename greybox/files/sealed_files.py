@@ -28,14 +28,14 @@ DAMAGES = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, 
 
 @dataclass(frozen=True)
 class Stored:
-    """A group or dataset that was read from a sealed file, with the part of h5py's interface that reading needs."""
+    """A group or dataset of a sealed file, with the part of h5py's interface that reading needs."""
 
     attrs: Mapping[str, Any]
     values: Any = None
     members: dict[str, "Stored"] = field(default_factory=dict)
 
     def __getitem__(self, place: str | tuple[()]) -> Any:
-        """Return the values of a dataset for ``()``, otherwise the group or dataset at a path below."""
+        """Return the values of a dataset for ``()``, or else the group or dataset at a path."""
         if isinstance(place, tuple):
             return self.values
         item = self

@@ -1,4 +1,4 @@
-"""Runs in the subprocess of `subprocess_reader`, with the libraries that a damaged or crafted file can lead astray.
+"""Runs in a subprocess the libraries that a damaged or crafted file can lead astray.
 
 Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a
 line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes":
@@ -248,7 +248,7 @@ def _text(attributes: Any, name: str) -> str:
 
 
 def matlab(path: str, collector: Collector, _: list[str]) -> None:
-    """Collect the numeric vectors and matrices of the workspace and of the structs in it; scipy's warnings too."""
+    """Collect the numeric arrays of the workspace and of its structs, and the warnings of scipy."""
     from scipy.io import loadmat  # noqa: PLC0415 (only one of these libraries is needed)
 
     with warnings.catch_warnings(record=True) as raised:
@@ -287,7 +287,7 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
 
 
 def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the signals of a "structure with time": ``signals`` holds one or several of ``values`` and ``label``."""
+    """Return the signals of a "structure with time" by their labels."""
     signals = contents.get("signals") if "time" in contents else None
     structs = (
         [signals]
@@ -343,7 +343,7 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
 
 
 def limit_resources(size: int, room: int) -> None:
-    """Limit processor time by the size of the file, and memory by the bytes of its arrays, where the system can."""
+    """Limit processor time by the size of the file, and memory by that of its arrays."""
     try:
         import resource  # noqa: PLC0415 (not on Windows)
         import signal  # noqa: PLC0415
@@ -359,7 +359,7 @@ def limit_resources(size: int, room: int) -> None:
 
 
 def _memory() -> int:
-    """Return the address space of this process, bytes; an upper limit where the system is not Linux."""
+    """Return the address space of this process, bytes; outside of Linux, an upper limit."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")

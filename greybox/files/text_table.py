@@ -11,7 +11,7 @@ CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Return a text in which control characters are written out, as ``\x1b``, except those to `keep`.
+    r"""Return a text with its control characters written out, ``\x1b``, except those to `keep`.
 
     Every name and text that comes from a file passes through here before it is printed.
     """
@@ -29,7 +29,7 @@ def _escaped(character: str) -> str:
 def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
 ) -> str:
-    """Align `rows` of text under `header`; columns in `left` are flush left, all others flush right."""
+    """Align `rows` of text under `header`; columns in `left` are flush left, others right."""
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
 
@@ -72,21 +72,21 @@ def some(names: Sequence[str], most: int = 4) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return which of the known names a misspelled one probably means, None if it resembles none."""
+    """Return the known name that a misspelled one probably means; None if it resembles none."""
     spelled = {candidate.lower(): candidate for candidate in known}
     matches = difflib.get_close_matches(name.lower(), spelled, n=1)
     return spelled[matches[0]] if matches else None
 
 
 def alternatives(name: object, names: Iterable[str]) -> str:
-    """Return the end of a sentence about a name that is not known: the known ones, and which of them was meant."""
+    """Return the end of a sentence about an unknown name: the names, and the one that was meant."""
     names = list(names)
     near = nearest(str(name), names)
     return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
 
 
 def with_error(value: float, error: float) -> tuple[str, str]:
-    """Format a value and its standard error, the error with two significant digits and the value to its last digit."""
+    """Format a standard error with two significant digits, and the value to its last digit."""
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
         return number(value), "-"
     if error > 1e3 * abs(value) or error < 1e-9 * abs(value):
@@ -125,6 +125,6 @@ def is_number(cell: str) -> bool:
 
 
 def one_line(thing: object, *facts: str) -> str:
-    """Return ``<Class fact, fact>`` for the `repr` of a large value: one line of less than 120 characters."""
+    """Return ``<Class fact, fact>`` for the `repr` of a value, in less than 120 characters."""
     text = printable(" ".join(f"<{type(thing).__name__} {', '.join(facts)}".split()))
     return f"{text}>" if len(text) < 119 else f"{text[:115]}...>"

@@ -6,7 +6,7 @@ Begin with `readers`, then `prepare`.
 | --- | --- |
 | `readers` | one reader for each format of log files |
 | `prepare` | signals of several messages on one time base, in SI units |
-| `segment_detection` | tests in a log: System Identification mode, announced sines, sines in a setpoint |
+| `segment_detection` | tests in a log: System Identification mode, and sines |
 | `sine_detection` | sines and sweeps in one signal |
 | `manoeuvre_detection` | doublets, 2-1-1 and other inputs |
 | `named_columns` | columns of a table under the names that the user gives them; signals in SI |

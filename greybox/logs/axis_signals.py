@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class AxisSignals:
-    """The signals of one axis, the best first: controls, angles, rates, setpoints, terms of its controllers, sticks."""
+    """The signals of one axis, the best first; `terms` are those of its controllers."""
 
     controls: tuple[str, ...]
     angles: tuple[str, ...]

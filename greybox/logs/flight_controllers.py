@@ -18,7 +18,7 @@ AXES = {
 
 
 def axis_of(signal: str) -> str:
-    """Return the axis whose control or setpoint a signal is: "roll", "pitch" or "yaw"; empty for others."""
+    """Return the axis of a control or setpoint, "roll", "pitch" or "yaw", or nothing."""
     return next(
         (
             axis
@@ -35,5 +35,5 @@ def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]
 
 
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
-    """Return the filters whose parameters the log holds, by name: ``gyro-filter``, ``gyro-notch`` and so on."""
+    """Return the filters whose parameters the log has by name, such as ``gyro-filter``."""
     return px4_filters(recording) | of_ardupilot.named_filters(recording, axis)

@@ -31,7 +31,7 @@ class KnownFilter:
 
 @dataclass(frozen=True)
 class LowPass(KnownFilter):
-    """A second-order low-pass filter: cutoff in Hz, damping, and its sampling rate in Hz if digital."""
+    """A second-order low-pass filter: cutoff, Hz; damping; if digital, its sampling rate, Hz."""
 
     cutoff: float
     damping: float = math.sqrt(0.5)
@@ -53,7 +53,7 @@ class FirstOrderLowPass(KnownFilter):
 
 @dataclass(frozen=True)
 class Notch(KnownFilter):
-    """A notch filter: center in Hz, quality (center over bandwidth), attenuation at the center in dB."""
+    """A notch filter: center, Hz; quality, center over bandwidth; attenuation at the center, dB."""
 
     center: float
     quality: float
@@ -90,5 +90,6 @@ def _from_text(text: str) -> KnownFilter:
         return KINDS[match[1]](*(float(value) for value in ast.literal_eval(f"({match[2]},)")))
     except (ValueError, TypeError, SyntaxError):
         raise ValueError(
-            f"the filter {text.strip()!r:.60} is not known: it must be one of {', '.join(KINDS)} with numbers."
+            f"the filter {text.strip()!r:.60} is not known: it must be one of {', '.join(KINDS)} "
+            "with numbers."
         ) from None

@@ -32,24 +32,28 @@ PATTERNS = {(1,): "pulse", (1, 1): "doublet", (2, 1, 1): "2-1-1", (3, 2, 1, 1): 
 STEP, OTHER = "step", "stick input"
 MOST_PULSES = max(map(len, PATTERNS))  # of a manoeuvre with a name: more may be a sine or a sweep
 
-# Largest relative deviation of a duration from its pattern. Halfway between the durations 2 and 3 is
-# 0.2 of the longer one, and pilots are off by as much.
+# Largest relative deviation of a duration from its pattern. Halfway between the durations 2 and 3
+# is 0.2 of the longer one, and pilots are off by as much.
 OFF_PATTERN = 0.3
 
-REST = 1.0  # s at one level: the fastest pulses of an aircraft's 3-2-1-1 last as long, its longest one three times that
+# s at one level: the fastest pulses of an aircraft's 3-2-1-1 last as long, its longest one three
+# times that.
+REST = 1.0
 NEW_REST = 6.0  # s after which another level is a new rest, twice the longest of these pulses
 
-# Share of the range of a signal that it may move at rest. Ripple on sticks and drift of the trim are
-# below a hundredth.
+# Share of the range of a signal that it may move at rest. Ripple on sticks and drift of the trim
+# are below a hundredth.
 AT_REST = 0.02
 NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
 
 # Shares of the longest pulse: a shorter pulse is an overshoot, and a shorter way from one pulse to
 # the next is not a pause, because actuators and hands take time.
 BRIEF, PAUSE = 0.2, 0.6
-STRONG = 0.1  # of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited
+# Of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited.
+STRONG = 0.1
 HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
-FINER = 4  # times as many frequencies as the spectrum has of its own: between two, it falls by 10 % at most
+# Times as many frequencies as the spectrum has of its own: between two, it falls by 10 % at most.
+FINER = 4
 
 
 class _Rest(NamedTuple):
@@ -119,7 +123,7 @@ def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
     window = max(round(REST / step), 2)
     if time.size < window:
         return []
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415  (takes time to import)
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415  (slow import)
 
     spread = maximum_filter1d(values, window) - minimum_filter1d(values, window)
     begins = np.flatnonzero(spread[window // 2 :][: time.size - window + 1] <= height)
@@ -167,7 +171,7 @@ def _named(
 
 
 def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
-    """Return sign and duration of every pulse; both neighbors share a brief way, a pause has sign 0."""
+    """Return sign and duration, s, of every pulse, and of pauses with the sign 0."""
     state = np.where(deviation > threshold, 1, np.where(deviation < -threshold, -1, 0))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(state)) + 1, [state.size]])
     ends = np.append(time, time[-1])[edges]
@@ -279,7 +283,8 @@ def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
         raise ValueError(f"the log has no manoeuvre of the kind {wanted!r}{alternative}")
     if len(numbers) > 1:
         raise ValueError(
-            f"the log has {len(numbers)} manoeuvres of the kind {wanted!r}: give the number of one, "
+            f"the log has {len(numbers)} manoeuvres of the kind {wanted!r}: give the number of "
+            "one, "
             f"{', '.join(map(str, numbers))}."
         )
     return segments[numbers[0] - 1]

@@ -14,7 +14,7 @@ HOLDS = (" held", " sampled")  # end a unit, see `table_columns.table`
 def renamed(
     columns: Mapping[str, Array], units: Mapping[str, str], stated: Mapping[str, str], source: str
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return the columns of a table with the stated ones first, under their new names, and all units.
+    """Return the columns of a table, the stated ones first under their new names, and the units.
 
     Raises
     ------
@@ -33,14 +33,15 @@ def renamed(
             sentence = str(error)
             joint = " " if sentence.startswith("has ") else f": {text}: "
             raise ValueError(f"{source}{joint}{sentence.rstrip('.')}.") from None
-    others = [name for name in columns if name not in (*own_names, *own_names.values())]
-    own_names |= {name: name for name in others}
-    labels |= {name: unit for name in others if (unit := units.get(name))}
-    return {name: columns[own] for name, own in own_names.items()}, labels
+
+    unnamed = [name for name in columns if name not in (*own_names, *own_names.values())]
+    own_names |= {name: name for name in unnamed}
+    labels |= {name: unit for name in unnamed if (unit := units.get(name))}
+    return {name: columns[column] for name, column in own_names.items()}, labels
 
 
 def _agreed(stated: str, written: str) -> str:
-    """Return the unit of a column with how it runs between samples; ValueError if the table has another one."""
+    """Return the unit of a column with its hold; ValueError if the table has another unit."""
     unit, _, hold = written.rpartition(" ") if written.endswith(HOLDS) else (written, "", "")
     if stated in (unit, written):
         to_si(unit)

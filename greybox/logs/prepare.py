@@ -1,4 +1,4 @@
-"""From the messages of a log to one record: one time base, SI units, no aliasing, no interpolation across gaps."""
+"""Puts signals of a log on one time base, in SI, without aliasing or interpolation across gaps."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,8 @@ PASS = 0.35
 STOP = 0.5
 ATTENUATION = 80.0  # dB: 1e-4 of the amplitude of what would be aliased
 
-SAME_RATE = 0.95  # of the source's rate, from which no filter is applied: it would change only the uppermost 5 %
+# Of the source's rate, from which no filter is applied: it would change only the uppermost 5 %.
+SAME_RATE = 0.95
 FASTEST = (
     10  # times the rate of the fastest signal, beyond which `rate` is refused as a mistake in units
 )
@@ -30,7 +31,7 @@ FASTEST = (
 
 @dataclass(frozen=True)
 class Derived:
-    """A signal that is computed from others on the common time base: ``compute(*inputs) -> (n,)``."""
+    """A signal computed from others on the common time base: ``compute(*inputs) -> (n,)``."""
 
     inputs: tuple[str, ...]
     compute: Callable[..., Array]
@@ -43,7 +44,7 @@ def horizontal_velocity(
     yaw: str = "ATT.Yaw",
     axis: Literal["pitch", "roll", "forward", "right"] = "pitch",
 ) -> Derived:
-    """Return the horizontal velocity along a body axis, for `prepare`, from north and east velocity and the yaw angle.
+    """Return the horizontal velocity along a body axis, for `prepare`.
 
     "pitch" and "roll" are the paper's v, which grows with a positive tilt angle: a nose that goes
     up accelerates backward, so that it is the negative of "forward"; with the right side down it
@@ -145,7 +146,8 @@ def prepare(
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
         raise ValueError(
-            f"{', '.join(sources)} are never present at the same time from {grid[0]:.1f} to {grid[-1]:.1f} s: "
+            f"{', '.join(sources)} are never present at the same time from {grid[0]:.1f} to "
+            f"{grid[-1]:.1f} s: "
             "choose signals, or a start and an end, that overlap."
         )
 
@@ -179,7 +181,7 @@ def prepare(
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """One field of one message, in SI units and unwrapped, with the samples that are missing left out."""
+    """One field of one message, in SI units and unwrapped, without missing samples."""
 
     time: Array
     values: Array
@@ -244,7 +246,8 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
     fastest = 1 / min(source.step for source in sources.values())
     if rate > FASTEST * fastest:
         raise ValueError(
-            f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} Hz: lower it."
+            f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} "
+            "Hz: lower it."
         )
     count = math.floor((last - first) * rate + 1e-6) + 1
     if count < 2:
@@ -302,14 +305,14 @@ def _known_hold(sources: Sequence[_Source], grid: Array) -> float | None:
 def _interpolated(time: Array, values: Array, grid: Array) -> Array:
     if time.size < 4:
         return np.interp(grid, time, values)
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
 
     return CubicSpline(time, values)(grid)
 
 
 def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:
     """Filter with zero phase at the rate of the source; point reflection extends the ends."""
-    from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (takes a third of a second to import)
+    from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (0.33 s to import)
 
     uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 2))
     samples = np.interp(uniform, time, values)

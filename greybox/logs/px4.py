@@ -33,7 +33,7 @@ AXES = {
 
 
 def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
-    """Return the filters that angular velocities have passed before they were logged, if `signal` is one of them."""
+    """Return the filters that an angular velocity passed before it was logged."""
     if signal.rpartition(".")[0].partition("[")[0] not in FILTERED:
         return ()
     filters = named_filters(recording)

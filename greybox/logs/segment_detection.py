@@ -1,4 +1,4 @@
-"""Finds the tests in a flight: System Identification mode, announced sines, or sines in a setpoint."""
+"""Finds the tests in a flight: those of System Identification mode, and sines and sweeps."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,9 +28,9 @@ PAUSE = 1.0
 # s: messages and modes that mark a start or an end are logged ten times a second at most.
 EDGE = 0.1
 
-# Share of the travel of a stick, peak to peak, above which it moved. A stick at rest wanders by 1 to
-# 5 µs, and a dead zone has 20 to 30 µs. A stick that flies a sine moves more. The travel is in the
-# unit of the message.
+# Share of the travel of a stick, peak to peak, above which it moved. A stick at rest wanders by 1
+# to 5 µs, and a dead zone has 20 to 30 µs. A stick that flies a sine moves more. The travel is in
+# the unit of the message.
 STICK_MOVES = 0.05
 STICK_TRAVEL = {"RCIN": 1000.0, "manual_control_setpoint": 2.0}
 
@@ -85,7 +85,7 @@ def find_segments(
 
 
 def _system_identification(data: Recording | Record) -> list[Segment]:
-    """Return the runs of ArduPilot's System Identification mode, one for each valid SIDS message."""
+    """Return the runs of System Identification mode, one for each valid SIDS message."""
     if not isinstance(data, Recording) or "SIDS" not in data:
         return []
     settings = data["SIDS"]
@@ -151,7 +151,8 @@ def _announced(
             else "neither omega nor frequency is among them"
         )
         raise ValueError(
-            f"the fields of {message or 'the record'} must be given as {', '.join(ANNOUNCED)} or frequency, but {what}"
+            f"the fields of {message or 'the record'} must be given as {', '.join(ANNOUNCED)} or "
+            f"frequency, but {what}"
             f': write fields={{"omega": "W"}}; the message has {", ".join(record.signals)}.'
         )
     columns = {key: record[name] for key, name in chosen.items()}
@@ -164,7 +165,7 @@ def _announced(
 
 
 def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
-    """Return the rows of each test, cut where a field changes or the message pauses, with omega above 0."""
+    """Return the rows of each test: it ends where a field changes or the message pauses."""
     change = np.zeros(max(time.size - 1, 0), dtype=bool)
     if time.size > 1:
         steps = np.diff(time)
@@ -192,7 +193,7 @@ def _one_test(
 
 
 def _checked(segment: Segment, data: Recording | Record) -> Segment:
-    """Refuse a test that is too short, not excited, flown by hand, or with a change of the flight mode."""
+    """Refuse a test that is too short, not excited, flown by hand, or cut by a change of mode."""
     texts = []
     if segment.periods < 1:
         texts.append(f"shorter than one period ({segment.periods:.2f} of one)")
@@ -245,7 +246,8 @@ def _compared(segments: list[Segment]) -> list[Segment]:
             )
         if s in sines and 0 < s.amplitude < 0.01 * largest[s.unit]:
             texts.append(
-                f"barely excited: amplitude {s.amplitude:.3g} where others reach {largest[s.unit]:.3g}"
+                f"barely excited: amplitude {s.amplitude:.3g} where others reach "
+                f"{largest[s.unit]:.3g}"
             )
         result.append(s.refused(*texts) if texts else s)
     return result
@@ -291,7 +293,7 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
 
 
 def _whole_turn(unit: str) -> float:
-    """Return a whole turn in the unit of an angle, which a heading jumps by at north; 0 for other units."""
+    """Return a whole turn in the unit of an angle, the jump of a heading at north; 0 otherwise."""
     try:
         conversion = to_si(unit)
     except ValueError:

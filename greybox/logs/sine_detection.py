@@ -14,8 +14,9 @@ from greybox.files.arrays import Array, IntArray
 # "of 16", signals without a sine.
 
 # Least amplitude of a sine as a share of the signal's range; a turning point is twice as high. All
-# heights up to half of the range are tried, so that neither noise nor a large step hides the turning
-# points: with 0.01 alone, none of 20 is found; with 0.1 alone, 13; with 0.5 alone, 12 of 15.
+# heights up to half of the range are tried, so that neither noise nor a large step hides the
+# turning points: with 0.01 alone, none of 20 is found; with 0.1 alone, 13; with 0.5 alone, 12 of
+# 15.
 LEAST_AMPLITUDE = 0.005
 HEIGHTS = np.array([2 * LEAST_AMPLITUDE, 0.03, 0.1, 0.25, 0.5])
 
@@ -23,8 +24,8 @@ HEIGHTS = np.array([2 * LEAST_AMPLITUDE, 0.03, 0.1, 0.25, 0.5])
 # With 9, long tests are found as well.
 CROSSINGS = 5
 
-# Tolerance of a crossing about the line through the previous ones, in half periods. At 0.1, 18 of 20
-# are found and 3 of 24 sweeps are called sines. At 0.4, 10 of 15 are found, because successive
+# Tolerance of a crossing about the line through the previous ones, in half periods. At 0.1, 18 of
+# 20 are found and 3 of 24 sweeps are called sines. At 0.4, 10 of 15 are found, because successive
 # frequencies merge.
 OFF_LINE = 0.2
 
@@ -36,20 +37,21 @@ SWING = (0.6, 1.6)
 # of 15 are found; at 0.3, five.
 TRANSIENT = 0.03
 
-# Least number of samples of a sine, and in each period. With 40, no schedule is found at 20 rad/s and
-# 100 Hz; from 2 to 16, all are.
+# Least number of samples of a sine, and in each period. With 40, no schedule is found at 20 rad/s
+# and 100 Hz; from 2 to 16, all are.
 SAMPLES = 8
 
 # Largest share of the variance that a fitted sine may leave unexplained. At 0.015, 15 of 20 are
-# found. At 0.3, sines are found in 6 of 16: the fundamental of a square wave leaves 1 - 8/π² = 0.19.
+# found. At 0.3, sines are found in 6 of 16: the fundamental of a square wave leaves 1 - 8/π² =
+# 0.19.
 UNEXPLAINED = 0.15
 
 # Phase at the ends of a piece relative to a straight line, rad, above which the piece is part of a
 # sweep. At 0.012, 17 of 20 are found; at 0.4, 5 of 24 sweeps are called sines.
 BENT = 0.12
 
-# Largest unexplained share for a piece of a sweep. Besides the noise, a bend of b rad leaves 4/45 b²;
-# this allows two rad.
+# Largest unexplained share for a piece of a sweep. Besides the noise, a bend of b rad leaves 4/45
+# b²; this allows two rad.
 BENT_UNEXPLAINED = 0.5
 
 # A sine ends where the signal is farther off the fitted sine than this share of the amplitude. From
@@ -64,9 +66,9 @@ SWEEP_PIECES = 3
 # 2, 23, but narrower sweeps are lost.
 SWEEP_RATIO = 1.3
 
-# The next half period of a sweep is predicted from this number of half periods, within this relative
-# tolerance. The frequency of a logarithmic sweep is linear in the number of half periods; that of a
-# linear sweep, its square.
+# The next half period of a sweep is predicted from this number of half periods, within this
+# relative tolerance. The frequency of a logarithmic sweep is linear in the number of half periods;
+# that of a linear sweep, its square.
 KNOWN_PERIODS = 4
 OFF_SWEEP = 0.25
 
@@ -105,7 +107,7 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
 
 
 def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray:
-    """Return the indices among `corners` where the signal turns by at least `height`, and both ends."""
+    """Return the corners where the signal turns by at least `height`, and both ends."""
     turns = []
     direction = 0  # unknown; later 1 on the way up, -1 on the way down
     extreme = int(corners[0])  # index of the highest (lowest) value on the way
@@ -146,7 +148,8 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
     start = 0
     end = 3  # the fewest from which a line can be extrapolated and checked
     while end <= crossings.size:
-        # 400 crossings predict the next one as well as all do, and the time grows with their square.
+        # 400 crossings predict the next one as well as all do, and the time grows with their
+        # square.
         line = crossings[max(start, end - 399) : end + 1]
         heights = swings[max(start, end + 1 - CROSSINGS) : end + 1]
         if end < crossings.size and _continues(line, heights):
@@ -163,7 +166,7 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
 
 
 def _continues(crossings: Array, swings: Array) -> bool:
-    """Return whether the line through the other crossings predicts the last one, and its swing is as high."""
+    """Return whether the line through the others predicts the last crossing, with a like swing."""
     n = crossings.size - 1
     past = crossings[:-1]
     centered = np.arange(n) - (n - 1) / 2
@@ -229,7 +232,7 @@ def _refined_frequency(t: Array, x: Array, omega: float) -> float:
 
 
 def _phase_bend(t: Array, x: Array, omega: float, half: float) -> float:
-    """Return how far the phase, `half` seconds off the middle, is off that of one frequency, rad."""
+    """Return how far the phase bends off that of one frequency at `half` seconds, rad."""
     c = np.linalg.lstsq(_waves(t, omega, 8), x, rcond=None)[0]
     return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300) * (2 * half) ** 2 / 4
 
@@ -323,7 +326,7 @@ def _end_frequency(crossings: Array) -> tuple[float, float]:
 
 
 def _beyond(steps: float) -> Array:
-    """Return the weights that extrapolate the regression line of values to `steps` before the first."""
+    """Return the weights that extrapolate a regression line to `steps` before the first value."""
     centered = np.arange(KNOWN_PERIODS) - (KNOWN_PERIODS - 1) / 2
     return 1 / KNOWN_PERIODS + centered * (centered[0] - steps) / np.sum(centered**2)
 
@@ -345,7 +348,7 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
 
 
 def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossings: Array) -> float:
-    """Return when the signal left the middle before its first turning point `peak`; `other` is the second.
+    """Return when the signal left the middle before its first turning point, `peak`.
 
     The next half periods limit how long before the first of the `crossings` this may be. Otherwise
     it is this crossing.
@@ -362,7 +365,8 @@ def _part_of(sine: Segment, sweep: Segment) -> bool:
     """Return whether a "sine" is the slow start or the end of a sweep: short, and next to it.
 
     Short is a sine of up to four periods, or one that lasts up to 15 % of the sweep at one of its
-    frequencies (within a factor of 1.5). A very short end of a sweep may be far from its last piece.
+    frequencies (within a factor of 1.5). A very short end of a sweep may be far from its last
+    piece.
     """
     reach = 0.3 * sweep.duration if sine.duration < 0.05 * sweep.duration else 2 * sine.duration
     near = max(sweep.start - sine.end, sine.start - sweep.end) < reach

@@ -23,7 +23,7 @@ def cut(data, start, end, names, every=1, parameters=("",)):
     found = index(data)
     kept = []
     for i, layout in enumerate(found.layouts):
-        offsets = found.offsets[found.which == i]
+        offsets = found.offsets[found.numbers == i]
         if layout.name == "PARM":
             offsets = [
                 at for at in offsets if _parameter(data, at, layout).startswith(tuple(parameters))

@@ -1,4 +1,4 @@
-"""Filters of ArduPilot with the parameters of a log: of the gyro, its notches, and those of the rate controllers.
+"""Filters of ArduPilot by the parameters of a log: gyro, notches, rate controllers.
 
 Sources: INS_GYRO_FILTER, INS_HNTCH_*, ATC_RAT_*_FLTD, FLTT and FLTE at
 https://ardupilot.org/copter/docs/parameters.html; LowPassFilter2p.cpp, NotchFilter.cpp,
@@ -38,7 +38,7 @@ DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
 
 
 def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
-    """Return the filters that the gyro's rates have passed before they were logged, if `signal` is one of them.
+    """Return the filters that `signal` passed before it was logged, if it is a rate of the gyro.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]
 
 
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
-    """Return the filters whose parameters are known, by name: of the gyro, and of the rate controller of an axis."""
+    """Return the known filters by name: of the gyro, and of the rate controller of an axis."""
     parameters = recording.metadata.get("parameters", {})
     filters: dict[str, tuple[KnownFilter, ...]] = {}
     if parameters.get("INS_GYRO_FILTER", 0) > 0:
@@ -116,7 +116,7 @@ def _quality(center: float, width: float) -> float:
 
 
 def _logged_center(recording: Recording, number: int) -> float:
-    """Return the median of the logged centers, Hz; 0 where they were not logged. Without a number, it is the first."""
+    """Return the median of the logged centers, Hz; 0 where they were not logged."""
     for message, field in (("FTNS", "NF"), ("FTN", "NF1")):
         record = recording.records.get(
             f"{message}[{number}]", None if number else recording.records.get(message)

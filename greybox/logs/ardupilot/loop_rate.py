@@ -1,4 +1,4 @@
-"""Logs that hold only some passes of the control loop, and by how much the kept ones differ from all.
+"""Logs that hold only some passes of the control loop, and how much these differ from all.
 
 The gyro is sampled on a clock of its own: at 1 kHz and 400 passes a second, passes see two and
 three samples in turn. The D term divides the change of the gyro by one and the same interval, so
@@ -25,7 +25,8 @@ from greybox.logs.ardupilot.filters import CONTROLLERS, named_filters
 Complex = NDArray[np.complexfloating]
 
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
-EVERY_PASS = 1.25  # passes a sample of the log, below which it has them all: the rate of the loop is kept within 10 %
+# Passes a sample of the log, below which it has them all: the rate of the loop is kept within 10 %.
+EVERY_PASS = 1.25
 FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
 PHASES, PASSES = (
     20,
@@ -64,11 +65,12 @@ class Thinning:
     cure: str
 
     def __str__(self) -> str:
-        return f"every {_ordinal(self.kept)} pass of the control loop was logged ({self.logged:.4g} of {self.loop:g} Hz)"
+        rates = f"{self.logged:.4g} of {self.loop:g} Hz"
+        return f"every {_ordinal(self.kept)} pass of the control loop was logged ({rates})"
 
 
 def thinning(recording: Recording, signal: str, start: float, end: float) -> Thinning | None:
-    """Return how a signal was thinned from `start` to `end`, s; None where every pass is there, or it is not known."""
+    """Return how a signal was thinned from `start` to `end`, s, if it was, and if that is known."""
     parameters = recording.metadata.get("parameters", {})
     loop = float(parameters.get("SCHED_LOOP_RATE", 0))
     record, _ = recording.locate(signal)
@@ -116,7 +118,7 @@ def thinning_error(
 
 
 def _differences(per_pass: float, kept: int) -> tuple[float, float]:
-    """Return by how much kept passes differ from all, in the number of gyro samples and in the age of the newest."""
+    """Return how kept passes differ from all: the number of gyro samples, the age of the newest."""
     j = np.arange(PASSES + 1) * per_pass
     times = j + np.arange(PHASES)[:, None] / PHASES
     counts = np.diff(np.floor(times + 1e-9), axis=1)
@@ -128,7 +130,7 @@ def _differences(per_pass: float, kept: int) -> tuple[float, float]:
 
 
 def remaining_alternation(parameters: Mapping[str, float], axis: str, loop: float) -> float:
-    """Return what the D term's filter, at the rate of the loop, leaves of an alternation from pass to pass."""
+    """Return the share of an alternation from pass to pass that the filter of the D term leaves."""
     cutoff = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_FLTD", 0))
     alpha = 1 / (1 + loop / (2 * math.pi * cutoff)) if cutoff > 0 else 1.0
     return alpha / (2 - alpha)
@@ -143,7 +145,7 @@ def first_order(filters: tuple, s: Complex) -> Complex:
 
 
 def second_order(cutoff: float, s: Complex) -> Complex:
-    """Return the response of a Butterworth filter of second order, cutoff in Hz, at s, 1/s, (n,)."""
+    """Return the response of a second-order Butterworth filter, cutoff in Hz, at s, 1/s, (n,)."""
     x = s / (2 * math.pi * cutoff)
     return 1 / (x**2 + math.sqrt(2) * x + 1)
 

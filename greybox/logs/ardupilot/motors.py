@@ -42,7 +42,7 @@ TERMS = np.arange(1, 21)  # of the sum; the next are below 1/20^1.5 of the first
 
 
 def pwm_of_control(parameters: Mapping[str, float]) -> float:
-    """Return by how many µs a control of 1 moves a motor in hover; NaN for a vehicle without such motors."""
+    """Return how far a control of 1 moves a motor in hover, µs; NaN for other vehicles."""
     if "MOT_THST_EXPO" not in parameters:
         return math.nan
     values = {name: float(parameters.get(name, value)) for name, value in DEFAULTS.items()}
@@ -54,7 +54,7 @@ def pwm_of_control(parameters: Mapping[str, float]) -> float:
 
 
 def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
-    """Return the standard error of the gain of a rounded sine, relative to it, (n,); the offset may be any.
+    """Return the relative standard error of the gain of a rounded sine, (n,), for any offset.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
 
 
 def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> float:
-    """Return the share of the time that a motor is at its limit; NaN where the outputs were not logged."""
+    """Return the share of the time at which a motor is at its limit; NaN without logged outputs."""
     low, high = limits(recording.metadata.get("parameters", {}))
     shares, sizes = [], []
     for start, end in spans:

@@ -4,12 +4,16 @@ from greybox.logs.axis_signals import AxisSignals
 
 # SID_AXIS from 1, https://ardupilot.org/copter/docs/parameters.html
 SYSTEMID_AXES = (
-    "input roll,input pitch,input yaw,recovery roll,recovery pitch,recovery yaw,rate roll,rate pitch,rate yaw,"
-    "mixer roll,mixer pitch,mixer yaw,mixer thrust,measured lateral position,measured longitudinal position,"
-    "measured lateral velocity,measured longitudinal velocity,input lateral velocity,input longitudinal velocity"
+    "input roll,input pitch,input yaw,recovery roll,recovery pitch,recovery yaw,rate roll,rate "
+    "pitch,rate yaw,"
+    "mixer roll,mixer pitch,mixer yaw,mixer thrust,measured lateral position,measured longitudinal "
+    "position,"
+    "measured lateral velocity,measured longitudinal velocity,input lateral velocity,input "
+    "longitudinal velocity"
 ).split(",")
 
-SYSTEMID_DELAY = 1.0  # s, SYSTEM_ID_DELAY: the waveform starts this long after the mode (ArduCopter/mode_systemid.cpp)
+# s, SYSTEM_ID_DELAY: the waveform starts this long after the mode (ArduCopter/mode_systemid.cpp).
+SYSTEMID_DELAY = 1.0
 
 ATTITUDE_SETPOINTS = ("ATT.DesRoll", "ATT.DesPitch", "ATT.DesYaw")
 

@@ -1,9 +1,9 @@
 """Angles that ArduPilot logs as whole hundredths of a degree, cut off toward zero.
 
-An angle that crosses zero is low by half a step on either side: the error is a square wave in phase
-with the angle. Relative to a sine of amplitude A, its fundamental is 2 step / (π A). At an amplitude
-of 0.47° the gain is 1.4 % low and disagrees with the measured rate. The lost half is known, so it is
-added.
+An angle that crosses zero is low by half a step on either side: the error is a square wave in
+phase with the angle. Relative to a sine of amplitude A, its fundamental is 2 step / (π A). At an
+amplitude of 0.47° the gain is 1.4 % low and disagrees with the measured rate. The lost half is
+known, so it is added.
 
 Source: AP_AHRS.cpp of ArduPilot (update_cd_values: a float is assigned to a whole number of
 centidegrees) and the format letter c of https://ardupilot.org/copter/docs/logmessages.html.
@@ -34,7 +34,7 @@ def is_truncated(signal: str, values: Array) -> bool:
 
 
 def untruncated(signal: str, values: Array) -> Array:
-    """Return the angles of a log, deg, with the half step that was cut off; other signals unchanged.
+    """Return the angles of a log, deg, with the half step that was cut off; others unchanged.
 
     Zero remains: angles on both sides are cut to it.
     """

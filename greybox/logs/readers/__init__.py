@@ -1,4 +1,4 @@
-"""Readers of flight logs: one format a file, chosen by the contents of the file, then by its suffix.
+"""Readers of flight logs, one file for each format; the contents of a log choose, then its suffix.
 
 Begin with `FORMATS` and `read` below. A reader is a module with ``read(path, messages=None) ->
 Recording``. It is imported when a file of its format is read, so that `greybox.logs.readers` itself
@@ -63,7 +63,7 @@ def _is_telemetry(head: bytes) -> bool:
 
 
 def _is_csv(head: bytes) -> bool:
-    """Return whether it is text with at least two lines and a separator in the first that is not a comment."""
+    """Return whether it is text of two lines or more, with a separator in the first."""
     if b"\0" in head or not head.strip():
         return False
     lines = [
@@ -137,13 +137,13 @@ def read(
     kind = _format(path)
     reader = import_module(f"greybox.logs.readers.{kind.module}")
     if columns is None and rate is None:
-        stated = {}
+        table_options = {}
     elif "stated" in signature(reader.read).parameters:
-        stated = {"stated": columns, "rate": rate}
+        table_options = {"stated": columns, "rate": rate}
     else:
         raise ValueError(f"{path} is a log ({kind.about}): columns and rate are those of a table.")
     try:
-        log = reader.read(path, names, **stated)
+        log = reader.read(path, names, **table_options)
         if not columns:
             return log
         ((name, record),) = log.items()

@@ -33,7 +33,8 @@ UNITS = {  # of the log, where greybox writes them differently
     "satellites": "",
 }
 NO_RATE = (
-    "there is no RATE message, so neither the rate setpoints nor the controls (ROut, POut, YOut) were logged; "
+    "there is no RATE message, so neither the rate setpoints nor the controls (ROut, POut, YOut) "
+    "were logged; "
     "set LOG_BITMASK to log fast attitude and rates before the next flight."
 )
 
@@ -73,7 +74,7 @@ def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
 
 
 def vehicle_in(text: str) -> str:
-    """Return the vehicle whose firmware a text names, as ``APM:Copter V3.4-rc2`` does; empty for other texts."""
+    """Return the firmware that a text such as ``ArduCopter V4.6.0`` names, or nothing."""
     name = text.partition(" ")[0]
     return name if name in VEHICLES else ""
 

@@ -21,7 +21,7 @@ UNITS = {
 
 
 def without_settings(raw: bytes) -> bytes:
-    """Return a table with all lines before its header as comments, so that the others keep their numbers."""
+    """Return a table whose lines before the header are comments; line numbers stay right."""
     header = HEADER.search(raw)
     if header is None or not header.start():
         return raw

@@ -1,4 +1,4 @@
-"""Finds the signals of a log that a controller holds, and those that are samples of continuous ones.
+"""Finds the signals that a controller holds, and those that are samples of continuous ones.
 
 A flight controller sets its outputs and setpoints once in every pass of its loop, and they keep
 their values until the next one. A log has every pass or, thinned, only some: then a value lasted

@@ -1,4 +1,4 @@
-"""Tables of measured signals as text: a header line, a time column, numeric columns; comma, semicolon or tab."""
+"""Tables of measured signals as text: a header line, a time column, and numeric columns."""
 
 import hashlib
 from collections import Counter
@@ -47,8 +47,9 @@ def read(
     ``nan``, are missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
-    in ``time_s``, ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; for times without a
-    unit see `greybox.data.time_column`. Otherwise it is the first column, if this increases and has a unit of time. The
+    in ``time_s``, ``time_ms``), or TimeUS, TimeMS as the tools of ArduPilot write it; for times
+    without a unit see `greybox.data.time_column`. Otherwise it is the first column, if this
+    increases and has a unit of time. The
     rows of a table without a time column have no order in time, see `Record`.
 
     Parameters
@@ -82,7 +83,8 @@ def read(
     text = read_delimited(path, without_settings(raw))
     if not text.lines:
         raise ValueError(
-            f"{path} has no table: write a header line with names, then one line of numbers per sample."
+            f"{path} has no table: write a header line with names, then one line of numbers per "
+            "sample."
         )
 
     text = numbered(text) if stated else text
@@ -121,7 +123,8 @@ def _headings(text: DelimitedText) -> list[Heading]:
     if not names or (are_numbers(" ".join(names).split()) and not by_number):
         line = text.separator.join(text.header)[:60]
         raise ValueError(
-            f"{text.path} has no header line: its first line, {line!r}, must name the columns. Or give their numbers: "
+            f"{text.path} has no header line: its first line, {line!r}, must name the columns. Or "
+            "give their numbers: "
             'columns={"time": "1", "u": "2", "theta": "3:deg"}.'
         )
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
@@ -169,7 +172,8 @@ def _columns(
     findings = []
     if short:
         findings.append(
-            f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped, the first is line "
+            f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped, "
+            "the first is line "
             f"{short[0]}."
         )
     if text_cells:
@@ -182,7 +186,7 @@ def _columns(
 
 
 def _numbers(cells: Sequence[str], comma: bool) -> tuple[Array | None, list[int]]:
-    """Convert a column, NaN for missing cells, and return the rows with text; None for a column that is not numeric."""
+    """Return the numbers of a column (NaN: missing; None: it is text), and the rows with text."""
     values = np.full(len(cells), np.nan)
     odd = []
     filled = 0
@@ -216,7 +220,7 @@ def _infinite(columns: Mapping[str, Array], line_numbers: Sequence[int]) -> tupl
 def _time_first(
     headings: Sequence[Heading], columns: Mapping[str, Array], path: Path
 ) -> dict[str, Array]:
-    """Return the columns; without a named time, the first is one if it increases and has a unit of time.
+    """Return the columns; without a named time, an increasing first one in a unit of time is it.
 
     Raises
     ------
@@ -234,7 +238,8 @@ def _time_first(
     if unread:
         unit = f" [{unread.unit}]" if unread.unit else ""
         raise ValueError(
-            f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known unit: give it in "
+            f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known "
+            "unit: give it in "
             "seconds as 'time [s]', or another name if it is no time."
         )
     return dict(columns)

@@ -84,10 +84,10 @@ def recording(
 
 
 def _contents(data: Bytes, messages: Collection[str] | None) -> tuple[Clocked, tuple[str, ...]]:
-    """Return the messages on one clock, those that are requested with their columns, and findings."""
+    """Return the messages on one clock, the requested ones with their columns, and findings."""
     positions = index(data)
-    order = np.argsort(positions.which, kind="stable")
-    counts = np.bincount(positions.which, minlength=len(positions.layouts))
+    order = np.argsort(positions.numbers, kind="stable")
+    counts = np.bincount(positions.numbers, minlength=len(positions.layouts))
     rows = dict(zip(positions.layouts, np.split(order, np.cumsum(counts)[:-1]), strict=True))
 
     def decoded(layout: Layout, units: Units) -> Messages:
@@ -147,7 +147,7 @@ def _numbers(values: NDArray[np.generic], scale: float | None) -> Array:
 
 
 def clock_column(layout: Layout) -> str:
-    """Return the column with the vehicle's own time: the first if it is TimeUS or TimeMS; T of the old GPS messages."""
+    """Return the column of the time of the vehicle: the first, or T in old GPS messages."""
     if layout.name in ("GPS", "GPS2") and "T" in layout.columns and layout.columns[0] != "TimeUS":
         return "T"  # their TimeMS is that of the GPS week
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
@@ -177,6 +177,7 @@ def _damage(positions: Index) -> tuple[str, ...]:
         )
     if positions.cut:
         findings.append(
-            f"the last message ({positions.cut}) is cut off: the file was truncated, or the power was lost."
+            f"the last message ({positions.cut}) is cut off: the file was truncated, or the power "
+            "was lost."
         )
     return tuple(findings)

@@ -25,7 +25,7 @@ PADDING = 4096  # bytes, a page of memory: zeros or erased flash at the end of a
 
 @dataclass(frozen=True)
 class Layout:
-    """How the messages of one type are laid out: name, length in bytes with the header, one format letter a column."""
+    """The layout of one message type: its bytes with the header, one letter for each column."""
 
     kind: int
     name: str
@@ -40,7 +40,7 @@ class Layout:
         return np.dtype([(f"f{i}", _numpy_type(letters[i])) for i in range(len(letters))])
 
     def scale(self, column: int) -> float | None:
-        """Return the divisor that the letter implies (centi for c, C, e, E; 1e7 for L), None without one."""
+        """Return the divisor of the letter: 100 for c, C, e and E, 1e7 for L, None for others."""
         multiplier = FORMAT_TO_STRUCT[self.format[column]][1]
         return None if multiplier is None else 1 / multiplier
 
@@ -60,7 +60,7 @@ class Index:
         Every description in the file; one type may have several that differ.
     offsets : (n,) array
         Where each message starts, bytes.
-    which : (n,) array
+    numbers : (n,) array
         Its layout, as an index.
     damage : tuple of (start, end)
         Bytes that belong to no message.
@@ -70,7 +70,7 @@ class Index:
 
     layouts: tuple[Layout, ...]
     offsets: IntArray
-    which: IntArray
+    numbers: IntArray
     damage: tuple[tuple[int, int], ...]
     cut: str
 
@@ -79,36 +79,36 @@ def index(data: Bytes) -> Index:
     """Find every message in `data`."""
     raw = np.frombuffer(data, dtype=np.uint8)
     starts = np.flatnonzero((raw[:-2] == HEAD[0]) & (raw[1:-1] == HEAD[1]))
-    layouts, which = _layouts(data, starts, raw[starts + 2])
-    starts, which = starts[which >= 0], which[which >= 0]
-    ends = starts + np.array([layout.length for layout in layouts])[which]
+    layouts, numbers = _layouts(data, starts, raw[starts + 2])
+    starts, numbers = starts[numbers >= 0], numbers[numbers >= 0]
+    ends = starts + np.array([layout.length for layout in layouts])[numbers]
 
     is_message, damage = _chain(data, starts, ends)
     cut = np.flatnonzero(is_message & (ends > raw.size))
     is_message[cut] = False
-    name = layouts[which[cut[0]]].name if cut.size else ""
-    return Index(layouts, starts[is_message], which[is_message], damage, name)
+    name = layouts[numbers[cut[0]]].name if cut.size else ""
+    return Index(layouts, starts[is_message], numbers[is_message], damage, name)
 
 
 def _layouts(
     data: Bytes, starts: IntArray, kinds: NDArray[np.uint8]
 ) -> tuple[tuple[Layout, ...], IntArray]:
     """Return all descriptions, and which of them applies at each header, -1 where none does."""
-    numbers = {FMT_LAYOUT: 0}
+    layouts = {FMT_LAYOUT: 0}
     descriptions: dict[int, list[tuple[int, int]]] = {}
     for row in np.flatnonzero(kinds == FMT).tolist():
         body = data[starts[row] + 3 : starts[row] + FMT_LENGTH]
         layout = _layout(body) if len(body) == FMT_BODY.size else None
         if layout is not None and layout.kind != FMT:
-            number = numbers.setdefault(layout, len(numbers))
+            number = layouts.setdefault(layout, len(layouts))
             descriptions.setdefault(layout.kind, []).append((row, number))
 
-    which = np.where(kinds == FMT, 0, -1)
+    numbers = np.where(kinds == FMT, 0, -1)
     for kind, described in descriptions.items():
         rows = np.flatnonzero(kinds == kind)
         since, number = np.array([(-1, -1), *described]).T
-        which[rows] = number[np.searchsorted(since, rows) - 1]  # a later description replaces it
-    return tuple(numbers), which
+        numbers[rows] = number[np.searchsorted(since, rows) - 1]  # a later description replaces it
+    return tuple(layouts), numbers
 
 
 def _chain(
@@ -152,7 +152,7 @@ def _is_followed(data: Bytes, end: int) -> bool:
 def sound_layout(
     kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]
 ) -> Layout | None:
-    """Return the layout if it is plausible: known letters, a name, as many columns, and the length that they need."""
+    """Return the layout, or None if its letters, columns and length do not fit together."""
     if not (
         name.isascii()
         and name.replace("_", "").isalnum()

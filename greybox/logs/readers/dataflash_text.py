@@ -1,4 +1,4 @@
-"""ArduPilot DataFlash logs as text (.log): one message per line, ``ATT, 42079828, 0.01, ...``, and FMT lines."""
+"""ArduPilot DataFlash logs as text (.log): one message per line, ``ATT, 42079828, 0.01, ...``."""
 
 import hashlib
 import math
@@ -185,6 +185,7 @@ def _damage(lines: Lines) -> list[str]:
     ]
     if lines.unknown:
         findings.append(
-            f"{lines.unknown} lines are damaged, or have no FMT line that describes them, and were skipped."
+            f"{lines.unknown} lines are damaged, or have no FMT line that describes them, and were "
+            "skipped."
         )
     return findings

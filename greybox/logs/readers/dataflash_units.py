@@ -1,4 +1,4 @@
-"""The unit tables of a DataFlash log: UNIT and MULT name units and multipliers by a letter, FMTU uses them."""
+"""Units of a DataFlash log: UNIT and MULT name them by a letter, and FMTU uses the letters."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -62,14 +62,15 @@ class UnitTables:
     def findings(self) -> tuple[str, ...]:
         """Letters that the table gives several units, in words."""
         return tuple(
-            f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: what has it is "
+            f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: "
+            "what has it is "
             "taken without a unit."
             for letter, labels in self._several.items()
             if len(labels) > 1
         )
 
     def of(self, layout: Layout) -> Units:
-        """Units of one type, as pymavlink gives them: a multiplier of the table is part of the unit (cm/s²)."""
+        """Return the units of one type as pymavlink does, with the multiplier in it, cm/s²."""
         units, scales = self.letters.get(layout.kind, ("", ""))
         columns = {}
         for i, (name, letter) in enumerate(zip(layout.columns, units, strict=False)):
@@ -82,7 +83,7 @@ class UnitTables:
 
 
 def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Give the messages of a log without unit tables the units that ArduPilot has always used, with a finding."""
+    """Give messages of logs without unit tables ArduPilot's usual units, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
         return list(groups), ()
     names = [group.name for group in groups if group.name in USUAL]
@@ -121,5 +122,5 @@ def _letter(value: float) -> str:
 
 
 def _integer(value: float) -> int:
-    """Return a number as an integer; 0, which stands for nothing in these tables, for a damaged one."""
+    """Return a number as an integer; 0, which these tables do not use, for a damaged one."""
     return int(value) if math.isfinite(value) else 0

@@ -17,11 +17,11 @@ def read(
     """Read every group that has a time vector into a record.
 
     A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see
-    `greybox.data.time_column`), and vectors of the same length. Matrices with one sample per row (as
-    MATLAB shows them, in MATLAB's files) give one signal per column. Units are attributes ``unit``
-    or ``units`` of the datasets, followed by the word held or sampled where it is known how the
-    signal runs between its samples. A record is named after its group (``flight/ATT``), one at the
-    root after the file.
+    `greybox.data.time_column`), and vectors of the same length. Matrices with one sample per row
+    (as MATLAB shows them, in MATLAB's files) give one signal per column. Units are attributes
+    ``unit`` or ``units`` of the datasets, followed by the word held or sampled where it is known
+    how the signal runs between its samples. A record is named after its group (``flight/ATT``),
+    one at the root after the file.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def read(
 
 
 def _rows(values: Array, matlab: bool) -> Array:
-    """Return a vector as such, a matrix with the samples in rows; MATLAB's matrices lie transposed in the file."""
+    """Return an array with the samples in rows: MATLAB stores matrices transposed."""
     if values.ndim == 2 and 1 in values.shape:
         return values.ravel()
     return values.T if matlab else values

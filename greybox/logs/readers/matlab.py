@@ -1,4 +1,4 @@
-"""MATLAB files (.mat) up to version 7: vectors beside a time vector, and structs of them. Version 7.3 is HDF5."""
+"""MATLAB files (.mat) up to version 7: vectors with a time, and structs of them. 7.3 is HDF5."""
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ def read(
     stated: Mapping[str, str] | None = None,
     rate: float | None = None,
 ) -> Recording:
-    """Read every struct that has a time vector into a record, and the vectors beside a time vector of the workspace.
+    """Read every struct that has a time into a record, and the workspace if it has one.
 
     The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``), see
     `greybox.data.time_column`; without one, ``Ts`` is the sampling interval, s. Matrices with one

@@ -1,4 +1,4 @@
-"""From the messages of a log of any format to records: one per instance, on one clock, with increasing times."""
+"""From messages to records: one per instance, on one clock, with increasing times."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Files of named arrays (HDF5, MATLAB, PX4), read by `greybox.files.subprocess_reader`: their groups become records."""
+"""Makes records of the groups in files of named arrays: HDF5, MATLAB, PX4."""
 
 import hashlib
 from collections.abc import Collection, Mapping
@@ -63,7 +63,7 @@ def recording(
     stated: Mapping[str, str] | None = None,
     rate: float | None = None,
 ) -> Recording:
-    """Make a record of every group that has a time, the root named after the file; ValueError if none has.
+    """Make a record of every group that has a time; the root is named after the file.
 
     With the `parameters` of a vehicle the groups are known messages of its flight controller. The
     `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`.
@@ -97,7 +97,8 @@ def recording(
         findings += [*problems, *log.findings, *dropped]
     if not by_name:
         raise ValueError(
-            f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its length; "
+            f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
+            "length; "
             f"it holds {', '.join(columns) or 'no vectors at all'}."
         )
     return Recording(by_name, path.name, checksum, {}, tuple(findings))

@@ -21,7 +21,7 @@ WIDEST = (
 def table(
     name: str, columns: Mapping[str, Array], units: Mapping[str, str], rate: float | None = None
 ) -> tuple[Messages | None, tuple[str, ...]]:
-    """Make messages of columns that share a time column; None where there is no time or nothing beside it.
+    """Make messages of columns that share a time; None without a time or without signals.
 
     Without a time column the samples are `rate` Hz apart, or ``Ts`` seconds where the table has
     this sampling interval, as in System Identification Toolbox.
@@ -77,7 +77,8 @@ def table(
     findings = [*assumed]
     if wrong_length:
         findings.append(
-            f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}."
+            f"{name}: left out, because their length is not that of the time: "
+            f"{name_list(wrong_length)}."
         )
     messages = (
         Messages(name, np.arange(time.size), time, signals, {}, labels, hold=hold)
@@ -92,7 +93,8 @@ def of_rows(
 ) -> Record:
     """Return a record of rows without a time; `about` are its source, checksum and findings."""
     named = {key: _unit_and_hold(units.get(key, ""))[0] for key in columns}
-    return Record(None, columns, {key: unit for key, unit in named.items() if unit}, name, **about)  # type: ignore[arg-type]
+    stated = {key: unit for key, unit in named.items() if unit}
+    return Record(None, columns, stated, name, **about)  # type: ignore[arg-type]
 
 
 def _unit_and_hold(text: str) -> tuple[str, float | None]:
@@ -103,7 +105,7 @@ def _unit_and_hold(text: str) -> tuple[str, float | None]:
 
 
 def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Array]]:
-    """Return the signals of one variable: itself, or the columns of a matrix, of the right length."""
+    """Return the signals of a variable of the right length: itself, or the columns of a matrix."""
     if values.shape[:1] != (size,):
         return []
     if values.ndim == 1:

@@ -64,7 +64,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     kinds, first_received = _kinds(packets, messages)
     if not kinds:
         raise ValueError(
-            f"{path} holds no MAVLink packet that can be read; copy it from the ground station again."
+            f"{path} holds no MAVLink packet that can be read; copy it from the ground station "
+            "again."
         )
 
     clocks = _clocks(kinds)
@@ -188,7 +189,8 @@ def _address(sender: int) -> str:
 
 def _restarts(clocks: Mapping[int, Clock], zero: float) -> list[str]:
     return [
-        f"sender {_address(sender)} restarted at {(start - zero) / 1e6:.1f} s; its clock continues there."
+        f"sender {_address(sender)} restarted at {(start - zero) / 1e6:.1f} s; its clock continues "
+        "there."
         for sender, clock in clocks.items()
         for start in clock.starts[1:]
     ]

@@ -37,7 +37,7 @@ def vehicle_sender(kinds: Mapping[str, Kind]) -> int:
 
 
 def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str, Any]:
-    """Return the metadata of a recording as far as they were sent, with the times (n,) of each kind, s."""
+    """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
     beats = _heartbeats(kinds, times)
     texts = _texts(kinds.get("STATUSTEXT"), times)
     about = {

@@ -141,6 +141,6 @@ class Kind:
 
     @property
     def columns(self) -> dict[str, Array]:
-        """The numeric fields, (n,) arrays; elements of an array field are ``name[0]``, ``name[1]``."""
+        """The numeric fields, (n,) arrays; those of an array are ``name[0]``, ``name[1]``."""
         table = np.asarray(self._values).reshape(len(self.numbers), -1)
         return {label: table[:, k].copy() for k, label in enumerate(self._labels)}

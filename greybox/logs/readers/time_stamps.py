@@ -1,4 +1,4 @@
-"""Cleans the time stamps of a log: clock restarts, implausible stamps, times that do not increase."""
+"""Cleans time stamps of clock restarts, implausible values, and times that do not increase."""
 
 from bisect import bisect_left
 from itertools import pairwise
@@ -18,10 +18,10 @@ SLACK = 600.0  # s outside of the first and last stamps: farther ones are damage
 
 
 def restarts(stamps: Array) -> tuple[int, ...]:
-    """Return where the clock restarted, as indices into the stamps (s) of all messages in the order of the file.
+    """Return where the clock restarted: indices into the stamps, s, in the order of the file.
 
-    A single damaged stamp is not a restart: the median of the later stamps must be below that of the
-    earlier ones.
+    A single damaged stamp is not a restart: the median of the later stamps must be below that of
+    the earlier ones.
     """
     drops = np.flatnonzero(np.diff(stamps) < -BACK) + 1
     starts: list[int] = []
@@ -34,7 +34,7 @@ def restarts(stamps: Array) -> tuple[int, ...]:
 
 
 def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return the stamps (s) on one clock that continues at a restart, NaN where they are implausible, and findings.
+    """Return the stamps, s, on one clock; those that are implausible are NaN. And findings.
 
     After a restart the clock is set to `PAUSE` after the last stamp of the previous boot, so that a
     gap separates the boots of a record.
@@ -52,7 +52,8 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
         shifted[finite[start:stop]] = piece + shift
         if boot:
             findings.append(
-                f"the clock restarted at {end:.1f} s (another boot): later times were shifted by {shift:+.1f} s, "
+                f"the clock restarted at {end:.1f} s (another boot): later times were shifted by "
+                f"{shift:+.1f} s, "
                 f"to {PAUSE:g} s after it; the real pause is not known."
             )
         end = float(np.nanmax(piece)) + shift
@@ -80,7 +81,7 @@ def _edge(stamps: Array, side: int) -> float:
 
 
 def increasing(time: Array) -> IntArray:
-    """Return the rows to keep so that time strictly increases: as many as possible, none with NaN."""
+    """Return the largest choice of rows in which the time strictly increases, without NaN."""
     rows = np.flatnonzero(np.isfinite(time))
     finite = time[rows]
     if np.all(np.diff(finite) > 0):

@@ -69,7 +69,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     topics_wanted = bare(messages)
     if find_spec("pyulog") is None:
         raise ValueError(
-            f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'."
+            f"{path} is a PX4 log, which needs pyulog: install it with pip install "
+            "'greybox-id[px4]'."
         )
     contents = named_arrays.read_contents(
         "ulog", path, *(sorted({STATUS, *topics_wanted}) if topics_wanted else ())

@@ -19,7 +19,7 @@ def found(data):
     """Offsets of the messages named ATT."""
     scanned = index(data)
     numbers = [k for k, layout in enumerate(scanned.layouts) if layout.name == "ATT"]
-    return scanned, scanned.offsets[np.isin(scanned.which, numbers)]
+    return scanned, scanned.offsets[np.isin(scanned.numbers, numbers)]
 
 
 def skipped(scanned):
@@ -103,7 +103,7 @@ def test_damage_of_every_kind_is_found():
         at += len(part)
     scanned = index(b"".join([*data, b"\xa3"]))
     assert scanned.offsets.tolist() == starts
-    names = [scanned.layouts[k].name for k in scanned.which]
+    names = [scanned.layouts[k].name for k in scanned.numbers]
     assert names.count("IMU") == 79
     assert names == [
         next(n for n, (kind, *_) in made.kinds.items() if kind == part[2])
