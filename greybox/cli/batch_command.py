@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import add_common_options, positive, seconds
-from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
+from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, attributes
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.workers import add_worker_options, require_folder, stated_executor
 from greybox.solve.executors import ExecutorLostError
@@ -77,13 +77,8 @@ def run(options: argparse.Namespace) -> Answer:
 def as_json(study: Study) -> dict[str, Any]:
     """Return the members of a study by name."""
     members = [
-        {
-            "name": member.name,
-            "status": member.status,
-            "runs": member.runs,
-            "error": member.error or None,
-            "answer": member.answer or None,
-        }
+        attributes(member, "name", "status", "runs")
+        | {"error": member.error or None, "answer": member.answer or None}
         for member in study.members
     ]
     return {"study": study.folder, "members": members}

@@ -62,7 +62,7 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     attribute = name or "problem"
     problem = getattr(module, attribute, None)
     if problem is None:
-        near = nearest(attribute, (other for other in vars(module) if not other.startswith("_")))
+        near = nearest(attribute, (known for known in vars(module) if not known.startswith("_")))
         hint = f"did you mean {near!r}? Otherwise " if near else ""
         raise ValueError(
             f"{place} has no {attribute!r}: {hint}define {attribute}() that returns a gb.Problem."
@@ -76,14 +76,10 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
         )
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
-    unknown = set(settings) - set(SETTINGS)
-    if unknown:
-        name = min(map(str, unknown))
-        near = nearest(name, SETTINGS)
-        hint = f": did you mean {near!r}?" if near else "."
-        raise ValueError(
-            f"settings in {text} has {name!r}: it may contain 'starts', 'seed' and 'method'{hint}"
-        )
+    for name in settings:
+        if name not in SETTINGS:
+            known = alternatives(name, SETTINGS)
+            raise ValueError(f"settings in {text} has {name!r}, which is not known; use {known}")
     return problem.with_(name=label), dict(settings)
 
 
@@ -108,7 +104,8 @@ def find_model(text: str) -> Model:
         (name,) = models
     if name not in models:
         raise ValueError(
-            f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, models)}"
+            f"there is no model {text!r}; {match['place'].split(':')[0]} has "
+            f"{alternatives(name, models)}"
         )
     return models[name](*_arguments(match["arguments"] or "()", text))
 

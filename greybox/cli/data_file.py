@@ -1,4 +1,4 @@
-"""A file given with --data: a frequency response, the spectrum of a manoeuvre, or a table with a model's signals."""
+"""A file given with --data: a frequency response, the spectrum of a manoeuvre, or a record."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import alternatives
+from greybox.files.text_table import alternatives, counted
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.named_columns import in_si
 from greybox.logs.readers import read
@@ -59,7 +59,8 @@ def read_data(
         if columns or rate:
             raise
         raise ValueError(
-            f"{path} is neither a frequency response, with columns {', '.join((OMEGA, *RECTANGULAR))}, nor a record: {error}"
+            f"{path} is neither a frequency response, with columns "
+            f"{', '.join((OMEGA, *RECTANGULAR))}, nor a record: {error}"
         ) from None
     return _record_of(log, path, model)
 
@@ -97,7 +98,9 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
     inputs, outputs = model.input_names, model.output_names
     names = (*inputs, *outputs)
     records = [
-        r for r in log.values() if set(inputs) <= set(r.signals) and set(outputs) & set(r.signals)
+        record
+        for record in log.values()
+        if set(inputs) <= set(record.signals) and set(outputs) & set(record.signals)
     ]
     is_table = len(log) == 1
     if len(records) != 1:
@@ -108,21 +111,14 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
             f"name its columns, with units, --columns time=COLUMN:ms {columns}; for a frequency "
             "response --columns frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
         )
+        count = counted(len(records), "message") if records else "no message"
         raise ValueError(
-            f"{path} has {len(records) or 'no'} {'messages' if records else 'message'} with the "
-            f"signals of {signals}; it has {available:.{LONG}}: "
-            f"{cure if is_table else _preparation(path, names)}."
+            f"{path} has {count} with the signals of {signals}; it has "
+            f"{available:.{LONG}}: {cure if is_table else _preparation(path, names)}."
         )
     (record,) = records
     record = in_si(record, [name for name in names if name in record.signals])
-    findings = list(record.findings)
-    # Findings about other messages are left out.
-    findings += [
-        text
-        for text in log.findings
-        if text not in findings and text.partition(":")[0] not in log.records
-    ]
-    return replace(record, findings=tuple(findings))
+    return replace(record, findings=tuple(dict.fromkeys([*record.findings, *log.findings])))
 
 
 def _preparation(path: Path, names: Sequence[str]) -> str:

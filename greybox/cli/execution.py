@@ -14,9 +14,7 @@ from greybox.cli.output import (
     BAD_INPUT,
     FAILED,
     INTERRUPTED,
-    NO_WORKING_DIRECTORY,
     Answer,
-    has_working_directory,
     write_answer,
 )
 from greybox.modeling.model_reference import UnknownModelError
@@ -84,8 +82,6 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
         place = f"{files[_full_path(last.filename)]}, line {last.lineno}"
         return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
 
-    if isinstance(error, FileNotFoundError) and not has_working_directory():
-        return NO_WORKING_DIRECTORY, BAD_INPUT
     if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
         return sentence, BAD_INPUT
     sentence = f"internal error, {type(error).__name__}: {sentence}"

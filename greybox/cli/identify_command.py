@@ -14,14 +14,12 @@ from greybox.cli.options import (
     UsageError,
     add_common_options,
     add_words,
-    assignments,
-    intervals,
     nonnegative,
     positive,
 )
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
-from greybox.cli.parameter_options import add_value_options
+from greybox.cli.parameter_options import add_value_options, stated_values
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.result import Fit
@@ -115,10 +113,8 @@ def run(options: argparse.Namespace) -> Answer:
         vehicle=options.vehicle,
         structures=[_structure(word) for word in options.structures],
         through=options.through,
-        fixed=assignments(options.fix, "--fix"),
         free=options.free,
-        bounds=intervals(options.bounds, "--bounds"),
-        start=assignments(options.start, "--start"),
+        **stated_values(options),
         all_points=options.all_points,
         starts=options.starts,
         seed=options.seed,

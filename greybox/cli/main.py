@@ -45,7 +45,7 @@ begin with:
 
 
 class _Parser(argparse.ArgumentParser):
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore
         """Refuse unknown options in the parser of the command, which can suggest similar ones."""
         options, unknown = super().parse_known_args(args, namespace)
         if unknown:

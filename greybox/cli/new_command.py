@@ -1,7 +1,6 @@
 """The command `greybox new`: a commented file to start from, of a model or of a problem."""
 
 import argparse
-import re
 import sys
 from pathlib import Path
 
@@ -43,11 +42,13 @@ def run(options: argparse.Namespace) -> Answer:
     path = Path(options.name if options.name.endswith(".py") else f"{options.name}.py")
     if not path.stem.isidentifier():
         raise UsageError(
-            f"{path.stem!r} cannot be the name of a Python file: use letters, digits and underscores."
+            f"{path.stem!r} cannot be the name of a Python file: use letters, digits and "
+            "underscores."
         )
     if path.stem in PACKAGES | sys.stdlib_module_names:
         raise UsageError(
-            f"{path.stem} is the name of a Python package, which {path} would hide: choose another name."
+            f"{path.stem} is the name of a Python package, which {path} would hide: choose another "
+            "name."
         )
     require_writable(path, options.force)
     write = model_file if options.kind == "model" else problem_file
@@ -63,10 +64,6 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _class_name(stem: str) -> str:
-    """Return ``PitchRate`` of ``pitch_rate``; a name that has capitals stays."""
-    words = [word for word in stem.split("_") if word]
-    name = (
-        "".join(word if re.search(r"[A-Z]", word) else word.capitalize() for word in words)
-        or "Model"
-    )
+    """Return ``PitchRate`` for ``pitch_rate``."""
+    name = "".join(word[:1].upper() + word[1:] for word in stem.split("_"))
     return name if name[:1].isalpha() else f"Model{name}"

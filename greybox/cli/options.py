@@ -57,7 +57,7 @@ def add_words(parser: argparse.ArgumentParser, flag: str, metavar: str, about: s
 
 
 def as_options(text: str, options: argparse.Namespace) -> str:
-    """Return a text of the library with its arguments as options: ``settle=-1`` becomes ``--settle -1``."""
+    """Return a text with arguments as options: ``settle=-1`` becomes ``--settle -1``."""
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
     def option(match: re.Match[str]) -> str:
@@ -117,7 +117,7 @@ def assignments(words: Sequence[str], flag: str) -> dict[str, float]:
 
 
 def uncertain_values(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
-    """Return values with their standard deviations by name from words such as ``a1=3.2+-0.1`` (or ±).
+    """Return values with standard deviations by name from words such as ``a1=3.2+-0.1`` (or ±).
 
     Raises
     ------
@@ -133,7 +133,7 @@ def uncertain_values(words: Sequence[str], flag: str) -> dict[str, tuple[float, 
 
 
 def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
-    """Return intervals by name from words such as ``a1=-10:10``; what is left out is infinite, ``T=0:``.
+    """Return intervals by name from words such as ``a1=-10:10``; ``T=0:`` has no upper end.
 
     Raises
     ------

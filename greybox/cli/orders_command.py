@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.columns import add_columns_option, stated_columns
-from greybox.cli.options import add_common_options, assignments, intervals, nonnegative, positive
-from greybox.cli.output import FAILED, USABLE, Answer
-from greybox.cli.parameter_options import add_value_options
+from greybox.cli.options import add_common_options, add_words, nonnegative, positive
+from greybox.cli.output import FAILED, USABLE, Answer, attributes
+from greybox.cli.parameter_options import add_value_options, stated_values
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
 from greybox.cli.stated_problem import filters_of
 from greybox.data.response_file import read_response
 from greybox.estimate.summary import summary
-from greybox.files.json_numbers import finite
 from greybox.identification.orders import select_orders
 from greybox.identification.selection import Selection
 
@@ -31,27 +30,29 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="RESPONSE",
-        help="measured frequency responses of one plant, as of greybox response",
+        help="measured frequency responses of one plant, as greybox response saves them",
     )
-    add_columns_option(parser, "what the columns of a table are that names them otherwise")
+    add_columns_option(parser, "the columns of a table with other names: frequency=f:Hz")
     add(
         "--n",
         type=positive,
         nargs="+",
         default=[],
-        help="orders of the denominator with its integrators (default: up to four poles beside "
-        "these)",
+        help="orders of the denominator, integrators included (default: up to four poles besides "
+        "the integrators)",
     )
-    add("--m", type=nonnegative, nargs="+", default=[], help="orders of the numerator, 0 1 2")
-    add("--integrators", type=nonnegative, nargs="+", default=[], metavar="K", help="0 1 2")
-    add("--no-delay", action="store_true", help="structures without a delay")
+    add("--m", type=nonnegative, nargs="+", default=[], help="orders of the numerator: 0 1 2")
     add(
-        "--through",
+        "--integrators",
+        type=nonnegative,
         nargs="+",
         default=[],
-        metavar="FILTER",
-        help="filters between the output and its log, as of greybox fit",
+        metavar="K",
+        help="numbers of integrators: 0 1 2",
     )
+    add("--no-delay", action="store_true", help="fit structures without a delay")
+    about = "filters between the output and its log, as in greybox fit"
+    add_words(parser, "--through", "FILTER", about)
     add_value_options(parser)
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
     add_common_options(parser, writes=True)
@@ -69,31 +70,29 @@ def run(options: argparse.Namespace) -> Answer:
         options.integrators,
         delay=not options.no_delay,
         through=[model for word in options.through for model in filters_of(word, data[0])],
-        fixed=assignments(options.fix, "--fix"),
-        bounds=intervals(options.bounds, "--bounds"),
-        start=assignments(options.start, "--start"),
+        **stated_values(options),
     )
     answer = selection_json(selection)
-    if selection.fit is None:
-        return {**answer, "error": selection.verdict}, str(selection), FAILED
-    notes = save_fit(selection.fit, options.out)
-    text = "\n".join([str(selection), "", str(selection.fit), *notes])
-    if not selection.explains:
-        return {**answer, "error": selection.verdict}, text, FAILED
-    return answer, text, USABLE
+    text = [str(selection)]
+    if selection.fit is not None:
+        text += ["", str(selection.fit), *save_fit(selection.fit, options.out)]
+    if selection.fit is None or not selection.explains:
+        return {**answer, "error": selection.verdict}, "\n".join(text), FAILED
+    return answer, "\n".join(text), USABLE
 
 
 def selection_json(selection: Selection) -> dict[str, Any]:
-    """Return the structures and the verdict as plain values."""
+    """Return the structures and the verdict."""
     structures = [
-        {"model": c.label, "free": list(c.fit.free), "about": c.about, "remarks": list(c.remarks)}
-        | {"converged": c.fit.converged, "cost": finite(c.fit.cost), "bic": finite(bic)}
-        | {"residual_over_noise": finite(c.noise), "chosen": c is selection.chosen}
-        for c, bic in zip(selection.candidates, selection.bic, strict=True)
+        {
+            "model": candidate.label,
+            **attributes(candidate, "about", "remarks"),
+            **attributes(candidate.fit, "free", "converged", "cost"),
+            "bic": bic,
+            "residual_over_noise": candidate.noise,
+            "chosen": candidate is selection.chosen,
+        }
+        for candidate, bic in zip(selection.candidates, selection.bic, strict=True)
     ]
-    return {
-        "structures": structures,
-        "explains": selection.explains,
-        "verdict": selection.verdict,
-        "fit": summary(selection.fit) if selection.fit is not None else None,
-    }
+    fit = summary(selection.fit) if selection.fit is not None else None
+    return {"structures": structures, **attributes(selection, "explains", "verdict"), "fit": fit}

@@ -22,11 +22,9 @@ FAILED = 1  # a run that failed
 BAD_INPUT = 2  # bad usage or bad input
 INTERRUPTED = 130  # as of a program that a shell saw end by Ctrl-C
 
-NO_WORKING_DIRECTORY = "the working directory was removed: change to one that exists."
-
 
 def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
-    """Write an answer to standard output, or its error to standard error; return the exit status."""
+    """Write an answer to standard output, its error to standard error; return the exit status."""
     if "error" in result:
         write(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr)
 
@@ -60,15 +58,6 @@ def attributes(thing: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(thing, name) for name in names}
 
 
-def has_working_directory() -> bool:
-    """Return whether the folder of relative paths still exists."""
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        return False
-    return True
-
-
 def require_writable(
     path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = ""
 ) -> None:
@@ -85,8 +74,6 @@ def require_writable(
         raise UsageError(f"{path} is a folder: give the name of a file.")
     if path.exists() and not force:
         raise UsageError(f"{path} exists: give another name, or --force to overwrite it.")
-    if not has_working_directory() and not path.is_absolute():
-        raise UsageError(NO_WORKING_DIRECTORY)
     if not path.parent.is_dir():
         raise UsageError(f"the folder of {path} does not exist: create it first.")
     if not os.access(path.parent, os.W_OK):

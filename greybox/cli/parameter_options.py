@@ -32,6 +32,15 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     add_words(parser, "--prior", "NAME=VALUE+-SIGMA", about)
 
 
+def stated_values(options: argparse.Namespace) -> dict[str, Mapping[str, Any]]:
+    """Return fixed values, bounds and starts by name, as arguments of a problem."""
+    return {
+        "fixed": assignments(options.fix, "--fix"),
+        "bounds": intervals(options.bounds, "--bounds"),
+        "start": assignments(options.start, "--start"),
+    }
+
+
 def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> AnyProblem:
     """Return the problem with the options applied to every part that has the parameters.
 
@@ -41,10 +50,8 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
         For words that are no assignments, and unknown names.
     """
     changes: dict[str, Mapping[str, Any]] = {
-        "fixed": assignments(options.fix, "--fix"),
+        **stated_values(options),
         "free": dict.fromkeys(options.free),
-        "bounds": intervals(options.bounds, "--bounds"),
-        "start": assignments(options.start, "--start"),
         "starts": intervals(options.starts_box, "--starts-box"),
         "prior": uncertain_values(options.prior, "--prior"),
     }

@@ -43,6 +43,6 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _figure(result: Profiles) -> Any:
-    from greybox.plotting import profile as figures  # noqa: PLC0415  (matplotlib takes long to import)
+    from greybox.plotting import profile as figures  # noqa: PLC0415  (imports matplotlib)
 
     return figures.profiles(result)[0].figure

@@ -12,7 +12,7 @@ from greybox.files.safe_files import HDF5
 
 
 def add_fit_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare RESULT, a saved fit, and its problem and models where the file does not contain them."""
+    """Declare RESULT, a saved fit, and what its file may not contain: problem and models."""
     parser.add_argument(
         "result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote"
     )

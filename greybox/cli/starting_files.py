@@ -2,7 +2,7 @@
 
 TRANSFER_FUNCTION = '''\
 class {name}(gb.TransferFunction):
-    r"""Angle from the control: rotor lag, inertia, damping and delay. This line is what `greybox list` shows.
+    r"""Angle from the control: rotor lag, inertia, damping, delay. `greybox list` shows this line.
 
     $$P(s) = \\frac{{K}}{{s (s + a) (T s + 1)}} e^{{-s T_{{delay}}}}$$
 
@@ -17,7 +17,8 @@ class {name}(gb.TransferFunction):
     K = gb.Parameter(50.0, bounds=(1, 500), unit="1/s²", about="angular acceleration per control")
     a = gb.Parameter(1.0, bounds=(0, 5), unit="1/s", about="damping of the rate")
     T = gb.Parameter(0.05, bounds=(0.005, 0.2), unit="s", about="time constant of the rotors")
-    T_delay = gb.Parameter(0.0, bounds=(0, 0.05), unit="s", about="delay", fixed=True)  # free=["T_delay"] estimates it
+    # free=["T_delay"] estimates a parameter that is fixed here.
+    T_delay = gb.Parameter(0.0, bounds=(0, 0.05), unit="s", about="delay", fixed=True)
 
     # What follows from the parameters, each with a standard error of its own.
     derived = {{"bandwidth": lambda p: 1 / p.T}}
@@ -71,7 +72,8 @@ if __name__ == "__main__":  # python {file}
 
 TRANSFER_FUNCTION_TRIAL = """\
     print(gb.modeling.rational({name}()))
-    for omega, value in zip([1.0, 10.0], gb.frequency_response({name}(), {{"K": 60.0}}, [1.0, 10.0]).response):
+    response = gb.frequency_response({name}(), {{"K": 60.0}}, [1.0, 10.0])
+    for omega, value in zip(response.omega, response.response):
         print(f"P(j {{omega:g}} rad/s) = {{value:.4g}}")"""
 
 STATE_SPACE_TRIAL = """\
@@ -95,7 +97,7 @@ def data():
 {data}
 
 def problem():
-    """Return what `greybox fit` fits; parameters can also be stated here instead of in the model."""
+    """Return what `greybox fit` fits; it may change what the model declares."""
     return gb.Problem(
         {name}(),
         data(),
@@ -110,11 +112,13 @@ settings = {{"starts": {starts}, "seed": 0}}  # of the search; --starts and --se
 
 RESPONSE_DATA = '''\
     """Return the measured frequency response: here a made-up one, with 2 % noise."""
-    # Yours, from a file with the columns omega_rad_s, alpha, beta, or from magnitude and phase:
-    # return gb.read_response("response.csv")     columns = {{"frequency": "f:Hz", "magnitude":
-    # "mag:dB", "phase": "ph:deg"}}     return gb.read_response("response.csv", columns=columns) or
-    # from a flight log, on the command line: greybox response flight.BIN --input u=... --output
-    # theta=... --out ...
+    # Yours, from a file with the columns omega_rad_s, alpha, beta:
+    #     return gb.read_response("response.csv")
+    # from magnitude and phase:
+    #     columns = {{"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg"}}
+    #     return gb.read_response("response.csv", columns=columns)
+    # or from a flight log, on the command line:
+    #     greybox response flight.BIN --input u=... --output theta=... --out response.csv
     truth = {{"K": 60.0, "a": 2.0, "T": 0.06}}
     exact = gb.frequency_response({name}(), truth, np.geomspace(1, 40, 20))  # rad/s
     parts = np.random.default_rng(0).normal(size=(2, 20))
@@ -124,12 +128,14 @@ RESPONSE_DATA = '''\
 
 RECORD_DATA = '''\
     """Return the measured record: here a made-up one, with noise of 0.05 m/s."""
-    # Yours, from a table with the columns time [s], theta [rad], v [m/s], or from a flight log:
-    # return gb.read("flight.csv")["flight"]     return gb.prepare(gb.read("flight.BIN"), {{"theta":
-    # "ATT.Pitch", "v": "XKF1.VN"}}, rate=50)
+    # Yours, from a table with the columns time [s], theta [rad], v [m/s]:
+    #     return gb.read("flight.csv")["flight"]
+    # or from a flight log:
+    #     signals = {{"theta": "ATT.Pitch", "v": "XKF1.VN"}}
+    #     return gb.prepare(gb.read("flight.BIN"), signals, rate=50)
     time = np.arange(0, 60, 0.02)  # s
     theta = 0.2 * np.sin(0.8 * time) + 0.1 * np.sin(2.5 * time)
-    between = {{"theta": 0.0}}  # samples of what is continuous; math.inf for what a controller holds until the next one
+    between = {{"theta": 0.0}}  # continuous between samples; math.inf if a controller holds it
     flown = gb.Record(time, {{"theta": theta}}, {{"theta": "rad"}}, hold=between, name="made up")
     v = gb.simulate({name}(), {{"c": 0.25}}, flown)["v"]
     noise = 0.05 * np.random.default_rng(0).normal(size=time.size)
@@ -148,30 +154,20 @@ def model_file(file: str, name: str, *, in_time: bool) -> str:
 
 
 def problem_file(file: str, name: str, *, in_time: bool) -> str:
-    """Return a file with a model, data and a problem, of a frequency response or of a record (`in_time`)."""
+    """Return a file with a model, data and a problem, for a response or a record (`in_time`)."""
     model, data = (STATE_SPACE, RECORD_DATA) if in_time else (TRANSFER_FUNCTION, RESPONSE_DATA)
-    stated = {
-        "first": "c",
-        "value": 0.1,
-        "low": 0.01,
-        "high": 1,
-        "starts": 5,
-        "criterion": "gb.OutputError()",
-    }
-    if not in_time:
-        stated = {
-            "first": "a",
-            "value": 2.0,
-            "low": 0,
-            "high": 5,
-            "starts": 50,
-            "criterion": "gb.RelativeLikelihood()",
-        }
+    criterion = "gb.OutputError()" if in_time else "gb.RelativeLikelihood()"
+    first, value, low, high, starts = ("c", 0.1, 0.01, 1, 5) if in_time else ("a", 2.0, 0, 5, 50)
     return PROBLEM.format(
         file=file,
         stem=file.removesuffix(".py"),
         name=name,
         model=model.format(name=name),
         data=data.format(name=name),
-        **stated,
+        criterion=criterion,
+        first=first,
+        value=value,
+        low=low,
+        high=high,
+        starts=starts,
     )

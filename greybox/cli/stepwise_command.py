@@ -2,7 +2,7 @@
 
 import argparse
 
-from greybox.cli.options import UsageError, add_common_options, positive
+from greybox.cli.options import add_common_options, assignments, positive
 from greybox.cli.output import USABLE, Answer, attributes
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
 from greybox.cli.stated_problem import add_problem_options, stated_problem
@@ -38,23 +38,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """State the problem and choose among its terms."""
     require_fit_file(options.out, options.force)
-    candidates = _candidates(options.candidates)
+    words = [word if "=" in word else f"{word}=0" for word in options.candidates]
+    candidates = assignments(words, "--candidates")
     problem, _ = stated_problem(options)
     selection = stepwise(problem, candidates, starts=options.starts)
     notes = save_fit(selection.fit, options.out)
     answer = attributes(selection, "terms", "candidates", "verdict", "trials", "alike")
     answer["fit"] = summary(selection.fit)
     return answer, "\n".join([str(selection), "", str(selection.fit), *notes]), USABLE
-
-
-def _candidates(words: list[str]) -> dict[str, float]:
-    values = {}
-    for word in words:
-        name, _, value = word.partition("=")
-        try:
-            values[name] = float(value or 0.0)
-        except ValueError:
-            raise UsageError(
-                f"--candidates {word!r} is not understood: write NAME or NAME=VALUE, e.g. n=1."
-            ) from None
-    return values

@@ -20,9 +20,9 @@ from greybox.study.batch import Member, require_distinct
 # Keys of a [[member]]: with a list, those of the grid make one member for each value.
 GRID = ("problem", "criterion", "delay", "fix", "seed", "search")
 SINGLE = (
-    "name", "model", "through", "data", "input", "output", "at", "free", "bounds", "start", "starts_box", "prior",
-    "columns", "method", "starts",
-)  # fmt: skip
+    *("name", "model", "through", "data", "input", "output", "at", "free", "bounds", "start"),
+    *("starts_box", "prior", "columns", "method", "starts"),
+)
 SETTINGS = ("starts", "seed")  # of the whole file
 INCLUDED = ("paper",)  # studies by name, each in a file of greybox.problems
 
@@ -77,12 +77,7 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
 
 
 def _stated_in_python(path: Path) -> list[Member]:
-    included = [name for name in INCLUDED if find_study(name) == path]
-    module: Any = (
-        importlib.import_module(f"greybox.problems._{included[0]}_study")
-        if included
-        else module_from_file(path)
-    )
+    module: Any = module_from_file(path)
     function = getattr(module, "members", None)
     if not callable(function):
         raise UsageError(

@@ -1,7 +1,7 @@
 """Several results side by side: tables of all, how they compare, and figures over one another."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -9,7 +9,7 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import with_error
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
-from greybox.html_report.figure import figure_grid
+from greybox.html_report.figure import COLUMNS, figure_grid
 from greybox.html_report.tables import Cell, number_cell, table
 from greybox.plotting.bode import bode_figure
 from greybox.plotting.figure import Figure
@@ -19,17 +19,11 @@ from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
 OVERLAID = 6  # fits in one figure: there are six colors
-WIDEST = 12  # quantities in one table: more do not fit beside one another
 GRADES = {"good": "good", "doubt": "in doubt", "failed": "failed"}
 
 
-def comparison_section(
-    entries: Sequence[Entry], comparison: Comparison | None, columns: int
-) -> list[Element]:
-    """Return estimates, tests and figures of all results.
-
-    Lines of records have as many `columns` (`drawn_line`).
-    """
+def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) -> list[Element]:
+    """Return estimates, tests and figures of all results."""
     converged = [e for e in entries if e.fit is not None and e.fit.converged]
     labels = [entry.label for entry in converged]
     fits = [entry.fit for entry in converged if entry.fit is not None]
@@ -42,7 +36,7 @@ def comparison_section(
             content.append(tag("p", f"They are not compared by a test: {error.args[0]}"))
     if comparison is not None:
         content += _comparison(comparison)
-    figures = list(_figures(fits, labels, comparison, columns)) if few else []
+    figures = list(_figures(fits, labels, comparison)) if few else []
     return [*content, figure_grid(figures)] if figures else content
 
 
@@ -74,22 +68,16 @@ def _overview_row(entry: Entry) -> list[Cell]:
 
 
 def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
-    """Yield one table of all estimates, or, where there are too many columns, one per structure."""
+    """Yield a table of all estimates, with a column for every parameter."""
     estimated = [e for e in entries if e.answer.get("converged") and e.answer["standard_error"]]
-    names = {entry.label: tuple(entry.answer["standard_error"]) for entry in estimated}
-    all_names = tuple(dict.fromkeys(name for group in names.values() for name in group))
-    groups: dict[tuple[str, ...], list[Entry]] = {}
-    for entry in estimated:
-        group = all_names if len(all_names) <= WIDEST else names[entry.label]
-        groups.setdefault(group, []).append(entry)
-    if groups:
+    names = dict.fromkeys(name for entry in estimated for name in entry.answer["standard_error"])
+    if names:
+        rows = [[Cell(e.label), *_estimate_cells(e.answer, names)] for e in estimated]
         yield tag("h3", "Estimates with standard errors")
-    for group, members in groups.items():
-        rows = [[Cell(e.label), *_estimate_cells(e.answer, group)] for e in members]
-        yield table(["result", *group], rows)
+        yield table(["result", *names], rows)
 
 
-def _estimate_cells(answer: Mapping[str, Any], names: Sequence[str]) -> Iterator[Cell]:
+def _estimate_cells(answer: Mapping[str, Any], names: Iterable[str]) -> Iterator[Cell]:
     values = {**answer["derived"], **answer["estimate"]}
     for name in names:
         if values.get(name) is None:
@@ -114,7 +102,7 @@ def _comparison(comparison: Comparison) -> Iterator[Element]:
 
 
 def _figures(
-    fits: Sequence[Fit], labels: Sequence[str], comparison: Comparison | None, columns: int
+    fits: Sequence[Fit], labels: Sequence[str], comparison: Comparison | None
 ) -> Iterator[Figure]:
     """Yield responses and histories of all, and predictions of records that no fit has used."""
     if all(fit.responses for fit in fits):
@@ -122,9 +110,9 @@ def _figures(
         yield from nyquist_figures(fits, labels)
     for k in range(min(len(fit.records) for fit in fits)):
         try:
-            yield history_figure(fits, k, labels, columns)
+            yield history_figure(fits, k, labels, COLUMNS)
         except ValueError:  # the fits have different records
             break
     if comparison is not None:
         for predictions in zip(*comparison.predictions.get(HELD_OUT, ()), strict=True):
-            yield history_figure(predictions, 0, comparison.labels, columns)
+            yield history_figure(predictions, 0, comparison.labels, COLUMNS)

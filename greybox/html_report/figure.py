@@ -13,6 +13,7 @@ from greybox.html_report.elements import tag
 from greybox.plotting.figure import Figure, Limits, Panel, Series
 
 DIGITS = 5  # of numbers in a figure: a pixel is a thousandth of a panel
+COLUMNS = 600  # of a line on the page, two pixels wide; a line then takes about 18 kB
 
 
 def figure_grid(figures: Sequence[Figure]) -> Element:

@@ -10,7 +10,7 @@ from greybox.files.text_table import listed
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.equation import equations
-from greybox.html_report.figure import figure_grid
+from greybox.html_report.figure import COLUMNS, figure_grid
 from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.tables import Cell, number_cell, parameter_table, table
 from greybox.modeling.model import Model
@@ -25,11 +25,8 @@ from greybox.plotting.time_history import history_figure
 MOST = 6  # parts of a fit that are drawn; of records those with the worst fit
 
 
-def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]]]:
-    """Yield title and content of the sections of one result.
-
-    Lines of records have as many `columns` (`drawn_line`).
-    """
+def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
+    """Yield title and content of the sections of one result."""
     fit = entry.fit
     assert fit is not None
     yield "Verdict", [tag("p", data_summary(fit)), _verdict_box(fit), *_warnings(fit)]
@@ -41,7 +38,7 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
         figures = [bode_figure([fit]), *nyquist_figures([fit])]
         yield "Frequency response", [figure_grid(figures)]
     if fit.records:
-        yield "Time history", list(_histories(fit, columns))
+        yield "Time history", list(_histories(fit))
     if fit.spectra:
         count = min(len(fit.spectra), MOST)
         yield "Manoeuvres", [figure_grid([spectrum_figure(fit, k) for k in range(count)])]
@@ -130,8 +127,8 @@ def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
     return {name: float(f"{value:.4g}") for name, value in values.items() if value is not None}
 
 
-def _histories(fit: Fit, columns: int) -> Iterator[Element]:
-    """Yield time histories and residuals of the records; of many records those with the worst fit."""
+def _histories(fit: Fit) -> Iterator[Element]:
+    """Yield time histories and residuals, of many records those with the worst fit."""
 
     def fit_percent(k: int) -> float:
         part = fit.records[k]
@@ -142,7 +139,7 @@ def _histories(fit: Fit, columns: int) -> Iterator[Element]:
     if count > MOST:
         yield tag("p", f"Of {count} records, the {MOST} with the worst fit are drawn.")
     labels = [f"fit of {part.label}" for part in fit.records]
-    yield figure_grid([history_figure([fit], k, labels[k : k + 1], columns) for k in chosen])
+    yield figure_grid([history_figure([fit], k, labels[k : k + 1], COLUMNS) for k in chosen])
     if fit.converged:
         yield figure_grid([figure for k in chosen for figure in residual_figures(fit.records[k])])
 

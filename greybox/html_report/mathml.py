@@ -28,7 +28,7 @@ def formula(left: Child, right: Expression) -> Element:
 
 
 def symbol(name: str) -> Element:
-    """Return a name as a symbol: ``omega_p`` is ω with the index p, ``a1`` is a with the index 1."""
+    """Return a name as a symbol: ``omega_p`` is ω with the index p, ``a1`` is a with index 1."""
     base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
     numbered = re.fullmatch(r"([^\W\d]+)(\d+)", base)
     if numbered:

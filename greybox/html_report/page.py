@@ -8,19 +8,13 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from greybox.estimate.result import Fit
 from greybox.files.text_table import counted
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.elements import Child, html, tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import fit_section
-from greybox.plotting.long_lines import COLUMNS
 from greybox.validation.comparison import Comparison
 
-LINES = 1_200_000  # bytes for the lines of records on a page that can be mailed
-FEWEST = 200  # columns of a line
-BYTES = 30  # of one column of a line: two points of two numbers
-LINKS = 13  # sections up to which all are linked at the top: the table and twelve results
 OPEN = 3  # results up to which all details are open
 
 HERE = Path(__file__).parent
@@ -29,12 +23,11 @@ HERE = Path(__file__).parent
 def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) -> str:
     """Return the page of these results as HTML."""
     fits = [entry.fit for entry in entries if entry.fit is not None]
-    columns = columns_of(fits)
     if len(entries) == 1 and fits and comparison is None:
-        sections = [_section(name, content) for name, content in fit_section(entries[0], columns)]
+        sections = [_section(name, content) for name, content in fit_section(entries[0])]
         return _document(title, sections)
 
-    content = [overview(entries), *comparison_section(entries, comparison, columns)]
+    content = [overview(entries), *comparison_section(entries, comparison)]
     if any(entry.fit is None and not entry.error for entry in entries):
         text = (
             f"Below are details of {counted(len(fits), 'result')}; greybox report FILE shows those "
@@ -42,29 +35,18 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
         )
         content.insert(0, tag("p", text))
     sections = [
-        _details(entry, columns, is_open=len(entries) <= OPEN)
-        for entry in entries
-        if entry.fit is not None
+        _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None
     ]
     return _document(title, [_section("Comparison", content), *sections])
 
 
-def _details(entry: Entry, columns: int, *, is_open: bool) -> Element:
+def _details(entry: Entry, *, is_open: bool) -> Element:
     """Return the section of one of several results."""
     inside = [
-        element
-        for name, content in fit_section(entry, columns)
-        for element in (tag("h3", name), *content)
+        element for name, content in fit_section(entry) for element in (tag("h3", name), *content)
     ]
     summary = tag("summary", tag("h2", entry.label))
     return tag("section", tag("details", summary, inside, open=is_open), id=entry.anchor)
-
-
-def columns_of(fits: Sequence[Fit]) -> int:
-    """Return the number of columns for which every line of a record has room on the page."""
-    parts = [part for fit in fits for part in fit.records[:6]]
-    lines = sum(3 * len(part.outputs) + len(part.data.signals) for part in parts)
-    return max(FEWEST, min(COLUMNS, LINES // (BYTES * max(lines, 1))))
 
 
 def _section(title: str, content: Child) -> Element:
@@ -86,9 +68,7 @@ def _document(title: str, sections: Sequence[Element]) -> str:
         tag("title", title),
         tag("style", style),
     )
-    # The table of many results has links to those with details.
-    linked = sections if len(sections) <= LINKS else sections[:1]
-    links = [tag("a", _title(section), href=f"#{section.get('id')}") for section in linked]
+    links = [tag("a", _title(section), href=f"#{section.get('id')}") for section in sections]
     header = tag(
         "header",
         tag("div", tag("h1", title)),

@@ -35,7 +35,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
 
 
 def parameter_table(fit: Fit) -> Element:
-    """Return the table of all quantities; of a failed fit, of the values at which its best run ended."""
+    """Return the table of all quantities; for a failed fit, the last values of its best run."""
     if not fit.converged:
         header, rows, _ = printed.parameter_table(fit)
         return table(header, [[Cell(text) for text in row] for row in rows])

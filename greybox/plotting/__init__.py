@@ -1,4 +1,6 @@
-"""Every figure as a value, and its drawing by matplotlib. Begin with `overview`, which draws a whole fit.
+"""Every figure as a value, and its drawing by matplotlib.
+
+Begin with `overview`, which draws a whole fit.
 
 A function that draws one panel takes ``ax=None`` and returns the matplotlib Axes. One that draws
 several takes ``axes=None``, an array-like of as many Axes as it has panels, and returns them as a

@@ -166,7 +166,7 @@ def _decibel(response: ComplexArray) -> Array:
 
 
 def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
-    """Return the band of magnitude (k = 0) or phase around a `curve` (n,), by default around zero."""
+    """Return the band of magnitude (k = 0) or phase around a `curve` (n,), by default zero."""
     around = drawn.band
     assert around is not None
     order = np.argsort(around.omega)

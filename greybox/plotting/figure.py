@@ -1,4 +1,4 @@
-"""A figure as a value. matplotlib (`matplotlib_figure`) and the page of a report draw the same values."""
+"""A figure as a value, which matplotlib (`matplotlib_figure`) and the page of a report draw."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -40,7 +40,7 @@ GivenAxes = Axes | Sequence[Axes] | AxesArray
 
 
 class _NotebookFigure(MatplotlibFigure):
-    """A figure that a notebook shows although pyplot, which registers the display, is not imported."""
+    """A figure that a notebook shows although pyplot is not imported, which registers figures."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -441,25 +441,26 @@ def _legend_inside(ax: Axes, figure: Figure) -> None:
 
 
 def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
-    """Return the keys by label: points, lines, then bands; a label has the keys of all its colors."""
-    keys: dict[str, dict[tuple[int, int], Artist]] = {}
-    bands: dict[str, dict[int, Artist]] = {}
+    """Return the keys by label: points, lines, then bands; a label has a key for every color."""
+    keys: dict[tuple[int, str], dict[tuple[int, int], Artist]] = {}
     for figure in figures:
         for panel in figure.panels:
-            earlier = set(keys)  # names in panels above, where they have other styles
-            for series in sorted(panel.series, key=lambda series: series.kind != "points"):
-                is_area = series.kind in ("band", "regions") and not series.is_hollow
-                if is_area and figure.bands:
+            earlier = {name for _, name in keys}  # in panels above, where they have other styles
+            for series in panel.series:
+                look = series.color, series.style
+                if series.kind in ("band", "regions") and not series.is_hollow:
                     patch = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
-                    bands.setdefault(figure.bands, {})[series.color] = patch
-                elif series.name and series.name not in earlier and not is_area:
-                    key = Line2D([], [], **_look(series))
-                    keys.setdefault(series.name, {})[series.color, series.style] = key
+                    keys.setdefault((2, figure.bands), {})[look] = patch
+                elif series.name not in earlier:
+                    place = (int(series.kind != "points"), series.name)
+                    keys.setdefault(place, {})[look] = Line2D([], [], **_look(series))
 
-    legend = {plain(label): tuple(artists.values()) for label, artists in keys.items()}
-    for label, artists in bands.items():
-        legend[plain(label)] = tuple(artists[color] for color in sorted(artists))
-    return legend
+    in_order = sorted(keys.items(), key=lambda item: item[0][0])
+    return {
+        plain(label): tuple(artists[look] for look in sorted(artists))
+        for (_, label), artists in in_order
+        if label
+    }
 
 
 def _keys_side_by_side(entries: dict[str, tuple[Artist, ...]]) -> dict[str, Any]:

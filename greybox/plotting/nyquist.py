@@ -182,7 +182,7 @@ def _largest_magnitude(responses: Sequence[DrawnResponse]) -> float:
 
 
 def _limits(responses: Sequence[DrawnResponse]) -> tuple[tuple[Limits, Limits] | None, float]:
-    """Return the limits of both axes where curves would make the data a dot, and their magnitude."""
+    """Return both limits where curves would make the data a dot, and the curves' magnitude."""
     measured = [drawn.response.response for drawn in responses if drawn.is_measured]
     reach = _largest_magnitude([drawn for drawn in responses if not drawn.is_measured])
     size = _largest_magnitude(responses)

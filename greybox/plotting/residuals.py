@@ -25,7 +25,7 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     and the correlation with inputs. Correlations are over the lag in samples, with the band that
     contains 99 % of them if there is no correlation, and the p-value of all together. For inputs,
     both signals were filtered by the filter that whitens the residuals; of more than three inputs
-    those with the smallest p-values are drawn. Constant inputs are left out. IntArray without a time
+    those with the smallest p-values are drawn. Constant inputs are omitted. Rows without a time
     have no correlations.
 
     Parameters
@@ -69,7 +69,7 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
 
 
 def residual_figures(part: FittedRecord) -> list[Figure]:
-    """Return for every output the histogram of its residuals and, with a time, their correlations."""
+    """Return the histogram of the residuals of every output and, in time, their correlations."""
     figures = []
     for output in part.outputs:
         figures.append(_histogram(part, output))

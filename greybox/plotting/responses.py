@@ -1,4 +1,4 @@
-"""The curves and points that diagrams of frequency responses show: their names, colors and styles."""
+"""The curves and points in diagrams of frequency responses: their names, colors and styles."""
 
 import contextlib
 from collections.abc import Iterable, Mapping, Sequence

@@ -78,7 +78,7 @@ def starts_figure(fit: Fit) -> Figure:
 
 
 def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
-    """Return the runs of every minimum, `converged` sorted by cost; all beyond the colors are gray."""
+    """Return the runs of every minimum; `converged` is sorted by cost."""
     places = {run.index: k for k, run in enumerate(converged)}
     groups = [
         (f"minimum {k}: {len(minimum.runs)} × cost {minimum.cost:.5g}", minimum.runs)
@@ -103,7 +103,8 @@ def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
                 color if color < COLORED else GRAY,
                 style=color % COLORED,
                 notes=[
-                    f"start {run.index}, cost {run.cost:.6g}, {counted(run.iterations, 'iteration')}"
+                    f"start {run.index}, cost {run.cost:.6g}, "
+                    f"{counted(run.iterations, 'iteration')}"
                     for run in members
                 ],
             )

@@ -72,7 +72,7 @@ def test_nothing_is_overwritten_or_hidden(capsys, folder):
         ("a1_rate", "A1Rate"),
         ("x", "X"),
         ("_2dof", "Model2dof"),
-        ("pitchRate_fast", "pitchRateFast"),
+        ("pitchRate_fast", "PitchRateFast"),
     ],
 )
 def test_a_class_has_the_name_of_its_file(capsys, folder, name, expected):

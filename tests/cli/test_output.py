@@ -1,12 +1,15 @@
-"""Files that may be written."""
+"""Files that may be written, and values as JSON."""
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import has_working_directory, require_figure, require_writable, save_figure
+from greybox.cli.output import plain, require_figure, require_writable, save_figure
+from greybox.data.test_segment import Segment
 
 
 def test_files_that_exist_are_kept_unless_forced(tmp_path):
@@ -52,15 +55,11 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monke
         require_writable(tmp_path / "fit.h5", force=False)
 
 
-def test_a_working_directory_that_was_removed_is_said(tmp_path, monkeypatch):
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    assert has_working_directory()
-    gone.rmdir()
-    assert not has_working_directory()
-    with pytest.raises(
-        UsageError, match="the working directory was removed: change to one that exists"
-    ):
-        require_writable(Path("fit.h5"), force=False)
-    require_writable(tmp_path / "fit.h5", force=False)
+def test_values_become_those_of_json():
+    segment = Segment(1.0, 2.0, kind="sweep", findings=("short",))
+    values = {"segment": segment, "x": np.array([[1.0, np.nan]]), "file": Path("a.csv"), 3: (True,)}
+    converted = plain(values)
+    assert converted["segment"]["omega"] is None
+    assert converted["segment"]["findings"] == ["short"]
+    assert (converted["x"], converted["file"], converted["3"]) == ([[1.0, None]], "a.csv", [True])
+    json.dumps(converted, allow_nan=False)

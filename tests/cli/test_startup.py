@@ -2,7 +2,6 @@
 
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -130,15 +129,3 @@ def test_a_full_disk_under_standard_output_is_an_error():
         done = greybox("--help", stdout=full)
     assert done.returncode == 1
     assert done.stderr == b"greybox: cannot write to standard output: No space left on device.\n"
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows does not remove the folder of a process")
-def test_a_working_directory_that_was_removed_is_said(tmp_path):
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    inside = f"cd {shlex.quote(str(gone))} && rmdir ../gone && {sys.executable} -m greybox fit pitch_hover --out x.h5"
-    done = subprocess.run(["sh", "-c", inside], capture_output=True, check=False)
-    assert done.returncode == 2
-    assert (
-        done.stderr == b"greybox: the working directory was removed: change to one that exists.\n"
-    )

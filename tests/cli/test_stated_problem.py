@@ -165,7 +165,7 @@ def test_a_users_file_chooses_the_transcription_and_its_integrator(own, capsys):
 
 def test_unknown_settings_are_refused(own, capsys):
     path = own(RECORD.replace('"starts": 3', '"tries": 3'))
-    assert "has 'tries': it may contain 'starts', 'seed' and 'method'" in refused(
+    assert "has 'tries', which is not known; use starts, seed, method" in refused(
         capsys, "fit", path
     )
 

@@ -11,7 +11,7 @@ from page_results import lag
 import greybox as gb
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import fit_section, remarks
-from greybox.html_report.page import BYTES, COLUMNS, FEWEST, LINES, columns_of, page
+from greybox.html_report.page import page
 from greybox.html_report.report import write_page
 
 
@@ -94,7 +94,7 @@ def test_of_many_records_the_worst_are_drawn(fit):
         record, data=replace(record.data, name="bad"), simulated={"y": 0 * record.simulated["y"]}
     )
     many = replace(fit, parts=(response, *(record,) * 3, bad, *(record,) * 3), models=None)
-    sections = dict(fit_section(Entry("many", many), 200))
+    sections = dict(fit_section(Entry("many", many)))
     said, drawn, residuals = sections["Time history"]
     assert said.text == "Of 7 records, the 6 with the worst fit are drawn."
     titles = captions([drawn])
@@ -105,15 +105,13 @@ def test_of_many_records_the_worst_are_drawn(fit):
     )
     assert len([c for c in captions([residuals]) if c.startswith("Residuals of")]) == 6
     few = dict(
-        fit_section(Entry("few", replace(fit, parts=(response, *(record,) * 6), models=None)), 200)
+        fit_section(Entry("few", replace(fit, parts=(response, *(record,) * 6), models=None)))
     )
     assert [element.tag for element in few["Time history"]] == ["div", "div"]
 
 
 def test_remarks_name_what_is_correlated_and_where_standard_errors_mislead(fit):
-    texts = [
-        element.text for element in dict(fit_section(Entry("lag", fit), 200))["Parameters"][1:]
-    ]
+    texts = [element.text for element in dict(fit_section(Entry("lag", fit)))["Parameters"][1:]]
     assert texts[0].startswith("CR is the Cramér-Rao bound")
     judged = fit.identifiability
     pairs = [f"{a} and {b} ({value:.2f})" for a, b, value in judged.correlated]
@@ -127,21 +125,8 @@ def test_remarks_name_what_is_correlated_and_where_standard_errors_mislead(fit):
     assert "mislead for b0 and a0: see Intervals" in remarks(profiled)[1].text
 
 
-@pytest.mark.parametrize(
-    ("records", "signals", "columns"), [(0, 1, COLUMNS), (1, 3, COLUMNS), (6, 700, FEWEST)]
-)
-def test_lines_of_records_share_the_room_of_the_page(records, signals, columns):
-    part = SimpleNamespace(
-        outputs=("y",), data=SimpleNamespace(signals=dict.fromkeys(range(signals)))
-    )
-    assert columns_of([SimpleNamespace(records=[part] * records)]) == columns
-    many = [SimpleNamespace(records=[part] * 9)] * 20  # of six records of a fit there are figures
-    lines = 20 * 6 * (3 + signals)
-    assert columns_of(many) == np.clip(LINES // (BYTES * lines), FEWEST, COLUMNS)
-
-
 def test_a_page_without_some_of_the_details_says_how_to_see_them(fit):
     whole = [Entry("one", fit), Entry("two", None, error="no start converged")]
-    assert "NAME shows others" not in page(whole, None, "study")
+    assert "of another member" not in page(whole, None, "study")
     some = page([*whole, Entry("three", None)], None, "study")
     assert "Below are details of 1 result; greybox report" in some

@@ -195,9 +195,7 @@ def test_estimates_of_several_fits_stand_with_their_errors(fit):
         name="other",
         quantities=(replace(fit.quantities[0], standard_error=math.nan), fit.quantities[1]),
     )
-    heading, estimates, *compared = comparison_section(
-        [Entry("a", fit), Entry("b", other)], None, 200
-    )
+    heading, estimates, *compared = comparison_section([Entry("a", fit), Entry("b", other)], None)
     assert heading.text == "Estimates with standard errors"
     names = [q.name for q in fit.quantities]
     header, first, second = texts(estimates)
@@ -212,10 +210,10 @@ def test_estimates_of_several_fits_stand_with_their_errors(fit):
     assert titles == ["Bode diagram", "Nyquist diagram, y/u", "Time history, flight"]
     # One fit alone is compared with nothing, and seven are too many for a figure.
     assert [
-        part.text for part in comparison_section([Entry("a", fit)], None, 200) if part.tag == "h3"
+        part.text for part in comparison_section([Entry("a", fit)], None) if part.tag == "h3"
     ] == [heading.text]
     many = [Entry(str(k), fit) for k in range(7)]
-    assert [part.tag for part in comparison_section(many, None, 200)] == ["h3", "div"]
+    assert [part.tag for part in comparison_section(many, None)] == ["h3", "div"]
 
 
 def entry(label, **known):
@@ -228,19 +226,12 @@ def entry(label, **known):
 
 def test_quantities_that_a_result_has_not_are_empty_and_unknown_ones_a_dash():
     first, second = entry("one", a=(2.0, 0.25), b=(None, None)), entry("two", c=(3.0, None))
-    _, made = comparison_section([first, second], None, 200)
+    _, made = comparison_section([first, second], None)
     assert texts(made) == [
         ["result", "a", "b", "c"],
         ["one", "2.00 ± 0.25", "–", ""],
         ["two", "", "", "3"],
     ]
-
-
-@pytest.mark.parametrize(("count", "tables"), [(12, 1), (13, 2)])
-def test_results_of_more_than_twelve_quantities_have_a_table_each(count, tables):
-    many = {f"a{k}": (1.0 + k, 0.5) for k in range(count - 1)}
-    _, *made = comparison_section([entry("one", **many), entry("two", b=(1.0, 0.5))], None, 200)
-    assert [len(texts(each)[0]) for each in made] == ([13] if tables == 1 else [count, 2])
 
 
 def test_correlations_and_combinations_are_told_below_the_parameters():

@@ -19,7 +19,7 @@ def test_a_fit_that_did_not_converge_shows_its_data_and_says_so(failed):
 
 
 def test_figures_can_be_saved(tmp_path, pitch, failed):
-    figures = [gb.plot(pitch), gb.plotting.starts(failed).figure]
+    figures = [gb.plotting.nyquist(pitch)[0].figure, gb.plotting.starts(failed).figure]
     for figure, kind in zip(figures, ("pdf", "svg"), strict=True):
         figure.savefig(tmp_path / f"figure.{kind}")
         assert (tmp_path / f"figure.{kind}").stat().st_size > 1000
