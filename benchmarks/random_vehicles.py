@@ -83,19 +83,22 @@ def vehicle(random):
     return Vehicle(gain * numerator / at_rest, denominator, random.uniform(0, 0.06))
 
 
-def flown(of, random):
-    """Return the log of a chirp."""
-    time = np.arange(0, DURATION, 1 / RATE)
+def chirp(time):
+    """Return the control at any times; it is zero before and after, and fades in a second."""
     length = DURATION - 2 * AT_REST
     growth = np.log(BAND[1] / BAND[0])
     since = np.clip(time - AT_REST, 0, length)
     phase = BAND[0] * length / growth * np.expm1(growth * since / length)
-    u = np.clip(np.minimum(since, length - since), 0, 1) * np.sin(phase)
+    return np.clip(np.minimum(since, length - since), 0, 1) * np.sin(phase)
+
+
+def flown(of, random):
+    """Return the log of a chirp."""
     fine = np.arange(0, DURATION, 1 / (RATE * FINE))
-    late = np.interp(fine - of.delay, time, u)
-    y = lsim((of.numerator, of.denominator), late, fine)[1][::FINE]
+    y = lsim((of.numerator, of.denominator), chirp(fine - of.delay), fine)[1][::FINE]
     y = y + NOISE * np.std(y) * random.standard_normal(y.size)
-    return Recording({"log": gb.Record(time, {"u": u, "y": y})}, "made")
+    time = fine[::FINE]
+    return Recording({"log": gb.Record(time, {"u": chirp(time), "y": y})}, "made")
 
 
 class Outcome(NamedTuple):

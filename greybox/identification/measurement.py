@@ -25,7 +25,7 @@ from greybox.logs.ardupilot.truncated_angles import STEP, is_truncated
 from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
-from greybox.logs.segment_detection import announcing, find_segments
+from greybox.logs.segment_detection import find_segments
 from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
@@ -264,7 +264,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         response = replace(
             response, about=_about(recording, record, response, signals, used, settings)
         )
-    choices = _choices(recording, settings, used, controller, signals, response)
+    choices = _choices(settings, used, controller, signals, response)
     return Measurement(
         settings,
         tests,
@@ -520,7 +520,6 @@ def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:
 
 
 def _choices(
-    recording: Recording,
     settings: Settings,
     used: Sequence[Segment],
     controller: str,
@@ -551,8 +550,4 @@ def _choices(
     if response is not None:
         names = [n for n in ("dropped", "left out", "converted") if n in response.about]
         choices += [f"{name}: {response.about[name]}." for name in names]
-    for name in announcing(recording):
-        if name not in {settings.announced, *(segment.source for segment in used)}:
-            choices.append(f"{name} may announce tests, too: use it with announced={name}.")
-            break
     return tuple(choices)

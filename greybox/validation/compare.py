@@ -80,7 +80,7 @@ def compare(
     _check_labels(labels, len(fits))
     lengths = {"window": window, "lead": lead}
     require_lengths(**{name: value for name, value in lengths.items() if value is not None})
-    names = tuple(labels) or labels_of(fits)
+    names = tuple(map(str, labels)) or labels_of(fits)
     held_out = _as_records(records)
 
     different = data_difference(fits, names)
@@ -167,12 +167,7 @@ def _known(measure: str, rows: Sequence[Row]) -> list[float]:
 
 
 def _check_labels(labels: Sequence[str], count: int) -> None:
-    texts = (
-        isinstance(labels, Sequence)
-        and not isinstance(labels, str)
-        and all(isinstance(n, str) for n in labels)
-    )
-    if not texts or (labels and len(set(labels)) != count):
+    if labels and (isinstance(labels, str) or len({*map(str, labels)}) != count):
         raise ValueError(
             f"labels is {labels!r:.80}: give a list of {count} different texts, one for each fit."
         )

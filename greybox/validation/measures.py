@@ -17,7 +17,7 @@ from greybox.statistics.metrics import (
     whiteness,
 )
 from greybox.validation.common_likelihood import Likelihoods
-from greybox.validation.comparison import SIGNIFICANT, Row
+from greybox.validation.comparison import Row
 from greybox.validation.held_out import Predictions
 from greybox.validation.same_data import LIKELIHOOD, count_numbers, count_unknowns, is_likelihood
 
@@ -115,7 +115,7 @@ def prediction_rows(kind: str, predictions: Predictions, fits: Sequence[Fit]) ->
         holding = [[p for p in of_fit if output in p.outputs] for of_fit in predictions]
         unit = holding[0][0].data.units.get(output, "")
         measures = [*_accuracy(output, unit, holding)]
-        measures += _one_step(output, holding, fits, [*outputs])
+        measures += _one_step(output, holding, fits)
         rows += [Row(kind, output, name, u, _finite(values)) for name, u, values in measures]
     return rows
 
@@ -142,7 +142,6 @@ def _one_step(
     output: str,
     predictions: Sequence[Sequence[Prediction]],
     fits: Sequence[Fit],
-    outputs: Sequence[str],
 ) -> Iterator[Measure]:
     """Yield the size of the errors one step ahead over their noise, and their tests in time."""
     errors = [
@@ -158,43 +157,23 @@ def _one_step(
     ]
     tests = [whiteness(e, fitted=count) for e, count in zip(errors, gains, strict=True)]
     yield "  white (p)", "", [test.p_value for test in tests]
-    yield from _correlations(errors, predictions, outputs)
+    yield from _correlations(errors, predictions)
 
 
 def _correlations(
     errors: Sequence[Sequence[Array]],
     predictions: Sequence[Sequence[Prediction]],
-    outputs: Sequence[str],
 ) -> Iterator[Measure]:
-    """Yield p-values of no correlation with signals: the clearest three, and the least of the rest.
-
-    Many signals are many tests: a p-value counts below its share of the limit (Bonferroni).
-    """
-    records = [[p.data for p in of_fit] for of_fit in predictions]
-    every = [record for of_fit in records for record in of_fit]
-    names = dict.fromkeys(name for record in every for name in record.signals)
-    p_values = {}
-    for name in names:
-        if name in outputs or not all(name in r.signals and _moves(r[name]) for r in every):
-            continue
-        signals = [[piece for r in of_fit for piece in _pieces(r, r[name])] for of_fit in records]
-        tests = [input_correlation(e, u) for e, u in zip(errors, signals, strict=True)]
-        p_values[name] = [test.p_value for test in tests]
-    least = {name: np.nanmin([*p, 1.0]) for name, p in p_values.items()}
-    clear = [name for name in p_values if least[name] < SIGNIFICANT / len(p_values)]
-    named = sorted(clear, key=lambda name: least[name])[:3]
-    unnamed = [name for name in p_values if name not in named]
-    for name in named if len(unnamed) > 1 else [*named, *unnamed]:
-        yield f"  not correlated with {name} (p)", "", p_values[name]
-    if len(unnamed) > 1:
-        columns = zip(*(p_values[name] for name in unnamed), strict=True)
-        values = [float(np.nanmin([*column, 1.0])) for column in columns]
-        yield f"  {len(unnamed)} other signals (least p)", "", values
-
-
-def _moves(values: Array) -> bool:
-    values = values[np.isfinite(values)]
-    return bool(values.size) and float(np.ptp(values)) > 0
+    """Yield p-values of no correlation with the inputs that all records have: Ljung (1999), section 16.6."""
+    every = [p for of_fit in predictions for p in of_fit]
+    for name in dict.fromkeys(name for p in every for name in p.inputs):
+        if all(name in p.data.signals and np.nanstd(p.data[name]) > 0 for p in every):
+            signals = [
+                [piece for p in of_fit for piece in _pieces(p.data, p.data[name])]
+                for of_fit in predictions
+            ]
+            tests = [input_correlation(*pair) for pair in zip(errors, signals, strict=True)]
+            yield f"  not correlated with {name} (p)", "", [test.p_value for test in tests]
 
 
 def _in_time_order(prediction: Prediction, output: str) -> list[Array]:

@@ -16,7 +16,7 @@ from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT
 from greybox.validation.held_out import Predictions
 from greybox.validation.nested_models import NestedTest, nested_test_at
 from greybox.validation.nesting import NotNestedError, nested_values
-from greybox.validation.same_data import count_unknowns, is_likelihood, other_samples
+from greybox.validation.same_data import other_samples
 
 Pair = tuple[int, int]
 
@@ -45,7 +45,7 @@ def verdicts(
                 x.has_criterion_of(y) for x, y in zip(fits[a].parts, fits[b].parts, strict=True)
             )
             tested = likelihoods.fits if likelihoods is not None and not one_criterion else fits
-            sentence, test = fit_verdict(tested, labels, (a, b), comparable, aic)
+            sentence, test = fit_verdict(tested, labels, (a, b), aic)
             sentences += [sentence] if sentence else []
             tests += [test] if test else []
         sentences += [
@@ -65,7 +65,6 @@ def fit_verdict(
     fits: Sequence[Fit],
     labels: Sequence[str],
     pair: Pair,
-    comparable: bool,
     aic: Sequence[float],
 ) -> tuple[str, NestedTest | None]:
     """Say which of two fits describes the data better that both were made with.
@@ -86,10 +85,7 @@ def fit_verdict(
         else:
             return f"{labels[large]} contains {labels[small]}, and {test}", test
     if undecided:
-        values = [2 * (count_unknowns(fits[k]) + fits[k].cost) for k in pair]
-        has_aic = comparable and all(is_likelihood(fits[k]) for k in pair)
-        aics = f" (AIC {number(values[0], 6)} and {number(values[1], 6)})" if has_aic else ""
-        return f"{_cannot_be_told(labels, pair)}: {undecided}{aics}.", None
+        return f"{_cannot_be_told(labels, pair)}: {undecided}.", None
     return verdict_by_aic(labels, pair, aic) if aic else "", None
 
 

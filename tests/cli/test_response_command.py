@@ -245,7 +245,6 @@ def test_what_was_chosen_and_dropped_is_said(capsys, tmp_path):
         "converted: theta from deg to rad with half a step of 0.01 deg, which the log truncates"
         in text
     )
-    assert "SINE may announce tests, too: use it with --announced SINE." in text
     about = gb.read_response(out).about
     assert about["log"] == "sitl_pitch.BIN"
     assert about["signals"].startswith("u = RATE.POut, theta = ATT.Pitch")

@@ -262,8 +262,6 @@ def test_sines_are_measured_one_by_one():
         match=r"no sine lies in the band from 7 to 8 rad/s; there are 1\.5, 3, 6 rad/s\.",
     ):
         measure(made, Settings(**PAIR, announced="SINE", band=(7.0, 8.0)))
-    other = measure(made, Settings(**PAIR, instrument="IN.w", whole=True))
-    assert other.choices[-1] == "SINE may announce tests, too: use it with announced=SINE."
 
 
 def test_frequencies_with_warnings_are_left_out_on_request():

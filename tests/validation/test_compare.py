@@ -131,11 +131,6 @@ def test_other_data_are_refused_and_judged_by_records_alone(quadratic):
             "labels is 'ab': give a list of 2",
         ),
         (
-            lambda a, b, r: gb.compare(a, b, labels=("x", 3)),
-            ValueError,
-            "labels is ('x', 3): give a list of 2",
-        ),
-        (
             lambda a, b, r: gb.compare(a, b, window="x"),
             ValueError,
             "window is 'x': give a length above 0, in s",
