@@ -25,8 +25,7 @@ def pytest_collection_modifyitems(items):
 
 # Where damaged and crafted files are read, and how that is done.
 IN_SUBPROCESS = (
-    "/tests/data/",
-    "/tests/logs/readers/",
+    "test_readers.py",
     "test_storage.py",
     "test_files_from_strangers.py",
 )

@@ -38,8 +38,9 @@ def test_a_response_beyond_the_range_is_refused(value):
     assert gb.FrequencyResponse([1.0, 2.0], [0.0, 1.0]).response[0] == 0
 
 
-@pytest.mark.parametrize("y", SIGNALS)
-@pytest.mark.parametrize("u", SIGNALS)
+@pytest.mark.parametrize(
+    ("u", "y"), [pair for s in SIGNALS for pair in ((s, "noise"), ("noise", s), (s, s))][2:]
+)
 def test_no_warning_of_our_own_arithmetic_reaches_a_user(u, y):
     """A sentence of an error may; every warning is an error here."""
     record = gb.Record(TIME, {"u": SIGNALS[u], "y": SIGNALS[y]})

@@ -27,7 +27,7 @@ def reading(tmp_path, monkeypatch):
 
 def test_a_slow_reading_is_no_damage(reading):
     """However long a process waits, as on a busy machine or after Ctrl-Z."""
-    code = "import json, time; time.sleep(1); print(json.dumps({'items': [], 'shapes': []}))"
+    code = "import json, time; time.sleep(0.3); print(json.dumps({'items': [], 'shapes': []}))"
     assert reading(code) == ({"items": []}, [])
 
 

@@ -150,7 +150,7 @@ def test_missing_samples_are_left_out():
 
 
 @given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
     time = np.arange(0, 1, 0.02)
     ones = np.ones(time.size)

@@ -59,7 +59,7 @@ def test_sines_in_noise(seed, ratio, omega):
     logarithmic=st.booleans(),
     sign=st.booleans(),
 )
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 def test_a_sweep_is_not_called_sines(low, factor, duration, logarithmic, sign):
     t = np.arange(0, duration, STEP)
     x = t / duration
@@ -117,15 +117,14 @@ def test_a_sweep_between_other_sticks_is_found_whole(duration, highest, noise, w
     assert np.array(run.band) / (2 * np.pi) == pytest.approx([0.1, highest], rel=0.35)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_noise_steps_squares_and_walks_are_no_sines(seed):
-    rng = np.random.default_rng(seed)
-    t = np.arange(0, 60, STEP)
+def test_noise_steps_squares_and_walks_are_no_sines():
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 40, STEP)
     for r in (
         rng.standard_normal(t.size),
         np.cumsum(rng.standard_normal(t.size)),
         np.sign(np.sin(2 * t)),
-        np.repeat(rng.standard_normal(60), 100),
+        np.repeat(rng.standard_normal(40), 100),
         np.zeros(t.size),
         t,
     ):
@@ -135,7 +134,7 @@ def test_noise_steps_squares_and_walks_are_no_sines(seed):
 
 
 @given(st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=60))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_any_short_signal_is_survived(values):
     sines_and_sweeps(np.arange(len(values)) * 0.3, np.array(values))
 

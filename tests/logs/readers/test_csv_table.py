@@ -61,7 +61,7 @@ def test_the_time_column(saved, heading, scale):
     separator=st.sampled_from([",", ";", "\t"]),
 )
 @settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_numbers_survive(saved, values, separator):
     lines = [f"t{separator}x"] + [f"{i}{separator}{value!r}" for i, value in enumerate(values)]
@@ -93,19 +93,19 @@ def test_text_and_infinite_cells_are_named_with_their_lines(saved):
 
 def test_many_thousand_columns_take_seconds_of_the_processor(tmp_path):
     """Each step is linear in the columns; a quadratic one would take longer than this allows."""
-    names = [f"c{k}" for k in range(20_000)]
+    names = [f"c{k}" for k in range(10_000)]
     path = tmp_path / "wide.csv"
     path.write_text(
-        "\n".join([",".join(["time", *names]), *(",".join([f"{k}"] * 20_001) for k in range(2))])
+        "\n".join([",".join(["time", *names]), *(",".join([f"{k}"] * 10_001) for k in range(2))])
     )
     limited = (
-        "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (6, 6)); import greybox as gb;"
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (4, 4)); import greybox as gb;"
         "print(len(gb.read(sys.argv[1])['wide'].signals))"
     )
     done = subprocess.run(
         [sys.executable, "-c", limited, path], capture_output=True, text=True, check=True
     )
-    assert done.stdout == "20000\n"
+    assert done.stdout == "10000\n"
 
 
 def test_separators_at_the_end_of_lines_and_quotes(saved):

@@ -17,7 +17,7 @@ from greybox.logs.readers.dataflash_index import Layout
 
 CUT = Path(__file__).parents[2] / "data" / "sitl_sweep_cut.BIN"
 QUICK = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 

@@ -90,7 +90,7 @@ def test_a_slow_log_keeps_its_first_and_last_samples():
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=60))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_as_many_samples_as_possible_are_kept(values):
     time = np.array(values, dtype=float)
     rows = time_stamps.increasing(time)
