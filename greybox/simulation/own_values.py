@@ -287,13 +287,19 @@ def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _I
     The first state of a window is a mean of all windows, which is not known, and a deviation with
     the prior's spread.
     """
-    linearization = simulator.linearize_windows(windows, places)
-    initial = linearization.initial
+    simulated = simulator.windows(windows, places)
+    initial, slopes = simulated.initial, simulated.slopes
+    residuals, present = simulated.measured - simulated.outputs, np.isfinite(simulated.measured)
+    finite = ~initial.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
+    finite &= np.all(np.isfinite(residuals) | ~present, axis=(1, 2))
+    used = present & finite[:, None, None]
+
     n = initial.states.shape[1]
     weight = np.linalg.inv(np.linalg.cholesky(initial.noise))
-    w = len(linearization.residuals)
-    r = np.einsum("ij,wtj->wti", weight, linearization.residuals).reshape(w, -1)
-    J = np.einsum("ij,wtjv->wtiv", weight, linearization.slopes).reshape(w, r.shape[1], -1)
+    w = len(residuals)
+    r = np.einsum("ij,wtj->wti", weight, np.where(used, residuals, 0.0)).reshape(w, -1)
+    J = np.einsum("ij,wtjv->wtiv", weight, np.where(used[..., None], slopes, 0.0))
+    J = J.reshape(w, r.shape[1], -1)
     by_state = J[..., :n]
     columns = np.concatenate([J[..., n:], by_state], axis=2)  # values, and the mean of the states
     matrix = np.einsum("wma,wmb->ab", columns, columns)
@@ -301,7 +307,7 @@ def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _I
     squares = float(np.sum(r**2))
 
     if n:
-        usable = np.any(linearization.used, axis=(1, 2))
+        usable = np.any(used, axis=(1, 2))
         precision = np.nan_to_num(initial.precision)
         deviation = np.where(usable[:, None], initial.states - np.nan_to_num(initial.mean), 0.0)
         H = by_state.transpose(0, 2, 1) @ by_state + np.diag(precision)
@@ -319,7 +325,7 @@ def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _I
         matrix[:a, :a] - gain @ matrix[a:, :a],
         gradient[:a] - gain @ gradient[a:],
         squares - float(gradient[a:] @ mean @ gradient[a:]),
-        int(linearization.used.sum()),
+        int(used.sum()),
         (windows.lead + windows.horizon) / windows.horizon,
     )
 

@@ -207,8 +207,9 @@ def predict_windows(
     )
     simulator = Simulator(model, model.criterion, outputs, integrator)
     simulated = simulator.windows(windows)
+    error, unknown = simulator.standard_errors(simulated)
     notes = estimated.notes(windows.record.name or "the record") if estimated else ()
-    notes += (f"{_not_known(simulated.unknown, model)}.",) if simulated.unknown else ()
+    notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
     ahead = slice(windows.lead, None)
     prediction = Prediction(
         label=model.label,
@@ -220,10 +221,10 @@ def predict_windows(
         horizon=horizon,
         rows=windows.rows[:, ahead],
         predicted=np.moveaxis(simulated.outputs[:, ahead], -1, 0),
-        error=np.moveaxis(simulated.error[:, ahead], -1, 0),
+        error=np.moveaxis(error[:, ahead], -1, 0),
         noise=simulated.initial.noise,
         trajectory=np.moveaxis(simulated.states[:, ahead], -1, 0),
-        one_step=np.moveaxis(simulated.one_step[:, ahead], -1, 0),
+        one_step=np.moveaxis(simulator.one_step(simulated)[:, ahead], -1, 0),
         notes=notes,
         own=estimated.by_name if estimated else {},
     )

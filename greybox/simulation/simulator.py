@@ -49,43 +49,36 @@ ERROR = "_error"
 
 @dataclass(frozen=True, eq=False)
 class WindowSimulations:
-    """Every sample of the windows, lead-ins included: (w, samples, k) or (w, samples, n).
+    """Windows run from the states that their lead-ins give; every sample, lead-ins included.
 
-    `unknown` are parameters without a standard error on which an output depends.
+    Attributes
+    ----------
+    initial : StateEstimates
+    measured, outputs : (w, samples, k) arrays
+        NaN where nothing was measured.
+    states : (w, samples, n) array
+    in_lead : (w, samples, k) bool array
+        What was measured within the lead-ins.
+    slopes : (w, samples, k, n + a) array
+        Derivatives of the outputs by the window's first state and by the active values.
+    segments : Segments
+    data : mapping of name to (rows, w, samples) array
+        See `sample_data`.
     """
 
     initial: StateEstimates
+    measured: Array
     outputs: Array
     states: Array
-    error: Array
-    one_step: Array
-    unknown: tuple[str, ...]
+    in_lead: BoolArray
+    slopes: Array
+    segments: Segments
+    data: Mapping[str, Array]
 
     @property
     def not_finite(self) -> BoolArray:
         """Windows (w,) in which an output is not finite."""
         return self.initial.not_finite | ~np.all(np.isfinite(self.outputs), axis=(1, 2))
-
-
-@dataclass(frozen=True, eq=False)
-class WindowLinearization:
-    """Windows linearized along their simulations, lead-ins included.
-
-    Attributes
-    ----------
-    initial : StateEstimates
-    residuals : (w, samples, k) array
-        Measured less simulated, zero where nothing was measured.
-    slopes : (w, samples, k, n + a) array
-        Derivatives of the outputs by the window's first state and by the active values, zero there.
-    used : (w, samples, k) bool array
-        Where something was measured, in windows that are finite.
-    """
-
-    initial: StateEstimates
-    residuals: Array
-    slopes: Array
-    used: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,56 +163,61 @@ class Simulator:
             signals |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
         return signals, unknown
 
-    def windows(self, windows: Windows) -> WindowSimulations:
-        """Estimate the state of every window from its lead-in, and run on from it."""
-        model = self._model
-        n = len(model.system.states)
-        data, in_lead, result = self._from_lead_ins(windows, model.uncertain)
-        measured = np.moveaxis(data["measured"], 0, -1)
-        estimates = result.estimates
-        assert estimates is not None
-        segments = result.segments
-        slopes = segments.output_sensitivities(result.states, model.q, result.data)
-        error, unknown = _window_errors(estimates, slopes, in_lead, model, n)
+    def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
+        """Estimate the state of every window from its lead-in, and run on from it.
 
-        residuals = measured - segments.by_segment(result.outputs)
-        by_state = slopes[..., :n]
-        if (
-            self._criterion.corrects_states
-        ):  # one step ahead, the corrections go on after the lead-in
-            present = np.isfinite(data["measured"])
-            corrected = _Run.of(
-                segments, estimates.states, model.q, _columns(segments, data, present)
-            )
-            residuals = measured - segments.by_segment(corrected.outputs)
-            by_state = segments.output_sensitivities(corrected.states, model.q, corrected.data)[
-                ..., :n
-            ]
-        offset = estimates.mean - estimates.states
-        one_step = one_step_errors(
-            residuals, by_state, offset, estimates.precision, estimates.noise
-        )
-        outputs, states = (
-            segments.by_segment(values) for values in (result.outputs, result.states)
-        )
-        return WindowSimulations(estimates, outputs, states, error, one_step, unknown)
-
-    def linearize_windows(self, windows: Windows, active: IntArray) -> WindowLinearization:
-        """Linearize every window by its first state and the `active` values."""
-        data, _, result = self._from_lead_ins(windows, active)
+        Derivatives are by the `active` values, by default by those that are uncertain.
+        """
+        active = self._model.uncertain if active is None else active
+        data, in_lead, result = self._from_lead_ins(windows, active)
         assert result.estimates is not None
-        measured = np.moveaxis(data["measured"], 0, -1)
-        slopes = result.segments.output_sensitivities(result.states, self._model.q, result.data)
-        residuals = measured - result.segments.by_segment(result.outputs)
-        present = np.isfinite(measured)
-        finite = ~result.estimates.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
-        finite &= np.all(np.isfinite(residuals) | ~present, axis=(1, 2))
-        used = present & finite[:, None, None]
-        return WindowLinearization(
-            result.estimates,
-            np.where(used, residuals, 0.0),
-            np.where(used[..., None], slopes, 0.0),
-            used,
+        segments = result.segments
+        return WindowSimulations(
+            initial=result.estimates,
+            measured=np.moveaxis(data["measured"], 0, -1),
+            outputs=segments.by_segment(result.outputs),
+            states=segments.by_segment(result.states),
+            in_lead=np.moveaxis(in_lead, 0, -1),
+            slopes=segments.output_sensitivities(result.states, self._model.q, result.data),
+            segments=segments,
+            data=data,
+        )
+
+    def standard_errors(self, simulated: WindowSimulations) -> tuple[Array, tuple[str, ...]]:
+        """Return the standard errors (w, samples, k) of the outputs, and values without an error.
+
+        The states follow the parameters by the lead-in.
+        """
+        n = len(self._model.system.states)
+        covariance = simulated.initial.covariance
+        by_state, by_value = simulated.slopes[..., :n], simulated.slopes[..., n:]
+        weight = np.linalg.inv(np.linalg.cholesky(simulated.initial.noise))
+        masked = np.where(simulated.in_lead[..., None], simulated.slopes, 0.0)
+        J = np.einsum("ij,wtjv->wtiv", weight, masked)
+        mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
+        state_by_value = -np.einsum("wij,wja->wia", covariance, mixed)
+        variance = np.einsum("wtkn,wnm,wtkm->wtk", by_state, covariance, by_state, optimize=True)
+        by_value = by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value)
+        return _standard_errors(by_value, variance, self._model)
+
+    def one_step(self, simulated: WindowSimulations) -> Array:
+        """Return the errors one sample ahead in standard deviations, (w, samples, k)."""
+        estimates, outputs = simulated.initial, simulated.outputs
+        by_state = simulated.slopes[..., : len(self._model.system.states)]
+        if self._criterion.corrects_states:
+            # One step ahead, the corrections continue after the lead-in.
+            segments, q = simulated.segments, self._model.q
+            data = _columns(segments, simulated.data, np.isfinite(simulated.data["measured"]))
+            corrected = _Run.of(segments, estimates.states, q, data)
+            outputs = segments.by_segment(corrected.outputs)
+            slopes = segments.output_sensitivities(corrected.states, q, data)
+            by_state = slopes[..., : by_state.shape[-1]]
+        return one_step_errors(
+            simulated.measured - outputs,
+            by_state,
+            estimates.mean - estimates.states,
+            estimates.precision,
+            estimates.noise,
         )
 
     def _from_lead_ins(
@@ -441,29 +439,6 @@ def _depends(by_value: Array, q: Array) -> BoolArray:
     effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
     largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
     return ~(effect <= 1e-9 * largest[:, None])  # a smaller effect is rounding
-
-
-def _window_errors(
-    estimates: StateEstimates,
-    slopes: Array,
-    in_lead: BoolArray,
-    model: ModelAtEstimate,
-    n: int,
-) -> tuple[Array, tuple[str, ...]]:
-    """Return the standard errors (w, samples, k): states follow the parameters by the lead-in."""
-    by_state = slopes[..., :n]
-    by_value = slopes[..., n:]
-    weight = np.linalg.inv(np.linalg.cholesky(estimates.noise))
-    masked = np.where(np.moveaxis(in_lead, 0, -1)[..., None], slopes, 0.0)
-    J = np.einsum("ij,wtjv->wtiv", weight, masked)
-    mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
-    state_by_value = -np.einsum("wij,wja->wia", estimates.covariance, mixed)
-    variance = np.einsum(
-        "wtkn,wnm,wtkm->wtk", by_state, estimates.covariance, by_state, optimize=True
-    )
-    return _standard_errors(
-        by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value), variance, model
-    )
 
 
 def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:

@@ -209,19 +209,18 @@ def test_windows_are_linearized_along_their_simulations():
     model = model_at(Growth(), {"rate": rate}).driven_by(record)
     windows = cut(record, ["u"], ["x"], lead=0.8, horizon=1.2)
     simulator = Simulator(model, model.criterion, ("x",), gb.RungeKutta())
-    found = simulator.linearize_windows(windows, np.array([0]))
+    found = simulator.windows(windows, np.array([0]))
     start = found.initial.states[:, :, None]
     t = step * np.arange(20)
     grown = np.exp(rate * t)
     there = np.isfinite(measured[windows.rows])
     assert there.sum() < there.size
-    np.testing.assert_array_equal(found.used[..., 0], there)
-    wanted = np.where(there, measured[windows.rows] - start[:, 0] * grown, 0.0)
-    assert_allclose(found.residuals[..., 0], wanted, atol=1e-6)
+    np.testing.assert_array_equal(np.isfinite(found.measured[..., 0]), there)
+    assert_allclose(found.outputs[..., 0], start[:, 0] * grown, atol=1e-6)
     slopes = np.stack([np.broadcast_to(grown, there.shape), t * start[:, 0] * grown], axis=-1)
-    assert_allclose(found.slopes[:, :, 0], np.where(there[..., None], slopes, 0.0), atol=1e-5)
+    assert_allclose(found.slopes[:, :, 0], slopes, atol=1e-5)
     # The same from other values, of which each window's first state is estimated anew.
-    other = simulator.at(np.array([-0.3])).linearize_windows(windows, np.array([0]))
+    other = simulator.at(np.array([-0.3])).windows(windows, np.array([0]))
     assert_allclose(other.slopes[:, -1, 0, 0], np.exp(-0.3 * t[-1]), rtol=1e-5)
 
 
