@@ -124,10 +124,12 @@ class ModelAtEstimate:
         """
         if self.system.states or self.system.delayed:
             require_time(record, f"the dynamic model {self.label}")
+
+        # Inputs run as in the fit, unless this record says otherwise.
         assumed = self.part.data.hold if self.part is not None else {}
         between = between_samples(self.criterion.inputs, self.system.inputs, record, assumed)
-        system = self.system.later([one.late for one in between])
-        return replace(self, system=system, held=tuple(one.held for one in between))
+        system = self.system.later([assumption.late for assumption in between])
+        return replace(self, system=system, held=tuple(assumption.held for assumption in between))
 
     def noise(self, outputs: tuple[str, ...]) -> Array | None:
         """Return the covariance (k, k) of the errors of these outputs, where the fit knows it."""
@@ -138,6 +140,7 @@ class ModelAtEstimate:
 
     def free_running(self) -> TimeCriterion:
         """Return the criterion without corrections of the states."""
+        # A free simulation has no measurements to correct its states with.
         return OutputError(inputs=self.criterion.inputs, biases=self.criterion.biases)
 
 
@@ -183,6 +186,8 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
     biases = tuple(n for n in (*model.output_names, *model.input_names) if f"{n}_bias" in given)
     gains = tuple((s, o) for s in system.states for o in system.outputs if f"K_{s}_{o}" in given)
     added = [f"{n}_bias" for n in biases] + [f"K_{s}_{o}" for s, o in gains]
+
+    # A parameter of the model may itself be called `<signal>_bias`.
     added = [name for name in added if name not in model.parameters]
     require_known(given, (*model.parameters, *added), "parameter", model.label)
     for name, value in given.items():

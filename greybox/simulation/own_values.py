@@ -101,6 +101,8 @@ def with_own_values(
     biased = _with_biases(model, own)
     names = tuple(dict.fromkeys(own))
     simulator = Simulator(biased, biased.criterion, outputs, integrator)
+
+    # Short windows follow the record however wrong the values are: they come first.
     solution = _determined(simulator, biased, windows, names)
     for longer in _longer(biased, windows, outputs):
         candidate = _determined(simulator, solution.model, longer, names)
@@ -159,6 +161,8 @@ def _longer(
     record = windows.record
     if not record.has_time:
         return
+
+    # A window ends at a gap, where nothing tells the next state.
     stretches = gapless(record, model.system.inputs, outputs)
     most = max(len(stretch) for stretch in stretches) - windows.lead
     lead = windows.lead * record.step
@@ -178,6 +182,8 @@ def _determined(
     while True:
         places = np.array([model.names.index(name) for name in limits], dtype=int)
         solved, information = _minimized(simulator, model, windows, places, limits)
+
+        # One at a time: without it the record may determine the others.
         lost = _not_determined(information, limits) if limits and information.numbers else ""
         if not lost:
             names = tuple(limits) if information.numbers else ()
@@ -194,6 +200,8 @@ def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
         return model
     biases = (*model.criterion.biases, *(name.removesuffix("_bias") for name in new))
     covariance = model.covariance
+
+    # A bias of zero has no error: the record alone is to estimate it.
     if covariance is not None:
         covariance = np.pad(covariance, ((0, len(new)), (0, len(new))))
     return replace(
@@ -266,16 +274,16 @@ def _minimized(
         for _ in range(8):
             trial = q.copy()
             trial[places] = np.clip(q[places] + step, low, high)
-            after = _information(simulator.at(trial), windows, places)
-            is_worse = after.mean_square > information.mean_square * (1 + 1e-6)
-            if after.numbers >= information.numbers and not is_worse:
+            at_trial = _information(simulator.at(trial), windows, places)
+            is_worse = at_trial.mean_square > information.mean_square * (1 + 1e-6)
+            if at_trial.numbers >= information.numbers and not is_worse:
                 break
             step = step / 2
         else:
             break
         change = np.abs(trial - q)[places]
         q = trial
-        information = after
+        information = at_trial
         if np.all(change <= 0.01 * np.sqrt(np.diag(inverse))):
             break
     return replace(model, q=q), information
@@ -318,6 +326,7 @@ def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _I
         gradient = gradient - np.einsum("wna,wn->a", cross, step)
         squares += float(np.sum(precision * deviation**2) - np.sum(slope * step))
 
+    # The states of single windows are eliminated; now their mean is.
     a = len(places)
     mean = pseudo_inverse(matrix[a:, a:])
     gain = matrix[:a, a:] @ mean
@@ -373,16 +382,18 @@ def _covariance(simulator: Simulator, solution: _Solution) -> Array:
     covariance = np.zeros((len(model.names),) * 2)
     if model.covariance is not None:
         covariance = model.covariance.copy()
+
+    # Estimates follow the model's parameters, and share their errors.
     covariance[places] = 0.0
     covariance[:, places] = 0.0
-    others = np.flatnonzero(np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0))
+    model_places = np.flatnonzero(np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0))
     a = len(places)
     joint = _information(
-        simulator.at(model.q), solution.windows, np.concatenate([places, others])
+        simulator.at(model.q), solution.windows, np.concatenate([places, model_places])
     ).matrix
     follow = -pseudo_inverse(information.matrix) @ joint[:a, a:]
-    shared = covariance[np.ix_(others, others)]
-    covariance[np.ix_(places, others)] = follow @ shared
-    covariance[np.ix_(others, places)] = (follow @ shared).T
+    shared = covariance[np.ix_(model_places, model_places)]
+    covariance[np.ix_(places, model_places)] = follow @ shared
+    covariance[np.ix_(model_places, places)] = (follow @ shared).T
     covariance[np.ix_(places, places)] = information.covariance + follow @ shared @ follow.T
     return covariance

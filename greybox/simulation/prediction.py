@@ -17,6 +17,7 @@ AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of th
 
 def samples_ahead(share: float, samples: int) -> int:
     """Return how many samples ahead a share (0 to 1] of a horizon is, at least one."""
+    # Rounding of the product must not add a sample.
     return max(1, math.ceil(share * samples - 1e-9))
 
 
@@ -151,6 +152,8 @@ class Prediction:
         from scipy.special import ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
 
         k = self._place(output)
+
+        # The noise of the sensors is in what is measured, not in the output itself.
         half = float(ndtri(0.5 + level / 2)) * np.sqrt(
             self.error[k] ** 2 + (self.noise[k, k] if noise else 0.0)
         )
@@ -186,6 +189,8 @@ class Prediction:
             f"{self.data.name or 'the record'}, the state of each estimated from the "
             f"{seconds(self.lead)} s before it"
         )
+
+        # Rows without a time have no lead-in, and no error that grows.
         shares = reported_shares([self.rows.shape[1]])
         if not self.data.has_time:
             head = f"{self.label}: {counted(len(self), 'row')} of {self.data.name or 'the record'}"

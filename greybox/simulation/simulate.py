@@ -78,6 +78,8 @@ def simulate(
     estimated, record = _model_and_record(model, values, record, inputs, part)
     estimated = estimated.driven_by(record)
     outputs = estimated.system.outputs
+
+    # Without states and delays, every sample stands alone.
     static = not (estimated.system.states or estimated.system.delayed)
     stretches = gapless(record, estimated.system.inputs, (), shortest=1 if static else 2)
     if not stretches:
@@ -87,6 +89,8 @@ def simulate(
     states = _initial_states(estimated, initial, len(stretches), fitted_initial)
 
     errors = [] if estimated.covariance is None else [name + ERROR for name in outputs]
+
+    # A state with the name of an output is given once, as the sensor shows it.
     columns = {
         name: np.full(len(record), np.nan)
         for name in dict.fromkeys((*outputs, *errors, *estimated.system.states))
@@ -159,6 +163,8 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
     estimated, record = _model_and_record(model, values, record, inputs, part)
     horizon = default_length([record], SHORTEST) if horizon is None else horizon
+
+    # Within the delay, outputs answer to inputs before the window.
     delay = float(np.max(estimated.delays, initial=0.0))
     lead = default_length([record], SHORTEST, delay) if lead is None else lead
     outputs = tuple(name for name in estimated.system.outputs if name in record.signals)
@@ -195,6 +201,8 @@ def predict_windows(
             f"the delay of {model.label} is {np.max(model.delays):.3g} s, and lead={lead:.3g} s "
             "does not cover it: give a longer lead."
         )
+
+    # On its own record the fit has estimated these values already.
     if own is None:
         own = (
             ()
@@ -210,6 +218,8 @@ def predict_windows(
     error, unknown = simulator.standard_errors(simulated)
     notes = estimated.notes(windows.record.name or "the record") if estimated else ()
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
+
+    # Lead-ins were used for the states, and would look too good.
     ahead = slice(windows.lead, None)
     prediction = Prediction(
         label=model.label,
@@ -237,6 +247,8 @@ def _not_finite(
     """Return in how many windows something is not finite, and which signal is the first, when."""
     if not simulated.not_finite.any():
         return ""
+
+    # The first signal that is lost points to the formula to mend.
     first = int(np.argmax(simulated.not_finite))
     names = (*model.system.states, *outputs)
     values = np.hstack([simulated.states[first], simulated.outputs[first]])
@@ -271,8 +283,8 @@ def _model_and_record(
     model: Any, values: Any, record: Any, inputs: Inputs | None, part: int | None
 ) -> tuple[ModelAtEstimate, Record]:
     """Bring model, values and record together; the record is by default that of the fit."""
-    own = record if isinstance(record, Record) else None
-    estimated = model_at(model, values, inputs=inputs, part=part, record=own)
+    stated = record if isinstance(record, Record) else None
+    estimated = model_at(model, values, inputs=inputs, part=part, record=stated)
     if record is None and estimated.part is None:
         raise TypeError("record is missing: give the Record whose inputs are to drive the model.")
     if record is None and estimated.part is not None:
@@ -325,6 +337,7 @@ def _initial_states(
     model: ModelAtEstimate, initial: Any, stretches: int, fitted_initial: bool
 ) -> Array:
     """Return the first states (stretches, n) of every stretch; zero where none are given."""
+    # On the record of the fit, its initial states were estimated with the parameters.
     if fitted_initial and model.part is not None:
         fitted = model.part.initial
         initial = {name: fitted[name] for name in model.system.states if name in fitted}

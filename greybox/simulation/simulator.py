@@ -143,9 +143,11 @@ class Simulator:
         """
         model = self._model
         count = len(stretch)
-        whole, around = SampledData((stretch,), (), 1).delayed_inputs(model.delays)
+        delayed, around = SampledData((stretch,), (), 1).delayed_inputs(model.delays)
+
+        # A free run has neither measurements nor corrections.
         nothing_measured = np.zeros((2 * len(self._outputs), count))
-        data = np.vstack([whole, around, nothing_measured, np.full((1, count), stretch.step)])
+        data = np.vstack([delayed, around, nothing_measured, np.full((1, count), stretch.step)])
 
         def run(step: SampleStep) -> _Run:
             return _Run.of(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
@@ -195,6 +197,8 @@ class Simulator:
         masked = np.where(simulated.in_lead[..., None], simulated.slopes, 0.0)
         J = np.einsum("ij,wtjv->wtiv", weight, masked)
         mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
+
+        # Another value changes the state that the lead-in implies, and so the prediction.
         state_by_value = -np.einsum("wij,wja->wia", covariance, mixed)
         variance = np.einsum("wtkn,wnm,wtkm->wtk", by_state, covariance, by_state, optimize=True)
         by_value = by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value)
@@ -234,18 +238,21 @@ class Simulator:
         measured = np.moveaxis(data["measured"], 0, -1)
         in_lead = np.isfinite(data["measured"]) & (np.arange(length) < lead)
         spread = np.array([_spread(windows.record[name]) for name in self._outputs])
+
+        # Innovations correct the states in the lead-in only: what follows is predicted.
         mask = np.moveaxis(in_lead[:, :, :lead], 0, -1)
         past = np.where(mask, measured[:, :lead], np.nan)
 
         def of_rows(step: SampleStep) -> _Run:
-            whole = self._segments_of(step, w, length, active)
-            result = _Run.of(whole, np.zeros((w, 0)), model.q, _columns(whole, data, in_lead))
-            errors = measured - whole.by_segment(result.outputs)
+            segments = self._segments_of(step, w, length, active)
+            result = _Run.of(segments, np.zeros((w, 0)), model.q, _columns(segments, data, in_lead))
+            errors = measured - segments.by_segment(result.outputs)
             return replace(
                 result, estimates=without_states(errors, model.noise(self._outputs), spread)
             )
 
         def run(step: SampleStep) -> _Run:
+            # States are estimated at given values: no derivatives by these are needed.
             lead_in = self._segments_of(step, w, lead, np.zeros(0, dtype=int))
             lead_data = _columns(lead_in, data, in_lead)
 
@@ -266,9 +273,9 @@ class Simulator:
                 model.noise(self._outputs),
                 spread,
             )
-            whole = self._segments_of(step, w, length, active)
+            segments = self._segments_of(step, w, length, active)
             return _Run.of(
-                whole, estimates.states, model.q, _columns(whole, data, in_lead), estimates
+                segments, estimates.states, model.q, _columns(segments, data, in_lead), estimates
             )
 
         return data, in_lead, self._accurate(windows.record.step, run if lead else of_rows)
@@ -395,12 +402,16 @@ def _free_run_sensitivities(
     compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
     places = [outputs.index(name) for name in part.outputs]
     weight = np.linalg.inv(np.linalg.cholesky(part.noise))
+
+    # Whitened, so that least squares weigh every output by its noise.
     x = np.einsum(
         "ij,tjn->tin", weight, np.where(compared[..., None], by_state[:, places], 0.0)
     ).reshape(-1, n)
     q = np.einsum("ij,tja->tia", weight, np.where(compared[..., None], by_value[:, places], 0.0))
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     _, singular, directions = np.linalg.svd(x / size, full_matrices=False)
+
+    # Too few samples do not determine all initial states.
     if len(x) < n or singular[-1] < 1e-10 * singular[0]:
         return by_value, no_variance * np.nan
 
@@ -431,6 +442,8 @@ def _standard_errors(
             variance = np.where(depends.any(axis=-1), np.nan, variance)
             involved = depends.reshape(-1, undetermined.size).any(axis=0)
             unknown = tuple(model.names[i] for i in model.uncertain[involved])
+
+    # A variance may be negative by rounding.
     return np.sqrt(np.maximum(variance, 0.0)), unknown
 
 
@@ -450,11 +463,13 @@ def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Arr
     n = len(model.system.states)
     fitted = {} if model.part is None else model.part.initial
     size = float(np.nanmean(np.abs(past))) or 1.0
-    others = [np.zeros(n)]
-    others.append(np.array([float(np.mean(fitted.get(name, 0.0))) for name in model.system.states]))
-    others += [np.full(n, factor * size) for factor in SIZES]
+    levels = [np.zeros(n)]
+    levels.append(np.array([float(np.mean(fitted.get(name, 0.0))) for name in model.system.states]))
+    levels += [np.full(n, factor * size) for factor in SIZES]
 
-    guesses = [np.tile(values, (len(past), 1)) for values in others]
+    guesses = [np.tile(values, (len(past), 1)) for values in levels]
+
+    # A state that an output shows need not be guessed.
     for i, name in enumerate(model.system.states):
         if name in outputs:
             values = past[:, :, outputs.index(name)]
@@ -466,4 +481,6 @@ def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Arr
 
 def _spread(values: Any) -> float:
     present = values[np.isfinite(values)]
+
+    # A constant signal has no size of its own.
     return float(present.std()) or 1.0

@@ -92,16 +92,18 @@ def cut(
                 f"e.g. {name}={seconds(FEWEST * record.step)}, or omit it."
             )
     # Half a sample is rounded down in all records alike, however their times are rounded.
-    first, after = (
+    lead_samples, horizon_samples = (
         max(1, math.floor(min(n / record.step, len(record)) + 0.5 - ROUNDING))
         for n in (lead, horizon)
     )
-    parts = [np.zeros((0, first + after), dtype=int)]
+    parts = [np.zeros((0, lead_samples + horizon_samples), dtype=int)]
     for stretch in stretches:
-        starts = np.arange(0, len(stretch) - first - after + 1, after)
-        rows = starts[:, None] + np.arange(first + after)
+        starts = np.arange(0, len(stretch) - lead_samples - horizon_samples + 1, horizon_samples)
+        rows = starts[:, None] + np.arange(lead_samples + horizon_samples)
+
+        # Without a measurement the lead-in informs no state, and the horizon shows no error.
         measured = np.any(np.isfinite(stretch.outputs), axis=0)[rows]
-        usable = measured[:, :first].any(axis=1) & measured[:, first:].any(axis=1)
+        usable = measured[:, :lead_samples].any(axis=1) & measured[:, lead_samples:].any(axis=1)
         parts.append(stretch.rows[rows[usable]])
 
     rows = np.concatenate(parts)
@@ -112,17 +114,17 @@ def cut(
             f"{called}={horizon:g} s with measured outputs: its longest stretch without a gap "
             f"lasts {seconds(longest)} s; give a shorter lead or {called}, or a longer record."
         )
-    return Windows(record, rows, first, after)
+    return Windows(record, rows, lead_samples, horizon_samples)
 
 
 def _rows(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Windows:
     """Return a window for every row that has its inputs and some output."""
     _require_signals(record, inputs)
-    kept = [
+    row_lists = [
         s.rows[np.any(np.isfinite(s.outputs), axis=0)]
         for s in gapless(record, tuple(inputs), tuple(outputs))
     ]
-    rows = np.concatenate([np.zeros(0, dtype=int), *kept])
+    rows = np.concatenate([np.zeros(0, dtype=int), *row_lists])
     if not rows.size:
         raise ValueError(f"{record.name or 'the record'} has no row with all inputs and an output.")
     return Windows(record, rows[:, None], 0, 1)
@@ -138,13 +140,15 @@ def sample_data(
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
-    whole, around = SampledData(tuple(stretches), outputs, 1).delayed_inputs(delays)
+    delayed, around = SampledData(tuple(stretches), outputs, 1).delayed_inputs(delays)
+
+    # Windows index the record, the data its stretches without gaps.
     column = np.full(len(record), -1)
-    column[np.concatenate([s.rows for s in stretches])] = np.arange(whole.shape[1])
+    column[np.concatenate([s.rows for s in stretches])] = np.arange(delayed.shape[1])
     places = column[windows.rows]
     measured = np.concatenate([s.outputs for s in stretches], axis=1)
     step = np.repeat([s.step for s in stretches], [len(s) for s in stretches])[None]
-    named = {"whole": whole, "around": around, "measured": measured, "step": step}
+    named = {"whole": delayed, "around": around, "measured": measured, "step": step}
     return {name: values[:, places] for name, values in named.items()}
 
 

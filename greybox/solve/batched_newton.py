@@ -232,16 +232,16 @@ class BatchedNewton:
         searches.live &= np.isfinite(numbers[COST])
 
         # Where Newton's step is none, or too long, eigenvalues find the step within the radius.
-        others = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
-        if others.size:
-            eigenvalues, eigenvectors = np.linalg.eigh(hessian_of_free.T[others].reshape(-1, p, p))
-            columns = _filled(np.arange(others.size))
+        outside = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
+        if outside.size:
+            eigenvalues, eigenvectors = np.linalg.eigh(hessian_of_free.T[outside].reshape(-1, p, p))
+            columns = _filled(np.arange(outside.size))
             [trials] = within_radius(
-                numbers.take(others[columns], axis=1),
+                numbers.take(outside[columns], axis=1),
                 eigenvalues[columns].T,
                 eigenvectors.reshape(-1, p**2)[columns].T,
             )
-            numbers[rows.trial, others] = trials[:, : others.size]
+            numbers[rows.trial, outside] = trials[:, : outside.size]
 
 
 def _filled(columns: IntArray) -> IntArray:

@@ -47,6 +47,8 @@ class Limits:
     def after(self, z: Array, step: Array) -> Array:
         """Return the point after a step within the bounds, on a bound if rounding is between."""
         end = self.clipped(z + step)
+
+        # Beside a bound by rounding, a variable would still count as free.
         for bound in (self.low, self.high):
             end = np.where(np.abs(end - bound) <= 1e-12 * np.abs(step), bound, end)
         return end
@@ -67,6 +69,8 @@ class Limits:
         back to one that is violated.
         """
         value, normal = (result.full() for result in self.constraints(z))
+
+        # A point may lie beyond a bound by rounding: no step need lead back.
         low, high = np.minimum(self.low - z, 0.0), np.minimum(z - self.high, 0.0)
         if held is not None:
             low, high = np.where(held, 0.0, low), np.where(held, 0.0, high)
@@ -78,6 +82,8 @@ class Limits:
     def nearest(self, z: Array) -> Array:
         """Return a point near z that satisfies all limits, as closely as 20 steps find one."""
         z = self.clipped(z)
+
+        # Constraints may be curved, and each step follows their tangents.
         for _ in range(20):
             if not self.violation(z) > 0:
                 break

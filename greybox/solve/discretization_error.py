@@ -91,6 +91,8 @@ def discretization_error(
     for part, trajectory, finer, refined, is_same in pairs:
         weight = part.residual_weight(trajectory)
         H, g = _quadratic_model(part, trajectory, weight)
+
+        # Where the finer steps diverge, the shift is infinite.
         H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
         if not is_same and refined.finite:
             H_fine, g_fine = _quadratic_model(finer, refined, weight)
@@ -114,6 +116,8 @@ def refine_discretization(
     if not any(part.substeps for part in nlp.parts) or not search.minima:
         return nlp, search, solver, error
     fine = _finer_parts(nlp)
+
+    # A fixed number of substeps is the user's choice: it is judged, but not changed.
     while nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
         if stop_requested():
             break
@@ -148,6 +152,8 @@ def without_aliases(
     parameters, or even less, and may have their response. It stays only where all are aliases.
     """
     limit = search.minima[0].cost + RIVAL_COST
+
+    # An alias may have the response of the true parameters: ends are judged, not minima.
     rivals = [search.runs[k] for m in search.minima if m.cost <= limit for k in m.runs]
     ends = _distinct_ends(nlp, rivals)[:10]  # judging one takes as long as two iterations
     if len(ends) < 2:
@@ -205,9 +211,12 @@ def with_finer_steps(
     ends: dict[int, Outcome] = {}
     count, least = 0, math.inf
     for minimum in search.minima:
+        # A minimum whose cost lies below all that have moved may be the best one now.
         is_rival = count < RIVALS and minimum.cost <= limit
         if not (is_rival or minimum.cost < least < math.inf):
             break
+
+        # One minimum may have several parameter vectors (lags that swap), which move by themselves.
         for group in _distinct_ends(nlp, [search.runs[k] for k in minimum.runs]):
             outcome = solver.run(group[0].estimate)
             ends |= {run.index: outcome for run in group}
@@ -237,6 +246,7 @@ def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple
 
 
 def _is_rounding(trajectory: Trajectory, finer: Trajectory) -> bool:
+    # Relative to the largest value, since a state may pass through zero.
     size = np.abs(trajectory.nodes).max(axis=0, initial=0.0)
     moved = np.abs(finer.ends - trajectory.ends).max(axis=0, initial=0.0)
     return bool(np.all(moved <= 1e-7 * size))
@@ -246,6 +256,8 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
     """Return the step -H⁻¹ g in standard errors, along directions that the data determine."""
     if not np.all(np.isfinite(change)):
         return np.full(len(change), math.inf)
+
+    # Scaled to a diagonal of one, since parameters have different units.
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     unit = 1 / np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(hessian * unit * unit[:, None])

@@ -90,6 +90,8 @@ def run_all(
         if interrupt_noted() or (remaining < count and stop_requested()):
             return
         remaining -= len(batch)
+
+        # The first batch is run here: its time decides the size of the tasks.
         recalled = _recalled(memory, batch)
         outcomes = recalled or _run(
             solver, np.array([begins.get(number, start) for number, start in batch])
@@ -231,6 +233,7 @@ class _Tasks:
     def is_next_done(self) -> bool:
         """Wait for the first of the waiting tasks; False if a stop was requested before."""
         while not stop_requested():
+            # A cancelled task is done, and its result says why.
             with suppress(CancelledError):
                 try:
                     self.waiting[0].future.exception(timeout=0.1)
@@ -248,6 +251,8 @@ class _Tasks:
         """
         task = self.waiting.popleft()
         outcomes = self._stored(task)
+
+        # One start of the batch may have ended the worker: each is tried alone.
         if outcomes is None and len(task.batch) > 1:
             self.waiting.extendleft([self._submitted([start]) for start in reversed(task.batch)])
             return
@@ -333,6 +338,7 @@ def run_starts(
     search. A thread keeps the last four solvers, so that it serves the members of a study in turn
     without building them anew.
     """
+    # A solver takes longer to build than many of its runs.
     solvers = _built.solvers
     with _without_interrupts(os.getpid() != coordinator), limited(limits):
         if key not in solvers:

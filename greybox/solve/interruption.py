@@ -150,6 +150,7 @@ def listening() -> Iterator[None]:
 
     A second Ctrl-C raises KeyboardInterrupt in any case.
     """
+    # The handler of another program is left alone, and so are other threads.
     in_main_thread = threading.current_thread() is threading.main_thread()
     if (
         _state.listening
@@ -164,6 +165,7 @@ def listening() -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        # CasADi turns an interrupt into errors of other classes.
         if _state.noted:
             raise KeyboardInterrupt from error
         raise
@@ -186,6 +188,8 @@ def responding(response: Response) -> Iterator[None]:
 
 def _note(_number: int, _frame: FrameType | None) -> None:
     now = time.monotonic()
+
+    # A second Ctrl-C must end the program even if a solver does not look.
     again = _state.noted and now - _state.noted_at > ECHO
     if not _state.noted:
         _state.noted, _state.noted_at = True, now

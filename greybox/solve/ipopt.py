@@ -136,6 +136,7 @@ class Ipopt:
         try:
             self._solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
         except RuntimeError:
+            # The error of CasADi does not name the option: each is tried alone.
             for name, value in options.items():
                 _check_option(name, value)
             raise
@@ -149,6 +150,8 @@ class Ipopt:
         end: Any = self._solver(x0=x, p=p, **bounds)["x"]
         stats = self._solver.stats()
         status = stats["return_status"]
+
+        # At a stop, IPOPT returns its current point, which may be anywhere.
         if status == STOPPED:
             status, end = self._check.reason, end if self._check.best is None else self._check.best
         return np.asarray(end).ravel(), status, int(stats["iter_count"])

@@ -56,10 +56,14 @@ class Memory:
         if number not in self._known:
             return None
         stored_start, outcome = self._known[number]
+
+        # With a longer limit the run may now finish.
         if outcome.status == RUN_OVER and outcome.seconds < current_limits().start:
             return None
         if np.array_equal(stored_start, start):
             return outcome
+
+        # Neighbors of an end begin elsewhere if an option has changed: they are made again.
         if number < 0:
             return None
         raise KeptRunsError(

@@ -73,6 +73,7 @@ class LocalSearch:
         return outcome
 
     def _is_unfinished(self, outcome: Outcome) -> bool:
+        # A run that a time limit or Ctrl-C has cut short must not continue.
         if (
             outcome.converged
             or outcome.status in (NOT_FINITE, *CUT_SHORT)
@@ -93,6 +94,8 @@ class LocalSearch:
         """Add runs from the neighborhood of the best end as long as they find a lower cost."""
         while self._best is not None and not stop_requested():
             best = self._best
+
+            # All neighbors are tried before the search moves on: their order must not decide.
             points = _scaled(self._nlp, best.estimate)
             tried: list[tuple[Array, Outcome]] = []
             for point in points:
@@ -108,6 +111,7 @@ class LocalSearch:
 
     def _remembered(self, start: Array, make: Callable[[], Outcome], spent: float = 0.0) -> Outcome:
         """Return the outcome of a run, stored or made; `spent` s of its time have passed."""
+        # Counted down in the order of the decisions, the number is the same when a search resumes.
         self._number -= 1
         outcome = self._memory.recall(self._number, start)
         if outcome is None:

@@ -108,6 +108,8 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
         for run in runs
         if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)
     ]
+
+    # A start that was only compared has not been tried: it is the last choice.
     ended = [run for run in ended if run.stage != SCREENED] or ended
     return min(ended, key=lambda run: run.cost, default=None)
 
@@ -147,6 +149,8 @@ def find_minima(
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
         cost = float(costs[k])
+
+        # Responses decide, since different parameters may have one response.
         candidates = np.flatnonzero(ungrouped & (costs - cost <= same_cost(nlp, cost)))
         distances = _differences(signatures, indices[k], indices[candidates])
         near = candidates[(distances <= SAME_RESPONSE) | (candidates == k)]
@@ -170,6 +174,8 @@ def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:
     reference = np.asarray(signatures[of], dtype=float)
     size = np.maximum(np.abs(reference), 1.0)  # signatures come in units of the measured signals
     differences = np.empty(len(indices))
+
+    # In batches: the responses of 100 000 runs would fill the memory.
     for begin in range(0, len(indices), AT_ONCE):
         batch = indices[begin : begin + AT_ONCE]
         responses = np.array([signatures[index] for index in batch], dtype=float)

@@ -95,6 +95,8 @@ def multistart(
     memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
     few, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and few < len(starts) else None
+
+    # Four screened runs, which begin near their ends, gain little from excerpts.
     many = movable and screened is None and len(starts) > 1
     shared = SharedRuns.of(solver) if many and isinstance(solver, GaussNewton) else None
     search = LocalSearch(nlp, solver, memory, shared, neighbors=len(starts) > 1)
@@ -106,28 +108,30 @@ def multistart(
         waves = [first, sorted(set(range(len(starts))) - set(first))]
         begins = dict(enumerate(screened.begins))
 
-    made: dict[int, tuple[Array, Outcome]] = {}
+    results: dict[int, tuple[Array, Outcome]] = {}
     finished, runs, minima = 0, Runs.of(()), ()
     for wave in waves:
         for runner, numbers in _runners(solver, shared, wave):
             numbered = ((number, points[number]) for number in numbers)
             runs_made = run_all(runner, numbered, len(numbers), executor, memory, begins)
             for number, start, outcome in runs_made:
-                made[number] = start, search.improved(outcome)
+                results[number] = start, search.improved(outcome)
                 finished += 1
                 if progress is not None:
                     progress(finished, len(starts))
-        made |= enumerate(search.further, len(starts))
-        made, runs, minima = _certified(nlp, solver, made)
+        results |= enumerate(search.further, len(starts))
+        results, runs, minima = _certified(nlp, solver, results)
         if stop_requested() or len(agreeing_runs_of(nlp, runs, minima)) >= enough > 0:
             break
 
-    rows = [*made]
-    nodes = made[rows[minima[0].runs[0]]][1].nodes if minima else None
-    ends = () if minima else tuple(outcome.nodes for _, outcome in made.values())
+    # Where nothing converged, a diagnosis needs the last states of every run.
+    rows = [*results]
+    nodes = results[rows[minima[0].runs[0]]][1].nodes if minima else None
+    ends = () if minima else tuple(outcome.nodes for _, outcome in results.values())
     if screened is not None and finished < len(starts) and not stop_requested():
+        # Starts that were only compared are listed too, so that the answer counts them.
         listed = dict(zip(rows, runs, strict=True))
-        for k in set(range(len(starts))) - set(made):
+        for k in set(range(len(starts))) - set(results):
             cost = float(screened.costs[k])
             listed[k] = Run(
                 k, starts[k], starts[k], cost, SCREENED, converged=False, stage=SCREENED
@@ -158,12 +162,12 @@ def _runners(
 
 
 def _certified(
-    nlp: CompiledProblem, solver: LocalSolver, made: Mapping[int, tuple[Array, Outcome]]
+    nlp: CompiledProblem, solver: LocalSolver, results: Mapping[int, tuple[Array, Outcome]]
 ) -> tuple[dict[int, tuple[Array, Outcome]], Runs, tuple[Minimum, ...]]:
     """Return the runs, by row and in columns, and their minima, certified by the solver."""
-    rows = sorted(made)
-    starts = [made[row][0] for row in rows]
-    outcomes = [made[row][1] for row in rows]
+    rows = sorted(results)
+    starts = [results[row][0] for row in rows]
+    outcomes = [results[row][1] for row in rows]
     judged = solver.judged(np.array([outcome.estimate for outcome in outcomes]))
     if judged is not None:
         outcomes = [
@@ -174,6 +178,8 @@ def _certified(
         ]
     while True:
         pairs = zip(starts, outcomes, strict=True)
+
+        # A certified run may end lower, and change which runs share a minimum.
         runs = Runs.of(outcome.as_run(k, start) for k, (start, outcome) in enumerate(pairs))
         minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
         changed = solver.certified(runs, minima)

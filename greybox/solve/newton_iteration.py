@@ -195,8 +195,8 @@ def _within(radius: ca.SX, gradient: ca.SX, curvature: ca.SX) -> ca.SX:
         step = gradient / (curvature + multiplier)
         length = ca.norm_2(step)
         slope = ca.sum1(step**2 / (curvature + multiplier)) / length
-        more = (length / radius - 1) * length / slope
-        multiplier += ca.if_else(length > CLOSE_TO_RADIUS * radius, more, 0.0)
+        correction = (length / radius - 1) * length / slope
+        multiplier += ca.if_else(length > CLOSE_TO_RADIUS * radius, correction, 0.0)
     return -gradient / (curvature + multiplier)
 
 

@@ -118,6 +118,7 @@ class ResponseSolver(LocalSolver):
             if status in (*CUT_SHORT, STAGNATED):
                 break
 
+        # IPOPT respects bounds to a tolerance only.
         estimate = np.clip(problem.scaling.to_parameters(z), problem.lower, problem.upper)
         converged = status in CONVERGED or (located and status == ROUNDED)
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
@@ -233,6 +234,8 @@ class ResponseSolver(LocalSolver):
         if stop_requested():
             return True
         outcome = self._judged_run(run, run.estimate)
+
+        # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost
         tolerated = same_cost(self._problem, run.cost)
         if not outcome.converged or not higher <= tolerated:

@@ -192,6 +192,8 @@ class Runs(Sequence[Run]):
         """Yield one run after the other."""
         for begin in range(0, len(self), AT_ONCE):
             batch = self[begin : begin + AT_ONCE]
+
+            # As lists: reading numbers from arrays one by one takes several times as long.
             columns = (getattr(batch, name) for name in COLUMNS)
             yield from map(
                 Run, *(column if column.ndim > 1 else column.tolist() for column in columns)

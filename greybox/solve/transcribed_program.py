@@ -47,6 +47,7 @@ class TranscribedProgram(LocalSolver):
         self._weights = [part.weight for part in nlp.parts]
         weighted = list(zip(self._weights, self._programs, strict=True))
 
+        # The parameters come first: they are all that the parts share.
         unknowns = ca.vertcat(z, *[program.unknowns for program in self._programs])
         parameters = ca.vertcat(*[program.parameters for program in self._programs])
         error = ca.vertcat(*[math.sqrt(weight) * program.error for weight, program in weighted])

@@ -66,8 +66,8 @@ class AllParts:
         return self._at(z, nodes, [True] * len(nodes))
 
     def _at(self, z: Array, nodes: Nodes, simulated: Sequence[bool]) -> Iterate:
-        each = zip(self.parts, nodes, simulated, strict=True)
-        return Iterate(z, tuple(part.trajectory(z, n, simulated=s) for part, n, s in each))
+        zipped = zip(self.parts, nodes, simulated, strict=True)
+        return Iterate(z, tuple(part.trajectory(z, n, simulated=s) for part, n, s in zipped))
 
     def joined(self, nodes: Nodes) -> Nodes:
         """Return the nodes as an iterate has them, given those of the parts of the problem."""
@@ -108,6 +108,7 @@ class AllParts:
 
     def is_continuous(self, iterate: Iterate) -> bool:
         """Tell whether all gaps are rounding, relative to the largest value of a state."""
+        # Relative to the largest value, since a state may pass through zero.
         return all(
             np.all(
                 np.abs(t.gaps).max(axis=0, initial=0.0)
@@ -132,18 +133,18 @@ class AllParts:
 
     def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
         """Return half the sum of squares of a finite iterate, with fixed residual weights."""
-        each = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
-        return float(sum(part.weight * part.squared_cost(t, w, SMOOTHING) for part, t, w in each))
+        zipped = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
+        return float(sum(part.weight * part.squared_cost(t, w, SMOOTHING) for part, t, w in zipped))
 
     def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
-        each = zip(self.weights, iterate.trajectories, multipliers, strict=True)
-        return sum(weight * float((np.abs(t.gaps) * m).sum()) for weight, t, m in each)
+        zipped = zip(self.weights, iterate.trajectories, multipliers, strict=True)
+        return sum(weight * float((np.abs(t.gaps) * m).sum()) for weight, t, m in zipped)
 
     def squared_gap_cost(self, iterate: Iterate, variances: Sequence[Array]) -> float:
         """Return the quadratic penalty of the gaps, with variances (n,) for every state."""
-        each = zip(self.weights, iterate.trajectories, variances, strict=True)
-        return sum(weight * float((t.gaps**2 / v).sum()) / 2 for weight, t, v in each)
+        zipped = zip(self.weights, iterate.trajectories, variances, strict=True)
+        return sum(weight * float((t.gaps**2 / v).sum()) / 2 for weight, t, v in zipped)
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse residual covariances at an iterate."""
@@ -157,8 +158,8 @@ class AllParts:
 
     def linearize(self, iterate: Iterate, weights: Sequence[Array]) -> list[Any]:
         """Return the linearization of every part."""
-        each = zip(self.parts, iterate.trajectories, weights, strict=True)
-        return [part.linearize(trajectory, weight) for part, trajectory, weight in each]
+        zipped = zip(self.parts, iterate.trajectories, weights, strict=True)
+        return [part.linearize(trajectory, weight) for part, trajectory, weight in zipped]
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
         """Return the variances of the gaps in the first stage, where nodes follow the data freely.
@@ -167,13 +168,14 @@ class AllParts:
         standard deviations of their signals.
         """
         spread = 3.0 / self.settings.assumed_error
-        each = zip(self.parts, linearizations, strict=True)
-        return [part.continuity_variance(linearization, spread) for part, linearization in each]
+        zipped = zip(self.parts, linearizations, strict=True)
+        return [part.continuity_variance(linearization, spread) for part, linearization in zipped]
 
     def moved(self, iterate: Iterate, step: Step, length: float) -> Iterate:
         """Return the iterate after the share `length` of a step."""
-        each = zip(step.condensed, iterate.trajectories, strict=True)
-        nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in each]
+        # The nodes follow from the condensed step, which already knows their gaps.
+        zipped = zip(step.condensed, iterate.trajectories, strict=True)
+        nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in zipped]
         z = self.limits.after(iterate.z, length * step.dz) if step.dz.any() else iterate.z
         return self.at(z, nodes, iterate)
 
@@ -189,10 +191,12 @@ class AllParts:
         for _ in range(GAP_CLOSINGS):
             if not iterate.finite or penalty <= enough:
                 break
-            each = zip(self.parts, step.linearizations, iterate.trajectories, strict=True)
-            nodes = [part.close_gaps(linearization, t) for part, linearization, t in each]
+            zipped = zip(self.parts, step.linearizations, iterate.trajectories, strict=True)
+            nodes = [part.close_gaps(linearization, t) for part, linearization, t in zipped]
             closer = self.at(iterate.z, nodes, iterate)
             closer_penalty = self.gap_cost(closer, step.multipliers)
+
+            # Newton's method for the gaps converges fast or not at all.
             if not closer.finite or closer_penalty > 0.5 * penalty:
                 break
             iterate, penalty = closer, closer_penalty

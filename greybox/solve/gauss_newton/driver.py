@@ -51,6 +51,8 @@ class GaussNewton(LocalSolver):
         self._settings = settings or nlp.strategies
         self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), self._settings)
         self._coarse = coarse
+
+        # Excerpts are short enough to be solved directly.
         is_long = self.samples > self._settings.long_record and self._settings.stretches_first
         if parts is None and is_long:
             self._coarse = self.on_excerpts(self._settings.long_record // 2)
@@ -179,6 +181,8 @@ class GaussNewton(LocalSolver):
             return Outcome(x, "singular", 0, 0.0, False, math.inf), None
 
         iterate, status = end.iterate, end.status
+
+        # Only where it matters: exact derivatives take as long as several iterations.
         if status == CONVERGED and self._can_sharpen and is_blurred(end.hessian):
             iterate = sharpened(nlp, self._parts, iterate)
         if status == CONVERGED and self.limits.violation(iterate.z) > 0:
@@ -250,9 +254,11 @@ class GaussNewton(LocalSolver):
         promising = [k + 1 for k in order]
         begins = starts.copy()
         begins[promising] = self._estimate(points.z)[order]
-        rest = sorted(set(range(1, len(starts))) - set(promising))
+        untried = sorted(set(range(1, len(starts))) - set(promising))
+
+        # Declared values may be good ones: they are always among the first.
         ahead = self.promising[0] - 1
-        order = np.array([*promising[:ahead], 0, *promising[ahead:], *rest])
+        order = np.array([*promising[:ahead], 0, *promising[ahead:], *untried])
         return Screened(order, np.full(len(starts), np.inf), begins)
 
     # --- at given parameters
@@ -264,6 +270,8 @@ class GaussNewton(LocalSolver):
             iterate, converged = self._at(x, nodes), True
         else:
             iterate, converged = self._best_nodes(x)
+
+        # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)
         cost = self._parts.cost(iterate, 0.0)
         return Profile(iterate.z, self._parts.split(iterate), cost, converged)
@@ -291,8 +299,8 @@ class GaussNewton(LocalSolver):
     def signature(self, x: Array) -> Array | None:
         """Return `Outcome.signature` at the best nodes for x (p,); None where there are none."""
         iterate, converged = self._best_nodes(x)
-        found = converged and are_stable(self._parts, iterate)
-        return self._parts.signature(iterate) if found else None
+        has_minimum = converged and are_stable(self._parts, iterate)
+        return self._parts.signature(iterate) if has_minimum else None
 
     def _best_nodes(self, x: Array) -> tuple[Iterate, bool]:
         """Return the iterate with the best nodes at x (p,), and whether it converged."""

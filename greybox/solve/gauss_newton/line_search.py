@@ -54,6 +54,7 @@ def line_search(
         if merit(trial) <= limit:
             return trial, length
 
+        # Curvature opens gaps, which the merit counts although the outputs are better.
         if step.multipliers and parts.settings.second_order_correction:
             trial = parts.close_gaps(trial, step, length)
             if merit(trial) <= limit:

@@ -53,6 +53,8 @@ def gauss_newton_step(
         held = parts.is_discontinuous & progress.delays_held
         normals, bounds = parts.limits.linearized(iterate.z, held)
         dz = solve_small_qp(damped, gradient, normals, bounds)
+
+        # Most steps keep predictors stable, and derivatives of poles take long.
         if settings.stability_constraints:
             stable_normals, stable_bounds = stability_constraints(parts, iterate, dz)
             if len(stable_bounds):
@@ -70,6 +72,8 @@ def gauss_newton_step(
     multipliers: list[Array] = []
     if progress.is_exact:
         multipliers = [EXACTNESS * system.largest_multiplier(dz) for system in systems]
+
+        # Penalties only grow: with smaller ones two iterations could undo each other.
         if progress.multipliers:
             pairs = zip(progress.multipliers, multipliers, strict=True)
             multipliers = [np.maximum(previous, largest) for previous, largest in pairs]

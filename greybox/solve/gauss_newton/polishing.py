@@ -57,6 +57,8 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
     for _ in range(MOST_STEPS):
         step = exact_step(parts, iterate, progress)
         progress = progress.with_penalties(step)
+
+        # Steps that no longer shrink are rounding.
         remaining = abs(step.decrease) + step.distance
         if not remaining < shortest:
             break
@@ -89,6 +91,8 @@ def sharpened(nlp: CompiledProblem, parts: AllParts, iterate: Iterate) -> Iterat
     for _ in range(MOST_STEPS):
         step = sharp_step(nlp, parts, iterate, exact_step(parts, iterate, progress))
         normals, bounds = parts.limits.linearized(iterate.z)
+
+        # Where a bound stops the step, the quadratic program has found the end.
         if step.decrease <= parts.settings.tolerance or np.any(normals @ step.dz < bounds):
             break
         progress = progress.with_penalties(step)

@@ -71,14 +71,16 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     chosen = [parts[k] for k in numbers]
     most = -(-32 // len(chosen))
     # About twice as many outputs as states: half of them are left to predict.
-    few = [ShortSegments(p, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen]
-    whole = [ShortSegments(part, most, part.data.segment_length) for part in chosen]
+    short_segments = [
+        ShortSegments(p, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
+    ]
+    whole_segments = [ShortSegments(part, most, part.data.segment_length) for part in chosen]
     with np.errstate(all="ignore"):  # of points that are left where they are
-        states = np.concatenate([record.states_from_data(z) for record in whole], axis=1)
-        short = descended(evaluated(z, states, few), few, limits, 4)
-        drawn = evaluated(z, states, whole)
-        moved = evaluated(short.z, short.states, whole)
-        return descended(lower(drawn, moved), whole, limits, 3)
+        states = np.concatenate([record.states_from_data(z) for record in whole_segments], axis=1)
+        short = descended(evaluated(z, states, short_segments), short_segments, limits, 4)
+        drawn = evaluated(z, states, whole_segments)
+        moved = evaluated(short.z, short.states, whole_segments)
+        return descended(lower(drawn, moved), whole_segments, limits, 3)
 
 
 def descended(

@@ -91,6 +91,8 @@ class SharedRuns(Runner):
         """Return where a run from z (p,) ends on a level; equal runs are made once."""
         ends, key = self._ends[level], z.tobytes()
         most = iterations or self._alone.settings.max_iterations
+
+        # A run with fewer iterations than the stored one took would not have converged.
         if key in ends and ends[key][0].iterations <= most:
             return ends[key]
         end = self.levels[level].run_from(z, iterations, near_solution=True)

@@ -31,6 +31,8 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
         for gain, _, trajectory, size in predictors
     ]
     candidates = [iterate.z] if are_stable(parts, iterate) else []
+
+    # The same share for all records at a time: all combinations would be too many.
     for entries in zip(*filters, strict=True):
         trial = iterate.z
         for (gain, _, trajectory, _), values in zip(predictors, entries, strict=True):
@@ -64,6 +66,7 @@ def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple
     """
     normals, limits = [np.zeros((0, len(dz)))], [np.zeros(0)]
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
+        # In segments, nodes keep an unstable predictor near the data.
         if gain is None or not trajectory.simulated:
             continue
         if gain.is_stable(trajectory, gain.part.place(iterate.z + dz)):
