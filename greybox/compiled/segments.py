@@ -193,7 +193,8 @@ class Segments:
         # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
         # 0.9 µs: few long segments are simulated one after the other.
         if self.n and self.length > 10 * self.count:
-            return self._simulate_one_by_one(nodes, q, data)
+            _, states, ends, _ = self.simulate_stretches([1] * self.count, nodes, q, data)
+            return states, ends
         s = self.count
         x = nodes.T
         states = np.empty((self.n, self.length * s))
@@ -202,17 +203,6 @@ class Segments:
             states[:, sample] = x
             (x,) = self._evaluate(self._advance, x, q, data[:, sample])
         return states, x.T
-
-    def _simulate_one_by_one(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
-        rows = self.rows(data)
-        states = np.empty((len(rows), self.n))
-        ends = np.empty_like(nodes)
-        for k, node in enumerate(nodes):
-            samples = slice(k * self.length, (k + 1) * self.length)
-            run, _ = self._step.simulate(node, _of(q, k), rows[samples])
-            states[samples] = run[:-1]
-            ends[k] = run[-1]
-        return self.columns(states.T), ends
 
     def simulate_stretches(
         self, counts: Sequence[int], nodes: Array, q: Array, data: Array

@@ -126,7 +126,7 @@ class TransientPart(Part):
         self.states, self.inputs = system.states, system.inputs
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
-        self._entries, self._slopes = _matrix_functions(
+        self._matrices, self._slopes = _matrix_functions(
             problem.model, system, problem.at, self.outputs
         )
         self._is_equation_error = isinstance(problem.criterion, EquationError)
@@ -151,10 +151,10 @@ class TransientPart(Part):
 
     def along(self, q: Array) -> Along | None:
         """Return what follows from the parameters q of the model; None where it is not finite."""
-        entries = self._entries(q).full()
-        if not np.all(np.isfinite(entries)):
+        blocks = [value.full() for value in self._matrices(q)]
+        if not all(np.all(np.isfinite(block)) for block in blocks):
             return None
-        matrices = self._as_matrices(entries[:, 0])
+        matrices = Matrices(*blocks[:4], delays=blocks[4][:, 0])
         late = zip(self.inputs, matrices.delays.tolist(), strict=True)
         inputs = np.array([self.data.delayed_input(name, delay) for name, delay in late])
         pencil: Any = 1j * self.data.omega[:, None, None] * np.eye(len(self.states)) - matrices.A
@@ -170,10 +170,7 @@ class TransientPart(Part):
         if transform is not None:
             errors, basis = np.einsum("lab,bl->al", transform, errors), transform @ by_ends
             logarithms = float(np.linalg.slogdet(transform)[1].sum())
-        errors, basis = (
-            self._real(errors),
-            np.moveaxis(self._real(np.moveaxis(basis, 0, -1)), -1, 1),
-        )
+        errors, basis = self._real(errors), self._stacked(basis.swapaxes(0, 1))
         if not (
             np.all(np.isfinite(errors)) and np.all(np.isfinite(basis)) and math.isfinite(logarithms)
         ):
@@ -193,18 +190,6 @@ class TransientPart(Part):
             covariance=covariance,
             logarithms=logarithms,
         )
-
-    def _as_matrices(self, entries: Array) -> Matrices:
-        """Return the matrices with these entries, by columns; a second axis becomes the last."""
-        n, m, k = len(self.states), len(self.inputs), len(self.outputs)
-        blocks, begin = [], 0
-        for rows, columns in ((n, n), (n, m), (k, n), (k, m), (m, 1)):
-            block = entries[begin : begin + rows * columns].reshape(
-                columns, rows, *entries.shape[1:]
-            )
-            blocks.append(block.swapaxes(0, 1))
-            begin += rows * columns
-        return Matrices(*blocks[:4], delays=blocks[4][:, 0])
 
     def _transform(self, matrices: Matrices, pencil: ComplexArray) -> ComplexArray | None:
         """Return T (lines, k, k) of the equation error: of all states, or of the one output."""
@@ -242,7 +227,12 @@ class TransientPart(Part):
         transform : (lines, k, k, q) complex array
             dT T⁻¹; zeros for output error.
         """
-        m, d, omega = at.matrices, self._as_matrices(self._slopes(at.q).full()), self.data.omega
+        m, omega = at.matrices, self.data.omega
+        *slopes, late = (value.full() for value in self._slopes(at.q))
+        pairs = zip(slopes, (m.A, m.B, m.C, m.D), strict=True)
+        # CasADi stacks the entries of a matrix column by column.
+        stacked = (slope.reshape(*M.shape[::-1], slope.shape[1]) for slope, M in pairs)
+        d = Matrices(*(slope.swapaxes(0, 1) for slope in stacked), delays=late)
         late = np.array(
             [
                 -np.exp(-1j * omega * tau)
@@ -410,7 +400,7 @@ def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX)
 def _matrix_functions(
     model: Model, system: Dynamics, at: Mapping[str, float], outputs: tuple[str, ...]
 ) -> tuple[ca.Function, ca.Function]:
-    """Return (all parameters) -> entries of A, B, C, D and delays, and the derivatives."""
+    """Return (all parameters) -> A, B, C, D and delays, and the derivatives of their entries."""
     p: Any = ca.MX.sym("p", len(model.parameters))
     x, u, q = (
         ca.SX.sym("v", len(names)) for names in (system.states, system.inputs, system.parameters)
@@ -427,10 +417,9 @@ def _matrix_functions(
         # The states of a Padé delay follow those of the model, and the linear delay has no
         # operating point.
         point = ca.vertcat(states, ca.DM.zeros(len(system.states) - len(model.states))), inputs
-    entries: Any = ca.vertcat(*[ca.vec(block) for block in linear(p, *point)])
-    return ca.Function("entries", [p], [entries]), ca.Function(
-        "slopes", [p], [ca.densify(ca.jacobian(entries, p))]
-    )
+    matrices: Any = linear(p, *point)
+    slopes = [ca.densify(ca.jacobian(ca.vec(block), p)) for block in matrices]
+    return ca.Function("matrices", [p], matrices), ca.Function("slopes", [p], slopes)
 
 
 def _without_ends(
