@@ -39,25 +39,10 @@ class Mapped(NamedTuple):
         )
 
     def function(self) -> ca.Function:
-        """Return parameters -> real and imaginary part (n,), with its Jacobian."""
+        """Return parameters -> real and imaginary part (n,)."""
         p = ca.MX.sym("p", self.formula.numel_in(0))
-        rows = _rows(self.formula)
-        jacobian = ca.Function(
-            "jac_rows",
-            [p, ca.MX(2 * self.omega.size, 1)],
-            [_over(_transposed_jacobian(rows), self.omega)(p, self.omega[None]).T],
-            ["p", "out_rows"],
-            ["jac_rows_p"],
-        )
-        options = {
-            "custom_jacobian": jacobian,
-            "enable_forward": False,
-            "enable_reverse": False,
-            "never_inline": True,
-        }
-        all_rows = ca.vec(_over(rows, self.omega)(p, self.omega[None]))
-        stacked: Any = ca.Function("rows", [p], [all_rows], ["p"], ["rows"], options)(p)
-        return ca.Function("response", [p], [stacked[0::2], stacked[1::2]])
+        rows: Any = _over(_rows(self.formula), self.omega)(p, self.omega[None])
+        return ca.Function("response", [p], [rows[0, :].T, rows[1, :].T])
 
 
 def lagrangian_hessian(
