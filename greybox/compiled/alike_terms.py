@@ -36,17 +36,17 @@ class SecondOrder:
         operations = ca.Function("cost", [*inputs], [cost]).n_instructions()
         # Gradient and Hessian have some two instructions for every operation and unknown.
         is_large = 2 * operations * inputs[0].numel() >= 10_000
-        groups, others = grouped(inputs, cost) if is_large else ([], cost)
+        groups, remainder = grouped(inputs, cost) if is_large else ([], cost)
         self._groups = [
             (Columns(_derivatives([*inputs, symbols], term)), constants)
             for term, symbols, constants in groups
         ]
-        self._others = Columns(_derivatives(inputs, others), fewest=FEWEST_COLUMNS)
+        self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
         m = inputs[0].shape[1]
-        values = self._others(*inputs)
+        values = self._remainder(*inputs)
         for function, constants in self._groups:
             # All terms at once would not fit into the cache.
             pieces = math.ceil(constants.shape[1] / max(CHUNK // m, 1))
@@ -97,10 +97,10 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
         ]
         by_form[form].append((factor, term, function, constants))
 
-    groups, others = [], ca.SX(0)
+    groups, remainder = [], ca.SX(0)
     for members in by_form.values():
         if len(members) < 4:  # not worth a function
-            others += sum(factor * term for factor, term, *_ in members)
+            remainder += sum(factor * term for factor, term, *_ in members)
             continue
         table = np.array([[factor, *constants] for factor, _, _, constants in members]).T
         differs = np.ptp(table, axis=1) > 0
@@ -110,7 +110,7 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
             values[place] = symbols[k]
         term = values[0] * _with_constants(members[0][2], inputs, values[1:])
         groups.append(_Group(term, symbols, table[differs]))
-    return groups, others
+    return groups, remainder
 
 
 def summands(cost: ca.SX) -> list[tuple[float, ca.SX]]:

@@ -62,7 +62,7 @@ def colored_errors(
         Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
     """
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
-    found = colored_information(weighted, residuals, inverse, noise, initial, shocks)
+    effect = colored_information(weighted, residuals, inverse, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
     # What the parameters take from these residuals and would take from white ones of the same
@@ -70,26 +70,26 @@ def colored_errors(
     bread = sum(product_over_time(J, noise) for J in weighted)
     paid = float(np.sum(inverse * bread))
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
-    factor = max(found.taken / max(paid * squares, 1e-300), 1.0)
+    factor = max(effect.taken / max(paid * squares, 1e-300), 1.0)
 
     independent = independent_numbers(numbers, initial_states, paid, factor)
     larger = independent / (independent - initial_states)
-    left = max(independent - initial_states - paid, 0.5)
-    if not found.corrected:
-        larger *= (left + paid) / left
-    dof = 1 / (1 / left + found.uncertainty / 2)
+    remaining = max(independent - initial_states - paid, 0.5)
+    if not effect.corrected:
+        larger *= (remaining + paid) / remaining
+    dof = 1 / (1 / remaining + effect.uncertainty / 2)
     longest = max(e.shape[1] for e in residuals)
-    slowest = float(found.correlation_times.max())
+    slowest = float(effect.correlation_times.max())
     times = longest / slowest if slowest > 0 else math.inf
     if times < FEWEST_TIMES:
         dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
     return ColoredErrors(
-        meat=larger * found.meat,
+        meat=larger * effect.meat,
         dof=dof,
-        correlation_times=found.correlation_times * step,
+        correlation_times=effect.correlation_times * step,
         duration=longest * step,
         is_long_enough=times >= FEWEST_TIMES,
-        spectrum=None if found.spectrum is None else found.spectrum.enlarged(larger),
+        spectrum=None if effect.spectrum is None else effect.spectrum.enlarged(larger),
     )
 
 

@@ -158,8 +158,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     point = ca.SX.sym("z", len(free))
     named = values_at(point)
-    responses = compile_responses(problem, names, point, values_at)
-    parts: dict[Problem, Part] = {**responses.parts}
+    response_parts, functions = compile_responses(problem, names, point, values_at)
+    parts: dict[Problem, Part] = {**response_parts}
     for part in problem.parts:
         if isinstance(part.data, TransientSpectrum):
             parts[part] = compile_spectrum(part, named, point)
@@ -176,9 +176,5 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         scaling=scaling,
         method=method,
         parts=tuple(parts[part] for part in problem.parts),
-        programs=responses.programs,
-        constraint=responses.constraint,
-        limits=responses.limits,
-        response_cost=responses.cost,
-        responses=responses.values,
+        **functions,
     )

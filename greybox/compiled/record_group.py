@@ -80,25 +80,25 @@ class RecordGroup(SegmentedPart):
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
         pairs = zip(sides, zip(*results, strict=True), strict=True)
         stacked = [ca.densify(side(*values)) for side, values in pairs]
-        which = np.array([numbers[part.model.expressions] for part in self.parts])
-        return ca.Function("located", [z], stacked), which
+        index = np.array([numbers[part.model.expressions] for part in self.parts])
+        return ca.Function("located", [z], stacked), index
 
     def place(self, z: Array) -> Placed:
         """Return the parameters and data at z (p,), by record where records differ."""
-        function, which = self._located
+        function, index = self._located
         q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
         n, active = self.states, len(self.model.active)
-        if not which.any():
+        if not index.any():
             data = self.data_at(delay.ravel())
             return Placed(q.ravel(), slope, data, initial.ravel(), initial_slope)
-        count = int(which.max()) + 1
-        stretches = np.repeat(which, [len(part.data.stretches) for part in self.parts])
+        count = int(index.max()) + 1
+        stretches = np.repeat(index, [len(part.data.stretches) for part in self.parts])
         return Placed(
-            q=q[:, which[self.segments.records]],
-            slope=slope.reshape(count, active, len(z))[which],
+            q=q[:, index[self.segments.records]],
+            slope=slope.reshape(count, active, len(z))[index],
             data=self.data_at(delay[:, stretches]),
-            initial=initial.T.reshape(count, n)[which],
-            initial_slope=initial_slope.reshape(count, n, active)[which],
+            initial=initial.T.reshape(count, n)[index],
+            initial_slope=initial_slope.reshape(count, n, active)[index],
         )
 
     def initial_nodes(self, placed: Placed) -> Array:

@@ -160,10 +160,10 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
     """Compile the functions that records of one kind share; those of z are left empty."""
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)
-    criterion, known = problem.criterion, problem.criterion.initial
+    criterion, initial_values = problem.criterion, problem.criterion.initial
     system = dynamics(problem.model, delay_order(problem.delay))
     between = between_samples(criterion.inputs, system.inputs, problem.data)
-    system = system.later([each.late for each in between])
+    system = system.later([intersample.late for intersample in between])
     outputs = criterion.compared(problem.model, problem.data)
     parameters = _parameters(problem)
     symbol = ca.SX.sym("q", len(parameters))
@@ -171,7 +171,8 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         dict(zip(problem.declared, ca.vertsplit(symbol), strict=False)), problem.model.label
     )
     states = [
-        _called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in system.states
+        _called(f"initial[{name!r}]", initial_values.get(name, math.nan), local)
+        for name in system.states
     ]
     return RecordModel(
         problem=problem,
@@ -192,7 +193,7 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         active=np.zeros(0, dtype=int),
         locate=ca.Function(),
         initial=ca.Function("initial", [symbol], [ca.vertcat(ca.SX(0, 1), *states)]),
-        known_states=np.array([name in known for name in system.states], dtype=bool),
+        known_states=np.array([name in initial_values for name in system.states], dtype=bool),
         initial_states=InitialStates(
             system, outputs, scanned=method.strategies.scanned_initial_states
         ),

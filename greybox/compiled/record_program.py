@@ -44,8 +44,8 @@ class RecordProgram(Program):
         rows = np.flatnonzero(part.model.known_states).tolist()
         if not rows:
             return ca.MX(0, 1)  # CasADi takes no rows of a single column as a row without columns
-        known, _ = part.model.initial(q)
-        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(known[rows], 1, count))
+        values, _ = part.model.initial(q)
+        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(values[rows], 1, count))
 
     def initial_unknowns(self, trajectory: Trajectory) -> Array:
         """Return the unknowns for the states along a trajectory."""

@@ -53,40 +53,13 @@ class CostProgram:
     roots: ca.Function | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class CompiledResponses:
-    """The frequency responses of a problem; all functions exist without any responses too.
-
-    Attributes
-    ----------
-    parts : mapping of problem to ResponsePart
-    programs : tuple of CostProgram
-        With the criteria that locate the minimum, where they differ, then with the problem's own.
-    cost : casadi.Function
-        (all values) -> the cost without smoothing of every response, unweighted, stacked.
-    values : casadi.Function
-        (all values) -> real and imaginary parts of all responses, stacked: (2 N,).
-    constraint : casadi.Function
-        (all values) -> what must be >= 0, stacked.
-    limits : tuple of str
-        What each of these is, in words.
-    """
-
-    parts: Mapping[Problem, ResponsePart]
-    programs: tuple[CostProgram, ...]
-    cost: ca.Function
-    values: ca.Function
-    constraint: ca.Function
-    limits: tuple[str, ...]
-
-
 def compile_responses(
     problem: Problem | Sum[Problem],
     names: Sequence[str],
     point: ca.SX,
     values_at: Callable[[Any], Named],
-) -> CompiledResponses:
-    """Compile all frequency responses of a problem.
+) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
+    """Compile all frequency responses: their parts, and what `CompiledProblem` has of them all.
 
     `names` are those of all values; `values_at` turns symbols of the solver's variables, such as
     `point` (p,), into these values by name.
@@ -155,14 +128,14 @@ def compile_responses(
             strict=True,
         )
     )
-    return CompiledResponses(
-        parts=dict(zip(parts, compiled, strict=True)),
-        programs=tuple(program(choose) for choose in criteria),
-        cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
-        values=ca.Function("responses", [x], [ca.vertcat(kind(0, 1), *real, *imaginary)]),
-        constraint=ca.Function("constraint", [x], [stacked(limits, by_name, kind)]),
-        limits=tuple(limit.label for limit in limits),
-    )
+    functions = {
+        "programs": tuple(program(choose) for choose in criteria),
+        "response_cost": ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
+        "responses": ca.Function("responses", [x], [ca.vertcat(kind(0, 1), *real, *imaginary)]),
+        "constraint": ca.Function("constraint", [x], [stacked(limits, by_name, kind)]),
+        "limits": tuple(limit.label for limit in limits),
+    }
+    return dict(zip(parts, compiled, strict=True)), functions
 
 
 def _values(part: Problem, named: Named) -> Any:

@@ -123,8 +123,8 @@ def sample_step(
     kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
     x, q, d = (kind.sym(name, measurement.numel_in(k)) for k, name in enumerate("xqd"))
     corrected, mean, change, residual, simulated = measurement(x, q, d)
-    after = step(corrected, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
-    function = ca.Function("sample", [x, q, d], [after, residual, simulated], {"cse": True})
+    end = step(corrected, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
+    function = ca.Function("sample", [x, q, d], [end, residual, simulated], {"cse": True})
     return SampleStep(function, measurement, system, d.numel())
 
 

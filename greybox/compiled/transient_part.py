@@ -222,7 +222,7 @@ class TransientPart(Part):
         -------
         mean : (k, 2 lines, q) array
             Of the errors, as far as the modelled outputs change.
-        whole : (k, 2 lines, q) array
+        total : (k, 2 lines, q) array
             Of the errors.
         transform : (lines, k, k, q) complex array
             dT T⁻¹; zeros for output error.
@@ -262,10 +262,10 @@ class TransientPart(Part):
         else:
             change = -np.einsum("ijq,ljk->likq", d.A, at.inverse)
             change = change - np.einsum("lij,jkq,lkn->linq", transform, d.C, at.inverse)
-        rest = np.einsum("lab,bl->al", transform, self._measured - at.modelled)
+        unexplained = np.einsum("lab,bl->al", transform, self._measured - at.modelled)
         mean = -np.einsum("lab,blq->alq", transform, modelled)
-        whole = mean + np.einsum("labq,bl->alq", change, rest)
-        return self._stacked(mean), self._stacked(whole), change
+        total = mean + np.einsum("labq,bl->alq", change, unexplained)
+        return self._stacked(mean), self._stacked(total), change
 
     def _stacked(self, values: ComplexArray) -> Array:
         """Return complex values (k, lines, q) as real ones (k, 2 lines, q)."""
@@ -290,12 +290,12 @@ class TransientPart(Part):
         directions = _directions(
             np.einsum("ka,aln->kln", weight, at.basis).reshape(rows.shape[0], -1)
         )
-        left = rows - directions @ (directions.T @ rows)
+        projected = rows - directions @ (directions.T @ rows)
         turned = np.einsum("ka,labx,bc->lkcx", weight, change, np.linalg.inv(weight))
         variance = _hermitian_rows(turned)
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
         reach = np.sqrt((rows**2).sum(axis=0) + (variance**2).sum(axis=0))
-        return left.reshape(weighted.shape), variance, reach
+        return projected.reshape(weighted.shape), variance, reach
 
     def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
         """Yield every output with its errors (lines,) at z and their derivatives by z and end term.
@@ -306,11 +306,11 @@ class TransientPart(Part):
         at = self.along(self.locate(z)[0].full().ravel())
         if at is None:
             return
-        whole = np.tensordot(self.derivatives(at)[1], self.locate(z)[1].full(), axes=1)
+        total = np.tensordot(self.derivatives(at)[1], self.locate(z)[1].full(), axes=1)
         turned = np.exp(-1j * np.angle(at.modelled))
-        rows = np.concatenate([at.errors[..., None], whole, at.basis], axis=-1)
-        for name, turn, own in zip(self.outputs, turned, rows, strict=True):
-            values = turn[:, None] * (own[: len(turn)] + 1j * own[len(turn) :])
+        rows = np.concatenate([at.errors[..., None], total, at.basis], axis=-1)
+        for name, turn, of_output in zip(self.outputs, turned, rows, strict=True):
+            values = turn[:, None] * (of_output[: len(turn)] + 1j * of_output[len(turn) :])
             yield name, values[:, 0], values[:, 1:]
 
     # --- for Gauss-Newton
@@ -334,9 +334,9 @@ class TransientPart(Part):
         by_z: Any = [
             np.tensordot(d, self.locate(trajectory.z)[1].full(), 1) for d in self.derivatives(at)
         ]
-        mean, whole, change = by_z
+        mean, total, change = by_z
         root = at.covariance.weight(trajectory.products)
-        by_errors = np.einsum("kl,klz->z", root.T @ root @ at.errors, whole)
+        by_errors = np.einsum("kl,klz->z", root.T @ root @ at.errors, total)
         mean, variance, _ = self.fisher_root(at, mean, change)
         rows = np.vstack([mean.reshape(-1, mean.shape[-1]), variance])
         return by_errors - 2 * np.einsum("laaz->z", change).real, rows.T @ rows
@@ -380,15 +380,17 @@ class TransientPart(Part):
         # What the errors show may be other than what was given, or correlated between outputs.
         products = at.errors @ at.errors.T
         weight = at.covariance.weight(products)
-        shown = weight @ products @ weight.T / (2 * len(self.data))
+        observed = weight @ products @ weight.T / (2 * len(self.data))
         lost = len(self.states) / max(self.numbers - len(self.states), 1)
-        meat = np.einsum("ka,klx,aly->xy", shown, mean, mean) * (1 + lost) + variance.T @ variance
+        meat = (
+            np.einsum("ka,klx,aly->xy", observed, mean, mean) * (1 + lost) + variance.T @ variance
+        )
 
         def spread(correction: float) -> tuple[float, Array]:
             return 1.0, meat * correction**2
 
-        left = self.numbers - len(self.states)
-        return Information(self, jacobian, left, spread, math.nan, reach)
+        numbers = self.numbers - len(self.states)
+        return Information(self, jacobian, numbers, spread, math.nan, reach)
 
 
 def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> TransientPart:
@@ -429,19 +431,19 @@ def _without_ends(
     ends = np.zeros(basis.shape[-1])
     if not ends.size:
         return errors, ends
-    last, left = math.inf, errors
+    last, remaining = math.inf, errors
     for _ in range(REWEIGHTINGS):
-        weight = covariance.weight(left @ left.T)
+        weight = covariance.weight(remaining @ remaining.T)
         rows = np.einsum("ka,aln->kln", weight, basis).reshape(-1, len(ends))
         size = np.linalg.norm(rows, axis=0)
         size[size == 0] = 1.0
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=UNSEEN)[0] / size
-        left = errors - basis @ ends
-        cost = covariance.cost(left @ left.T)
+        remaining = errors - basis @ ends
+        cost = covariance.cost(remaining @ remaining.T)
         if len(errors) == 1 or not last - cost > SETTLED * errors.size:
             break
         last = cost
-    return left, ends
+    return remaining, ends
 
 
 def _directions(rows: Array) -> Array:
@@ -460,7 +462,7 @@ def _hermitian_rows(values: ComplexArray) -> Array:
     Scalar products stay the same.
     """
     hermitian = values + values.conj().swapaxes(1, 2)
-    own = np.einsum("lkkx->lkx", hermitian).real
+    diagonal = np.einsum("lkkx->lkx", hermitian).real
     a, b = np.triu_indices(values.shape[1], 1)
     between = math.sqrt(2) * hermitian[:, a, b]
-    return np.concatenate([own, between.real, between.imag], axis=1)
+    return np.concatenate([diagonal, between.real, between.imag], axis=1)

@@ -51,7 +51,7 @@ class Collocation(Transcription):
         n, samples, stages = step.function.size1_in(0), data.samples, self.scheme.stages
         equations, residuals = self._sample(step)
         nodes, inside = ca.MX.sym("nodes", n, samples), ca.MX.sym("inside", n * stages, samples)
-        found = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, rows)
+        residual_rows = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, rows)
         errors, end = equations.map("equations", "serial", samples, [2], [])(nodes, inside, q, rows)
         last = np.cumsum([count * data.segment_length for count in data.segment_counts]) - 1
         linked = np.setdiff1d(np.arange(samples), last)
@@ -59,7 +59,7 @@ class Collocation(Transcription):
         first = np.concatenate([[0], last[:-1] + 1]).tolist()
         return Transcribed(
             unknowns=ca.vertcat(ca.vec(nodes), ca.vec(inside)),
-            residuals=found,
+            residuals=residual_rows,
             equations=ca.vertcat(ca.vec(errors), ca.vec(gaps)),
             initial=nodes[:, first],
             start=lambda states: np.concatenate(

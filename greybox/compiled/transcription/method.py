@@ -105,12 +105,12 @@ class Transcription(ABC):
         changed = replace(self, **changes)
         usual = type(self)()
         chosen = (f.name for f in fields(self) if f.name != "strategies")
-        shown = (
+        arguments = (
             f"{k}={getattr(changed, k)!r}"
             for k in chosen
             if k in changes or getattr(self, k) != getattr(usual, k)
         )
-        return f"method={type(self).__name__}({', '.join(shown)})"
+        return f"method={type(self).__name__}({', '.join(arguments)})"
 
 
 def checked_integrator(integrator: Any) -> None:

@@ -61,11 +61,11 @@ class MultipleShooting(Transcription):
         n, length, s = step.function.size1_in(0), data.segment_length, data.segments
         x, Q, D = ca.MX.sym("x", n), ca.MX.sym("q", q.numel()), ca.MX.sym("D", step.width, length)
         states, errors = step.folded(length)(x, Q, D)
-        one = ca.Function("segment", [x, Q, D], [states[:, length - 1], errors])
+        segment = ca.Function("segment", [x, Q, D], [states[:, length - 1], errors])
         nodes = ca.MX.sym("nodes", n, s)
-        ends, residuals = one.map("segments", "serial", s, [1], [])(nodes, q, rows)
-        before = np.flatnonzero(data.coupled)
-        gaps = ends[:, before.tolist()] - nodes[:, (before + 1).tolist()]
+        ends, residuals = segment.map("segments", "serial", s, [1], [])(nodes, q, rows)
+        linked = np.flatnonzero(data.coupled)
+        gaps = ends[:, linked.tolist()] - nodes[:, (linked + 1).tolist()]
         return Transcribed(
             unknowns=ca.vec(nodes),
             residuals=residuals,
