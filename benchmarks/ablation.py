@@ -83,7 +83,10 @@ def lanczos(k: int) -> Any:
 
 @dataclass(frozen=True)
 class Case:
-    """A problem with its best known cost; `tags` say which settings may matter, `quick` that it takes a moment."""
+    """A problem with its best known cost.
+
+    `tags` say which settings may matter, `quick` that it takes a moment.
+    """
 
     make: Callable[[], Any]
     best: float
@@ -222,7 +225,10 @@ def reached(case: Case, cost: float | None) -> bool:
 
 
 class Results:
-    """All fits, by setting, problem and seed; kept in a file of JSON lines if there is one, and read from it."""
+    """All fits, by setting, problem and seed.
+
+    Kept in a file of JSON lines if there is one, and read from it.
+    """
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
@@ -290,7 +296,8 @@ def row(results: Results, setting: str, first: int) -> list[str]:
         sum(item[7] for item in problems.values()), 1
     )
     lines = [
-        f"{setting:<46} {share(pooled[0]):>5} {share(pooled[1]):>5} {changed[0]:6.3f}   {share(pooled[2]):>5} "
+        f"{setting:<46} {share(pooled[0]):>5} {share(pooled[1]):>5} {changed[0]:6.3f}   "
+        f"{share(pooled[2]):>5} "
         f"{share(pooled[3]):>5} {changed[1]:6.3f}   {ratio:5.2f} {total:5.2f} {steps:5.2f}   "
         f"{len(pooled[0])} runs, {len(pooled[2])} fits"
     ]
@@ -307,7 +314,8 @@ def row(results: Results, setting: str, first: int) -> list[str]:
         slower = seconds_off / seconds_on
         if on != off or fits_on != fits_off or not 0.7 < slower < 1.4:
             lines.append(
-                f"    {name:<30} runs {sum(on)} -> {sum(off)} of {len(on)}, fits {sum(fits_on)} -> {sum(fits_off)} of "
+                f"    {name:<30} runs {sum(on)} -> {sum(off)} of {len(on)}, fits {sum(fits_on)} -> "
+                f"{sum(fits_off)} of "
                 f"{len(fits_on)}, time x {slower:.2f}{f', {failure}' if failure else ''}"
             )
     return lines
@@ -329,18 +337,23 @@ def report(results: Results, settings: Sequence[Setting], seeds: Sequence[int]) 
         fits = [reached(CASES[name], entry["cost"]) for entry in entries]
         everything = [everything[0] + runs, everything[1] + fits]
         print(f"  {name:<30} {share(runs):>5} of {len(runs):<3} {share(fits):>5} of {len(fits)}   "
-              f"{np.mean([e['seconds'] for e in entries]):7.2f} s   {entries[0]['failure']}")  # fmt: skip
+              f"{np.mean([e['seconds'] for e in entries]):7.2f} s   "
+              f"{entries[0]['failure']}")  # fmt: skip
     print(
-        f"  {'all':<30} {share(everything[0]):>5} of {len(everything[0])}, {share(everything[1])} of fits"
+        f"  {'all':<30} {share(everything[0]):>5} of {len(everything[0])}, {share(everything[1])} "
+        f"of fits"
     )
     print(
-        "\nRuns and fits at the best known minimum: with everything on, with the setting, probability of the change"
+        "\nRuns and fits at the best known minimum: with everything on, with the setting, "
+        "probability of the change"
     )
     print(
-        "by chance; time of the setting over that with everything on: geometric mean over the problems, of the"
+        "by chance; time of the setting over that with everything on: geometric mean over the "
+        "problems, of the"
     )
     print(
-        "sums; and that of the iterations, which other work on the machine does not touch (neighbors not included)"
+        "sums; and that of the iterations, which other work on the machine does not touch "
+        "(neighbors not included)"
     )
     print(
         f"{'':<46} {'on':>5} {'off':>5} {'chance':>6}   {'on':>5} {'off':>5} {'chance':>6}   "
@@ -412,9 +425,11 @@ def main() -> None:
             file = stack.enter_context(open(options.output, "w", encoding="utf-8"))
             stack.enter_context(contextlib.redirect_stdout(file))
         print(f"{date.today()}, greybox-id {version('greybox-id')}, casadi {version('casadi')}, "
-              f"numpy {version('numpy')}, python {platform.python_version()}, {processor()}, one thread")  # fmt: skip
+              f"numpy {version('numpy')}, python {platform.python_version()}, {processor()}, one "
+              f"thread")  # fmt: skip
         print(
-            f"{len(names)} problems, seeds {' '.join(map(str, seeds))}, {len(fields(Strategies))} settings exist"
+            f"{len(names)} problems, seeds {' '.join(map(str, seeds))}, {len(fields(Strategies))} "
+            f"settings exist"
         )
         report(results, settings, seeds)
 

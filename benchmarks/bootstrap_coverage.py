@@ -85,10 +85,12 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
     lines = [
-        f"Coverage (%) of 95 % intervals; greybox {gb.__version__}, {dt.date.today()}, {options.repeats} repeats of "
+        f"Coverage (%) of 95 % intervals; greybox {gb.__version__}, {dt.date.today()}, "
+        f"{options.repeats} repeats of "
         f"each cell, {options.replicates} replicates each",
         "relative error criterion (4.26); in time output error with errors of AR(1), see the file",
-        "mean over the parameters, and the one covered the least; plain: quantiles not widened for degrees of freedom",
+        "mean over the parameters, and the one covered the least; plain: quantiles not widened for "
+        "degrees of freedom",
         f"{'cell':<22}{'plain percentile':>20}{'percentile':>20}{'Wald':>20}  failed  s each",
     ]
     print("\n".join(lines))
@@ -159,7 +161,10 @@ def held(make, truth, repeats, replicates):
 
 
 def _line(name, make, truth, repeats, replicates) -> str:
-    """Return the line of one cell: of every kind of interval the mean share that holds the truth, and the least."""
+    """Return the line of one cell.
+
+    Of every kind of interval the mean share that holds the truth, and the least.
+    """
     began = time.perf_counter()
     counts, failed = held(make, truth, repeats, replicates)
     each = (time.perf_counter() - began) / repeats

@@ -127,7 +127,10 @@ class Errors:
         return SENSOR * lfilter([root], [1, -self.phi], white)[..., BEFORE:]
 
     def time(self, plant: Plant) -> float:
-        """Return the correlation time, samples: of wind the plant's slowest time constant, of white noise 0."""
+        """Return the correlation time, samples.
+
+        Of wind the plant's slowest time constant, of white noise 0.
+        """
         if self.wind:
             return float(
                 (
@@ -153,7 +156,10 @@ ERRORS = (
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Repeats of one experiment: which intervals hold (repeats, p), standardized errors, and what was said."""
+    """Repeats of one experiment.
+
+    Which intervals hold (repeats, p), standardized errors, and what was said.
+    """
 
     plant: Plant
     errors: Errors
@@ -169,7 +175,10 @@ class Cell:
 
 
 def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) -> Cell:
-    """Repeat one experiment; a row whose standard errors are called rough is not asked for a confident interval."""
+    """Repeat one experiment.
+
+    A row whose standard errors are called rough is not asked for a confident interval.
+    """
     holds, scaled, rough = [], [], []
     for error, residuals, weighted, initial in _fits(plant, errors, samples, repeats, seed):
         size = np.sqrt(np.mean(residuals**2, axis=1))[:, None, None]
@@ -253,7 +262,8 @@ def study(
     holds = np.concatenate([found.holds.ravel() for found in long])
     squares = np.concatenate([found.scaled.ravel() ** 2 for found in long])
     yield (
-        f"Pooled, records of at least {FEWEST} correlation times: {100 * holds.mean():.1f} % of {holds.size} intervals "
+        f"Pooled, records of at least {FEWEST} correlation times: {100 * holds.mean():.1f} % of "
+        f"{holds.size} intervals "
         f"hold, rms of standardized errors {np.sqrt(squares.mean()):.2f}."
     )
 

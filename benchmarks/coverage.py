@@ -87,7 +87,9 @@ CRITERIA: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Part:
-    """One synthetic experiment: model, frequencies, noise (standard deviation of a component, relative).
+    """One synthetic experiment.
+
+    Model, frequencies, noise (standard deviation of a component, relative).
 
     Errors over their sizes have a `correlation` from one point to the next, of an autoregression.
     """
@@ -195,7 +197,10 @@ class Known:
 
 
 class _Measured(Complex):
-    """A measured response as symbols; unlike `Complex` it has `np.abs`, which the criteria take of data."""
+    """A measured response as symbols.
+
+    Unlike `Complex` it has `np.abs`, which the criteria take of data.
+    """
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any) -> Any:
         return abs(self) if ufunc is np.absolute else NotImplemented
@@ -214,7 +219,10 @@ class _SymbolicData:
 
 
 class Cell:
-    """One case and one criterion: the cost with data and constants as symbols, and its derivatives, compiled once."""
+    """One case and one criterion.
+
+    The cost with data and constants as symbols, and its derivatives, compiled once.
+    """
 
     def __init__(self, problem: gb.Problem | Any, smoothings: Sequence[float]) -> None:
         self.nlp = compile_problem(problem)
@@ -422,7 +430,10 @@ def cell(case: Case, criterion: str, repeats: int, seed: int) -> Outcome:
 
 
 def _fixed(part: Part, known: Known | None) -> dict[str, Any]:
-    """Return what is held: the true values of the declared constants, or the earlier answer where it has them."""
+    """Return what is held.
+
+    The true values of the declared constants, or the earlier answer where it has them.
+    """
     declared = part.model.parameters
     held = [
         name for name, parameter in declared.items() if parameter.fixed and name not in part.free
@@ -494,13 +505,15 @@ def report(case: Case, outcomes: Mapping[str, Outcome]) -> tuple[str, list[str]]
             cells += f"{mark + format(share, '.1f'):>10}"
             if mark or missing:
                 outside.append(
-                    f"  {case.label}; {criterion}; {name}: {share:.1f} ± {sigma:.1f} %, no interval in {missing}, "
+                    f"  {case.label}; {criterion}; {name}: {share:.1f} ± {sigma:.1f} %, no "
+                    f"interval in {missing}, "
                     f"bias {bias:+.2f} sd, printed error {ratio:.2f} sd"
                 )
         worst = max(rows, key=lambda row: abs(row[4]))
         ratios = [row[5] for row in rows]
         lines.append(
-            f"  {criterion:<28}{cells}{worst[4]:>+7.2f} {worst[0]:<9}{min(ratios):>5.2f} to {max(ratios):.2f}"
+            f"  {criterion:<28}{cells}{worst[4]:>+7.2f} {worst[0]:<9}{min(ratios):>5.2f} to "
+            f"{max(ratios):.2f}"
             f"{outcome.by_fit:>9}{outcome.difference:>9.0e}"
         )
     return "\n".join(lines), outside
@@ -523,20 +536,26 @@ def main() -> None:
 
     tell("Coverage (%) of the 95 % Student-t interval by the standard errors of greybox")
     tell(
-        f"{dt.date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, numpy {np.__version__}, "
+        f"{dt.date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, numpy "
+        f"{np.__version__}, "
         f"scipy {scipy.__version__}, python {platform.python_version()}; seed {arguments.seed}"
     )
     sigma = 100 * np.sqrt(0.95 * 0.05 / arguments.repeats)
     tell(
-        f"{arguments.repeats} repeats a cell: a coverage of 95 % is estimated with a binomial sigma of {sigma:.1f} %; "
+        f"{arguments.repeats} repeats a cell: a coverage of 95 % is estimated with a binomial "
+        f"sigma of {sigma:.1f} %; "
         f"! outside {NOMINAL[0]:.0f} to {NOMINAL[1]:.0f} %."
     )
     tell(
-        "largest bias: of the estimate, in its standard deviations, and whose; intervals are corrected for it;\n"
-        "error / sd: root mean square of the printed standard error over the actual standard deviation; by gb.fit:\n"
-        "repeats where Newton's method left the bounds or did not converge; differ: largest difference to gb.fit in\n"
+        "largest bias: of the estimate, in its standard deviations, and whose; intervals are "
+        "corrected for it;\n"
+        "error / sd: root mean square of the printed standard error over the actual standard "
+        "deviation; by gb.fit:\n"
+        "repeats where Newton's method left the bounds or did not converge; differ: largest "
+        "difference to gb.fit in\n"
         "the first repeats, in standard errors.\n"
-        "Criteria that are not told of errors of several sizes see the same draws, so their coverages vary together."
+        "Criteria that are not told of errors of several sizes see the same draws, so their "
+        "coverages vary together."
     )
     for number, case in enumerate(cases()):
         if arguments.only not in case.label:

@@ -79,7 +79,10 @@ class FullTilt(NonlinearTilt):
 
 @dataclass(frozen=True)
 class Cell:
-    """One kind of experiment: samples at 20 Hz, AR(1) coefficient of the output errors, and what else is unknown."""
+    """One kind of experiment.
+
+    Samples at 20 Hz, AR(1) coefficient of the output errors, and what else is unknown.
+    """
 
     name: str
     samples: int = 200
@@ -193,7 +196,10 @@ UNKNOWN = ("a1", "a2", "a3", "a4", "T_delay")
 
 
 def covered_by_default(rate: float, known: bool, repeats: int) -> str:
-    """Coverage of flights with a loop at this rate, logged at 100 Hz; `known` whether the record says what is held."""
+    """Coverage of flights with a loop at this rate, logged at 100 Hz.
+
+    `known` whether the record says what is held.
+    """
     began, hits, scaled = time.perf_counter(), [], []
     sweep = gb.experiment.sweep(
         0.5, 15, duration=40, rate=100, amplitude=0.12, dwell=1, signal="reference"
@@ -222,7 +228,10 @@ def covered_by_default(rate: float, known: bool, repeats: int) -> str:
         for n, s, z, m in zip(UNKNOWN, share, spread, mean, strict=True)
     )
     said = "" if known else ", hold not known"
-    return f"{f'loop at {rate:g} Hz{said}':34} {repeats:5}  {words}  [{time.perf_counter() - began:.0f} s]"
+    return (
+        f"{f'loop at {rate:g} Hz{said}':34} {repeats:5}  {words}  "
+        f"[{time.perf_counter() - began:.0f} s]"
+    )
 
 
 def tilt_flight(seed: int) -> gb.Record:
@@ -248,7 +257,8 @@ def starts_that_agree(starts: int) -> list[str]:
         names = " ".join(fit.free)
         lines.append(
             f"{names:42} {fit.agreeing:4} of {starts}, {len(fit.minima)} minima "
-            f"({', '.join(str(len(m.runs)) for m in fit.minima)}), {sum(r.converged for r in fit.runs)} converged, "
+            f"({', '.join(str(len(m.runs)) for m in fit.minima)}), "
+            f"{sum(r.converged for r in fit.runs)} converged, "
             f"farthest {off:.1f} standard errors  [{time.perf_counter() - began:.0f} s]"
         )
     return lines
@@ -266,9 +276,11 @@ def main() -> None:
     options = parser.parse_args()
     began = time.perf_counter()
     lines = [
-        f"greybox {gb.__version__}, {dt.date.today()}, Python {platform.python_version()}, numpy {np.__version__}",
+        f"greybox {gb.__version__}, {dt.date.today()}, Python {platform.python_version()}, numpy "
+        f"{np.__version__}",
         "",
-        "Linear experiments: share of 95 % intervals that hold the truth, % (* outside 92 to 98), and in brackets the",
+        "Linear experiments: share of 95 % intervals that hold the truth, % (* outside 92 to 98), "
+        "and in brackets the",
         "rms of (estimate - truth) / standard error.",
         "",
     ]
@@ -283,7 +295,8 @@ def main() -> None:
 
     head = [
         "",
-        f"Share of 95 % intervals that hold the truth, % (* outside {NOMINAL[0]} to {NOMINAL[1]}), and in brackets the",
+        f"Share of 95 % intervals that hold the truth, % (* outside {NOMINAL[0]} to {NOMINAL[1]}), "
+        f"and in brackets the",
         "standard deviation of (estimate - truth) / standard error.",
         "",
         f"{'experiment':26} {'fits':>5} {'fail':>4}  coverage",
@@ -295,7 +308,8 @@ def main() -> None:
         print(lines[-1], flush=True)
     lines += [
         "",
-        "Virtual flights at 100 Hz, default criterion; in brackets also the mean of the standardized errors.",
+        "Virtual flights at 100 Hz, default criterion; in brackets also the mean of the "
+        "standardized errors.",
     ]
     print(lines[-1])
     for rate, known in ((100.0, True), (400.0, True), (100.0, False)) if options.flights else ():
@@ -303,10 +317,12 @@ def main() -> None:
         print(lines[-1], flush=True)
     lines += [
         "",
-        "Tilt plant in its closed loop, 60 s at 100 Hz: random starts in the declared boxes at the best minimum.",
+        "Tilt plant in its closed loop, 60 s at 100 Hz: random starts in the declared boxes at the "
+        "best minimum.",
     ]
     lines += [
-        "With the rotor's lag free there are two minima: the lag may swap with the slow real pole of the tilt."
+        "With the rotor's lag free there are two minima: the lag may swap with the slow real pole "
+        "of the tilt."
     ]
     lines += starts_that_agree(options.starts) if options.starts else []
     print("\n".join(lines[-5:]))

@@ -55,7 +55,8 @@ def main():
     parser.add_argument("--rounds", type=int, default=7)
     options = parser.parse_args()
     print(
-        f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}"
+        f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python "
+        f"{platform.python_version()}"
     )
     problem = pitch_hover.problem()
     nlp = compile_problem(problem)
@@ -78,7 +79,8 @@ def main():
         for _ in range(options.rounds)
     ]
     ratios = [whole / bare for whole, bare in pairs]
-    print(f"gb.fit of pitch_hover, {options.starts} starts: {np.median([w for w, _ in pairs]):.3f} s; bare loop: "
+    print(f"gb.fit of pitch_hover, {options.starts} starts: {np.median([w for w, _ in pairs]):.3f} "
+          f"s; bare loop: "
           f"{np.median([b for _, b in pairs]):.3f} s; ratio {statistics.median(ratios):.2f} "
           f"({min(ratios):.2f} to {max(ratios):.2f}), limit 1.5")  # fmt: skip
     pairs = [
@@ -86,7 +88,8 @@ def main():
         for _ in range(options.rounds)
     ]
     extra = [both - casadi for both, casadi in pairs]
-    print(f"import greybox: {statistics.median(extra):.3f} s more than casadi ({min(extra):.3f} to {max(extra):.3f}), "
+    print(f"import greybox: {statistics.median(extra):.3f} s more than casadi ({min(extra):.3f} to "
+          f"{max(extra):.3f}), "
           "limit 0.5 s")  # fmt: skip
 
 

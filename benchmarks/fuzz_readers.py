@@ -1,4 +1,6 @@
-"""Feed the readers with damaged files: none may hang, crash the process, print, or raise anything but a sentence.
+"""Feed the readers with damaged files.
+
+None may hang, crash the process, print, or raise anything but a sentence.
 
 python benchmarks/fuzz_readers.py [--count 20000] [--seed 0] [--entry read|inspect] [--only 4711] [--kinds bin tlog]
 
@@ -100,7 +102,10 @@ def _remove(rng, data, _):
 
 
 def _repeat(rng, data, _):
-    """Insert a chunk of the file elsewhere, once or many times: repeated descriptions, torn messages."""
+    """Insert a chunk of the file elsewhere, once or many times.
+
+    Repeated descriptions, torn messages.
+    """
     at, to, length = (
         int(rng.integers(len(data))),
         int(rng.integers(len(data))),
@@ -134,7 +139,10 @@ def _header(rng, data, _):
 
 
 def _describe(rng, data, _):
-    """Damage the bytes after a marker: a DataFlash description, a packet's head, an object header of HDF5."""
+    """Damage the bytes after a marker.
+
+    A DataFlash description, a packet's head, an object header of HDF5.
+    """
     marks = [
         b"\xa3\x95\x80",
         b"\xa3\x95",
@@ -313,7 +321,8 @@ def main():
     print(f"{date.today()}, {versions}, python {platform.python_version()}")
     seconds = time.perf_counter() - began
     print(
-        f"{len(numbers)} inputs, seed {options.seed}, through {options.entry}, {seconds:.0f} s, {LARGEST} bytes at most"
+        f"{len(numbers)} inputs, seed {options.seed}, through {options.entry}, {seconds:.0f} s, "
+        f"{LARGEST} bytes at most"
     )
     report(*found)
     sys.exit(1 if found[1] else 0)

@@ -162,7 +162,10 @@ def outcome(path: Path) -> tuple[str, str, float, float]:
 
 
 def _loaded(path: Path) -> str:
-    """Load and print a file in this process; return what became of it, peak memory in bytes, details."""
+    """Load and print a file in this process.
+
+    Return what became of it, peak memory in bytes, details.
+    """
     word, details = _tried(path)
     # Linux counts in kB. What a process starts inherits the peak of its parent until it has more of
     # its own.
@@ -210,7 +213,10 @@ def _used(fit: gb.Fit) -> tuple[str, str]:
 
 
 def fuzz(numbers: range, names: list[str], seed: int = 0, keep: Path | None = None):
-    """Try the numbered mutants and the crafted files; return counts, failures, and (s, bytes, which) of all."""
+    """Try the numbered mutants and the crafted files.
+
+    Return counts, failures, and (s, bytes, which) of all.
+    """
     sys.path.insert(0, str(ROOT / "tests" / "support"))
     crafted = importlib.import_module("crafted_results")
     counts, failures, costs = Counter(), [], []
@@ -263,7 +269,8 @@ def main():
     print(f"{date.today()}, {versions}, python {platform.python_version()}")
     seconds = time.perf_counter() - began
     print(
-        f"{len(numbers)} mutants, seed {options.seed}, {len(costs) - len(numbers)} crafted files, {seconds:.0f} s"
+        f"{len(numbers)} mutants, seed {options.seed}, {len(costs) - len(numbers)} crafted files, "
+        f"{seconds:.0f} s"
     )
     for kind, word in sorted(counts):
         print(f"{kind:10} {word:20} {counts[kind, word]:6}")
@@ -273,13 +280,15 @@ def main():
             f"{what}: " + ", ".join(f"{cost[which] * scale:.3g} {unit} ({cost[2]})" for cost in top)
         )
     print(
-        f"median: {np.median([c[0] for c in costs]):.2f} s, {np.median([c[1] for c in costs]) / 1e6:.0f} MB"
+        f"median: {np.median([c[0] for c in costs]):.2f} s, "
+        f"{np.median([c[1] for c in costs]) / 1e6:.0f} MB"
     )
     for which, word, details in failures:
         print(f"{which}: {word}: {details}")
     if not failures:
         print(
-            f"none over {SECONDS:g} s or {MEMORY / 1e6:g} MB, no crash, no raw exception, nothing executed or shown"
+            f"none over {SECONDS:g} s or {MEMORY / 1e6:g} MB, no crash, no raw exception, nothing "
+            f"executed or shown"
         )
     sys.exit(1 if failures else 0)
 

@@ -1,4 +1,6 @@
-"""Random structures with planted redundancies: whether they are named, and what is said where there are none.
+"""Random structures with planted redundancies.
+
+Whether they are named, and what is said where there are none.
 
 python benchmarks/identifiability.py [--planted 50] [--clean 200] [--output FILE]
 

@@ -1,4 +1,6 @@
-"""From a sweep in closed loop to an interval: points and parameters of `gb.identify` against the truth. Monte Carlo.
+"""From a sweep in closed loop to an interval.
+
+Points and parameters of `gb.identify` against the truth. Monte Carlo.
 
 python benchmarks/identify_coverage.py [--repeats 60] [--only setpoint] [--out FILE]
 
@@ -158,7 +160,10 @@ def main():
     parser.add_argument("--only", default="")
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
-    about = f"greybox {version('greybox-id')}, Python {platform.python_version()}, numpy {np.__version__}"
+    about = (
+        f"greybox {version('greybox-id')}, Python {platform.python_version()}, numpy "
+        f"{np.__version__}"
+    )
     lines = [
         f"{asked.repeats} flights a cell, seed {asked.seed}; {about}, {dt.date.today()}",
         f"{'':30} points   rms (worst)   held, %: K a τ       rms of error / standard error   mean",
@@ -170,7 +175,8 @@ def main():
         points, squares, errors, held = measured(cell, asked.repeats, asked.seed)
         rms, mean = np.sqrt(np.nanmean(errors**2, axis=0)), np.nanmean(errors, axis=0)
         lines.append(
-            f"{name:30} {points.mean():6.1f}   {np.sqrt(squares.mean()):.2f} ({np.sqrt(squares.max()):.2f})   "
+            f"{name:30} {points.mean():6.1f}   {np.sqrt(squares.mean()):.2f} "
+            f"({np.sqrt(squares.max()):.2f})   "
             + " ".join(f"{100 * share:5.1f}" for share in held.mean(axis=0))
             + "        "
             + " ".join(f"{value:5.2f}" for value in rms)

@@ -102,7 +102,8 @@ def main():
         return
     rng = random.Random(options.seed)
     lines = [
-        f"kill_study.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, {vars(options)}"
+        f"kill_study.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, "
+        f"{vars(options)}"
     ]
 
     def say(text):
@@ -133,7 +134,8 @@ def main():
                 process.kill()
             now = kept(folder, options.starts)
             say(
-                f"kill {kill:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now} runs on disk"
+                f"kill {kill:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now} runs "
+                f"on disk"
             )
             assert now >= before, "runs were lost"
             before = now
@@ -152,7 +154,8 @@ def main():
                 and fit.standard_error == other.standard_error
             )
             say(
-                f"{member.name}: {len(fit.runs)} runs, {'equal to the last bit' if equal else 'DIFFERENT'}"
+                f"{member.name}: {len(fit.runs)} runs, "
+                f"{'equal to the last bit' if equal else 'DIFFERENT'}"
             )
     if options.out is not None:
         options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -37,7 +37,8 @@ def work(folder, starts):
     stored = (study.folder / DATABASE).stat().st_size / 1e6
     saved = member.file.stat().st_size / 1e6
     print(
-        f"{starts:7d} starts: {seconds:6.1f} s ({used:.1f} s of the processor), peak {peak():.0f} MB, "
+        f"{starts:7d} starts: {seconds:6.1f} s ({used:.1f} s of the processor), peak {peak():.0f} "
+        f"MB, "
         f"runs {stored:.2f} MB, fit {saved:.2f} MB, {member.answer['agreeing']} agree",
         end="",
     )
@@ -54,7 +55,8 @@ def main():
         work(options.work, options.starts[0])
         return
     lines = [
-        f"many_starts.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, {platform.machine()}"
+        f"many_starts.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, "
+        f"{platform.machine()}"
     ]
     with tempfile.TemporaryDirectory() as place:
         for starts in options.starts:

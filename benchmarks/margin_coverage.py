@@ -80,7 +80,10 @@ PLANTS = {
 
 
 def flown(values, gains, rate, band, signal, seed):
-    """Return the record of one flight: sixty seconds of a logarithmic sweep, added to the control or the setpoint."""
+    """Return the record of one flight.
+
+    Sixty seconds of a logarithmic sweep, added to the control or the setpoint.
+    """
     amplitude = 0.1 if signal == "u" else 0.3
     test = gb.experiment.sweep(*band, 60.0, rate, amplitude=amplitude, signal=signal)
     return gb.virtual_flight(
@@ -128,7 +131,8 @@ def main():
                 continue
             truth, held, widths = counted(plant, signal, options.repeats)
             cells = [
-                f"{name} {truth[name].value:.4g} {100 * held[name] / options.repeats:.1f} % {widths[name]:.2g}"
+                f"{name} {truth[name].value:.4g} {100 * held[name] / options.repeats:.1f} % "
+                f"{widths[name]:.2g}"
                 for name in NAMES
             ]
             lines.append(f"{label}: " + "; ".join(cells))

@@ -144,7 +144,10 @@ def environment(copy_: Path, plugin: Path, **more) -> dict:
 
 
 def known_map(folder: Path, jobs: int, *, anew: bool) -> "Map":
-    """Return which test executes which line of the last commit; of an earlier map, only tests that are newer run."""
+    """Return which test executes which line of the last commit.
+
+    Of an earlier map, only tests that are newer run.
+    """
     target = folder / f"{git('rev-parse', 'HEAD')}.json"
     if anew or not target.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -330,7 +333,10 @@ class Copy:
         )
 
     def run(self, tests: list, fault: Fault | None = None) -> tuple[str, str]:
-        """Return what failed, or nothing, and what was said of it; all files are left as they were."""
+        """Return what failed, or nothing, and what was said of it.
+
+        All files are left as they were.
+        """
         failed = Path(f"{self.order}.failed")
         for file in (failed, self.output):
             file.unlink(missing_ok=True)
@@ -381,7 +387,10 @@ def file_of(test: str) -> str:
 
 
 def parts_of(tests: list):
-    """Yield tests of one file, of the two files after it, of four, ...: few files are imported for nothing."""
+    """Yield tests of one file, of the two files after it, of four, ....
+
+    Few files are imported for nothing.
+    """
     files: dict = {}
     for test in tests:
         files.setdefault(file_of(test), []).append(test)
@@ -392,7 +401,10 @@ def parts_of(tests: list):
 
 
 def tried(before: Outcome, tests: list, copy_: Copy, budget: float, sound: dict) -> Outcome:
-    """Run those tests against a fault that it has not met; `sound` holds whether those that failed pass without it."""
+    """Run those tests against a fault that it has not met.
+
+    `sound` holds whether those that failed pass without it.
+    """
     began, fault = time.monotonic() - before.seconds, before.fault
     tests = [t for t in tests if sound.get(t, True) and sound.get(file_of(t), True)]
     if not tests:
@@ -437,7 +449,8 @@ def main() -> None:
     options = parser.parse_args()
     if git("status", "--porcelain", "--untracked-files=no"):
         sys.exit(
-            "The checkout has changes: commit them first, since the last commit is what is measured."
+            "The checkout has changes: commit them first, since the last commit is what is "
+            "measured."
         )
     faults = sample(ROOT, options.files, options.count, options.seed)
     if options.list:
@@ -486,7 +499,8 @@ def print_summary(outcomes, options, took) -> None:
         f"{len(outcomes)} faults{of}, seed {options.seed}, {options.files}, {took:.0f} s:", end=" "
     )
     print(
-        f"{caught} caught ({100 * caught / len(outcomes):.1f} %), {endless} of them as endless loops"
+        f"{caught} caught ({100 * caught / len(outcomes):.1f} %), {endless} of them as endless "
+        f"loops"
     )
     kinds = Counter(o.fault.kind for o in outcomes)
     for kind, number in kinds.most_common():

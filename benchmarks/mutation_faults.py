@@ -222,7 +222,10 @@ def removals(node, returns):
 
 
 def another(number):
-    """Return a number as a slip would leave it: one off, twice as large, or a tolerance with another exponent."""
+    """Return a number as a slip would leave it.
+
+    One off, twice as large, or a tolerance with another exponent.
+    """
     if isinstance(number, bool):
         return not number
     if isinstance(number, int):

@@ -1,4 +1,7 @@
-"""A plugin of pytest for `mutation.py`: note which test executes which line, or run chosen tests in a chosen order."""
+"""A plugin of pytest for `mutation.py`.
+
+Note which test executes which line, or run chosen tests in a chosen order.
+"""
 
 import gc
 import json

@@ -38,7 +38,10 @@ OPTIONS += ["ignore::pytest.PytestAssertRewriteWarning"]
 
 
 def status_of(child: int, waiting: float) -> int | None:
-    """Wait for the end of a process; None where it never came, and was killed with all that it started."""
+    """Wait for the end of a process.
+
+    None where it never came, and was killed with all that it started.
+    """
     end, status = time.monotonic() + waiting, None
     while status is None and time.monotonic() < end:
         ended, how = os.waitpid(child, os.WNOHANG)

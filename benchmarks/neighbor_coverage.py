@@ -95,18 +95,23 @@ def main() -> None:
         "Coverage (%) of 95 % intervals where errors are correlated from one frequency to the next"
     )
     tell(
-        f"{dt.date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, numpy {np.__version__}, "
+        f"{dt.date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, numpy "
+        f"{np.__version__}, "
         f"scipy {scipy.__version__}, python {platform.python_version()}; seed {arguments.seed}, "
         f"{arguments.repeats} repeats a cell"
     )
     tell(
         "covers: the least and the most of all parameters; ! outside "
-        f"{NOMINAL[0]:.0f} to {NOMINAL[1]:.0f} %; independent: the same if errors are taken as independent, as they\n"
-        "were before; width: median of printed over such intervals; rough: in which share of fits it is said that so\n"
-        "few points show slow errors only roughly; silent: the most that miss without that; none: without an interval."
+        f"{NOMINAL[0]:.0f} to {NOMINAL[1]:.0f} %; independent: the same if errors are taken as "
+        f"independent, as they\n"
+        "were before; width: median of printed over such intervals; rough: in which share of fits "
+        "it is said that so\n"
+        "few points show slow errors only roughly; silent: the most that miss without that; none: "
+        "without an interval."
     )
     tell(
-        f"{'model':<12}{'noise':>6} {'criterion':<18}{'points':>6}{'corr.':>6}{'covers':>16}{'independent':>14}"
+        f"{'model':<12}{'noise':>6} "
+        f"{'criterion':<18}{'points':>6}{'corr.':>6}{'covers':>16}{'independent':>14}"
         f"{'width':>7}{'rough':>7}{'silent':>8}{'none':>6}"
     )
     for noise, criterion in SETTINGS[: arguments.settings]:

@@ -1,4 +1,6 @@
-"""NIST's 27 nonlinear regressions from their certified starts: digits of estimates and of standard errors, and time.
+"""NIST's 27 nonlinear regressions from their certified starts.
+
+Digits of estimates and of standard errors, and time.
 
 python benchmarks/nist.py [--only MGH10] [--output FILE]
 
@@ -54,7 +56,8 @@ def line(name: str, which: str, case: Certified, **options: Any) -> tuple[str, b
     numbers = f"{len(case.problem.data):4d} {len(case.values):2d}"
     agreeing = f"{fit.agreeing} of {len(fit.runs)}"
     return (
-        f"{name:10} {which:10} {numbers}   {estimates:>15}   {errors:>6}   {agreeing:>8} {seconds:7.2f}",
+        f"{name:10} {which:10} {numbers}   {estimates:>15}   {errors:>6}   {agreeing:>8} "
+        f"{seconds:7.2f}",
         found >= RIGHT,
     )
 

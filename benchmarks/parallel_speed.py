@@ -1,4 +1,6 @@
-"""How well two workers are used: a fit of a minute on one process, on two of our own, and on two of Dask's.
+"""How well two workers are used.
+
+A fit of a minute on one process, on two of our own, and on two of Dask's.
 
 ``python benchmarks/parallel_speed.py --rounds 3 --out benchmarks/results/parallel_speed.txt`` needs
 the extra ``dask`` and a machine that does nothing else: times are those of the clock. The fit is
@@ -80,7 +82,8 @@ def main():
     problem = hard()["resonances"]
     load = os.getloadavg()[0]
     lines = [
-        f"parallel_speed.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, load {load:.1f}"
+        f"parallel_speed.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, load "
+        f"{load:.1f}"
     ]
     found = {name: [] for name in LEAST}
     with ExitStack() as stack:

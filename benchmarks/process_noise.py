@@ -59,7 +59,10 @@ def coverage(
     share = 100 * np.mean(hits, axis=0)
     words = "  ".join(f"{n} {s:.1f}" for n, s in zip(wanted, share, strict=True))
     spent = time.perf_counter() - began
-    return f"{name}: {repeats} fits, {failed} failed, pooled {share.mean():.1f} %  [{spent:.0f} s]\n  {words}"
+    return (
+        f"{name}: {repeats} fits, {failed} failed, pooled {share.mean():.1f} %  [{spent:.0f} s]\n  "
+        f"{words}"
+    )
 
 
 def false_alarms(states: tuple[str, ...], repeats: int) -> str:
@@ -84,7 +87,8 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
     lines = [
-        f"greybox {gb.__version__}, {dt.date.today()}, Python {platform.python_version()}, numpy {np.__version__}"
+        f"greybox {gb.__version__}, {dt.date.today()}, Python {platform.python_version()}, numpy "
+        f"{np.__version__}"
     ]
     n = options.repeats
     for make in (

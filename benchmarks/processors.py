@@ -175,15 +175,18 @@ def table(answers: dict[str, list[dict[str, Any]]]) -> list[str]:
                 continue
             move, change = np.transpose([moves(*pair) for pair in pairs])
             lines.append(
-                f"{kind:20} {kernel:10} {len(pairs):4d}        {np.median(move):7.0e}  {move.max():7.0e}"
+                f"{kind:20} {kernel:10} {len(pairs):4d}        {np.median(move):7.0e}  "
+                f"{move.max():7.0e}"
                 f"           {np.median(change):7.0e}  {change.max():7.0e}"
             )
             listed += [
-                f"{kind}, number {number}, {kernel}: move {move[number]:.1e}, change {change[number]:.1e}"
+                f"{kind}, number {number}, {kernel}: move {move[number]:.1e}, change "
+                f"{change[number]:.1e}"
                 for number in np.flatnonzero((move > LARGEST_MOVE) | (change > LARGEST_CHANGE))
             ]
     summary = (
-        f"{len(listed)} of {len(reference) * (len(KERNELS) - 1)} moved by more than {LARGEST_MOVE:g} "
+        f"{len(listed)} of {len(reference) * (len(KERNELS) - 1)} moved by more than "
+        f"{LARGEST_MOVE:g} "
         f"standard errors, or changed an error by more than {LARGEST_CHANGE:g}"
     )
     return [*lines, summary, *listed]

@@ -53,7 +53,8 @@ def main() -> None:
         f"greybox {gb.__version__}, {dt.date.today()}, {options.repeats} repeats of each cell, "
         f"seed {options.seed}, "
         "relative error criterion (4.26)",
-        "cell       noise  correlation  parameter  profile %  Wald %  refused  s a fit with its profile",
+        "cell       noise  correlation  parameter  profile %  Wald %  refused  s a fit with its "
+        "profile",
     ]
     for name, model, truth, omega, names in CELLS:
         for errors in ((0.05, 0.0), (0.1, 0.0), (0.05, 0.3), (0.05, 0.6)):

@@ -1,4 +1,6 @@
-"""Random vehicles through `gb.identify`: whether the model is right, and says where it is not. Monte Carlo.
+"""Random vehicles through `gb.identify`: whether the model is right, and says where it is not.
+
+Monte Carlo.
 
 python benchmarks/random_vehicles.py [--count 60] [--seed 1] [--out FILE]
 
@@ -33,7 +35,10 @@ FINE = 10  # steps of the simulation in a sampling interval
 
 
 class Vehicle(NamedTuple):
-    """Coefficients of numerator and denominator, the highest power first and the denominator monic; delay in s."""
+    """Coefficients of numerator and denominator, the highest power first and the denominator monic.
+
+    Delay in s.
+    """
 
     numerator: np.ndarray
     denominator: np.ndarray
@@ -102,7 +107,10 @@ def flown(of, random):
 
 
 class Outcome(NamedTuple):
-    """What came of a vehicle: the structure, the error of its response, its residuals over the noise."""
+    """What came of a vehicle.
+
+    The structure, the error of its response, its residuals over the noise.
+    """
 
     is_true: bool
     error: float
@@ -136,7 +144,10 @@ def outcome(of, random):
         for name, value in of.values.items()
         if is_true and name in intervals
     )
-    text = f"{of.orders} -> {chosen.label}: error {100 * error:.2g} %, residual/noise {chosen.noise:.2f}"
+    text = (
+        f"{of.orders} -> {chosen.label}: error {100 * error:.2g} %, residual/noise "
+        f"{chosen.noise:.2f}"
+    )
     return Outcome(is_true, error, chosen.noise, found.selection.explains, held, text)
 
 
@@ -146,7 +157,10 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
-    about = f"greybox {version('greybox-id')}, Python {platform.python_version()}, numpy {np.__version__}"
+    about = (
+        f"greybox {version('greybox-id')}, Python {platform.python_version()}, numpy "
+        f"{np.__version__}"
+    )
     lines = [f"{asked.count} vehicles, seed {asked.seed}; {about}, {dt.date.today()}"]
     outcomes = []
     for k in range(asked.count):
@@ -168,7 +182,8 @@ def summary(outcomes):
     held = [value for o in outcomes for value in o.held]
     share = f"{100 * np.mean(held):.1f} % of {len(held)}" if held else "none"
     return [
-        f"right: {len(right)} of {len(outcomes)}; of the true structure {sum(o.is_true for o in outcomes)}, "
+        f"right: {len(right)} of {len(outcomes)}; of the true structure "
+        f"{sum(o.is_true for o in outcomes)}, "
         f"within 5 % of the true response {sum(o.error <= 0.05 for o in outcomes)}",
         f"wrong ones that say so: {sum(not o.explains for o in wrong)} of {len(wrong)}",
         f"right ones that are called wrong: {sum(not o.explains for o in right)} of {len(right)}",

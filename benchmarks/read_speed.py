@@ -159,7 +159,8 @@ def measure(path: Path, messages: list[str] | None, rounds: int) -> None:
     ratio = statistics.median(a / b for a, b in pairs)
     peak, kept = memory(path, messages)
     print(
-        f"{', '.join(messages or ['everything']):<12} {mine:7.3f} s  pymavlink {other:7.3f} s  ratio {ratio:6.3f}"
+        f"{', '.join(messages or ['everything']):<12} {mine:7.3f} s  pymavlink {other:7.3f} s  "
+        f"ratio {ratio:6.3f}"
         f"   peak {peak / 1e6:6.1f} MB for {kept / 1e6:6.1f} MB of arrays: {peak / kept:.1f} times"
     )
 
@@ -175,7 +176,8 @@ def main():
     options = parser.parse_args()
     versions = ", ".join(f"{name} {version(name)}" for name in ("greybox-id", "pymavlink", "numpy"))
     print(
-        f"{date.today()}, {versions}, python {platform.python_version()}; medians of {options.rounds} rounds"
+        f"{date.today()}, {versions}, python {platform.python_version()}; medians of "
+        f"{options.rounds} rounds"
     )
     with tempfile.TemporaryDirectory() as folder:
         path = options.log or Path(folder) / "synthetic.BIN"

@@ -1,4 +1,6 @@
-"""Starts of a nonlinear aircraft in wide boxes: plain ones, and the search from twenty that are screened.
+"""Starts of a nonlinear aircraft in wide boxes.
+
+Plain ones, and the search from twenty that are screened.
 
 ``python benchmarks/screened_starts.py --times 10 --seeds 100 --out
 benchmarks/results/screened_starts.txt`` fits the longitudinal motion of a transport (four states,
@@ -152,10 +154,13 @@ def main():
     shares = [f"{sum(found for found, _ in each)} of {options.seeds}" for each in (plain, screened)]
     times = [1e3 * np.mean([seconds for _, seconds in each]) for each in (plain, screened)]
     lines = [
-        f"screened_starts.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, boxes of {options.times:g} "
+        f"screened_starts.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, boxes "
+        f"of {options.times:g} "
         "times the values",
-        f"plain starts: {shares[0]} end at the best minimum, {times[0]:.0f} ms each, three of them {3 * times[0]:.0f}",
-        f"searches from 20 screened starts: {shares[1]}, {times[1]:.0f} ms each, {runs / options.seeds:.1f} runs",
+        f"plain starts: {shares[0]} end at the best minimum, {times[0]:.0f} ms each, three of them "
+        f"{3 * times[0]:.0f}",
+        f"searches from 20 screened starts: {shares[1]}, {times[1]:.0f} ms each, "
+        f"{runs / options.seeds:.1f} runs",
     ]
     print("\n".join(lines))
     if options.out is not None:

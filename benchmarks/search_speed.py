@@ -205,10 +205,12 @@ def main():
     parser.add_argument("--only", nargs="+", help="names of problems")
     options = parser.parse_args()
     print(
-        f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}"
+        f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python "
+        f"{platform.python_version()}"
     )
     print(
-        f"bare loop: {options.bare} starts; fit: {options.starts} starts; default searches: {options.seeds} seeds"
+        f"bare loop: {options.bare} starts; fit: {options.starts} starts; default searches: "
+        f"{options.seeds} seeds"
     )
     problems = {module.__name__.rpartition(".")[2]: module.problem() for module in PAPER} | hard()
     problems = {
@@ -237,14 +239,16 @@ def main():
             else math.inf
         )
         print(
-            f"{'':18} default search {1e3 * seconds:6.1f} ms, {100 * found:5.1f} %, {brought:5.1f} runs; bare loop for "
+            f"{'':18} default search {1e3 * seconds:6.1f} ms, {100 * found:5.1f} %, {brought:5.1f} "
+            f"runs; bare loop for "
             f"{100 * SURE:.1f} %: {needed} starts, {1e3 * needed * bare_seconds:6.1f} ms: "
             f"{needed * bare_seconds / seconds:4.1f} times",
             flush=True,
         )
     if ratios:
         print(
-            f"time per success, fits of the paper: {math.exp(np.mean(np.log(ratios))):.1f} times, geometric mean"
+            f"time per success, fits of the paper: {math.exp(np.mean(np.log(ratios))):.1f} times, "
+            f"geometric mean"
         )
 
 

@@ -41,8 +41,10 @@ def main():
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     lines = [
-        f"shared_runs.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, {options.starts} starts: runs",
-        "at the best minimum, alone and shared; processor time; ends on excerpts from which runs went on",
+        f"shared_runs.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, "
+        f"{options.starts} starts: runs",
+        "at the best minimum, alone and shared; processor time; ends on excerpts from which runs "
+        "went on",
     ]
     total = np.zeros(3, dtype=int)
     for name, case in CASES.items():
@@ -61,7 +63,8 @@ def main():
         found = [int(np.sum(each <= case.best + case.within)) for each in (alone, costs)]
         total += [len(starts), *found]
         lines.append(
-            f"{name:<28}{samples:6d} samples  {found[0]:3d} {found[1]:3d}  {seconds:6.2f} s {shorter:6.2f} s  "
+            f"{name:<28}{samples:6d} samples  {found[0]:3d} {found[1]:3d}  {seconds:6.2f} s "
+            f"{shorter:6.2f} s  "
             f"{len(shared._known[0])}"
         )
         print(lines[-1], flush=True)

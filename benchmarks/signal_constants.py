@@ -165,7 +165,8 @@ def main():
     chosen = sys.argv[1:] or ["detection", "polynomials"]
     if "detection" in chosen:
         print(
-            f"{'':34} {'schedules':9} {'noisy':6} {'no sine':8} {'one sweep':10} {'none':8} {'spurious':9}"
+            f"{'':34} {'schedules':9} {'noisy':6} {'no sine':8} {'one sweep':10} {'none':8} "
+            f"{'spurious':9}"
         )
         print(f"{'of':34} {15:9} {20:6} {24:8} {24:10} {16:8}")
         vary(sine_detection, DETECTION, detection_row)

@@ -1,4 +1,6 @@
-"""From a sweep to an interval: how often do 95 % intervals of maximum likelihood hold? Monte Carlo on known systems.
+"""From a sweep to an interval.
+
+How often do 95 % intervals of maximum likelihood hold? Monte Carlo on known systems.
 
 python benchmarks/spectral_coverage.py [--repeats 200] [--only example] [--output FILE]
 
@@ -119,10 +121,12 @@ def main() -> None:
     began = time.perf_counter()
     say(
         f"{options.repeats} records a cell, seed {options.seed}; greybox {gb.__version__}, Python "
-        f"{platform.python_version()}, numpy {np.__version__}, {dt.datetime.now(tz=dt.UTC):%Y-%m-%d}"
+        f"{platform.python_version()}, numpy {np.__version__}, "
+        f"{dt.datetime.now(tz=dt.UTC):%Y-%m-%d}"
     )
     say(
-        f"{'':44} points   dof  |e|²/v   held, %{'':25} rms of error / standard error; gb.fit differs by"
+        f"{'':44} points   dof  |e|²/v   held, %{'':25} rms of error / standard error; gb.fit "
+        f"differs by"
     )
     for label in CELLS:
         if options.only in label:

@@ -292,7 +292,8 @@ def speed(
     found = {case: answers for case, answers in found.items() if answers}
     for case, answers in found.items():
         print(f"  {case:<22} {middle([a['seconds'] for a in answers])} s, "
-              f"{max(a['megabytes'] for a in answers):.0f} MB, {answers[0]['iterations']} iterations, "
+              f"{max(a['megabytes'] for a in answers):.0f} MB, {answers[0]['iterations']} "
+              f"iterations, "
               f"{answers[0]['status']}")  # fmt: skip
     for case in found:
         if case.startswith("greybox"):
@@ -343,7 +344,8 @@ def same_minimum(bench: Bench, found: dict[str, list[dict[str, Any]]], samples: 
         if case == "greybox" and samples == SAMPLES:
             wide = np.array(answers[0]["standard_error"]) / sigma
             print(
-                f"  standard errors of greybox over those of the KKT matrix: {min(wide):.4f} to {max(wide):.4f}"
+                f"  standard errors of greybox over those of the KKT matrix: {min(wide):.4f} to "
+                f"{max(wide):.4f}"
             )
     return agreed
 
@@ -376,7 +378,8 @@ def growth(bench: Bench, cases: Sequence[str], sizes: Sequence[int], rounds: int
 def starts(bench: Bench, cases: Sequence[str], number: int) -> None:
     """Print the share of random starts in the box of the bounds that come within 1 % of the best cost."""
     print(
-        f"\n{number} random starts in the bounds, {SAMPLES} samples: share within 1 % of the lowest cost; in all"
+        f"\n{number} random starts in the bounds, {SAMPLES} samples: share within 1 % of the "
+        f"lowest cost; in all"
     )
     for case in cases:
         answer = bench.run(case, SAMPLES, starts=number)
@@ -386,17 +389,21 @@ def starts(bench: Bench, cases: Sequence[str], number: int) -> None:
         reached = int(np.sum(costs <= 1.01 * costs.min())) if np.isfinite(costs.min()) else 0
         away = np.max(np.abs(np.array(answer["estimate"]) / TRUTH - 1))
         each, low = 1e3 * answer["seconds"] / len(costs), costs.min()
-        print(f"  {case:<22} {reached} of {len(costs)} ({reached / len(costs):.0%}), {answer['seconds']:.2f} s, "
-              f"{each:.0f} ms a start; lowest cost {low:.3f}, at most {100 * away:.1f} % from the truth")  # fmt: skip
+        print(f"  {case:<22} {reached} of {len(costs)} ({reached / len(costs):.0%}), "
+              f"{answer['seconds']:.2f} s, "
+              f"{each:.0f} ms a start; lowest cost {low:.3f}, at most {100 * away:.1f} % from the "
+              f"truth")  # fmt: skip
 
 
 def errors(bench: Bench, cases: Sequence[str], flights: int) -> None:
     """Print the error of the parameters over several flights, in percent and in the method's own standard errors."""
     print(
-        f"\nRoot mean square error of the parameters over {flights} flights, %; and in its own standard errors"
+        f"\nRoot mean square error of the parameters over {flights} flights, %; and in its own "
+        f"standard errors"
     )
     print(
-        f"  {'':<22} {'  '.join(f'{name:>6}' for name in NAMES)}    {'  '.join(f'{name:>5}' for name in NAMES)}"
+        f"  {'':<22} {'  '.join(f'{name:>6}' for name in NAMES)}    "
+        f"{'  '.join(f'{name:>5}' for name in NAMES)}"
     )
     for case in cases:
         answers = [
@@ -409,7 +416,8 @@ def errors(bench: Bench, cases: Sequence[str], flights: int) -> None:
         sigma = np.array([answer["standard_error"] for answer in answers])
         percent, own = (np.sqrt(np.mean(a**2, axis=0)) for a in (100 * off / TRUTH, off / sigma))
         print(
-            f"  {case:<22} {'  '.join(f'{a:6.3f}' for a in percent)}    {'  '.join(f'{a:5.1f}' for a in own)}"
+            f"  {case:<22} {'  '.join(f'{a:6.3f}' for a in percent)}    "
+            f"{'  '.join(f'{a:5.1f}' for a in own)}"
         )
 
 
@@ -418,7 +426,8 @@ def records(bench: Bench, rounds: int) -> None:
     one, many = "greybox, one record with gaps", "greybox, many records"
     for count in (1, 20):
         print(
-            f"\n{RECORDS} records of {SHORT} samples, {count} start{'s' * (count > 1)}, {rounds} rounds"
+            f"\n{RECORDS} records of {SHORT} samples, {count} start{'s' * (count > 1)}, {rounds} "
+            f"rounds"
         )
         options = {} if count == 1 else {"starts": count}
         pairs = [
@@ -428,12 +437,14 @@ def records(bench: Bench, rounds: int) -> None:
         found = [(a, b) for a, b in pairs if a and b]
         for case, answers in zip((one, many), zip(*found, strict=True), strict=True):
             print(
-                f"  {case:<30} {middle([a['seconds'] for a in answers])} s, {answers[0]['megabytes']:.0f} MB"
+                f"  {case:<30} {middle([a['seconds'] for a in answers])} s, "
+                f"{answers[0]['megabytes']:.0f} MB"
             )
         values = [b["seconds"] / a["seconds"] for a, b in found]
         good = statistics.median(values) <= RATIO
         print(
-            f"  many records take {middle(values, '.2f')} times as long, at most {RATIO:g}: {verdict(good)}"
+            f"  many records take {middle(values, '.2f')} times as long, at most {RATIO:g}: "
+            f"{verdict(good)}"
         )
         ends = [np.array([answer["estimate"], answer["standard_error"]]) for answer in found[0]]
         away = float(np.max(np.abs(ends[0][0] - ends[1][0]) / ends[0][1]))
@@ -493,12 +504,14 @@ def main() -> int:
 def report(bench: Bench, options: argparse.Namespace) -> int:
     """Print all parts; return 1 if estimators of one cost found different minima."""
     print(
-        f"{date.today()}, {versions()}, python {platform.python_version()}, {os.cpu_count()} cores, one thread each"
+        f"{date.today()}, {versions()}, python {platform.python_version()}, {os.cpu_count()} "
+        f"cores, one thread each"
     )
     cases = [case for case in options.cases if usable(case)]
     if missing := [case for case in options.cases if case not in cases]:
         print(
-            f"!!! this greybox has no MultipleShooting and OutputError yet: {', '.join(missing)} left out"
+            f"!!! this greybox has no MultipleShooting and OutputError yet: {', '.join(missing)} "
+            f"left out"
         )
     agreed = True
     sizes = SIZES if options.long else SIZES[:-1]

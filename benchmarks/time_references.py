@@ -38,7 +38,10 @@ SECOND = 100  # samples a simulated segment of `segment_fit`
 
 
 def slopes(x: Any, u: Any, p: Any, tan: Any) -> list[Any]:
-    """Return the right-hand side of (4.23) for anything that has arithmetic; `x` and `p` are indexed by row."""
+    """Return the right-hand side of (4.23) for anything that has arithmetic.
+
+    `x` and `p` are indexed by row.
+    """
     return [
         GRAVITY * tan(x[2]) - p[4] * abs(x[0]) * x[0],
         -p[0] * x[2] - p[1] * x[1] - p[2] * x[0] + p[3] * u,
@@ -64,7 +67,10 @@ def sx_slopes(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class Flight:
-    """A record at 100 Hz: `y` (3, n) holds v, q and theta with noise; `u` (n,) is held over a sample."""
+    """A record at 100 Hz: `y` (3, n) holds v, q and theta with noise.
+
+    `u` (n,) is held over a sample.
+    """
 
     u: Array
     y: Array
@@ -124,7 +130,9 @@ def smoothed(y: Array) -> Array:
 
 
 class NonlinearProgram:
-    """The estimator as one NLP: unknowns are the scaled parameters and the state at the head of every segment.
+    """The estimator as one NLP.
+
+    Unknowns are the scaled parameters and the state at the head of every segment.
 
     With `blocks`, the derivatives are those of one segment, written as expressions and put in their
     places by hand, instead of CasADi's derivatives of the whole: more to write, less to build.
@@ -164,7 +172,10 @@ class NonlinearProgram:
         }
 
     def standard_errors(self) -> Array:
-        """Return those of the parameters: the head of the inverse of the KKT matrix at the last solution."""
+        """Return those of the parameters.
+
+        The head of the inverse of the KKT matrix at the last solution.
+        """
         from scipy.sparse import block_array  # noqa: PLC0415  (no part of what is timed)
         from scipy.sparse.linalg import splu  # noqa: PLC0415
 
@@ -264,7 +275,10 @@ def _placed(
 
 
 def simulated(p: Any, heads: Any, u: Any) -> Any:
-    """Simulate every segment: `p` and `heads` have rows first, `u` is (length, segments); returns (length, 3, ...)."""
+    """Simulate every segment: `p` and `heads` have rows first, `u` is (length, segments).
+
+    Returns (length, 3, ...).
+    """
     x, seen = heads, []
     for uk in u:
         seen.append(x)

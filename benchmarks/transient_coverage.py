@@ -237,7 +237,8 @@ def main() -> None:
         print(f"{name}: {runs} runs, {1e3 * (time.perf_counter() - began) / runs:.0f} ms each")
         for (parameter, share), size in zip(shares.items(), rms, strict=True):
             print(
-                f"  {parameter:4s} coverage {100 * share:5.1f} %   rms of standardized errors {size:.2f}"
+                f"  {parameter:4s} coverage {100 * share:5.1f} %   rms of standardized errors "
+                f"{size:.2f}"
             )
         print(f"  all  coverage {100 * np.mean(list(shares.values())):5.1f} %", flush=True)
 

@@ -1,4 +1,4 @@
-"""The cascaded attitude controller in discrete time, which stabilizes the vehicle while it is identified."""
+"""The cascaded attitude controller in discrete time, which stabilizes the vehicle."""
 
 import greybox as gb
 

@@ -89,7 +89,7 @@ class FirstOrderLowPass(gb.TransferFunction):
 
 
 class Notch(gb.TransferFunction):
-    r"""Notch filter, as flight controllers apply to their gyros against the vibration of the propellers.
+    r"""Notch filter, as flight controllers apply to gyros against vibration of the propellers.
 
     $$F(s) = \frac{s^2 + 10^{-A/20} \frac{\omega_0}{Q} s + \omega_0^2}{s^2 + \frac{\omega_0}{Q} s +
     \omega_0^2}$$

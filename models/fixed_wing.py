@@ -1,4 +1,4 @@
-"""Modes of a fixed-wing aircraft as transfer functions: short period, phugoid, roll mode and dutch roll."""
+"""Modes of a fixed-wing aircraft: short period, phugoid, roll mode and dutch roll."""
 
 import greybox as gb
 
@@ -13,7 +13,8 @@ class ShortPeriod(gb.TransferFunction):
     $$\frac{q}{\delta_e} = \frac{M (s + 1/T_{\theta 2})}
     {s^2 + 2 \zeta_{sp} \omega_{sp} s + \omega_{sp}^2} e^{-s T_{delay}}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 5.7.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 5.7.
     """
 
     input, output = "de", "q"
@@ -38,7 +39,8 @@ class ShortPeriodAngle(ShortPeriod):
 
     $$\frac{\theta}{\delta_e} = \frac{1}{s} \frac{q}{\delta_e}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 5.7.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 5.7.
     """
 
     output = "theta"
@@ -54,7 +56,8 @@ class Phugoid(gb.TransferFunction):
     $$\frac{\theta}{\delta_e} = \frac{M (s + 1/T_{\theta 1})}
     {s^2 + 2 \zeta_p \omega_p s + \omega_p^2} e^{-s T_{delay}}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 5.8.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 5.8.
     """
 
     input, output = "de", "theta"
@@ -79,7 +82,8 @@ class PitchWithPhugoid(ShortPeriod):
     {(s^2 + 2 \zeta_p \omega_p s + \omega_p^2)(s^2 + 2 \zeta_{sp} \omega_{sp} s + \omega_{sp}^2)}
     e^{-s T_{delay}}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 5.6.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 5.6.
     """
 
     output = "theta"
@@ -97,7 +101,8 @@ class ShortPeriodWithPhugoid(PitchWithPhugoid):
 
     $$\frac{q}{\delta_e} = s \frac{\theta}{\delta_e}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 5.6.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 5.6.
     """
 
     output = "q"
@@ -112,7 +117,8 @@ class RollMode(gb.TransferFunction):
 
     $$\frac{p}{\delta_a} = \frac{L}{s + 1/T_r} e^{-s T_{delay}}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 6.7.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 6.7.
     """
 
     input, output = "da", "p"
@@ -132,7 +138,8 @@ class RollModeAngle(RollMode):
 
     $$\frac{\phi}{\delta_a} = \frac{1}{s} \frac{p}{\delta_a}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 6.7.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 6.7.
     """
 
     output = "phi"
@@ -148,7 +155,8 @@ class RollWithDutchRoll(RollMode):
     $$\frac{p}{\delta_a} = \frac{L (s^2 + 2 \zeta_\phi \omega_\phi s + \omega_\phi^2)}
     {(s + 1/T_r)(s^2 + 2 \zeta_d \omega_d s + \omega_d^2)} e^{-s T_{delay}}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 6.6.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 6.6.
     """
 
     zeta_phi = gb.Parameter(0.2, bounds=(-1, 5), unit="1", about="damping ratio of the zeros")
@@ -170,7 +178,8 @@ class RollAngleWithDutchRoll(RollWithDutchRoll):
 
     $$\frac{\phi}{\delta_a} = \frac{1}{s} \frac{p}{\delta_a}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 6.6.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 6.6.
     """
 
     output = "phi"
@@ -186,7 +195,8 @@ class DutchRoll(gb.TransferFunction):
     $$\frac{r}{\delta_r} = \frac{N (s + z)}
     {s^2 + 2 \zeta_d \omega_d s + \omega_d^2} e^{-s T_{delay}}$$
 
-    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973), section 6.7.
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 6.7.
     """
 
     input, output = "dr", "r"

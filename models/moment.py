@@ -1,4 +1,4 @@
-"""Pitch with candidate terms of the moment beside those of (4.23): products of velocity, angle and rate."""
+"""Pitch with more terms of the moment than (4.23): products of velocity, angle and rate."""
 
 import math
 
@@ -58,7 +58,7 @@ class TiltMoment(MomentParameters, NonlinearTilt):
 
 
 class TiltMomentAt(MomentParameters, gb.TransferFunction):
-    r"""Tilt angle from the tilt control about an angle of flight, (4.25) with the terms of `TiltMoment` linearized.
+    r"""Tilt angle from the tilt control about an angle of flight, (4.25) with linearized terms.
 
     $a_1$ to $a_4$ are
 
@@ -86,7 +86,8 @@ class TiltMomentAt(MomentParameters, gb.TransferFunction):
     def __init__(self, angle=0.0, drag=0.01):
         if not 0 <= angle < math.pi / 2 or not drag > 0:
             raise ValueError(
-                f"angle = {angle} and drag = {drag}: give an angle from 0 to below π/2 and a drag above 0."
+                f"angle = {angle} and drag = {drag}: give an angle from 0 to below π/2 and a drag "
+                f"above 0."
             )
         self.angle = angle
         self.drag = drag

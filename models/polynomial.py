@@ -60,11 +60,13 @@ class Polynomial(gb.TransferFunction):
             )
         if not 0 < starts <= radius < math.inf:
             raise ValueError(
-                f"starts = {starts} and radius = {radius} must be finite with 0 < starts <= radius, in rad/s."
+                f"starts = {starts} and radius = {radius} must be finite with 0 < starts <= "
+                f"radius, in rad/s."
             )
         if not isinstance(integrator, int) or not 0 <= integrator <= n or not 0 <= delay < math.inf:
             raise ValueError(
-                f"integrator = {integrator} and delay = {delay}: give from 0 to n = {n} integrators and a finite delay "
+                f"integrator = {integrator} and delay = {delay}: give from 0 to n = {n} "
+                f"integrators and a finite delay "
                 "from 0 on, in s."
             )
         self.n = n
@@ -96,7 +98,7 @@ class Polynomial(gb.TransferFunction):
 
 
 def _coefficient(k, order, n, radius, starts):
-    """One coefficient of s^k: at most C(order, k) r^(n-k) in size when no pole or zero is larger than r."""
+    """One coefficient of s^k: at most C(order, k) r^(n-k) if no pole or zero is larger than r."""
     combinations = math.comb(order, k)
     power = n - k
     return gb.Parameter(
@@ -119,7 +121,8 @@ def _value(coefficients, s):
 def _require_order(name, order, least):
     if isinstance(order, bool) or not isinstance(order, int) or order < least:
         raise ValueError(
-            f"{name} = {order!r} is not the order of a polynomial: give an integer of at least {least}."
+            f"{name} = {order!r} is not the order of a polynomial: give an integer of at least "
+            f"{least}."
         )
     if order > LARGEST_ORDER:
         raise ValueError(

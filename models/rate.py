@@ -1,4 +1,4 @@
-"""Angular rate of one axis as a transfer function: structures from earlier work, (2.5) to (2.8) and (2.10)."""
+"""Angular rate of one axis as a transfer function: structures (2.5) to (2.8) and (2.10)."""
 
 import greybox as gb
 

@@ -1,4 +1,4 @@
-"""Roll and pitch angle with velocity feedback: (4.25) and the ODEs it is derived from, (4.23) and (4.24)."""
+"""Roll and pitch angle with velocity feedback: (4.25), and its ODEs (4.23) and (4.24)."""
 
 import greybox as gb
 
@@ -6,7 +6,7 @@ PAPER_G = 9.8065  # m/s², the value of the paper, below (4.24)
 
 
 class TiltParameters:
-    """Parameters common to the three forms of the tilt dynamics: (4.23) without its drag, and the rotor (4.22)."""
+    """Parameters of all three forms of the tilt dynamics: (4.23) without drag, rotor (4.22)."""
 
     a1 = gb.Parameter(
         0.0, bounds=(-100, 100), unit="1/s²", about="stiffness: angular acceleration per angle"

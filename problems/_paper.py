@@ -22,7 +22,7 @@ def table(number, prefix, output, name):
 
 
 def coefficients(numerator, *factors):
-    """Return the coefficients of (2.13) by name, for a numerator and denominator factors given highest power first."""
+    """Return the coefficients of (2.13) by name; factors have the highest power first."""
     denominator = np.ones(1)
     for factor in factors:
         denominator = np.convolve(denominator, factor)

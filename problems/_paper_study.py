@@ -1,4 +1,4 @@
-"""Every structure of the paper on every table that it can serve, by criterion, treatment of the delay, and seed.
+"""Every structure of the paper on every table that suits it, by criterion, delay and seed.
 
 ``greybox batch paper --out DIR`` fits them all, by three criteria, with the exact and a Padé delay,
 from two seeds, and `greybox compare DIR` shows them side by side. Structures of a rate, (2.5) to

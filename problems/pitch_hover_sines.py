@@ -1,4 +1,4 @@
-"""Pitch angle in hover at the amplitude of the test sines, with quadratic drag: Table 3.1 and (4.23).
+"""Pitch angle in hover at the amplitude of the sines, quadratic drag: Table 3.1 and (4.23).
 
 Flown: as in `pitch_hover`.
 

@@ -1,4 +1,4 @@
-"""Pitch angle in hover and about 5°, one set of parameters with more terms of the moment: Tables 3.1 and 4.3, (4.23).
+"""Pitch angle in hover and about 5°, more terms of the moment: Tables 3.1 and 4.3, (4.23).
 
 Flown: as in `pitch_hover` and `pitch_5deg`.
 
@@ -42,7 +42,7 @@ def data():
 
 
 def problem(terms=TERMS, more=()):
-    """Return the joint problem with some terms of the moment; `more` are further (angle in rad, response)."""
+    """Return the joint problem with these terms; `more` are further (angle in rad, response)."""
     hover, moving = data()
     first, second, *others = (
         gb.Problem(TiltMomentAt(angle, DRAG), table, free=terms)
@@ -52,7 +52,7 @@ def problem(terms=TERMS, more=()):
 
 
 def separate():
-    """Return the problem with separate parameters for the two tables: what any terms can explain at most."""
+    """Return the problem with separate parameters for each table: the least cost of any terms."""
     hover, moving = data()
     own = {name: f"{name}_5deg" for name in ("a1", "a2", "a3", "a4")}
     return gb.Problem(TiltMomentAt(0.0, DRAG), hover) + gb.Problem(
@@ -66,7 +66,7 @@ def selection(starts=4):
 
 
 def flights(angles=ANGLES, starts=None):
-    """Say about which angle the same sines would tell the chosen terms from those that explain both tables as well.
+    """Return the angles about which the same sines would separate the chosen terms from rivals.
 
     A noise-free response of the chosen structure is added to the tables, and each rival fitted to
     all three: by how many variances of the errors its sum of squares is the larger, which is the

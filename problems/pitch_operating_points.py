@@ -1,4 +1,4 @@
-"""Pitch angle in hover and about 5°, one nonlinear model with one set of parameters: Tables 3.1 and 4.3, (4.23).
+"""Pitch angle in hover and about 5°, one nonlinear model: Tables 3.1 and 4.3, (4.23).
 
 Flown: as in `pitch_hover` and `pitch_5deg`.
 

@@ -1,4 +1,4 @@
-"""Pitch angle in hover and about 5°, jointly, with common damping and gain: Tables 3.1 and 4.3, (4.25).
+"""Pitch angle in hover and about 5°, common damping and gain: Tables 3.1 and 4.3, (4.25).
 
 Flown: as in `pitch_hover` and `pitch_5deg`.
 

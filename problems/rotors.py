@@ -1,4 +1,4 @@
-"""Speeds of the four rotors from their motor controls, one common model: Table 4.2 and (4.21), estimate (4.22).
+"""Speeds of the four rotors, one common model: Table 4.2 and (4.21), estimate (4.22).
 
 Flown: yaw tests of a quadcopter in hover, with the rotor speeds reported by the speed controllers
 (BLHeli32). The four responses share one model, as in the paper.

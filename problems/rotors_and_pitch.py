@@ -1,4 +1,4 @@
-"""Rotor speeds and pitch angle in hover, jointly: Tables 4.2 and 3.1, (4.21) and (4.25) with one rotor.
+"""Rotor speeds and pitch angle in hover, jointly: Tables 4.2 and 3.1, (4.21) and (4.25).
 
 Flown: as in `rotors` and `pitch_hover`.
 

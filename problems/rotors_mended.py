@@ -1,4 +1,4 @@
-"""Speeds of the four rotors with the sign of one misprinted value corrected: Table 4.2 and (4.21), estimate (4.22).
+"""Speeds of the four rotors, one misprint corrected: Table 4.2 and (4.21), estimate (4.22).
 
 Flown: as in `rotors`.
 

@@ -1,4 +1,4 @@
-"""Drag of a simulated quadcopter, from tilt angle and velocity in time: linear and quadratic, (4.23) and (4.24).
+"""Drag of a simulated quadcopter, from angle and velocity in time: (4.23) and (4.24).
 
 Flown: as `sitl_pitch`, in hover and about a pitch of 5°, where the vehicle accelerates to 2.5 m/s
 and stops at the end. The tilt angle is measured; the velocity is the forward velocity of the
@@ -27,7 +27,7 @@ def data():
 
 
 def problem(records=None, **fixed):
-    """Return both drags on both flights, or on other records; ``a5=0.0`` or ``C_x=0.0`` leaves one drag out.
+    """Return both drags on both flights, or on other records; ``a5=0.0`` omits one.
 
     The thrust is not exactly aligned with the vehicle, and there is wind: both act as a bias of the
     angle, one for each flight.

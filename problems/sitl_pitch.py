@@ -1,4 +1,4 @@
-"""Pitch of a simulated quadcopter, from its flight log to the fit: (3.15)-(3.16), then (2.6) with damping.
+"""Pitch of a simulated quadcopter, from log to fit: (3.15)-(3.16), then (2.6) with damping.
 
 Flown: the ArduPilot Copter firmware (4.6-dev) in its own simulator, recorded by its own logger;
 setpoint sines of 3° from 20.11 to 1.00 rad/s in hover, each announced by a SINE message. The log in

@@ -128,7 +128,8 @@ def find_controller(text: str) -> type[Controller]:
         (name,) = controllers
     if name not in controllers:
         raise ValueError(
-            f"there is no controller {text!r}; {text.partition(':')[0]} has {alternatives(name, controllers)}"
+            f"there is no controller {text!r}; {text.partition(':')[0]} has "
+            f"{alternatives(name, controllers)}"
         )
     return controllers[name]
 

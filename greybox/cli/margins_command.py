@@ -4,7 +4,13 @@ import argparse
 from typing import Any
 
 from greybox.cli.catalog import find_controller
-from greybox.cli.options import UsageError, add_common_options, assignments
+from greybox.cli.options import (
+    UsageError,
+    add_common_options,
+    add_words,
+    assignments,
+    probability,
+)
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.experiment.controller import Controller
@@ -26,33 +32,24 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="CLASS",
         help="controller:AttitudeController or my.py:Class; several in the order in which they run",
     )
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        default=[],
-        metavar="NAME=VALUE",
-        help="gains other than the declared ones",
-    )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="of the controllers")
-    parser.add_argument(
-        "--signals",
-        nargs="+",
-        default=[],
-        metavar="OWN=PLANT",
-        help="a controller's signal and its name in the plant, such as q=theta_dot",
-    )
+    add_words(parser, "--set", "NAME=VALUE", "gains in place of the declared ones")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="sampling rate of the controllers")
+    about = "a signal of a controller and its name in the plant, e.g. q=theta_dot"
+    add_words(parser, "--signals", "OWN=PLANT", about)
     parser.add_argument(
         "--broken-at",
         nargs="+",
         default=[""],
         metavar="SIGNAL",
-        help="where to break the loop: an input of the plant (default: the first) or a measured signal",
+        help="where to break the loop: an input of the plant (default: the first) or a measured "
+        "signal",
     )
+    add_words(parser, "--at", "NAME=VALUE", "operating point of an ODE")
     parser.add_argument(
-        "--at", nargs="+", default=[], metavar="NAME=VALUE", help="operating point of an ODE"
-    )
-    parser.add_argument(
-        "--level", type=float, default=0.95, help="of the intervals, 0.95 by default"
+        "--level",
+        type=probability,
+        default=0.95,
+        help="confidence level of the intervals (default: 0.95)",
     )
     add_common_options(parser)
 

@@ -6,11 +6,10 @@ from typing import Any
 
 from greybox.cli.columns import RECORD, add_columns_option
 from greybox.cli.log_tests import read_log
-from greybox.cli.options import UsageError, add_common_options, positive_number
-from greybox.cli.output import USABLE, Answer
+from greybox.cli.options import UsageError, add_common_options, add_words, positive_number
+from greybox.cli.output import USABLE, Answer, attributes
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.estimate.result import Fit
-from greybox.files.json_numbers import finite
 from greybox.identification.measurement import named_signals
 from greybox.logs.prepare import prepare
 from greybox.simulation.prediction import Prediction
@@ -29,26 +28,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "result", type=Path, metavar="RESULT", help="a fit that greybox identify or fit --out wrote"
     )
     add("log", metavar="LOG", help="a log or a table that the fit has not seen")
-    add(
-        "--signals",
-        nargs="+",
-        default=[],
-        metavar="NAME=SIGNAL",
-        help="inputs and outputs of the model in the log (default: those from which the fit was made)",
-    )
+    about = "inputs and outputs of the model in the log (default: those of the log of the fit)"
+    add_words(parser, "--signals", "NAME=SIGNAL", about)
     add("--rate", type=positive_number, metavar="HZ", help="common sampling rate")
     add(
         "--between",
         nargs=2,
         type=float,
         metavar=("START", "END"),
-        help="only this part of the log, in s",
+        help="predict only this part of the log, s",
     )
     add(
         "--horizon",
         type=positive_number,
         metavar="SECONDS",
-        help="how far to predict from what was measured before (default: as greybox chooses)",
+        help="time to predict from the measured past (default: chosen by greybox)",
     )
     add_columns_option(parser, RECORD)
     add_model_option(parser)
@@ -80,8 +74,8 @@ def _signals_of(fit: Fit) -> dict[str, str]:
 def _json(prediction: Prediction) -> dict[str, Any]:
     measures = {
         name: {
-            "fit_percent": finite(prediction.fit_percent(name)),
-            "rms": finite(prediction.rms(name)),
+            "fit_percent": prediction.fit_percent(name),
+            "rms": prediction.rms(name),
             "unit": prediction.data.units.get(name, ""),
         }
         for name in prediction.outputs
@@ -89,8 +83,6 @@ def _json(prediction: Prediction) -> dict[str, Any]:
     return {
         "model": prediction.label,
         "windows": len(prediction),
-        "horizon": prediction.horizon,
-        "lead": prediction.lead,
         "outputs": measures,
-        "notes": list(prediction.notes),
+        **attributes(prediction, "horizon", "lead", "notes"),
     }

@@ -8,7 +8,10 @@ from command_line import OWN
 
 @pytest.fixture
 def own(tmp_path, monkeypatch):
-    """Write a user's own file, with a name that no other test used: Python keeps modules by name."""
+    """Write a user's own file, with a name that no other test used.
+
+    Python keeps modules by name.
+    """
     monkeypatch.chdir(tmp_path)
     own.number = getattr(own, "number", 0) + 1
 

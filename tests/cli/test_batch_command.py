@@ -97,7 +97,8 @@ def test_a_study_in_python(tmp_path, capsys):
     path = tmp_path / "study_of_two_seeds.py"
     path.write_text(
         MINE
-        + "\ndef members():\n    return [gb.study.Member(small(), 5, seed=k, name=f'seed {k}') for k in range(2)]\n"
+        + "\ndef members():\n    return [gb.study.Member(small(), 5, seed=k, name=f'seed {k}') for "
+        "k in range(2)]\n"
     )
     status, found, _ = answer(capsys, "batch", path, "--out", tmp_path / "out", "--workers", 2)
     assert status == 0

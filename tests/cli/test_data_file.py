@@ -57,7 +57,8 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
         (
             "theta",
             "pitch",
-            "no message with the signals of Drag (theta, v); it has data: pitch, v: name its columns",
+            "no message with the signals of Drag (theta, v); it has data: pitch, v: name its "
+            "columns",
         ),
         (
             "time [s]",

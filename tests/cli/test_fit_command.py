@@ -31,7 +31,10 @@ def test_the_main_job(capsys):
 def test_json_has_the_promised_keys_and_no_nan(capsys):
     status, out, _ = run(capsys, "fit", "yaw_hover", *QUICK, "--json")
     answer = json.loads(out, parse_constant=lambda word: pytest.fail(f"{word} in JSON"))
-    promised = "problem criterion delay starts seed converged agreeing minima cost status estimate standard_error derived"
+    promised = (
+        "problem criterion delay starts seed converged agreeing minima cost status estimate "
+        "standard_error derived"
+    )
     assert status == 0
     assert set(promised.split()) | {"warnings", "seconds", "versions"} <= set(answer)
     assert answer["problem"] == "yaw_hover"
@@ -178,7 +181,8 @@ def test_dask_is_named_where_it_is_missing(capsys, monkeypatch):
 
 
 def rate_response(path, **more):
-    """A rate's response 90 / ((s + 0.7)(0.05 s + 1)) behind a 20 Hz filter, as a file that says its units."""
+    """A rate's response 90 / ((s + 0.7)(0.05 s + 1)) behind a 20 Hz filter, as a file that says its
+    units."""
     omega = np.geomspace(1, 60, 15)
     s = 1j * omega
     plant = 90 / ((s + 0.7) * (0.05 * s + 1))

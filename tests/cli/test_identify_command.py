@@ -49,7 +49,10 @@ def test_the_single_commands_give_the_same(capsys, tmp_path, monkeypatch):
 
 
 def test_what_does_not_explain_the_data_is_a_failure(capsys, tmp_path, monkeypatch):
-    """A lag alone is no model of an angle: the values are saved and marked, and the command fails."""
+    """A lag alone is no model of an angle.
+
+    The values are saved and marked, and the command fails.
+    """
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lag.py").write_text(OWN.replace("(s * (s + p.a))", "(s + p.a)"))
     command = ("identify", LOG, "--structures", "lag.py:Own", "--starts", "2", "--json")
@@ -106,7 +109,10 @@ def test_inspect_ends_with_the_command_to_type_next(capsys):
 
 
 def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
-    """A made ULog of sines in closed loop: gain, damping and lag are within three standard errors of the plant's."""
+    """A made ULog of sines in closed loop.
+
+    Gain, damping and lag are within three standard errors of the plant's.
+    """
     pytest.importorskip("pyulog")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flight.ulg").write_bytes(px4_flight())
@@ -137,7 +143,8 @@ def test_the_single_commands_say_what_was_stated(capsys, tmp_path, monkeypatch):
     found, measured, fitted = json.loads(out)["commands"]
     assert found == f"greybox inspect {LOG} --announced SINE"
     assert measured == (
-        f"greybox response {LOG} --input u=RATE.POut --output theta=ATT.Pitch --announced SINE --settle 1.0 "
+        f"greybox response {LOG} --input u=RATE.POut --output theta=ATT.Pitch --announced SINE "
+        f"--settle 1.0 "
         "--band 1.5 15.0 --drop-warned --out 'my flight_response.csv'"
     )
     assert fitted == (

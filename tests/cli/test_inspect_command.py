@@ -72,7 +72,8 @@ def test_columns_without_names_are_stated(capsys, tmp_path):
 
 
 def test_the_rate_of_messages_in_bursts_is_their_mean(capsys, tmp_path):
-    """Fourteen messages a second that a link hands over at once are 14 Hz, not the 2000 Hz of their median interval."""
+    """Fourteen messages a second that a link hands over at once are 14 Hz, not the 2000 Hz of their
+    median interval."""
     time = [second + 0.0005 * k for second in range(20) for k in range(14)]
     (tmp_path / "link.csv").write_text("time,x\n" + "\n".join(f"{t:.4f},{t}" for t in time) + "\n")
     (message,) = json.loads(run(capsys, "inspect", tmp_path / "link.csv", "--json")[1])["messages"]
@@ -118,7 +119,8 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
         (
             "RATE.POut", ["sine"],
             {"announced": "SINE", "setpoint": "A.x", "fields": ["omega=W"], "columns": ["time=1"]},
-            "greybox identify my.BIN --announced SINE --setpoint A.x --fields omega=W --columns time=1",
+            "greybox identify my.BIN --announced SINE --setpoint A.x --fields omega=W --columns "
+            "time=1",
         ),
         ("T.u", ["sine"], {}, "greybox response my.BIN --input SIGNAL --output SIGNAL"),
         ("T.u", [], {}, ""),
@@ -149,7 +151,7 @@ def test_the_next_command_follows_from_what_was_found(message, found, stated, fo
 
 
 def test_bursts_are_gaps_before_more_than_a_twentieth_of_the_samples():
-    """A lossy log of 100 samples at 10 Hz has the rate of its samples, one with six gaps its mean."""
+    """A lossy log of 100 samples at 10 Hz has their rate, one with six gaps the mean."""
     for gaps, expected in ((5, 10.0), (6, 99 / (9.9 + 6 * 0.4))):
         intervals = np.full(99, 0.1)
         intervals[10 : 10 + 5 * gaps : 5] += 0.4

@@ -37,7 +37,8 @@ def test_every_option_reaches_the_parts_that_have_the_parameter():
     both = problem("a", rename={"K": "K_a"}, fixed={"T": 0.3}) + problem(
         "b", fixed={"T": 0.3}, bounds={"K": (0, 7)}
     )
-    words = "--fix K_a=2 --free T c --bounds T=0.1:4 --start T=0.4 --starts-box T=0.2:1 --prior c=1+-0.1".split()
+    words = "--fix K_a=2 --free T c --bounds T=0.1:4 --start T=0.4".split()
+    words += "--starts-box T=0.2:1 --prior c=1+-0.1".split()
     first, second = stated(both, *words).parts
     assert first.fixed_values == {"K": 2.0}
     assert second.fixed_values == {}

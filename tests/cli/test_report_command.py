@@ -4,8 +4,9 @@ import json
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from command_line import OWN, refused, run
+from command_line import OWN, RECORD, refused, run
 
 import greybox as gb
 
@@ -98,3 +99,29 @@ def test_a_model_of_ones_own_is_drawn_where_its_file_is_given(capsys, own, tmp_p
     assert "Bode diagram" in without
     run(capsys, "report", "own.h5", "--model", file, "--out", "with.html")
     assert "<mfrac>" in (tmp_path / "with.html").read_text(encoding="utf-8")
+
+
+def test_held_out_records_are_predicted(capsys, own, tmp_path):
+    text = RECORD.replace(
+        "settings =",
+        'def slow():\n    return gb.Problem(Lag(), problem().data, fixed={"T": 1.0})\n\nsettings =',
+    )
+    file = own(text)
+    for name in ("problem", "slow"):
+        assert run(capsys, "fit", f"{file}:{name}", "--starts", "2", "--out", f"{name}.h5")[0] == 0
+    time = np.arange(150) / 50
+    u = np.sin(5 * time)
+    lines = [
+        f"{t:.2f},{a:.6f},{b:.6f}"
+        for t, a, b in zip(time, u, 0.3 * np.sin(5 * time - 1), strict=True)
+    ]
+    (tmp_path / "flight.csv").write_text("\n".join(["time,u,y [m]", *lines]))
+    both = ("problem.h5", "slow.h5", "--model", file)
+    assert run(capsys, "report", *both, "--held-out", "flight.csv", "--out", "held.html")[0] == 0
+    page = (tmp_path / "held.html").read_text(encoding="utf-8")
+    assert "held-out" in page
+    assert "Time history, flight" in page
+    alone = refused(
+        capsys, "report", "slow.h5", "--model", file, "--held-out", "flight.csv", "--out", "x.html"
+    )
+    assert "give two or more results" in alone

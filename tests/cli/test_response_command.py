@@ -63,7 +63,8 @@ def sweep_table(path, noise=0.0):
 
 
 def closed_loop_table(path, setpoint):
-    """A lag in a feedback loop that follows `setpoint(t)`, with sensor noise, as a table time, r, u, y."""
+    """A lag in a feedback loop that follows `setpoint(t)`, with sensor noise, as a table time, r,
+    u, y."""
     step, y, x = 0.01, 0.0, 0.0
     rows = []
     for t, noise in zip(
@@ -145,7 +146,10 @@ def test_bad_input_is_one_sentence(capsys, tmp_path, monkeypatch, arguments, wor
 
 
 def two_sided_loop(path, noise):
-    """A lag 1 / (0.5 s + 1) under u = 4 (r - y): a sweep of r, and noise in y that is as strong above its band."""
+    """A lag 1 / (0.5 s + 1) under u = 4 (r - y).
+
+    A sweep of r, and noise in y that is as strong above its band.
+    """
     from scipy.signal import chirp
 
     step, y, x = 0.01, 0.0, 0.0
@@ -168,7 +172,8 @@ def lag(omega):
 
 
 def test_in_closed_loop_the_excitation_is_the_instrument(capsys, tmp_path):
-    """The direct estimate of the same record is drawn toward -1/4 by its noise, the joint one is not."""
+    """The direct estimate of the same record is drawn toward -1/4 by its noise, the joint one is
+    not."""
     two_sided_loop(tmp_path / "flight.csv", 0.2)
     command = ["response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--json"]
     answer = json.loads(run(capsys, *command)[1])
@@ -253,7 +258,8 @@ def test_what_was_chosen_and_dropped_is_said(capsys, tmp_path):
 
 
 def test_a_manoeuvre_from_the_log_to_its_model(capsys, tmp_path):
-    """`inspect` names it and the command to type next, `response` writes its spectrum, `fit` finds the truth."""
+    """`inspect` names it and the command to type next, `response` writes its spectrum, `fit` finds
+    the truth."""
     study = benchmark("transient_coverage")
     p = study.SHORT_PERIOD
     a, b = np.array([[0.0, 1.0], [-(p["w"] ** 2), -2 * p["z"] * p["w"]]]), np.array([[0.0], [1.0]])
@@ -292,7 +298,10 @@ def test_a_manoeuvre_from_the_log_to_its_model(capsys, tmp_path):
 
 
 def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
-    """Two multisines at once, each of which moves both inputs; p = 4/(s + 2) da + 1.5/(s + 1) dr by simulation."""
+    """Two multisines at once, each of which moves both inputs.
+
+    P = 4/(s + 2) da + 1.5/(s + 1) dr by simulation.
+    """
     test = gb.experiment.multisine(1.0, 15.0, 20.0, 25.0, signals=("da", "dr"), periods=1).record()
     pure = np.tile([test["da"][:500], test["dr"][:500]], 5)
     moved = np.array([[1, 0.4], [-0.4, 1]]) @ pure

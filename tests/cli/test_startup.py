@@ -1,4 +1,7 @@
-"""The command line as a process of its own: Ctrl-C, and standard output that is not UTF-8, closed, or full."""
+"""The command line as a process of its own.
+
+Ctrl-C, and standard output that is not UTF-8, closed, or full.
+"""
 
 import json
 import os

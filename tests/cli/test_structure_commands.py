@@ -1,4 +1,6 @@
-"""Commands that judge and choose structures: `identifiability`, `orders`, `stepwise`; priors and regions.
+"""Commands that judge and choose structures: `identifiability`, `orders`, `stepwise`.
+
+Priors and regions.
 
 What they say is what the functions of the same names return, whose tests hold it against outside
 truths.
@@ -18,7 +20,8 @@ from greybox.problems import yaw_hover
 
 TERMS = OWN.replace(
     "    def response",
-    "    extra = gb.Parameter(0.1, bounds=(-10, 10), unit='1', about='gain beside')\n    def response",
+    "    extra = gb.Parameter(0.1, bounds=(-10, 10), unit='1', about='gain beside')\n    def "
+    "response",
 ).replace("+ 1)", "+ 1) + p.extra", 1)
 
 

@@ -1,4 +1,7 @@
-"""Tables of other loggers on the command line: read right, or asked about; never a wrong number in silence."""
+"""Tables of other loggers on the command line: read right, or asked about.
+
+Never a wrong number in silence.
+"""
 
 import json
 

@@ -1,4 +1,7 @@
-"""What the README and the guide show runs; tests/problems holds the generated tables against the fits."""
+"""What the README and the guide show runs.
+
+Tests/problems holds the generated tables against the fits.
+"""
 
 import operator
 import re
@@ -40,7 +43,10 @@ def test_links_lead_somewhere(page):
 
 
 def test_the_picture_is_what_the_command_draws(tmp_path):
-    """Its size and the texts of its axes; pixels depend on fonts, and matplotlib 3.10 rounds the width to one more."""
+    """Its size and the texts of its axes.
+
+    Pixels depend on fonts, and matplotlib 3.10 rounds the width to one more.
+    """
     assert f"]({PICTURE.relative_to(README.parent).as_posix()})" in TEXT
     assert PICTURE.stat().st_size < 150_000
     draw_picture(tmp_path / "new.png")

@@ -1,4 +1,7 @@
-"""CONTRIBUTING's recipes, from a user's own file: in Python, on the command line, with standard errors, compared."""
+"""CONTRIBUTING's recipes, from a user's own file.
+
+In Python, on the command line, with standard errors, compared.
+"""
 
 import json
 from pathlib import Path

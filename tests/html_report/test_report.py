@@ -1,4 +1,7 @@
-"""The page in a browser: figures are there and can be read and zoomed, tables sorted, and names do no harm."""
+"""The page in a browser.
+
+Figures are there and can be read and zoomed, tables sorted, and names do no harm.
+"""
 
 import math
 import os

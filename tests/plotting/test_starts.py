@@ -54,7 +54,8 @@ def test_starts_are_sorted_and_failed_ones_stand_at_the_right(fit):
         (0.0, 4.0),
     ]
     assert figure.caption == (
-        "2 of 3 starts agree on the best minimum. Failed runs are at the right; their height means nothing."
+        "2 of 3 starts agree on the best minimum. Failed runs are at the right; their height means "
+        "nothing."
     )
     none = replace(fit, runs=tuple(replace(run, converged=False) for run in fit.runs), minima=())
     assert starts_figure(none).caption.startswith("None of 3 starts converged.")
@@ -110,7 +111,10 @@ def test_minima_have_five_colors_and_further_ones_and_failed_runs_none(fit):
     assert (failed.name, failed.color, failed.x.tolist()) == ("2 × failed", -2, [8, 9])
     assert failed.style not in range(5)
     assert (figure.limits, figure.is_whole) == ((0.0, 10.0), True)
-    said = f"{made.agreeing} of 9 most promising of 13 starts agree on the best minimum. Failed runs are at the right"
+    said = (
+        f"{made.agreeing} of 9 most promising of 13 starts agree on the best minimum. Failed runs "
+        f"are at the right"
+    )
     assert made.agreeing > 1
     assert figure.caption.startswith(said)
     alone = starts_figure(replace(fit, runs=(ended[0],), minima=(replace(minima[0], runs=(0,)),)))

@@ -1,4 +1,7 @@
-"""Modules of benchmarks/, loaded by path: their folder on `sys.path` would shadow modules of the tests."""
+"""Modules of benchmarks/, loaded by path.
+
+Their folder on `sys.path` would shadow modules of the tests.
+"""
 
 import importlib.util
 import sys

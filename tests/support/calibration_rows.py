@@ -1,4 +1,7 @@
-"""A calibration of a sensor: a straight line and a parabola through rows that have no order in time."""
+"""A calibration of a sensor.
+
+A straight line and a parabola through rows that have no order in time.
+"""
 
 import numpy as np
 
@@ -50,7 +53,8 @@ def rows(number=14, seed=0, c=0.0, noise=0.1, time=None):
 
 
 def least_squares(record, degree=1):
-    """Return estimates, their standard errors and the sum of squares, by the formulas of linear regression."""
+    """Return estimates, their standard errors and the sum of squares, by the formulas of linear
+    regression."""
     A = np.vander(record["x"], degree + 1, increasing=True)
     q, _, _, _ = np.linalg.lstsq(A, record["y"], rcond=None)
     squares = float(np.sum((record["y"] - A @ q) ** 2))

@@ -1,4 +1,7 @@
-"""Result files as somebody who means harm could send them: a sound one, changed and sealed again."""
+"""Result files as somebody who means harm could send them.
+
+A sound one, changed and sealed again.
+"""
 
 import json
 import shutil
@@ -186,7 +189,7 @@ CRAFTED = {
 
 
 def craft(name, sound, path):
-    """Write the crafted file `name`, made of the sound one, and what it tries to reach beside it."""
+    """Write the crafted file `name`, made from the sound one, and beside it what it aims at."""
     shutil.copy(sound, path)
     folder = path.parent
     (folder / "secret.txt").write_text(SECRET * 20)

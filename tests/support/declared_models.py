@@ -39,7 +39,10 @@ class Oscillator(gb.TransferFunction):
 
 
 class Parabola(gb.TransferFunction):
-    """The gain is (x² - 1)² + slope · x + 2: two minima near x = ±1 when a gain of 2 is measured."""
+    """The gain is (x² - 1)² + slope · x + 2.
+
+    Two minima near x = ±1 when a gain of 2 is measured.
+    """
 
     x = gb.Parameter(0.3, bounds=(-2, 2))
     slope = gb.Parameter(0.1, fixed=True)
@@ -57,7 +60,8 @@ ROTOR_OMEGA = np.geomspace(2, 60, 12)
 
 
 def measured(model, omega, values=None, noise=0.0, seed=0, name="made", columns=None, **options):
-    """The model's own response with isotropic errors, `noise` in each component relative to the magnitude."""
+    """The model's own response with isotropic errors, `noise` in each component relative to the
+    magnitude."""
     exact = gb.frequency_response(model, values, omega, **options)
     random = np.random.default_rng(seed)
     error = noise * (random.normal(size=len(exact)) + 1j * random.normal(size=len(exact)))

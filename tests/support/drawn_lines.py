@@ -1,4 +1,7 @@
-"""What is drawn: in figures as values and in matplotlib axes; and the settings of the fits that are drawn."""
+"""What is drawn: in figures as values and in matplotlib axes.
+
+It also has the settings of the fits that are drawn.
+"""
 
 QUICK = {"starts": 8, "progress": False}
 TRUTH = {"a1": -14.61, "a2": 2.97, "a3": 8.47, "a4": 295.5, "T_delay": 0.04}

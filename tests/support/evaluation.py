@@ -46,7 +46,10 @@ def input_output_pairs(model):
 
 
 def compiled_response(model, omega, delay="exact", **options):
-    """The response as the optimizer sees it, through CasADi: a function of the parameter values by name."""
+    """The response as the optimizer sees it, through CasADi.
+
+    A function of the parameter values by name.
+    """
     function = response_formula(model, omega, pade=delay_order(delay), **options).closed()
 
     def response(values=None):

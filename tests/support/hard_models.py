@@ -19,7 +19,8 @@ WIND = gb.PredictionError(inputs="held")
 
 
 def simulated(derivative, first, time, held, **options):
-    """Integrate derivative(x, *inputs) with inputs (m, n) held from sample to sample, to ten digits."""
+    """Integrate derivative(x, *inputs) with inputs (m, n) held from sample to sample, to ten
+    digits."""
     states = [np.array(first, dtype=float)]
     for k in range(time.size - 1):
         inputs = [values[k] for values in held]
@@ -191,7 +192,10 @@ def unseen():
 
 
 class Overflow(gb.StateSpace):
-    """The level stops at one; only that tells the size of the inflow, since the sensor's gain is unknown."""
+    """The level stops at one.
+
+    Only this limit determines the inflow, since the gain of the sensor is unknown.
+    """
 
     states, inputs, outputs = ("h",), ("u",), ("y",)
     k = gb.Parameter(0.1, bounds=(0.01, 5), scale="log")
@@ -308,7 +312,10 @@ class Pendulum(gb.StateSpace):
 
 
 def slow_pendulum():
-    """Two samples and a half a period: four standard steps of Runge-Kutta damp more than the pendulum itself."""
+    """Two samples and a half a period.
+
+    Four standard steps of Runge-Kutta damp more than the pendulum itself.
+    """
     time = 0.4 * np.arange(60)
     x = free_motion(lambda t, x: [x[1], -39 * np.sin(x[0]) - 0.08 * x[1]], [1.2, 0], time)
     theta = x[0] + 0.01 * np.random.default_rng(0).standard_normal(60)
@@ -316,7 +323,10 @@ def slow_pendulum():
 
 
 class Lorenz(gb.StateSpace):
-    """The chaotic system of Lorenz (1963), Journal of the Atmospheric Sciences 20(2); one state measured."""
+    """The chaotic system of Lorenz (1963), Journal of the Atmospheric Sciences 20(2).
+
+    One state measured.
+    """
 
     states, inputs, outputs = ("x", "y", "z"), (), ("x", "z")
     s = gb.Parameter(5.0, bounds=(1, 30), scale="log")
@@ -379,7 +389,10 @@ def swing():
 
 
 def stiff_lag():
-    """A fast pole of 1000 1/s behind a slow one, sampled at 20 Hz; the data hold nothing of the fast one."""
+    """A fast pole of 1000 1/s behind a slow one, sampled at 20 Hz.
+
+    The data hold nothing of the fast one.
+    """
     random, n, step = np.random.default_rng(0), 300, 0.05
     u = np.repeat(random.normal(size=n // 10), 10)
     y, decay = np.zeros(n), np.exp(-2.0 * step)
@@ -390,7 +403,10 @@ def stiff_lag():
 
 
 class Conversion(gb.StateSpace):
-    """A to B with k1, back with k2: at the stability limit, Runge-Kutta has a spurious fast solution of equal cost."""
+    """A to B with k1, back with k2.
+
+    At the stability limit, Runge-Kutta has a spurious fast solution of equal cost.
+    """
 
     states, inputs, outputs = ("A", "B"), (), ("y",)
     k1 = gb.Parameter(1.0, bounds=(1e-5, 1e5), scale="log")
@@ -417,7 +433,10 @@ def conversion():
 
 
 class Thrust(gb.StateSpace):
-    """Four lags of one time constant behind a quadratic sum: combinations of their initial states are hardly seen."""
+    """Four lags of one time constant behind a quadratic sum.
+
+    Combinations of their initial states are hardly seen.
+    """
 
     states = ("r1", "r2", "r3", "r4")
     inputs, outputs = ("u1", "u2", "u3", "u4"), ("F",)
@@ -500,7 +519,8 @@ class Direct(Lag):
 
 
 def direct(samples, seed):
-    """The lag of a held input and its input, which a sample sees as it was just before if the delay is a fraction."""
+    """The lag of a held input and its input, which a sample sees as it was just before if the delay
+    is a fraction."""
     data = lag(samples * 0.05, True, noise=0.01, seed=seed)
     late = np.clip(np.arange(len(data)) - int(np.ceil(samples - 1e-9)), 0, None)
     return data.with_signals(y=data["y"] + data["u"][late])
@@ -631,7 +651,10 @@ class MGH10(gb.StateSpace):
 
 
 class MGH17(gb.StateSpace):
-    """Two decays that nearly cancel: y = b1 + b2 exp(-b4 x) + b3 exp(-b5 x), as states e, f with known first values."""
+    """Two decays that nearly cancel.
+
+    y = b1 + b2 exp(-b4 x) + b3 exp(-b5 x), as states e, f with known first values.
+    """
 
     states, inputs, outputs = ("e", "f"), (), ("y",)
     b1 = gb.Parameter(50.0, bounds=(-100, 100))
@@ -666,7 +689,10 @@ class Lanczos(gb.StateSpace):
 
 
 def nist(model, table, **initial):
-    """A problem from a table (n, 2) of y and x: of x as input, or of time where the model has none."""
+    """A problem from a table (n, 2) of y and x.
+
+    x is the input, or the time if the model has no input.
+    """
     y, x = table.T
     if model.inputs:
         return gb.Problem(

@@ -11,7 +11,7 @@ from greybox.formulation.frequency_criteria import squared_magnitude, stacked, t
 
 @dataclass(frozen=True)
 class Huber(gb.Criterion):
-    """Sum of Huber's function of the relative errors, Huber (1981), Robust Statistics, chapter 4."""
+    """Sum of Huber's function of the relative errors: Huber (1981), Robust Statistics, ch. 4."""
 
     threshold: float = 1.0
     rule: ClassVar[str] = "Huber's function of relative errors"

@@ -1,4 +1,5 @@
-"""Transfer functions with known parameters, records of them, and maximum likelihood of their responses by scipy."""
+"""Transfer functions with known parameters, records of them, and maximum likelihood of their
+responses by scipy."""
 
 import math
 from collections.abc import Callable
@@ -69,7 +70,10 @@ def excitation(kind, time, rng):
 
 
 def flown(system, kind, rng, *, noise=0.1, pole=0.0, duration=164.0, rate=32.0):
-    """Return a record of u, y that begins at rest; `noise` is AR(1) with `pole`, relative to the output."""
+    """Return a record of u, y that begins at rest.
+
+    `noise` is AR(1) with `pole`, relative to the output.
+    """
     time = np.arange(0, duration, 1 / rate)
     u = excitation(kind, time, rng)
     size = 1 << math.ceil(math.log2(time.size + 200 * rate))
@@ -85,7 +89,10 @@ def flown(system, kind, rng, *, noise=0.1, pole=0.0, duration=164.0, rate=32.0):
 
 
 def maximum_likelihood(system: System, data: FrequencyResponse):
-    """Return estimate and standard errors as `gb.MaximumLikelihood` has them: a second implementation, and quick."""
+    """Return estimate and standard errors as `gb.MaximumLikelihood` has them.
+
+    A second implementation, and quick.
+    """
     deviation = np.sqrt(data.variance / 2)
 
     def residuals(p):

@@ -1,4 +1,5 @@
-"""A lateral aircraft model with five outputs, and exact simulations of linear models under process noise."""
+"""A lateral aircraft model with five outputs, and exact simulations of linear models under process
+noise."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -45,7 +46,10 @@ LATERAL = dict(
 
 
 def discretized(A, B, intensity, step):
-    """Return transition, input matrix and covariance of the noise over a step. Van Loan (1978), IEEE TAC 23."""
+    """Return transition, input matrix and covariance of the noise over a step.
+
+    Van Loan (1978), IEEE TAC 23.
+    """
     n, m = B.shape
     held = np.zeros((n + m, n + m))
     held[:n, :n], held[:n, n:] = A, B
@@ -55,7 +59,7 @@ def discretized(A, B, intensity, step):
 
 
 def disturbed(model, truth, inputs, step, process, sensors, seed):
-    """Return a record of a linear model with white noise of these sizes on derivatives and outputs."""
+    """Return a record of a linear model with this white noise on derivatives and outputs."""
     linear = gb.modeling.linearize(model, truth)
     n, random = len(model.states), np.random.default_rng(seed)
     intensity = [process.get(state, 0.0) for state in model.states]

@@ -1,4 +1,6 @@
-"""NIST's nonlinear regression problems: static models, rows without a time, starts and certified values.
+"""NIST's nonlinear regression problems.
+
+Static models, rows without a time, starts and certified values.
 
 Source: NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/ (public domain).
 """
@@ -69,7 +71,7 @@ FORMULAS = {
 
 @dataclass(frozen=True, eq=False)
 class Certified:
-    """One problem: its two starts, certified values and standard deviations by name, and its data."""
+    """One problem: two starts, certified values and standard deviations by name, and data."""
 
     problem: gb.Problem
     starts: tuple[dict[str, float], dict[str, float]]

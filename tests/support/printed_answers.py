@@ -1,4 +1,7 @@
-"""Printed answers of representative fits; ``python tests/support/printed_answers.py`` renews tests/golden/answers.txt."""
+"""Printed answers of representative fits.
+
+``python tests/support/printed_answers.py`` renews tests/golden/answers.txt.
+"""
 
 import math
 import re
@@ -118,7 +121,7 @@ def printed():
 
 
 def differences(expected, actual):
-    """Yield the lines of two texts that differ in words, or in numbers beyond the rounding of another processor.
+    """Yield the lines of two texts that differ in words, or in numbers beyond rounding.
 
     Numbers may differ by a thousandth, and by one in the last digit that is printed.
     """

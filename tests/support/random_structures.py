@@ -12,7 +12,8 @@ KINDS = ("product", "ratio", "square", "sum", "three", "dead", "bias")
 
 @dataclass(frozen=True)
 class Planted:
-    """A problem with simulated data, the parameters planted as not determined, and the combination that is."""
+    """A problem with simulated data, the parameters planted as not determined, and the combination
+    that is."""
 
     problem: gb.Problem
     lost: frozenset

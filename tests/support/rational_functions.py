@@ -1,4 +1,5 @@
-"""Rational functions with known poles and zeros, their responses, and those that the paper publishes."""
+"""Rational functions with known poles and zeros, their responses, and those that the paper
+publishes."""
 
 from pathlib import Path
 

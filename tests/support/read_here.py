@@ -9,7 +9,8 @@ from greybox.files.subprocess_main import EXPANSION, KINDS, SMALL, Collector, Re
 
 
 def read_here(kind, path, *wanted):
-    """As `greybox.files.subprocess_reader.read_in_subprocess`, without the limits of time and memory."""
+    """As `greybox.files.subprocess_reader.read_in_subprocess`, without the limits of time and
+    memory."""
     size = path.stat().st_size
     found = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
     try:

@@ -1,4 +1,7 @@
-"""The generated tables of docs/included.md and the picture of the README; running this file writes them."""
+"""The generated tables of docs/included.md and the picture of the README.
+
+Running this file writes them.
+"""
 
 import re
 from pathlib import Path
@@ -11,7 +14,9 @@ README = Path(__file__).parents[2] / "README.md"
 INCLUDED = README.parent / "docs" / "included.md"
 PICTURE = README.parent / "docs" / "pitch_hover.png"
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
-STARTS = 20  # reach the values of 200 starts to 8e-8; tests/problems holds the minima against those of 1000 starts
+# reach the values of 200 starts to 8e-8; tests/problems holds the minima against those of 1000
+# starts
+STARTS = 20
 
 
 def refitted(name):
@@ -59,7 +64,8 @@ def least_squares_table():
 
 
 def draw_picture(path):
-    """Draw what `greybox fit pitch_hover --plot` draws, smaller, and write the texts of its axes into the file."""
+    """Draw what `greybox fit pitch_hover --plot` draws, smaller, and write the texts of its axes
+    into the file."""
     problem, settings = find_problem("pitch_hover")
     figure = gb.plot(gb.fit(problem, **settings, progress=False))
     texts = [
@@ -72,7 +78,10 @@ def draw_picture(path):
 
 
 def written(text, refitted=refitted):
-    """Return the text with its tables made anew; the fits of the shipped problems are those of ``refitted(name)``."""
+    """Return the text with its tables made anew.
+
+    The fits of the shipped problems are those of ``refitted(name)``.
+    """
     tables = {
         "problems": problems_table(refitted),
         "least squares": least_squares_table(),

@@ -67,7 +67,8 @@ class TrapezoidalRule(ImplicitIntegrator):
 
 @dataclass(frozen=True)
 class Trapezoidal(gb.Transcription):
-    """The states at all samples, joined by the trapezoidal rule, Betts (2010), 2nd ed., section 4.6."""
+    """The states at all samples, joined by the trapezoidal rule, Betts (2010), 2nd ed., section
+    4.6."""
 
     label: ClassVar[str] = "trapezoidal collocation"
 

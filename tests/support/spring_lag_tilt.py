@@ -1,4 +1,5 @@
-"""A spring, a lag and a tilt plant with records of them, and what a fit to such a record is held against."""
+"""A spring, a lag and a tilt plant with records of them, and what a fit to such a record is held
+against."""
 
 import numpy as np
 from scipy.signal import lfilter, lsim
@@ -98,7 +99,10 @@ def spring(n=300, rate=20.0, seed=0, noise=0.05, values=SPRING, force=None, **op
 
 
 def lag(delay, held, n=400, step=0.05, noise=0.0, seed=0, fine=100):
-    """A record of the lag, exact: linear between points of a fine grid, on which the delay falls."""
+    """A record of the lag, exact.
+
+    Linear between points of a fine grid, on which the delay falls.
+    """
     u = (
         steps(n, seed, hold=3)
         if held

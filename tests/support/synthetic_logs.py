@@ -1,4 +1,7 @@
-"""Logs made for the tests: DataFlash as bytes and as text, MAVLink telemetry; written by the formats' definitions."""
+"""Logs made for the tests: DataFlash as bytes and as text, MAVLink telemetry.
+
+Written by the formats' definitions.
+"""
 
 import io
 import struct
@@ -57,7 +60,7 @@ class Log:
             self.add("MULT", 0, ord(letter), multiplier)
 
     def add(self, name, *values):
-        """Log a message; values of the letters c, C, e, E, L in their own unit, not in hundredths."""
+        """Log a message; values of the letters c, C, e, E, L are in their unit, not hundredths."""
         kind, letters, body = self.kinds[name]
         raw, said = [], []
         for letter, value in zip(letters, values, strict=True):
@@ -84,7 +87,10 @@ class Log:
 
 
 def flight(seconds=4.0, rate=100.0, start=10.0, lanes=2, seed=0):
-    """A hover as ArduPilot would log it: attitude, rates, two IMUs, parameters, texts, modes, arming."""
+    """A hover as ArduPilot would log it.
+
+    Attitude, rates, two IMUs, parameters, texts, modes, arming.
+    """
     rng = np.random.default_rng(seed)
     log = Log()
     log.fmt("PARM", "QNff", "TimeUS,Name,Value,Default", "s---", "F---")
@@ -124,7 +130,8 @@ def flight(seconds=4.0, rate=100.0, start=10.0, lanes=2, seed=0):
 
 
 def tlog(packets, first=False):
-    """Return a telemetry log of (µs since 1970, system, component, message), in MAVLink 2 or in its first version."""
+    """Return a telemetry log of (µs since 1970, system, component, message), in MAVLink 2 or in its
+    first version."""
     out, sequence = io.BytesIO(), 0
     for stamp, system, component, message in packets:
         link = mavlink.MAVLink(io.BytesIO(), srcSystem=system, srcComponent=component)
@@ -134,7 +141,7 @@ def tlog(packets, first=False):
 
 
 def radio(seconds=4.0, boot=1_700_000_000_000_000):
-    """A telemetry log: an autopilot (1, 1), its camera (1, 100) and the ground station (255, 190)."""
+    """A telemetry log: autopilot (1, 1), its camera (1, 100), ground station (255, 190)."""
     packets = []
 
     def send(t, system, component, message, latency=0.02):
@@ -237,7 +244,8 @@ def _empty_ulog():
 
 
 def ulog(seconds=2.0, rate=100):
-    """A PX4 log: attitude with an array, two accelerometers, the vehicle's status, parameters, a text."""
+    """A PX4 log: attitude with an array, two accelerometers, the vehicle's status, parameters, a
+    text."""
     out, put = _empty_ulog()
 
     def key(kind, name, value):
@@ -274,7 +282,9 @@ def ulog(seconds=2.0, rate=100):
 
 
 def px4_flight():
-    """A PX4 log of five pitch sines in closed loop: the plant 60 / ((0.05 s + 1) s (s + 2)), exact for a held torque.
+    """A PX4 log of five pitch sines in closed loop.
+
+    The plant 60 / ((0.05 s + 1) s (s + 2)), exact for a held torque.
 
     The controller is u = 0.3 (r - θ) - 0.06 q with noise of angle and rate, 125 Hz.
     """
