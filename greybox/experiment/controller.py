@@ -176,6 +176,13 @@ def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.
     return column(f"{label}.update", following), column(f"{label}.update", outputs)
 
 
+def listed(controller: Controller | Sequence[Controller] | None) -> list[Controller]:
+    """Return the controllers of a loop, which may be one, several or none."""
+    if controller is None:
+        return []
+    return list(controller) if isinstance(controller, Sequence) else [controller]
+
+
 def connected(
     controller: Controller | Sequence[Controller] | None,
     inputs: Sequence[str],
@@ -192,11 +199,7 @@ def connected(
     TypeError
         If one is not a controller.
     """
-    controllers: list[Controller] = []
-    if isinstance(controller, Sequence):
-        controllers += controller
-    elif controller is not None:
-        controllers += [controller]
+    controllers = listed(controller)
     driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):

@@ -43,12 +43,14 @@ class ExpectedErrors:
         rows = [
             (
                 name,
-                f"{self.values[name]:.4g}",
+                f"{value:.4g}",
                 f"± {error:.2g}",
                 self.units[name],
-                _percent(error, self.values[name]),
+                f"{100 * error / abs(value):.2g} %" if value and np.isfinite(error) else "",
             )
-            for name, error in self.standard_error.items()
+            for (name, error), value in zip(
+                self.standard_error.items(), self.values.values(), strict=True
+            )
         ]
         table = text_table(("", "value", "", "unit", "percent"), rows)
         lines = ["Standard errors that this test would give", "", table]
@@ -100,7 +102,3 @@ def expected_errors(
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
     standard_error = dict(zip(nlp.free, errors.tolist(), strict=True))
     return ExpectedErrors(at, standard_error, information, undetermined, units)
-
-
-def _percent(error: float, value: float) -> str:
-    return f"{100 * error / abs(value):.2g} %" if value and np.isfinite(error) else ""

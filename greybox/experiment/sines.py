@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
+from greybox.files.arrays import Array
 
 
 def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
@@ -46,18 +47,8 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
         If a frequency is not between 0 and a fifth of the sampling rate, or if the lengths differ.
     """
     frequencies = checked_band(omega, rate)
-    amplitudes = np.atleast_1d(np.asarray(amplitude, dtype=float))
-    if amplitudes.size not in (1, frequencies.size):
-        raise ValueError(
-            f"there are {frequencies.size} frequencies but {amplitudes.size} amplitudes: give one for each."
-        )
-    amplitudes = np.broadcast_to(amplitudes, frequencies.shape)
-    counts = np.atleast_1d(np.asarray(periods, dtype=int))
-    if counts.size not in (1, frequencies.size):
-        raise ValueError(
-            f"there are {frequencies.size} frequencies but {counts.size} numbers of periods."
-        )
-    counts = np.broadcast_to(counts, frequencies.shape)
+    amplitudes = _for_each(frequencies, amplitude, "amplitudes")
+    counts = _for_each(frequencies, periods, "numbers of periods")
 
     schedule = []
     clock = pause
@@ -80,3 +71,12 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     return Excitation(
         time, {signal: values}, {signal: unit}, rate, tuple(schedule), {"pause": pause}
     )
+
+
+def _for_each(frequencies: Array, values: float | Sequence[float], what: str) -> Array:
+    given = np.atleast_1d(np.asarray(values, dtype=float))
+    if given.size not in (1, frequencies.size):
+        raise ValueError(
+            f"there are {frequencies.size} frequencies but {given.size} {what}: give one for each."
+        )
+    return np.broadcast_to(given, frequencies.shape)

@@ -263,8 +263,9 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     early = [h[whole] for h, (whole, _) in zip(past, delays, strict=True)]
 
     # A control that is computed from this sample reaches the plant after it.
+    commanded = {c.outside(n) for c in loop.controllers for n in c.outputs}
     now = [
-        late if not part and (whole or name not in _given(loop.controllers)) else before
+        late if not part and (whole or name not in commanded) else before
         for name, late, before, (whole, part) in zip(
             system.inputs, _late(past, signals, loop), early, delays, strict=True
         )
@@ -360,10 +361,6 @@ def _divergence(
     )
 
 
-def _given(controllers: Sequence[Controller]) -> set[str]:
-    return {c.outside(n) for c in controllers for n in c.outputs}
-
-
 def _open_loop_rate(excitation: Excitation | Mapping[str, ArrayLike], rate: float | None) -> float:
     if isinstance(excitation, Excitation):
         return float(excitation.rate)
@@ -380,13 +377,13 @@ def _commands(
     clock: float,
     places: Sequence[str],
     label: str,
-) -> tuple[Array, dict[str, Array], Mapping[str, str]]:
+) -> tuple[Array, dict[str, Array], dict[str, str]]:
     """Return time, the excitation by name on the clock of the loop, and units."""
     if isinstance(excitation, Excitation):
         require_known(excitation.signals, places, "place for", label)
         time = np.arange(math.floor(excitation.time[-1] * clock + 1e-6) + 1) / clock
         sampled = {n: np.interp(time, excitation.time, v) for n, v in excitation.signals.items()}
-        return time, sampled, excitation.units
+        return time, sampled, dict(excitation.units)
 
     if not isinstance(excitation, Mapping):
         raise TypeError(

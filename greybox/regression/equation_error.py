@@ -176,27 +176,22 @@ def equation_error(
     equations = regressions(system, record.signals, constants, start)
     _require_equations(model, equations, record)
     longest_delays = _longest_delays(system, parameters)
-    names = (system.states, system.inputs)
     between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
 
-    data = regressors(equations, names, record, start, longest_delays, between)
+    data = regressors(equations, record, start, longest_delays, between)
     projection = project(data, unknown, start)
     # Lags that turn out slower than at their start need more rows at the beginning to forget their
     # initial values.
     slower = projection.vector
-    if memory(equations, names, slower) > 1.1 * memory(equations, names, start):
+    if memory(equations, slower) > 1.1 * memory(equations, start):
         cutoffs = data.cutoffs
-        shorter = regressors(
-            equations, names, record, slower, longest_delays, between, cutoffs=cutoffs
-        )
+        shorter = regressors(equations, record, slower, longest_delays, between, cutoffs=cutoffs)
         if shorter.blocks(slower):  # else the record is too short for that
             data = shorter
             start = slower
             projection = project(data, unknown, start)
 
-    again = partial(
-        regressors, equations, names, p=start, latest=longest_delays, cutoffs=data.cutoffs
-    )
+    again = partial(regressors, equations, p=start, latest=longest_delays, cutoffs=data.cutoffs)
     bias = _bias(data, projection, record, again)
     name = f"{model.label}, {record.name or 'record'}"
     texts = described_inputs(inputs, system.inputs, record)

@@ -58,6 +58,8 @@ class Equations:
     states : tuple of KnownState
         In an order in which each needs only those before it; the simulated ones come last.
     equations : tuple of Equation
+    state_names, input_names : tuple of str
+        Names of the model, in the order of x and u.
     linear, nonlinear : tuple of str
         Free parameters that enter the equations linearly (given the others), and those that do not.
     rows : casadi.Function
@@ -72,6 +74,8 @@ class Equations:
 
     states: tuple[KnownState, ...]
     equations: tuple[Equation, ...]
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
     free: tuple[str, ...]
     linear: tuple[str, ...]
     nonlinear: tuple[str, ...]
@@ -143,9 +147,7 @@ class _Analysis:
         """Go through the states, then the equations, then the parameters."""
         self._know_measured_states()
         self._know_simulated_states()
-        identities = self._identities()
-
-        candidates = list(self._candidates(identities))
+        candidates = list(self._candidates())
         equations = tuple(equation for _, equation in candidates)
         rows = [row for row, _ in candidates]
         needed = set().union(*(self._behind(row) for row in rows))
@@ -171,6 +173,8 @@ class _Analysis:
         return Equations(
             states=tuple(sorted(states, key=lambda s: s.how == "simulated")),
             equations=equations,
+            state_names=self.model.states,
+            input_names=self.model.inputs,
             free=self.free,
             linear=linear,
             nonlinear=nonlinear,
@@ -249,12 +253,7 @@ class _Analysis:
         values = values[np.all(np.isfinite(values), axis=1)]
         return bool(np.all(np.abs(values[:, 0]) <= 1e-9 * (1 + np.abs(values[:, 1:]).sum(axis=1))))
 
-    def _identities(self) -> set[str]:
-        """Return the outputs that only define a state and have no free parameter."""
-        sources = {state.source for state in self.states.values() if state.how == "signal"}
-        return {n for n, row in self.h.items() if n in sources and not self._own_parameters(row)}
-
-    def _candidates(self, identities: set[str]) -> Iterator[tuple[ca.SX, Equation]]:
+    def _candidates(self) -> Iterator[tuple[ca.SX, Equation]]:
         """Yield the right side and the description of every equation that can be used."""
         rows: list[tuple[str, Kind, ca.SX]] = []
         for name, row in self.f.items():
@@ -263,7 +262,7 @@ class _Analysis:
             elif name not in self.states and self._parameters(row):
                 self.left_out.append(f"{name}' (the state {name} is not known)")
         for name, row in self.h.items():
-            if name in self.signals and name not in identities:
+            if name in self.signals:
                 rows.append((name, "output", row))
         for name, kind, row in rows:
             parameters = self._parameters(row)

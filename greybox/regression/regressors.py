@@ -56,7 +56,6 @@ class Regressors:
     """
 
     equations: Equations
-    names: tuple[tuple[str, ...], tuple[str, ...]]
     time: Array
     states: Mapping[str, Array]
     derivatives: Mapping[str, Array]
@@ -80,9 +79,9 @@ class Regressors:
         Empty where a simulated state grows without bound.
         """
         u = self._late(np.asarray(self.equations.delay(p)).ravel())
-        x = np.full((len(self.names[0]), self.time.size), np.nan)
+        x = np.full((len(self.equations.state_names), self.time.size), np.nan)
         for name, values in self.states.items():
-            x[self.names[0].index(name)] = values
+            x[self.equations.state_names.index(name)] = values
         if not self._simulate(x, u, p):
             return []
         parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
@@ -113,7 +112,7 @@ class Regressors:
     def _late(self, delays: Array) -> Array:
         """Return the inputs (m, n) after their delays."""
         rows = []
-        for name, longer in zip(self.names[1], delays, strict=True):
+        for name, longer in zip(self.equations.input_names, delays, strict=True):
             late = self.inputs[name]
             delay = longer + self.between[name].late
             if delay != 0:
@@ -134,7 +133,7 @@ class Regressors:
         matrix = matrix[:, : len(names)]
         if not np.all(np.isfinite(matrix)) or np.max(np.linalg.eigvals(matrix).real) >= 0:
             return False
-        places = [self.names[0].index(name) for name in names]
+        places = [self.equations.state_names.index(name) for name in names]
         for rows in stretches(self.time, *drive):
             if rows.stop - rows.start > 1:
                 x[places, rows] = _linear_response(matrix, drive[:, rows], self.step)
@@ -143,7 +142,6 @@ class Regressors:
 
 def regressors(
     equations: Equations,
-    names: tuple[tuple[str, ...], tuple[str, ...]],
     record: Record,
     p: Array,
     latest: Array,
@@ -155,8 +153,6 @@ def regressors(
 
     Parameters
     ----------
-    names : (states, inputs)
-        Of the model, in the order of its vectors.
     p : (number of free parameters,) array
         Start values, at which simulated states say how long they remember.
     latest : (number of inputs,) array, s
@@ -181,18 +177,20 @@ def regressors(
             signal = derivatives[state.source]
         else:
             continue
-        states[state.name] = (
-            signal if state.value is None else _value(state.value, names[0], states, signal)
-        )
+        if state.value is not None:
+            nothing = np.full(signal.size, np.nan)
+            x = np.array([states.get(name, nothing) for name in equations.state_names])
+            signal = np.asarray(state.value(x, signal[None, :])).ravel()
+        states[state.name] = signal
         derivatives[state.name] = _derivative(time, states[state.name])
 
     inputs = {
         name: acting(time, without_holes(time, record[name]), between[name].held)
-        for name in names[1]
+        for name in equations.input_names
     }
     longest = [
         delay + (record.step if between[n].held else between[n].late)
-        for n, delay in zip(names[1], latest, strict=True)
+        for n, delay in zip(equations.input_names, latest, strict=True)
     ]
     outputs = {
         e.target: without_holes(time, record[e.target])
@@ -204,7 +202,6 @@ def regressors(
     ]
     return Regressors(
         equations=equations,
-        names=names,
         time=time,
         states=states,
         derivatives=derivatives,
@@ -214,7 +211,7 @@ def regressors(
         cutoffs=used,
         noise=noise,
         bands=tuple(bands),
-        lateness=max(longest, default=0.0) + memory(equations, names, p),
+        lateness=max(longest, default=0.0) + memory(equations, p),
         splines=_splines(time, inputs, between),
     )
 
@@ -261,13 +258,6 @@ def _splines(
     return splines
 
 
-def _value(
-    function: object, names: tuple[str, ...], states: Mapping[str, Array], signal: Array
-) -> Array:
-    x = np.array([states.get(name, np.full(signal.size, np.nan)) for name in names])
-    return np.asarray(function(x, signal[None, :])).ravel()  # type: ignore[operator]
-
-
 def _derivative(time: Array, values: Array) -> Array:
     step = float(np.median(np.diff(time)))
     result = np.full(values.size, np.nan)
@@ -277,11 +267,12 @@ def _derivative(time: Array, values: Array) -> Array:
     return result
 
 
-def memory(equations: Equations, names: tuple[tuple[str, ...], tuple[str, ...]], p: Array) -> float:
+def memory(equations: Equations, p: Array) -> float:
     """Return how long simulated states remember where they began, s."""
     if not equations.simulated_names:
         return 0.0
-    matrix = np.asarray(equations.simulated(np.zeros(len(names[0])), np.zeros(len(names[1])), p)[1])
+    rest = (np.zeros(len(equations.state_names)), np.zeros(len(equations.input_names)))
+    matrix = np.asarray(equations.simulated(*rest, p)[1])
     return math.log(1 / REMEMBERED) / float(np.min(-np.linalg.eigvals(matrix).real))
 
 

@@ -78,7 +78,7 @@ def response_at(
         dof[good],
         name,
         ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
-        [s.origin for s in stretches if s.origin is not None],
+        tuple(s.origin for s in stretches if s.origin is not None),
         {n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u},
         about=about,
     )

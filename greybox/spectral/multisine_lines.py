@@ -77,15 +77,12 @@ def periodic_response(
         amplitude = np.sqrt(np.sum(np.abs(spectra[:, 2]) ** 2, axis=0))
         multiple = 1 + np.flatnonzero(amplitude > EXCITED * amplitude.max())
     else:
-        multiple = _multiples(np.atleast_1d(np.asarray(omega, dtype=float)), fundamental)
-        if multiple.max() > spectra.shape[2]:
-            raise ValueError(
-                f"omega = {multiple.max() * fundamental:g} rad/s is not below half of the sampling "
-                "rate: leave it out."
-            )
+        frequencies = np.atleast_1d(np.asarray(omega, dtype=float))
+        multiple = _multiples(frequencies, fundamental, spectra.shape[2])
 
     points = _estimates(*np.moveaxis(spectra[:, :, multiple - 1], 1, 0))
-    response = response_at(multiple * fundamental, points, (input, output, name), stretches)
+    grid = np.asarray(multiple, dtype=np.float64) * np.float64(fundamental)
+    response = response_at(grid, points, (input, output, name), stretches)
     return response if omega is not None else without_incoherent(response)
 
 
@@ -131,16 +128,17 @@ def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
     )
 
 
-def _multiples(omega: Array, fundamental: float) -> IntArray:
+def _multiples(omega: Array, fundamental: float, lines: int) -> IntArray:
     """Return the frequencies as whole multiples of the fundamental."""
     multiple = omega / fundamental
-    odd = (np.abs(multiple - np.rint(multiple)) > 1e-6) | (multiple < 0.5)
+    whole = np.rint(multiple)
+    odd = (np.abs(multiple - whole) > 1e-6) | (whole < 1) | (whole > lines)
     if odd.any():
         raise ValueError(
             f"omega = {omega[odd][0]:g} rad/s is not a multiple of 2π / period = {fundamental:g} "
-            "rad/s: leave it out."
+            "rad/s below half of the sampling rate: leave it out."
         )
-    return np.rint(multiple).astype(int)
+    return whole.astype(int)
 
 
 def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[EstimatedPoint]:

@@ -112,7 +112,7 @@ def response_matrix(
             dof=np.full(rows_of[j].size, 2.0 * (count - 1)),
             name=f"{name} {inputs[j]} to {outputs[i]}".strip(),
             source=stretches[0].source,
-            stretches=[s.origin for s in stretches if s.origin is not None],
+            stretches=tuple(s.origin for s in stretches if s.origin is not None),
             units={key: units[key] for key in (inputs[j], outputs[i]) if key in units},
         )
         for i in range(k)

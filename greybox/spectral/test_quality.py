@@ -248,23 +248,13 @@ def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> 
     if math.isnan(high):
         text = "there is no test segment and no response: the excitation was not judged."
         yield Finding("spread", "note", math.nan, text)
-    if response is not None:
-        single = len(response) == 1
-    else:
-        usable = [segment for segment in segments if segment.usable]
-        single = bool(usable) and all(segment.kind == "sine" for segment in usable) and high == low
-    if single:
-        text = (
-            f"only {high:g} rad/s is excited: one frequency gives two numbers, too few to identify "
-        )
-        text += "dynamics; add frequencies around the ones of interest."
+    elif high == low:
+        text = f"only {high:g} rad/s is excited: one frequency gives two numbers, too few to "
+        text += "identify dynamics; add frequencies around the ones of interest."
         yield Finding("spread", "refusal", high, text)
     elif high < 2 * low:
-        text = (
-            f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few parameters "
-        )
-        text += "are identifiable."
-        yield Finding("spread", "warning", high / low, text)
+        text = f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few "
+        yield Finding("spread", "warning", high / low, text + "parameters are identifiable.")
 
 
 def _length(

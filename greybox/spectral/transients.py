@@ -64,12 +64,11 @@ def transient_spectrum(
     step = duration / (stretch.values.shape[1] - 1)
     omega = lines_in_band(band, duration, step)
 
-    transforms = {}
-    for name, values in zip(names, stretch.values, strict=True):
-        reading = intersample(record.hold.get(name, 0.0), step)
-        transforms[name] = (
-            _held(values, omega, step) if reading.held else _interpolated(values, omega, step)
-        )
+    readings = {name: intersample(record.hold.get(name, 0.0), step) for name in names}
+    transforms = {
+        name: (_held if readings[name].held else _interpolated)(values, omega, step)
+        for name, values in zip(names, stretch.values, strict=True)
+    }
     spectrum = TransientSpectrum(
         omega,
         {name: transforms[name] for name in inputs},
@@ -85,10 +84,8 @@ def transient_spectrum(
         source=record.source,
         stretch=stretch.origin,
     )
-    late = {name: intersample(record.hold.get(name, 0.0), step).late for name in inputs}
-    return replace(
-        spectrum, inputs={name: spectrum.delayed_input(name, late[name]) for name in inputs}
-    )
+    delayed = {name: spectrum.delayed_input(name, readings[name].late) for name in inputs}
+    return replace(spectrum, inputs=delayed)
 
 
 def lines_in_band(band: tuple[float, float], duration: float, step: float) -> Array:

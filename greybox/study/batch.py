@@ -3,9 +3,8 @@
 Begin with `batch`.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -157,11 +156,14 @@ def batch(
     with locked(folder), limited(limits):
         stored = add_members(folder, [member.name for member in listed])
         try:
-            with listening(), _shown(listed, progress) as bar:
+            hidden = None if progress else True  # None: on a terminal only
+            bar = tqdm(total=len(listed), disable=hidden, delay=2, unit="fit", leave=False)
+            with listening(), bar:
                 for member in listed:
                     if is_search_over():
                         break
                     _fit_member(member, folder, stored[member.name], executor, bar)
+                    bar.update()
         except KeyboardInterrupt as pressed:
             raise BatchInterrupted(read_study(folder)) from pressed
         return read_study(folder)
@@ -179,55 +181,18 @@ def require_distinct(members: Sequence[Member]) -> None:
             )
 
 
-@contextmanager
-def _shown(members: Sequence[Member], progress: bool) -> Iterator["_Display"]:
-    with tqdm(
-        total=len(members),
-        disable=None if progress else True,
-        delay=2,
-        leave=False,
-        bar_format="{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}  {desc}",
-    ) as bar:
-        yield _Display(bar)
-
-
-class _Display:
-    """The progress bar of a batch."""
-
-    def __init__(self, bar: Any) -> None:
-        self._bar = bar
-        self._done = 0
-        self._failed = 0
-
-    def begin(self, name: str) -> Callable[[int, int], None]:
-        """Return a function that reports the runs of a member."""
-
-        def report(done: int, count: int) -> None:
-            failed = f", {self._failed} failed" if self._failed else ""
-            members = f"{self._done} of {self._bar.total} done{failed}"
-            runs = f"{name}: {done} of {counted(count, 'start')}"
-            self._bar.set_description_str(f"{members}; {runs}", refresh=False)
-            # The diagnostics after the runs take the remaining hundredth.
-            self._bar.update(self._done + 0.99 * done / count - self._bar.n)
-
-        return report
-
-    def end(self, *, failed: bool) -> None:
-        """Count a finished member."""
-        self._done += 1
-        self._failed += failed
-        self._bar.update(self._done - self._bar.n)
-
-
 def _fit_member(
-    member: Member, folder: Path, stored: StoredMember, executor: Executor | None, bar: _Display
+    member: Member, folder: Path, stored: StoredMember, executor: Executor | None, bar: Any
 ) -> None:
     """Fit a member, unless it is done; an error of its own is its answer."""
     if _is_done(member, stored):
-        bar.end(failed=False)
         return
     kept = StoredRuns(folder, member.name)
-    report = bar.begin(member.name)
+
+    def report(done: int, count: int) -> None:
+        text = f"{member.name}: {done} of {counted(count, 'start')}"
+        bar.set_description_str(text)
+
     result, error = None, ""
     try:
         result = _fitted(member, kept, executor, report)
@@ -249,7 +214,6 @@ def _fit_member(
             save(result, stored.fit_file(folder))
         # The answer says that the member is done, so it comes last.
         write_answer(folder, member.name, {**answer, "error": error} if error else answer)
-    bar.end(failed=bool(error))
 
 
 def _fitted(

@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -136,11 +136,13 @@ class Bootstrap:
     @property
     def notes(self) -> tuple[str, ...]:
         """Which parameters the data bound on one side alone."""
+        # Poles far above the band reached 2.5 times as far to one side and more, lags and the tilt
+        # model at most 2.1 times (`benchmarks/bootstrap_coverage.py`).
         names = []
-        for k, (name, (low, high)) in enumerate(self.interval().items()):
-            shorter, longer = sorted((self.estimate[k] - low, high - self.estimate[k]))
-            # Poles far above the band reached 2.5 times as far to one side and more, lags and the
-            # tilt model at most 2.1 times (`benchmarks/bootstrap_coverage.py`).
+        for estimate, (name, (low, high)) in zip(
+            self.estimate, self.interval().items(), strict=True
+        ):
+            shorter, longer = sorted((estimate - low, high - estimate))
             if longer > 2.5 * max(shorter, 0.0):
                 names.append(name)
         if not names:
@@ -435,7 +437,9 @@ def _made(
     """Make the replicates and return their outcomes by number."""
     outcomes: list[Outcome] = []
     rows = ((k, np.array([float(k)])) for k in range(replicates))
-    with _kept(folder) as kept, listening(), _bar(replicates, progress) as bar:
+    kept = None if folder is None else StoredRuns(Path(folder), "bootstrap")
+    lock = nullcontext() if folder is None else locked(Path(folder))
+    with lock, listening(), _bar(replicates, progress) as bar:
         try:
             memory = Memory() if kept is None else Memory(kept, packed(runner)[0])
             with responding(Response.STOP):
@@ -451,16 +455,6 @@ def _made(
                 with responding(Response.FINISH):
                     kept.write()
     return outcomes
-
-
-@contextmanager
-def _kept(folder: str | Path | None) -> Iterator[StoredRuns | None]:
-    """Give the files that keep the replicates, None where nothing is kept."""
-    if folder is None:
-        yield None
-        return
-    with locked(Path(folder)):
-        yield StoredRuns(Path(folder), "bootstrap")
 
 
 def _bar(count: int, progress: bool | Callable[[int, int], None]) -> Any:

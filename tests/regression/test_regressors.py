@@ -28,10 +28,8 @@ from greybox.regression.smoothing import reach
 def made(record=None, latest=0.1, **options):
     system = dynamics(Lagged())
     equations = regressions(system, ["u", "v"], {}, TRUTH)
-    names = (system.states, system.inputs)
     return regressors(
         equations,
-        names,
         flown() if record is None else record,
         TRUTH,
         np.array([latest]),
@@ -68,10 +66,13 @@ def test_an_unstable_lag_has_no_blocks():
 def test_memory_is_that_of_the_slowest_mode():
     matrix = np.array([[-2.0, 1.0], [0.0, -0.5]])
     equations = SimpleNamespace(
-        simulated_names=("p", "q"), simulated=lambda x, u, p: (np.zeros((2, 1)), matrix)
+        simulated_names=("p", "q"),
+        state_names=("p", "q"),
+        input_names=(),
+        simulated=lambda x, u, p: (np.zeros((2, 1)), matrix),
     )
-    assert memory(equations, (("p", "q"), ()), np.zeros(0)) == pytest.approx(math.log(100) / 0.5)
-    assert memory(SimpleNamespace(simulated_names=()), ((), ()), np.zeros(0)) == 0.0
+    assert memory(equations, np.zeros(0)) == pytest.approx(math.log(100) / 0.5)
+    assert memory(SimpleNamespace(simulated_names=()), np.zeros(0)) == 0.0
 
 
 def test_a_linear_response_is_that_of_solve_ivp():
@@ -169,7 +170,6 @@ def two_inputs(record, between, p=POINT, **options):
     equations = regressions(system, record.signals, {}, p)
     return regressors(
         equations,
-        (system.states, system.inputs),
         record,
         p,
         np.array([0.1, 0.3]),
@@ -198,7 +198,6 @@ def test_without_inputs_nothing_is_late():
     record = gb.Record(time, {"v": np.exp(-1.0 * time)})
     data = regressors(
         regressions(system, ["v"], {}, np.array([-1.0])),
-        (("v",), ()),
         record,
         np.array([-1.0]),
         np.zeros(0),

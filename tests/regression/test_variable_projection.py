@@ -28,7 +28,6 @@ def made(noise=0.0, seed=0, **bounds):
     equations = regressions(system, ["u", "v"], {}, START)
     data = regressors(
         equations,
-        (system.states, system.inputs),
         record.with_signals(v=v),
         START,
         np.array([0.1]),
