@@ -246,7 +246,7 @@ def test_demodulation_by_hand_gives_the_same():
 
 def test_the_truth_is_found_again():
     """A noisy flight of sines, its measured response, and (4.26): the parameters within their errors."""
-    omega = [1.0, 2.0, 3.5, 5.34, 8.0, 12.03, 16.01, 20.11]
+    omega = [1.5, 3.5, 5.34, 8.0, 12.03, 20.11]
     flown = gb.virtual_flight(
         LinearTilt(),
         TRUTH,
@@ -389,7 +389,7 @@ def test_forward_flight_begins_at_its_trim():
 def test_the_default_gains_hold_what_the_paper_identified(estimate):
     """(4.27), (4.28), (4.31), with the margins that the controller's docstring states: a pulse dies out."""
     a1, a2, a3_tilde, a4 = estimate
-    pulse = {"reference": np.repeat([0.02, 0.0], [400, 11600])}
+    pulse = {"reference": np.repeat([0.02, 0.0], [400, 7600])}
     for more, later in ((6.0, 0.0), (0.25, 0.0), (1.0, 0.028)):
         values = {
             "a1": a1,
@@ -430,7 +430,7 @@ def test_saturation_and_anti_windup():
 
 def test_noise_has_its_size_and_is_what_the_controller_reads():
     controller = RateDamper({"K": 0.05})
-    options = {"controller": controller, "excitation": {"reference": np.zeros(40000)}}
+    options = {"controller": controller, "excitation": {"reference": np.zeros(20000)}}
     noise = {"q": 0.02, "theta": 0.003, "v": 0.1}
     plant, values = LinearTilt(), TRUTH | {"a1": 20.0, "a3": 0.5}
     noisy = gb.virtual_flight(plant, values, noise=noise, seed=4, **options)
@@ -441,8 +441,8 @@ def test_noise_has_its_size_and_is_what_the_controller_reads():
     )
     for name, size in noise.items():
         error = noisy[name] - true[name]
-        assert_allclose(error.std(), size, rtol=0.02)  # 5 standard errors at 40000 samples
-        assert abs(error.mean()) < 5 * size / 200
+        assert_allclose(error.std(), size, rtol=0.03)  # 6 standard errors at 20000 samples
+        assert abs(error.mean()) < 5 * size / 141
         assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.025
     again = gb.virtual_flight(plant, values, noise=noise, seed=4, **options)
     other = gb.virtual_flight(plant, values, noise=noise, seed=5, **options)
@@ -452,11 +452,11 @@ def test_noise_has_its_size_and_is_what_the_controller_reads():
 
 def test_process_noise_is_white_and_independent_of_the_sensors():
     """A random walk's increments, and a decay's stationary variance σ² / (2 a)."""
-    silent = {"excitation": {"u": np.zeros(50000)}, "rate": 100}
+    silent = {"excitation": {"u": np.zeros(25000)}, "rate": 100}
     forced = {"process_noise": {"a": 0.3, "c": 0.4}}
     flown = gb.virtual_flight(Drift(), {}, seed=1, **silent, **forced)
     increments = np.diff(flown["y"])
-    assert_allclose(increments.std(), 0.3 * 0.1, rtol=0.01)
+    assert_allclose(increments.std(), 0.3 * 0.1, rtol=0.02)
     assert abs(np.corrcoef(increments[1:], increments[:-1])[0, 1]) < 0.02
     assert_allclose(flown["c"].var(), 0.4**2 / (2 * 2.0), rtol=0.15)
     noisy = gb.virtual_flight(Drift(), {}, seed=1, noise={"c": 0.1}, **silent, **forced)

