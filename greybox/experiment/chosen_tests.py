@@ -3,15 +3,20 @@
 Begin with `choose_tests`.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from greybox.experiment.expected_errors import ExpectedErrors, expected_errors
 from greybox.experiment.optimal_design import (
+    Optimality,
+    optimal_shares,
     require_determined,
     shares,
+    size_of_errors,
     time_needed,
     variances,
 )
@@ -68,9 +73,12 @@ class ChosenTests:
 def choose_tests(
     tests: Mapping[str, tuple[Problem | Sum, float]],
     values: Mapping[str, float],
-    wanted: Mapping[str, float],
+    *,
+    wanted: Mapping[str, float] | None = None,
+    seconds: float = math.inf,
+    optimal: Optimality = "A",
 ) -> ChosenTests:
-    """Choose which tests to fly, and how often, to reach the wanted errors in the shortest flight.
+    """Choose which tests to fly, and how often: for wanted errors, or for the smallest errors in a given time.
 
     The Fisher information of the tests adds up, parameters of one name being one; that of each test
     is from `expected_errors`. The shares of the time are those of an optimal design (Fedorov 1972,
@@ -83,21 +91,26 @@ def choose_tests(
         data from a virtual flight or with expected variances, and the duration of the test.
     values : mapping of name to float
         Rough estimates.
-    wanted : mapping of name to float
-        Standard errors of the parameters that matter.
+    wanted : mapping of name to float, optional
+        Standard errors of the parameters that matter; the flight is then as short as possible.
+    seconds : float
+        Duration of the flight, if there are no `wanted` errors.
+    optimal : "A" or "D"
+        In a given time: the least sum of squared errors, each relative to its value, or the
+        smallest confidence region of all parameters, which does not depend on their units.
 
     Raises
     ------
     ValueError
         For unknown names, and if the tests together do not determine every parameter.
     """
-    _require_valid(tests, values, wanted)
+    _require_valid(tests, values, wanted, seconds, optimal)
     expected = []
     for problem, _ in tests.values():
         own_values = {name: v for name, v in values.items() if name in problem.parameters}
         expected.append(expected_errors(problem, own_values))
     names = tuple(dict.fromkeys(name for errors in expected for name in errors.standard_error))
-    missing = next((name for name in wanted if name not in names), None)
+    missing = next((name for name in (wanted or {}) if name not in names), None)
     if missing is not None:
         raise ValueError(
             f"{missing} is not estimated in any of the tests; free are {', '.join(names)}."
@@ -105,23 +118,32 @@ def choose_tests(
 
     # In units of the wanted errors, or else of the values, all parameters have size one.
     estimates = {name: value for errors in expected for name, value in errors.values.items()}
-    sizes = np.array([wanted.get(name, abs(estimates[name]) or 1.0) for name in names])
+    sizes = np.array([(wanted or {}).get(name, abs(estimates[name]) or 1.0) for name in names])
     once = np.array([_in_order(errors, names) for errors in expected]) * np.outer(sizes, sizes)
     duration = np.array([length for _, length in tests.values()])
     require_determined(once.sum(axis=0), names, "no test", "add a test")
 
     rates = once / duration[:, None, None]
-    target = np.array([1.0 if name in wanted else np.inf for name in names])
-    share = shares(rates, target)
-    total = time_needed(np.tensordot(share, rates, 1), target)
-    rounded_up = np.ceil(share * total / duration - 1e-9).astype(int)
-    repeats = without_surplus(rounded_up, once, duration, target)
+    if wanted:
+        target = np.array([1.0 if name in wanted else np.inf for name in names])
+        share = shares(rates, target)
+        total = time_needed(np.tensordot(share, rates, 1), target)
+        rounded_up = np.ceil(share * total / duration - 1e-9).astype(int)
+        repeats = without_surplus(rounded_up, once, duration, target)
+    else:
+        share = optimal_shares(rates, optimal)
+        rounded_down = np.floor(share * seconds / duration + 1e-9).astype(int)
+        repeats = _filled(rounded_down, once, duration, seconds, optimal)
+        if not repeats.any() or not math.isfinite(size_of_errors(_sum(repeats, once), optimal)):
+            raise ValueError(
+                f"seconds={seconds:g} is too short for tests that determine every parameter: give more."
+            )
     errors = np.sqrt(variances(_sum(repeats, once))) * sizes
     return ChosenTests(
         repeats=dict(zip(tests, repeats.tolist(), strict=True)),
         seconds={name: length for name, (_, length) in tests.items()},
         standard_error=dict(zip(names, errors.tolist(), strict=True)),
-        wanted=dict(wanted),
+        wanted=dict(wanted or {}),
         units={name: unit for test in expected for name, unit in test.units.items()},
         flight_time=float(repeats @ duration),
     )
@@ -130,10 +152,16 @@ def choose_tests(
 def _require_valid(
     tests: Mapping[str, tuple[Problem | Sum, float]],
     values: Mapping[str, float],
-    wanted: Mapping[str, float],
+    wanted: Mapping[str, float] | None,
+    seconds: float,
+    optimal: str,
 ) -> None:
-    if not wanted or not tests:
-        raise ValueError("tests or wanted is empty: give at least one test and one standard error.")
+    if bool(wanted) == math.isfinite(seconds):
+        raise ValueError("give either wanted standard errors or the seconds of the flight.")
+    if optimal not in get_args(Optimality):
+        raise ValueError(f"optimal={optimal!r:.40} must be 'A' or 'D'.")
+    if not tests:
+        raise ValueError("there are no tests.")
     for name, (_, length) in tests.items():
         if not length > 0:
             raise ValueError(f"the test {name!r} takes no time: give its seconds.")
@@ -163,3 +191,15 @@ def without_surplus(repeats: IntArray, once: Array, duration: Array, target: Arr
                 break
             repeats = fewer
     return repeats
+
+
+def _filled(
+    repeats: IntArray, once: Array, duration: Array, seconds: float, optimal: Optimality
+) -> IntArray:
+    """Return more repeats as long as there is time: each time the most informative test."""
+    while True:
+        longer = repeats + np.eye(len(repeats), dtype=int)
+        candidates = [counts for counts in longer if counts @ duration <= seconds * (1 + 1e-9)]
+        if not candidates:
+            return repeats
+        repeats = min(candidates, key=lambda counts: size_of_errors(_sum(counts, once), optimal))

@@ -1,6 +1,7 @@
 """Optimal designs: the shares of the flight time that make an estimate most precise."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from greybox.files.arrays import Array
 
 # A thousandth of the flight is less than the rounding of a sine to whole periods.
 SMALLEST_SHARE = 1e-3
+
+Optimality = Literal["A", "D"]
 
 
 def time_needed(information: Array, wanted: Array) -> float:
@@ -102,5 +105,43 @@ def shares(informations: Array, wanted: Array) -> Array:
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-9},
     )
-    share = np.where(outcome.x[:-1] < SMALLEST_SHARE, 0.0, outcome.x[:-1])
+    return _without_small(outcome.x[:-1])
+
+
+def optimal_shares(informations: Array, optimal: Optimality) -> Array:
+    """Return the shares (n,) of a given time that make the errors of all parameters together smallest.
+
+    Each share grows in proportion to its gain, relative to the mean gain (Silvey, Titterington and
+    Torsney 1978, An Algorithm for Optimal Designs on a Finite Design Space). At the optimum the
+    relative gain is one for all shares in use.
+
+    Parameters
+    ----------
+    informations : (n, p, p) array
+        Fisher information of one second of each test, for parameters of size one.
+    optimal : "A" or "D"
+    """
+    w = np.full(len(informations), 1 / len(informations))
+    for _ in range(2000):  # each takes a few products of small matrices
+        inverse = np.linalg.inv(np.tensordot(w, informations, 1))
+        weight = inverse if optimal == "D" else inverse @ inverse
+        slope = np.einsum("ij,nji->n", weight, informations)
+        ratio = slope / (w @ slope)
+        if ratio.max() < 1 + 1e-6:
+            break
+        w = w * (ratio if optimal == "D" else np.sqrt(ratio))
+        w = w / w.sum()
+    return _without_small(w)
+
+
+def _without_small(share: Array) -> Array:
+    share = np.where(share < SMALLEST_SHARE, 0.0, share)
     return share / share.sum()
+
+
+def size_of_errors(information: Array, optimal: Optimality) -> float:
+    """Return the sum of the variances, or the logarithm of their determinant; infinite if a parameter is open."""
+    values = np.linalg.eigvalsh(information)
+    if not values[0] > 1e-12 * values[-1]:
+        return np.inf
+    return float(np.sum(1 / values) if optimal == "A" else -np.sum(np.log(values)))

@@ -9,6 +9,7 @@ from declared_models import TWO_LAGS, LagLagDelay
 import greybox as gb
 from greybox.experiment import choose_tests, expected_errors
 from greybox.experiment.chosen_tests import without_surplus
+from greybox.experiment.optimal_design import optimal_shares, size_of_errors
 
 
 def response(low, high, noise=0.02, rename=None, points=8):
@@ -57,40 +58,75 @@ def test_the_wanted_errors_are_reached_and_nothing_shorter_does():
     )  # whole tests: at most one more than needed
 
 
+@pytest.mark.parametrize("optimal", ["A", "D"])
+def test_no_other_shares_and_no_other_repeats_in_that_time_are_much_better(optimal):
+    random = np.random.default_rng(0)
+    slopes = random.normal(size=(6, 2, 3))
+    informations = np.einsum("kai,kaj->kij", slopes, slopes)
+    best = size_of_errors(
+        np.tensordot(optimal_shares(informations, optimal), informations, 1), optimal
+    )
+    for tried in random.dirichlet(np.full(6, 0.3), size=2000):
+        assert size_of_errors(np.tensordot(tried, informations, 1), optimal) > best - 1e-4 * abs(
+            best
+        )
+
+    found = choose_tests(TESTS, TWO_LAGS, seconds=300, optimal=optimal)
+    assert found.flight_time <= 300
+    scale = np.array(list(TWO_LAGS.values()))
+    once = np.array(
+        [expected_errors(problem, TWO_LAGS).information for problem, _ in TESTS.values()]
+    )
+    once = once * np.outer(scale, scale)
+    size = {
+        tried: size_of_errors(np.tensordot(tried, once, 1), optimal)
+        for tried in itertools.product(range(6), range(11), range(16))
+        if any(tried) and tried @ np.array([60, 30, 20]) <= 300
+    }
+    mine, best = size[tuple(found.repeats.values())], min(size.values())
+    assert (
+        mine / best if optimal == "A" else np.exp((mine - best) / 4)
+    ) < 1.03  # in the variance of a parameter
+
+
 def test_axes_share_what_they_have_in_common():
     own = {name: f"{name}_roll" for name in ("K", "T1", "T2")}
     axes = {"pitch": (response(0.1, 30), 40.0), "roll": (response(0.1, 30, 0.05, own), 40.0)}
     values = {**TWO_LAGS, **{own[name]: TWO_LAGS[name] for name in own}}
     found = choose_tests(axes, values, wanted={"tau": 0.002})
     assert found.repeats["roll"] <= found.repeats["pitch"]
+    both = choose_tests(axes, values, seconds=160, optimal="D")
+    assert all(np.isfinite(list(both.standard_error.values())))
+    assert set(both.repeats.values()) == {2}  # what each tells is its own, but for the delay
 
 
 def test_single_sines_are_tests_too():
     """Each gives two numbers, which four parameters are not fitted to; three of them determine all."""
     sines = {f"{omega:g}": (response(omega, omega, points=1), 10.0) for omega in (0.5, 3.0, 12.0)}
-    once = expected_errors(sum(problem for problem, _ in sines.values()), TWO_LAGS).standard_error
-    found = choose_tests(sines, TWO_LAGS, once)
+    found = choose_tests(sines, TWO_LAGS, seconds=30, optimal="D")
     assert set(found.repeats.values()) == {1}
-    assert found.standard_error == pytest.approx(once, rel=1e-6)
+    together = expected_errors(sum(problem for problem, _ in sines.values()), TWO_LAGS)
+    assert found.standard_error == pytest.approx(together.standard_error, rel=1e-6)
     with pytest.raises(ValueError, match=r"no test separates .*: fix one of them, or add a test"):
-        choose_tests({"3": sines["3"]}, TWO_LAGS, once)
+        choose_tests({"3": sines["3"]}, TWO_LAGS, seconds=30)
 
 
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"wanted": {}}, "give at least one test"),
-        ({"tests": {}}, "give at least one test"),
+        ({}, "either wanted standard errors or the seconds"),
         ({"wanted": {"Q": 1.0}}, "Q is not estimated"),
-        ({"values": {"T_1": 1.0}}, "no parameter 'T_1'; it has K"),
-        ({"tests": {"fast": (TESTS["fast"][0], 0.0)}}, "the test 'fast' takes no time"),
-        ({"tests": {"fast": (TESTS["fast"][0], -3.0)}}, "the test 'fast' takes no time"),
+        (
+            {"values": {"T_1": 1.0}, "seconds": 100},
+            "no parameter 'T_1'; it has K",
+        ),
+        ({"seconds": 10}, "too short"),
+        ({"seconds": 100, "optimal": "E"}, "must be 'A' or 'D'"),
     ],
 )
 def test_bad_requests_are_named(change, sentence):
-    given = {"tests": TESTS, "values": TWO_LAGS, "wanted": {"tau": 0.01}, **change}
     with pytest.raises(ValueError, match=sentence):
-        choose_tests(**given)
+        choose_tests(TESTS, **{"values": TWO_LAGS, **change})
 
 
 def test_of_tests_that_tell_the_same_the_longest_are_left_out():
@@ -101,6 +137,31 @@ def test_of_tests_that_tell_the_same_the_longest_are_left_out():
     assert [*fewer] == [1, 0, 3]
 
 
+def test_there_are_tests_and_each_takes_its_time():
+    with pytest.raises(ValueError, match=r"^there are no tests\.$"):
+        choose_tests({}, TWO_LAGS, seconds=100)
+    for seconds in (0.0, -3.0):
+        wrong = {**TESTS, "fast": (TESTS["fast"][0], seconds)}
+        with pytest.raises(ValueError, match=r"^the test 'fast' takes no time"):
+            choose_tests(wrong, TWO_LAGS, seconds=100)
+
+
+def test_tests_for_a_short_time_say_what_is_missing():
+    """The slow test alone fits into 60 s; two of the fast ones, which say little of the slow lag, into 40."""
+    fast = {"fast": (response(3, 30), 20.0)}
+    found = choose_tests(fast, TWO_LAGS, seconds=40.0)
+    assert (found.repeats, found.flight_time) == ({"fast": 2}, 40.0)
+    assert found.wanted == {}
+    with pytest.raises(ValueError, match="seconds=39 is too short"):
+        choose_tests({"slow": TESTS["slow"]}, TWO_LAGS, seconds=39.0)
+    # Of all parameters the errors count, each relative to its value: the mean of two tests of equal
+    # information.
+    once, twice = (
+        choose_tests(fast, TWO_LAGS, seconds=seconds).standard_error for seconds in (20.0, 40.0)
+    )
+    assert twice == pytest.approx({name: error / np.sqrt(2) for name, error in once.items()})
+
+
 @pytest.mark.parametrize(("share", "repeats"), [(6.5, 7), (7.0, 7), (7.2, 8)])
 def test_errors_shrink_by_the_root_of_the_repeats(share, repeats):
     once = expected_errors(TESTS["fast"][0], TWO_LAGS).standard_error
@@ -109,3 +170,9 @@ def test_errors_shrink_by_the_root_of_the_repeats(share, repeats):
     )
     assert (found.repeats, found.flight_time) == ({"fast": repeats}, 20 * repeats)
     assert found.standard_error["K"] == pytest.approx(once["K"] / np.sqrt(repeats))
+
+
+def test_tests_that_fit_and_leave_parameters_open_are_too_short():
+    sines = {f"{omega:g}": (response(omega, omega, points=1), 10.0) for omega in (0.5, 3.0, 12.0)}
+    with pytest.raises(ValueError, match="seconds=15 is too short"):
+        choose_tests(sines, TWO_LAGS, seconds=15.0)

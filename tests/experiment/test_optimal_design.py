@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from greybox.experiment.optimal_design import (
+    optimal_shares,
     require_determined,
     shares,
+    size_of_errors,
     time_needed,
     variances,
 )
@@ -63,3 +65,35 @@ def test_parameters_that_differ_by_rounding_are_not_told_apart(apart, told):
 def test_a_silent_parameter_is_named():
     with pytest.raises(ValueError, match=r"^no test has information on b: fix it, or add one\.$"):
         require_determined(np.diag([1.0, 0.0]), ["a", "b"], "no test", "add one")
+
+
+def test_the_size_of_errors_is_the_trace_or_the_determinant_of_the_covariance():
+    information = np.array([[4.0, 1.0], [1.0, 2.0]])
+    covariance = np.linalg.inv(information)
+    assert size_of_errors(information, "A") == pytest.approx(np.trace(covariance))
+    assert size_of_errors(information, "D") == pytest.approx(np.log(np.linalg.det(covariance)))
+    assert size_of_errors(np.diag([1.0, 2e-12]), "A") == pytest.approx(1 + 5e11)
+    assert size_of_errors(np.diag([1.0, 0.5e-12]), "A") == np.inf
+
+
+@pytest.mark.parametrize("optimal", ["A", "D"])
+def test_optimal_shares_satisfy_the_equivalence_theorem(optimal):
+    """Kiefer and Wolfowitz (1960): no test brings more, to first order, than those in use, which all bring the same."""
+    slopes = np.random.default_rng(0).normal(size=(6, 2, 3))
+    informations = np.einsum("kai,kaj->kij", slopes, slopes)
+    share = optimal_shares(informations, optimal)
+    inverse = np.linalg.inv(np.tensordot(share, informations, 1))
+    weight = inverse if optimal == "D" else inverse @ inverse
+    brings = np.einsum("ij,nji->n", weight, informations) / np.sum(weight * np.linalg.inv(inverse))
+    assert brings[share > 0] == pytest.approx(1, abs=1e-3)
+    assert brings.max() < 1 + 1e-4
+    assert share.sum() == pytest.approx(1)
+    assert set(share[share < 1e-3]) <= {0.0}
+
+
+def test_three_parameters_are_determined_by_the_smallest_of_all_eigenvalues():
+    for unit in (1.0, 1e6, 1e-6):
+        assert size_of_errors(np.diag([0.5e-12, 1e-9, 1.0]) / unit, "D") == np.inf
+        assert size_of_errors(np.diag([2e-12, 1e-9, 1.0]) / unit, "A") == pytest.approx(
+            (5e11 + 1e9 + 1) * unit
+        )
