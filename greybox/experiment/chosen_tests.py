@@ -78,7 +78,10 @@ def choose_tests(
     seconds: float = math.inf,
     optimal: Optimality = "A",
 ) -> ChosenTests:
-    """Choose which tests to fly, and how often: for wanted errors, or for the smallest errors in a given time.
+    """Choose which tests to fly, and how often.
+
+    The flight reaches the wanted errors in the shortest time, or has the smallest errors in a given
+    time.
 
     The Fisher information of the tests adds up, parameters of one name being one; that of each test
     is from `expected_errors`. The shares of the time are those of an optimal design (Fedorov 1972,
@@ -136,7 +139,8 @@ def choose_tests(
         repeats = _filled(rounded_down, once, duration, seconds, optimal)
         if not repeats.any() or not math.isfinite(size_of_errors(_sum(repeats, once), optimal)):
             raise ValueError(
-                f"seconds={seconds:g} is too short for tests that determine every parameter: give more."
+                f"seconds={seconds:g} is too short for tests that determine every parameter: give "
+                "more."
             )
     errors = np.sqrt(variances(_sum(repeats, once))) * sizes
     return ChosenTests(
@@ -170,7 +174,7 @@ def _require_valid(
 
 
 def _in_order(errors: ExpectedErrors, names: tuple[str, ...]) -> Array:
-    """Return the information of a test in the order of all names; zero for parameters that it does not have."""
+    """Return the information of a test in the order of all names; zero where it has none."""
     places = [names.index(name) for name in errors.standard_error]
     information = np.zeros((len(names), len(names)))
     information[np.ix_(places, places)] = errors.information
@@ -183,7 +187,7 @@ def _sum(repeats: IntArray, once: Array) -> Array:
 
 
 def without_surplus(repeats: IntArray, once: Array, duration: Array, target: Array) -> IntArray:
-    """Return fewer repeats, the longest tests dropped first, as long as the errors stay as wanted."""
+    """Drop repeats, the longest tests first, as long as the errors stay as small as wanted."""
     for k in np.argsort(-duration):
         while repeats[k]:
             fewer = repeats - (np.arange(len(repeats)) == k)

@@ -1,4 +1,4 @@
-"""Sampled controllers, declared like every model: named signals, parameters with units, equations."""
+"""Sampled controllers, declared like models: named signals, parameters with units, equations."""
 
 import math
 from abc import ABC, abstractmethod
@@ -14,10 +14,10 @@ from greybox.modeling.symbolic_reading import column, traced
 
 
 class Controller(ABC):
-    r"""A controller in discrete time, $x_{k+1}, y_k = update(x_k, u_k, p)$, that runs `rate` times per second.
+    r"""A controller in discrete time, $x_{k+1}, y_k = update(x_k, u_k, p)$.
 
-    A subclass declares its signals, its parameters and `update`, e.g. proportional control of a
-    rate::
+    It runs `rate` times per second. A subclass declares its signals, its parameters and
+    `update`, e.g. proportional control of a rate::
 
         class RateDamper(gb.Controller):
             inputs, setpoints, outputs = ("q",), ("reference",), ("u",)
@@ -67,7 +67,7 @@ class Controller(ABC):
     rate: float = 400.0
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Collect the parameters of the class body and of the classes above it, and check the names."""
+        """Collect the parameters of the class and of the classes above it, and check the names."""
         super().__init_subclass__(**kwargs)
         parameters = _collected(cls)
         cls.parameters = MappingProxyType(parameters)
@@ -80,11 +80,13 @@ class Controller(ABC):
             for name in names:
                 if hasattr(Names, name) or (names is parameters and hasattr(Controller, name)):
                     raise ValueError(
-                        f"{cls.__name__} cannot have a parameter or signal called {name!r}: choose another name."
+                        f"{cls.__name__} cannot have a parameter or signal called {name!r}: "
+                        "choose another name."
                     )
             if len(set(names)) != len(names):
                 raise ValueError(
-                    f"{cls.__name__} names a signal twice in {', '.join(names)}: use different names."
+                    f"{cls.__name__} names a signal twice in {', '.join(names)}: use different "
+                    "names."
                 )
 
     def __init__(
@@ -171,16 +173,10 @@ def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.
     if (len(following), len(outputs)) != (len(controller.states), len(controller.outputs)):
         raise ValueError(
             f"{label}.update returns {returned!r:.60}: return two tuples, the next states "
-            f"({', '.join(controller.states) or 'none'}) and the outputs ({', '.join(controller.outputs)})."
+            f"({', '.join(controller.states) or 'none'}) and the outputs "
+            f"({', '.join(controller.outputs)})."
         )
     return column(f"{label}.update", following), column(f"{label}.update", outputs)
-
-
-def listed(controller: Controller | Sequence[Controller] | None) -> list[Controller]:
-    """Return the controllers of a loop, which may be one, several or none."""
-    if controller is None:
-        return []
-    return list(controller) if isinstance(controller, Sequence) else [controller]
 
 
 def connected(
@@ -189,7 +185,7 @@ def connected(
     taken: Collection[str],
     plant: str,
 ) -> tuple[Controller, ...]:
-    """Return the controllers of a loop; raise ValueError if they do not fit the plant and one another.
+    """Return the controllers of a loop, if they fit the plant and one another.
 
     Raises
     ------
@@ -199,7 +195,9 @@ def connected(
     TypeError
         If one is not a controller.
     """
-    controllers = listed(controller)
+    controllers: list[Controller] = []
+    if controller is not None:
+        controllers += controller if isinstance(controller, Sequence) else [controller]
     driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):
@@ -208,7 +206,8 @@ def connected(
         first = controllers[0]
         if c.rate != first.rate:
             raise ValueError(
-                f"{label} runs at {c.rate:g} Hz, {type(first).__name__} at {first.rate:g} Hz: use one rate."
+                f"{label} runs at {c.rate:g} Hz, {type(first).__name__} at {first.rate:g} Hz: use "
+                "one rate."
             )
 
         provides = {*map(c.outside, c.outputs)}
@@ -217,19 +216,22 @@ def connected(
         if not provides & {*inputs, *next_setpoints}:
             raise ValueError(
                 f"{label} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes "
-                f"{', '.join(inputs) or 'none'}: connect them, signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
+                f"{', '.join(inputs) or 'none'}: connect them, "
+                f"signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
             )
 
         twice = provides & driven | (provides | commanded) & {*taken}
         if twice:
             raise ValueError(
-                f"two signals are called {min(twice)!r}: rename that of {label}, signals={{'own': 'other'}}."
+                f"two signals are called {min(twice)!r}: rename that of {label}, "
+                "signals={'own': 'other'}."
             )
 
         late = commanded & {d.outside(n) for d in controllers[k:] for n in d.outputs}
         if late:
             raise ValueError(
-                f"{label} takes {min(late)!r} from itself or a later controller: list that one first."
+                f"{label} takes {min(late)!r} from itself or a later controller: list that one "
+                "first."
             )
         driven |= provides
     return tuple(controllers)
@@ -245,7 +247,8 @@ def _collected(cls: type) -> dict[str, Parameter]:
         ]
         if hidden:
             raise TypeError(
-                f"{cls.__name__}.{hidden[0]} is a number where a Parameter was: use gb.Parameter(...)."
+                f"{cls.__name__}.{hidden[0]} is a number where a Parameter was: use "
+                "gb.Parameter(...)."
             )
         parameters |= {
             name: value for name, value in vars(owner).items() if isinstance(value, Parameter)

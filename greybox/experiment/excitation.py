@@ -70,7 +70,7 @@ class Excitation:
 
     @property
     def peak_factors(self) -> dict[str, float]:
-        """Peak to peak over 2√2 times the standard deviation, 1 for a sine (Morelli's relative peak factor)."""
+        """Morelli's relative peak factors: peak to peak over 2√2 σ, so that a sine has 1."""
         return {
             name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v)))
             for name, v in self.signals.items()
@@ -94,22 +94,24 @@ class Excitation:
     def __str__(self) -> str:
         kinds = sorted({maneuver.kind for maneuver in self.schedule})
         low, high = min(s.low for s in self.schedule), max(s.high for s in self.schedule)
+        factors = ", ".join(f"{value:.2f}" for value in self.peak_factors.values())
         return (
-            f"{', '.join(kinds)} on {', '.join(self.signals)}: {self.time.size / self.rate:.1f} s at {self.rate:g} Hz, "
-            f"{low:.4g} to {high:.4g} rad/s, peak factor {', '.join(f'{v:.2f}' for v in self.peak_factors.values())}"
+            f"{', '.join(kinds)} on {', '.join(self.signals)}: {self.time.size / self.rate:.1f} s "
+            f"at {self.rate:g} Hz, {low:.4g} to {high:.4g} rad/s, peak factor {factors}"
         )
 
 
 def checked_band(omega: Sequence[float], rate: float) -> Array:
-    """Return the frequencies, rad/s; raise ValueError if they are not above 0 and well below the sampling rate."""
+    """Return the frequencies, rad/s; ValueError if one is not above 0 and far below the rate."""
     values = np.asarray(omega, dtype=float)
     # With five samples per period a held signal has 94 % of the amplitude.
     limit = 2 * math.pi * rate / 5
     bad = values[~((values > 0) & (values <= limit))]
     if values.size == 0 or bad.size:
         raise ValueError(
-            f"omega is {f'{bad[0]:g} rad/s' if bad.size else 'empty'}: give frequencies above 0 and up to {limit:.4g} "
-            f"rad/s, a fifth of the sampling rate of {rate:g} Hz, or raise the rate."
+            f"omega is {f'{bad[0]:g} rad/s' if bad.size else 'empty'}: give frequencies above 0 "
+            f"and up to {limit:.4g} rad/s, a fifth of the sampling rate of {rate:g} Hz, or raise "
+            "the rate."
         )
     return values
 

@@ -85,7 +85,8 @@ def expected_errors(
     unknown = sorted(set(values) - set(problem.parameters))
     if unknown:
         raise ValueError(
-            f"{unknown[0]} is no parameter of {problem.name}: it has {', '.join(problem.parameters)}."
+            f"{unknown[0]} is no parameter of {problem.name}: it has "
+            f"{', '.join(problem.parameters)}."
         )
     nlp = compile_problem(problem, method)
     at = {name: float(values.get(name, nlp.problem.parameters[name].start)) for name in nlp.free}

@@ -22,7 +22,7 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
     points: int | None = None,
     periods: int = 4,
 ) -> Excitation:
-    """Make sums of sines with low peaks, mutually orthogonal over a period, for several inputs at once.
+    """Make sums of sines with low peaks, orthogonal over a period, for several inputs at once.
 
     The harmonics of 2π / period inside the band are assigned to the signals in turn, each with
     equal power. The phases start from Schroeder's (IEEE Trans. Information Theory 16, 1970) and
@@ -54,7 +54,8 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
     count = round(period * rate)
     if count < 1 or abs(count - period * rate) > 1e-6 * count:
         raise ValueError(
-            f"a period of {period:g} s at {rate:g} Hz has {period * rate:g} samples: make that a whole number."
+            f"a period of {period:g} s at {rate:g} Hz has {period * rate:g} samples: make that a "
+            "whole number."
         )
     assigned = _assigned(low, high, period, len(signals), points)
     phases = [_phases(harmonics) for harmonics in assigned]
@@ -86,8 +87,8 @@ def _assigned(
     fewest = min(h.size for h in assigned) if assigned else 0
     if fewest < max(points or 2, 2):
         raise ValueError(
-            f"a period of {period:g} s has {harmonics.size} harmonics from {low:g} to {high:g} rad/s for "
-            f"{signals} signals, {fewest} each: lengthen the period or widen the band."
+            f"a period of {period:g} s has {harmonics.size} harmonics from {low:g} to {high:g} "
+            f"rad/s for {signals} signals, {fewest} each: lengthen the period or widen the band."
         )
     return assigned if points is None else [_log_spaced(h, points) for h in assigned]
 
@@ -103,8 +104,8 @@ def _log_spaced(harmonics: IntArray, points: int) -> IntArray:
 
 
 def _phases(harmonics: IntArray) -> Array:
-    """Return phases (n,) for which the sum of equal sines has a low peak and rises through zero at time zero."""
-    from scipy.optimize import minimize  # noqa: PLC0415 - takes longer to import than this whole package
+    """Return phases (n,) of equal sines whose sum has a low peak and begins at zero."""
+    from scipy.optimize import minimize  # noqa: PLC0415  (slow import)
 
     n = harmonics.size
     # Eight samples per period of the highest harmonic: the peak between samples is at most
@@ -134,7 +135,7 @@ def _phases(harmonics: IntArray) -> Array:
 
 def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
     """Shift time to a rising zero crossing."""
-    from scipy.optimize import brentq  # noqa: PLC0415 - as above
+    from scipy.optimize import brentq  # noqa: PLC0415  (slow import)
 
     values = _sum(harmonics, phases, count)
     k = int(np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0])

@@ -31,7 +31,7 @@ def time_needed(information: Array, wanted: Array) -> float:
 
 
 def variances(information: Array) -> Array:
-    """Return the variances (p,); NaN without information on a parameter, all NaN if some cannot be separated."""
+    """Return the variances (p,): NaN without information, all NaN if some cannot be separated."""
     informed = np.diag(information) > 0
     variance = np.full(len(information), np.nan)
     try:
@@ -42,7 +42,7 @@ def variances(information: Array) -> Array:
 
 
 def require_determined(information: Array, names: Sequence[str], test: str, cure: str) -> None:
-    """Raise a ValueError, which names the `test` and the `cure`, if the information leaves a parameter open."""
+    """Raise a ValueError with the `test` and the `cure` if a parameter is not determined."""
     size = np.sqrt(np.diag(information))
     for name, s in zip(names, size, strict=True):
         if not s > 0:
@@ -66,7 +66,7 @@ def shares(informations: Array, wanted: Array) -> Array:
         Fisher information of one second at each of n frequencies, for parameters of size one.
     wanted : (p,) array
     """
-    from scipy.optimize import minimize  # noqa: PLC0415 - takes as long to import as all of greybox
+    from scipy.optimize import minimize  # noqa: PLC0415  (slow import)
 
     count = len(informations)
     matters = np.isfinite(wanted)
@@ -109,7 +109,7 @@ def shares(informations: Array, wanted: Array) -> Array:
 
 
 def optimal_shares(informations: Array, optimal: Optimality) -> Array:
-    """Return the shares (n,) of a given time that make the errors of all parameters together smallest.
+    """Return the shares (n,) of a given time with the smallest errors of all parameters.
 
     Each share grows in proportion to its gain, relative to the mean gain (Silvey, Titterington and
     Torsney 1978, An Algorithm for Optimal Designs on a Finite Design Space). At the optimum the
@@ -140,7 +140,7 @@ def _without_small(share: Array) -> Array:
 
 
 def size_of_errors(information: Array, optimal: Optimality) -> float:
-    """Return the sum of the variances, or the logarithm of their determinant; infinite if a parameter is open."""
+    """Return the sum of the variances, or the log of their determinant; infinite if singular."""
     values = np.linalg.eigvalsh(information)
     if not values[0] > 1e-12 * values[-1]:
         return np.inf

@@ -27,13 +27,13 @@ def write_excitation(excitation: Excitation, path: str | Path) -> None:
 def ardupilot_script(
     excitation: Excitation, axis: str = "pitch", *, period_ms: int = 10, switch: int = 300
 ) -> str:
-    """Return a Lua script that flies a sine schedule as the angle setpoint of a copter in GUIDED mode.
+    """Return a Lua script that flies a sine schedule with a copter.
 
-    It starts when the switch of RCx_OPTION `switch` (300 is Scripting1) goes high while the vehicle
-    is armed and in GUIDED, and stops as soon as one of the three ends. It logs a SINE message:
-    segment, axis, ω in rad/s, amplitude and operating point in degrees, seconds since the segment
-    began, and the sine in degrees. Source of the interface: ArduPilot,
-    libraries/AP_Scripting/docs/docs.lua.
+    The sines are the angle setpoint in GUIDED mode. The script starts when the switch of RCx_OPTION
+    `switch` (300 is Scripting1) goes high while the vehicle is armed and in GUIDED, and stops as
+    soon as one of the three ends. It logs a SINE message: segment, axis, ω in rad/s, amplitude and
+    operating point in degrees, seconds since the segment began, and the sine in degrees. Source of
+    the interface: ArduPilot, libraries/AP_Scripting/docs/docs.lua.
 
     Parameters
     ----------
@@ -54,12 +54,14 @@ def ardupilot_script(
         raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(AXES)}.")
     if any(segment.kind != "sine" for segment in excitation.schedule):
         raise ValueError(
-            "the script flies sines only: use sine_schedule(...), or systemid_parameters for a sweep."
+            "the script flies sines only: use sine_schedule(...), or systemid_parameters for a "
+            "sweep."
         )
     unit = next(iter(excitation.units.values()))
     if unit != "rad":
         raise ValueError(
-            f"the setpoint is an angle in rad, but the signal is in {unit or 'no unit'}: give unit='rad'."
+            f"the setpoint is an angle in rad, but the signal is in {unit or 'no unit'}: give "
+            "unit='rad'."
         )
 
     sines = ", ".join(
@@ -96,7 +98,8 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
         raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(FLOWN_AXES)}.")
     if settings.get("kind") != "logarithmic" or settings.get("dwell") != DWELL:
         raise ValueError(
-            f"SystemID mode flies logarithmic sweeps after {DWELL} periods only: use sweep(low, high, ...)."
+            f"SystemID mode flies logarithmic sweeps after {DWELL} periods only: use "
+            "sweep(low, high, ...)."
         )
     for name, limit in (
         ("duration", 255),
@@ -105,13 +108,15 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
     ):  # ranges of SID_T_REC, SID_T_FADE_...
         if settings[name] > limit:
             raise ValueError(
-                f"{name} is {settings[name]:g} s, but SystemID mode takes at most {limit} s: shorten it."
+                f"{name} is {settings[name]:g} s, but SystemID mode takes at most {limit} s: "
+                "shorten it."
             )
     number = FLOWN_AXES.index(axis) + 1
     angular = next(iter(excitation.units.values())).startswith("rad")
     if angular == axis.startswith("mixer"):
         raise ValueError(
-            f"the axis {axis!r} needs {'a plain number' if angular else 'rad or rad/s'}: give sweep(unit=...)."
+            f"the axis {axis!r} needs {'a plain number' if angular else 'rad or rad/s'}: give "
+            "sweep(unit=...)."
         )
 
     values = {
@@ -168,8 +173,8 @@ local function fly()
   local sine = 0
   if not resting then
     sine = SINES[segment][ETA] * math.sin(SINES[segment][W] * t)
-    logger:write('SINE', 'Seg,Ax,W,Eta,Th0,T,Ref', 'BBfffff', segment, AXIS, SINES[segment][W], SINES[segment][ETA],
-      OFFSET, t, sine)
+    logger:write('SINE', 'Seg,Ax,W,Eta,Th0,T,Ref', 'BBfffff', segment, AXIS, SINES[segment][W],
+      SINES[segment][ETA], OFFSET, t, sine)
   end
   if not command(OFFSET + sine) then finish('setpoint refused') end
 end

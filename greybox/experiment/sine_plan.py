@@ -41,7 +41,7 @@ class _Card(NamedTuple):
     pause: float
 
     def flown(self, omega: Array, seconds: Array) -> tuple[Array, float]:
-        """Return durations (n,) in whole periods of at least these seconds, and the flight time, s."""
+        """Return durations (n,) of whole periods of at least these seconds, and the flight time."""
         period = HZ / omega
         duration = np.maximum(np.ceil(seconds / period - 1e-9), self.periods) * period
         settling = np.ceil(self.lead_in / period - 1e-9) * period
@@ -151,8 +151,8 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     A sine of amplitude U at the plant's input and of duration t measures the response with the
     variance E|P̂ - P|² = 2 G / (t |U|²), where G is the one-sided spectral density of the output
     noise. The shares of the flight time maximize the Fisher information within the limits. The
-    model is linearized: fly the plan by `virtual_flight` first to see whether the amplitudes are too
-    large for that.
+    model is linearized: fly the plan by `virtual_flight` first to see whether the amplitudes are
+    too large for that.
 
     Parameters
     ----------
@@ -207,7 +207,8 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     missing = [name for name in wanted if name not in nlp.free]
     if missing:
         raise ValueError(
-            f"{missing[0]} is not estimated, so it has no standard error; free are {', '.join(nlp.free)}."
+            f"{missing[0]} is not estimated, so it has no standard error; free are "
+            f"{', '.join(nlp.free)}."
         )
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
@@ -284,7 +285,7 @@ def _gains(
     controller: Controller | Sequence[Controller] | None,
     rate: float,
 ) -> dict[str, ComplexArray]:
-    """Return the gains (n,) from the excitation to the signals, with the sampling of the controller."""
+    """Return the gains (n,) from excitation to signals, with the sampling of the controller."""
     row = np.array([list(model.values(values).values())], dtype=float)
     loop = sampled_loop(model, row, controller, measured=signals, rate=rate)
     if controller is not None and not loop.is_stable[0]:
@@ -303,7 +304,7 @@ def _sensitivities(
     free: Sequence[str],
     fixed: Mapping[str, float],
 ) -> tuple[CompiledProblem, ComplexArray]:
-    """Return the compiled problem and the derivatives (n, p) of the response by its free parameters."""
+    """Return the compiled problem, and the derivatives (n, p) by its free parameters."""
     exact = frequency_response(
         model, {**values, **fixed}, omega, input=signals[0], output=signals[1]
     )
@@ -318,7 +319,7 @@ def _sensitivities(
 
 
 def _sizes(sensitivity: ComplexArray, weight: Array) -> Array:
-    """Return sizes (p,) for the parameters that do not matter, comparable with the wanted errors."""
+    """Return sizes (p,) of parameters without a wanted error, comparable with wanted errors."""
     norm = np.sqrt((weight[:, None] * np.abs(sensitivity) ** 2).sum(axis=0))
     return 1 / np.where(norm > 0, norm, 1.0)
 
@@ -331,7 +332,7 @@ def noise_density(
     signals: tuple[str, str],
     rate: float,
 ) -> Array:
-    """Return the one-sided spectral density (n,) of the output noise, in its unit squared per Hz."""
+    """Return the one-sided spectral density (n,) of the output noise, its unit squared per Hz."""
     if not isinstance(noise, Record):
         return np.full(len(omega), 2 * float(noise) ** 2 / rate)
     input, output = signals
@@ -354,8 +355,8 @@ def noise_density(
         seconds += length
     if seconds * omega[0] < QUIET_PERIODS * HZ:
         raise ValueError(
-            f"the quiet flight has {seconds:.3g} s, fewer than {QUIET_PERIODS} periods of {omega[0]:.3g} rad/s: "
-            "give a longer one."
+            f"the quiet flight has {seconds:.3g} s, fewer than {QUIET_PERIODS} periods of "
+            f"{omega[0]:.3g} rad/s: give a longer one."
         )
     return total / seconds
 
@@ -388,7 +389,7 @@ def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tup
 def with_spare_sines(
     omega: Array, chosen: IntArray, duration: Array, count: int, periods: int
 ) -> tuple[IntArray, Array]:
-    """Return at least `count` sines: short ones are added in the middle of the widest gaps of the band."""
+    """Return at least `count` sines: short ones are added in the widest gaps of the band."""
     seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
     while len(seconds) < min(count, len(omega)):
         edges = [-1, *sorted(seconds), len(omega)]

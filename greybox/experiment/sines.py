@@ -22,7 +22,7 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     signal: str = "reference",
     unit: str = "rad",
 ) -> Excitation:
-    """Make one sine after another about an operating point, (3.14): offset + η_i sin(ω_i (t - t_0)).
+    """Make sines, one after another, about an operating point: offset + η_i sin(ω_i (t - t_0)).
 
     Parameters
     ----------

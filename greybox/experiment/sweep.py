@@ -8,7 +8,9 @@ import numpy as np
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
 from greybox.files.arrays import Array
 
-DWELL = 2  # periods of the lowest frequency before a sweep: ArduPilot's SystemID mode; Tischler and Remple, section 5.6
+# Periods of the lowest frequency before a sweep: ArduPilot's SystemID mode; Tischler and Remple,
+# section 5.6.
+DWELL = 2
 
 
 def sweep(  # noqa: PLR0913 - each is one fact of the test card
@@ -59,8 +61,9 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     hold = dwell * 2 * math.pi / low
     if min(fade_in, fade_out) < 0 or duration < fade_in + fade_out or duration <= hold:
         raise ValueError(
-            f"{duration:g} s are too short for {dwell} periods at {low:g} rad/s ({hold:.1f} s) and fades of "
-            f"{fade_in:g} and {fade_out:g} s: raise the duration or the lowest frequency, or give dwell=0."
+            f"{duration:g} s are too short for {dwell} periods at {low:g} rad/s ({hold:.1f} s) and "
+            f"fades of {fade_in:g} and {fade_out:g} s: raise the duration or the lowest frequency, "
+            "or give dwell=0."
         )
 
     time = np.arange(round_up(duration * rate) + 1) / rate

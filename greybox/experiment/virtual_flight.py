@@ -1,4 +1,4 @@
-"""Flights in simulation: a plant, a sampled controller and a test signal, logged as on a real vehicle.
+"""Flights in simulation: a plant, a sampled controller and a test signal, logged as in flight.
 
 Begin with `virtual_flight`.
 """
@@ -51,10 +51,10 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     """Fly an experiment in simulation: the closed loop of (3.14), or the plant alone.
 
     At every sample the controller reads the sensors and sets the control, which is held until the
-    next sample and reaches the plant after its delay, exact to any fraction of a sample. The log has
-    the sensor values that the controller reads, and the control commanded at that moment. Because
-    the control is held, a response measured from such a log, or from a flown one, shows half a
-    controller period more delay than the plant has.
+    next sample and reaches the plant after its delay, exact to any fraction of a sample. The log
+    has the sensor values that the controller reads, and the control commanded at that moment.
+    Because the control is held, a response measured from such a log, or from a flown one, shows
+    half a controller period more delay than the plant has.
 
     Between samples the plant is integrated by classical Runge-Kutta steps (RK4), which are halved
     until this changes no state by more than 1e-7 of its largest value in any period; the remaining
@@ -67,16 +67,16 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     values : mapping of parameter name to float, optional
         The true values; by default the declared starts.
     excitation : Excitation or mapping of name to (n,) array
-        Each signal is added to the signal of its name: a setpoint of the controller (``"reference"``,
-        ``"mixer"``), or an input of the plant (``"u"``), downstream of the controller and its
-        limits. The arrays of a mapping have one sample per sample of the loop.
+        Each signal is added to the signal of its name: a setpoint of the controller
+        (``"reference"``, ``"mixer"``), or an input of the plant (``"u"``), downstream of the
+        controller and its limits. The arrays of a mapping have one sample per sample of the loop.
     controller : Controller or several, optional
         It measures outputs or states of the plant; ``"theta_dot"`` is the time derivative of
         ``"theta"``. The outputs of one may be the setpoints of the next. Without a controller, the
         plant flies in open loop, at the rate of the excitation.
     noise : mapping of name to float
-        Standard deviation of the white noise of a sensor. A state or a derivative that is named here
-        is measured and logged in addition to the outputs, with ``{"q": 0.0}`` without error.
+        Standard deviation of the white noise of a sensor. A state or a derivative that is named
+        here is measured and logged in addition to the outputs, with ``{"q": 0.0}`` without error.
     process_noise : mapping of state name to float
         White noise on the derivative of a state, in units of the state per √s: alone it makes the
         state a random walk with a standard deviation of that times √t. It is held over a controller
@@ -227,12 +227,15 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
             raise ValueError(
                 _divergence(loop, names, flown[:, reached], wrong[:, reached], time[reached])
             )
-        rough = f"the integration error is {error:.1g} of a state's size in a period: the plant is stiff or not smooth"
+        rough = (
+            f"the integration error is {error:.1g} of a state's size in a period: the plant is "
+            "stiff or not smooth"
+        )
         return dict(zip(names, flown, strict=False)), (rough,) if error > TOLERANCE else ()
 
 
 def _largest(local: Array, begins: Array, ends: Array) -> float:
-    """Return the largest error of a period relative to the size of its state, infinite if it is not a number."""
+    """Return the largest error of a period over the size of its state; infinite instead of NaN."""
     with np.errstate(invalid="ignore"):
         error = relative_change(local, state_sizes(begins, ends))
     return math.inf if math.isnan(error) else error
@@ -240,10 +243,10 @@ def _largest(local: Array, begins: Array, ends: Array) -> float:
 
 @one_thread_at_a_time
 def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
-    """Compile one controller period: (all states, a column) -> (all states, log), and the names in the log.
+    """Compile one controller period, (all states, a column) -> (all states, log).
 
-    The named signals are followed by the plant's states and by what twice as many substeps change
-    in them.
+    Also return the names in the log. The named signals are followed by the plant's states and by
+    what twice as many substeps change in them.
     """
     system = loop.system
     delays = loop.delays
@@ -332,7 +335,7 @@ def _control(
 
 
 def _runge_kutta(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:
-    """Integrate over `span` seconds with a constant input in `count` classical steps of the fourth order."""
+    """Integrate over `span` seconds with a constant input in `count` steps of RK4."""
     h = span / count
 
     def f(state: ca.SX) -> ca.SX:
@@ -366,8 +369,8 @@ def _open_loop_rate(excitation: Excitation | Mapping[str, ArrayLike], rate: floa
         return float(excitation.rate)
     if rate is None or not 0 < rate < math.inf:
         raise ValueError(
-            f"rate is {rate!r}, and arrays alone have no sampling rate: give samples per second above "
-            "0, or an Excitation."
+            f"rate is {rate!r}, and arrays alone have no sampling rate: give samples per second "
+            "above 0, or an Excitation."
         )
     return float(rate)
 
@@ -387,15 +390,17 @@ def _commands(
 
     if not isinstance(excitation, Mapping):
         raise TypeError(
-            f"the excitation is a {type(excitation).__name__}: give an Excitation, or {{name: array}}."
+            f"the excitation is a {type(excitation).__name__}: give an Excitation, or "
+            "{name: array}."
         )
     require_known(excitation, places, "place for", label)
     arrays = {n: np.asarray(v, dtype=float) for n, v in excitation.items()}
     shapes = {v.shape for v in arrays.values()}
     if len(shapes) != 1 or any(v.ndim != 1 or not np.isfinite(v).all() for v in arrays.values()):
         raise ValueError(
-            f"the arrays of the excitation have the shapes {', '.join(map(str, shapes)) or 'none'}: "
-            "give arrays of one length with finite numbers."
+            "the arrays of the excitation have the shapes "
+            f"{', '.join(map(str, shapes)) or 'none'}: give arrays of one length with finite "
+            "numbers."
         )
     return np.arange(next(iter(shapes))[0]) / clock, arrays, {}
 

@@ -227,7 +227,8 @@ def _problem_parameters(
         low, high = result[name].bounds
         if not isinstance(value, (int, float, np.number)) or not low <= value <= high:
             raise ValueError(
-                f"fixed gives {name!r} the value {value!r}: give a number within ({low:g}, {high:g})."
+                f"fixed gives {name!r} the value {value!r}: give a number within ({low:g}, "
+                f"{high:g})."
             )
         result[name] = replace(result[name], start=float(value), fixed=True)
     return result
@@ -239,7 +240,8 @@ def _require_motion(model: Model, system: Dynamics, record: Record) -> None:
         if name not in record.signals:
             raise ValueError(
                 f"the record has no signal {name!r}, an input of {model.label}; it has "
-                f"{', '.join(record.signals)}: name it with gb.prepare(..., signals={{{name!r}: ...}})."
+                f"{', '.join(record.signals)}: name it with "
+                f"gb.prepare(..., signals={{{name!r}: ...}})."
             )
     signals = dict.fromkeys((*system.inputs, *system.states, *system.outputs))
     names = [name for name in signals if name in record.signals]
@@ -247,8 +249,9 @@ def _require_motion(model: Model, system: Dynamics, record: Record) -> None:
     # 1e-9: such a signal is constant but for rounding.
     if all(v.size == 0 or np.ptp(v) <= 1e-9 * np.abs(v).max() for v in values):
         raise ValueError(
-            f"{' and '.join(names)} of {model.label} {'is' if len(names) == 1 else 'are'} constant in "
-            "the record, which has no information on the parameters: give one with an excitation."
+            f"{' and '.join(names)} of {model.label} {'is' if len(names) == 1 else 'are'} constant "
+            "in the record, which has no information on the parameters: give one with an "
+            "excitation."
         )
 
 
@@ -258,8 +261,8 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
     if isinstance(model, TransferFunction):
         raise ValueError(
             f"the equation of {model.label} needs derivatives of {model.output!r} that the record "
-            "does not have: declare it as a StateSpace whose states are measured, or fit its frequency response, see "
-            "gb.regression.levy."
+            "does not have: declare it as a StateSpace whose states are measured, or fit its "
+            "frequency response, see gb.regression.levy."
         )
     reasons = (
         "; ".join(equations.left_out)
@@ -278,7 +281,7 @@ def _longest_delays(system: Dynamics, parameters: Mapping[str, Parameter]) -> Ar
     delays = np.asarray(system.delay(highest)).ravel()
     if not np.all(np.isfinite(delays)):
         raise ValueError(
-            "a free delay has no upper bound: declare Parameter(..., bounds=(0, the longest possible))."
+            "a free delay has no upper bound: declare Parameter(..., bounds=(0, longest delay))."
         )
     return delays
 
@@ -361,8 +364,8 @@ def _why(name: str, equations: Equations, projection: Projection) -> str:
 def _warnings(used: Sequence[UsedEquation], projection: Projection) -> list[str]:
     bounded = [f"{n} ended at its bound." for n in projection.at_bound]
     unexplained = [
-        f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there is "
-        "noise, or the model is incomplete."
+        f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there "
+        "is noise, or the model is incomplete."
         for e in used
         if e.rows and e.r_squared < 0.5
     ]

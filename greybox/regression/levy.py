@@ -125,7 +125,8 @@ class RationalFit:
                 rows.append((kind, root_text(root), number(abs(root), 4), damping))
         lines = [
             f"linear least squares (3.17), n = {self.n}, m = {self.m}"
-            f"{', with integrator' if self.integrators else ''}, {len(self.data)} frequencies, {how}",
+            f"{', with integrator' if self.integrators else ''}, {len(self.data)} frequencies, "
+            f"{how}",
             f"P(s) = {self.factored}",
             text_table(("", "rad/s", "size", "damping"), rows),
             f"cost (4.26) {number(self.cost)}",
@@ -207,8 +208,8 @@ def order_path(
 
     If a stable zero and a stable pole are `near_pairs`, or the equations are rank deficient, both
     orders are lowered by one and fitted again, down to m = 0. The paper does not say how close is
-    obvious. On its tables the rule does not lead to its (4, 1): try several orders to begin with, or
-    use `gb.identification.select_orders`.
+    obvious. On its tables the rule does not lead to its (4, 1): try several orders to begin with,
+    or use `gb.identification.select_orders`.
 
     Parameters
     ----------
@@ -263,8 +264,9 @@ def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: bool) -> 
     unknowns = n + m + 1 - int(integrator)
     if 2 * len(data) <= unknowns:
         raise ValueError(
-            f"{len(data)} frequencies give {2 * len(data)} equations for the {unknowns} unknowns of "
-            f"n = {n}, m = {m}: (3.17) needs more equations than unknowns, lower n and m or add frequencies."
+            f"{len(data)} frequencies give {2 * len(data)} equations for the {unknowns} unknowns "
+            f"of n = {n}, m = {m}: (3.17) needs more equations than unknowns, lower n and m or add "
+            "frequencies."
         )
 
 

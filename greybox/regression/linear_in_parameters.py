@@ -31,7 +31,8 @@ class KnownState:
     def __str__(self) -> str:
         if self.how == "simulated":
             return f"{self.name} simulated from {self.source}"
-        return f"{self.name} from the {'signal' if self.how == 'signal' else 'derivative of'} {self.source}"
+        kind = "signal" if self.how == "signal" else "derivative of"
+        return f"{self.name} from the {kind} {self.source}"
 
 
 @dataclass(frozen=True)
@@ -244,8 +245,8 @@ class _Analysis:
         moved = ca.substitute(row, symbols, symbols + step)
         error = moved - row - ca.mtimes(ca.jacobian(row, symbols), step)
         test = ca.Function("test", [self.x, self.u, self.p, step], [ca.vertcat(error, row, moved)])
-        # Kinks such as |x| bend a row at every second point: twenty leave one chance in a million. In
-        # this cube exponentials are still finite.
+        # Kinks such as |x| bend a row at every second point: twenty leave one chance in a million.
+        # In this cube exponentials are still finite.
         random = np.random.default_rng(0)
         sizes = [test.size1_in(k) for k in range(4)]
         points = [[random.uniform(-3, 3, (n, 1)) for n in sizes] for _ in range(20)]

@@ -74,9 +74,9 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
     parts = [rows for rows in stretches(time, values) if rows.stop - rows.start >= SHORTEST]
     if not parts:
         raise ValueError(
-            f"the signal has no stretch of {SHORTEST} samples without a gap among its {values.size}, "
-            f"of which {int(np.isfinite(values).sum())} are finite: put it on the time base of its "
-            "own sensor with gb.prepare."
+            f"the signal has no stretch of {SHORTEST} samples without a gap among its "
+            f"{values.size}, of which {int(np.isfinite(values).sum())} are finite: put it on "
+            "the time base of its own sensor with gb.prepare."
         )
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
@@ -113,7 +113,7 @@ def differentiate(values: Array, step: float) -> Array:
 
 
 def reach(cutoff: float) -> float:
-    """Return the time (s) in which the filter forgets to a tenth: its slowest pole is 0.38 cutoff."""
+    """Return the time, s, until the filter decays to a tenth; its slowest pole is 0.38 cutoff."""
     return math.log(10) / (math.sin(math.pi / POWER) * cutoff)
 
 
@@ -157,8 +157,9 @@ def require_uniform(time: Array) -> None:
     odd = np.flatnonzero((np.abs(steps - step) > 0.02 * step) & (steps <= GAP * step))
     if odd.size:
         raise ValueError(
-            f"sampling is not uniform: the step at {time[odd[0]]:.6g} s is {steps[odd[0]]:.4g} s and "
-            f"otherwise {step:.4g} s; put the signals on one time base with gb.prepare(..., rate=...)."
+            f"sampling is not uniform: the step at {time[odd[0]]:.6g} s is {steps[odd[0]]:.4g} s "
+            f"and otherwise {step:.4g} s; put the signals on one time base with "
+            "gb.prepare(..., rate=...)."
         )
 
 

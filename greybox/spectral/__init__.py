@@ -7,8 +7,8 @@ Sines, one after another
     plant does not explain; `pooled_noise` has the noise that several tests have in common.
 Sweeps, noise and multisines
     Begin with `sweeps_and_noise`, which uses `local_polynomials` in bands of the transform of the
-    whole record. `multisine_lines` uses whole periods, and `orthogonal_multisines` has the matrix of
-    responses of several inputs at once; `uniform_stretches` cuts records at gaps, and
+    whole record. `multisine_lines` uses whole periods, and `orthogonal_multisines` has the matrix
+    of responses of several inputs at once; `uniform_stretches` cuts records at gaps, and
     `estimated_points` collects the estimates.
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
     `transients` has their Fourier integrals, which are data of a `Problem`.

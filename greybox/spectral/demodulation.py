@@ -14,8 +14,8 @@ LEAST_SAMPLES = 8
 # Smallest share of its samples that each period of a window must have.
 LEAST_FILLED = 0.3
 
-# Harmonics are fitted up to this share of the Nyquist frequency, where sine and cosine are no longer
-# independent.
+# Harmonics are fitted up to this share of the Nyquist frequency, where sine and cosine are no
+# longer independent.
 HIGHEST = 0.8
 
 

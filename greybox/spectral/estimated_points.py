@@ -15,15 +15,15 @@ from greybox.spectral.uniform_stretches import UniformStretch
 HZ = 2 * math.pi  # rad/s
 EPS = np.finfo(float).eps
 
-# Power of the part of the input that the instrument explains, over the power of the noise in it. With
-# less, the ratio is biased toward the direct estimate and its standard error is too small (Staiger
-# and Stock (1997), Econometrica 65: the F statistic of the first stage).
+# Power of the part of the input that the instrument explains, over the power of the noise in it.
+# With less, the ratio is biased toward the direct estimate and its standard error is too small
+# (Staiger and Stock (1997), Econometrica 65: the F statistic of the first stage).
 STRONG = 10
 
 COHERENT = 0.6  # least coherence of an automatic point: Tischler and Remple, section 5.5
 
-# Largest condition number of the normal equations with columns of length one. Rounding errors of the
-# solution reach this times 2e-16.
+# Largest condition number of the normal equations with columns of length one. Rounding errors of
+# the solution reach this times 2e-16.
 WORST_CONDITION = 1e6
 
 

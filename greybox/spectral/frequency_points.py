@@ -140,7 +140,10 @@ class FiniteFrequency:
 
 
 def with_findings(point: FrequencyPoint, missing: float) -> FrequencyPoint:
-    """Return a point with the warnings that follow from its values and its share of missing samples."""
+    """Return a point with the warnings that follow from its values.
+
+    `missing` is the share of missing samples in its window.
+    """
     findings = [f"{missing:.0%} of the samples are missing"] if missing > MISSING else []
     names = ("control", "output")
     for name, sine, share, drift in zip(

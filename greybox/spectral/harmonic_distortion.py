@@ -1,7 +1,7 @@
 """Harmonics that a linear plant does not explain, and the error of the response they imply.
 
-A linear plant passes the harmonics of its control: y_k = P(kω) u_k. The difference e_k = y_k / P(kω)
-- u_k comes from a nonlinearity between the logged control and the output, such as rounded or
+A linear plant passes the harmonics of its control: y_k = P(kω) u_k. The difference e_k = y_k /
+P(kω) - u_k comes from a nonlinearity between the logged control and the output, such as rounded or
 saturated motors. It is referred to the control, since the plant would attenuate it in the output.
 The P(kω) are interpolated from the measured response itself.
 """
@@ -26,7 +26,8 @@ BETWEEN, BEYOND = 0.1, 0.5
 # attitude has steps of 0.01°, has two harmonics of 0.4 % at its highest frequency.
 SENSOR = 0.005
 
-# Standard errors of noise that e_k must exceed: noise alone does so with probability exp(-9) = 1e-4.
+# Standard errors of noise that e_k must exceed: noise alone does so with probability exp(-9) =
+# 1e-4.
 DETECTED = 3.0
 
 LINES = 2  # lines on either side of a harmonic from which its noise is estimated

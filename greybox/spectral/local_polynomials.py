@@ -1,8 +1,8 @@
 """Frequency responses of sweeps and noise, band by band: the local polynomial method.
 
 At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T
-+ V. The transient T began before the stretch or lasts beyond it, and is as smooth as P (Pintelon and
-Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines, both are polynomials,
++ V. The transient T began before the stretch or lasts beyond it, and is as smooth as P (Pintelon
+and Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines, both are polynomials,
 estimated by least squares, or by instrumental variables with an instrument r from outside the loop.
 There is no window, so nothing is smeared. The remaining error is that of the polynomials; it falls
 with the fourth power of the width of the band, the error of windows with the square.
@@ -36,9 +36,9 @@ from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.spectral.estimated_points import EPS, HZ, STRONG, WORST_CONDITION, EstimatedPoint
 from greybox.spectral.uniform_stretches import UniformStretch
 
-# Order of the response in a band. The error of order R in a band of half-width b beside a pole at the
-# distance ρ is proportional to (b/ρ)**(R + 1), but 2R + 2 unknowns need more lines and so a wider
-# band: orders from 2 to 4 are equally good.
+# Order of the response in a band. The error of order R in a band of half-width b beside a pole at
+# the distance ρ is proportional to (b/ρ)**(R + 1), but 2R + 2 unknowns need more lines and so a
+# wider band: orders from 2 to 4 are equally good.
 ORDER = 2
 NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
 
@@ -50,9 +50,9 @@ EXTRA = 2  # additional orders in the check of the polynomials
 DOUBLED = 2  # width of the band of that check over the width of the band
 GROWTH = DOUBLED ** (ORDER + 2)  # growth of the error at the nodes in that wider band
 
-# Squared difference of quadratic and quartic over its variance. For noise alone it has an exponential
-# distribution: a band is halved from the value exceeded in 1 % of cases, and a pole is estimated
-# from the value exceeded in 0.01 %.
+# Squared difference of quadratic and quartic over its variance. For noise alone it has an
+# exponential distribution: a band is halved from the value exceeded in 1 % of cases, and a pole is
+# estimated from the value exceeded in 0.01 %.
 VISIBLE = 4.6
 CERTAIN = 9.2
 
@@ -76,9 +76,10 @@ PLACES = 24  # for bands with one residual
 LEAST_PLACES = 6
 
 # Noise falls or rises with a power of the frequency. The exponent is estimated from an octave on
-# either side, by least squares on logarithms, whose scatter is π/√6 for one residual, with a prior of
-# this standard deviation. With 2, the squared errors of the three lowest points of a sweep are 1.39
-# times the stated variance, with 1 they are 1.24 times (white noise; AR(0.95): 1.32 and 1.37 times).
+# either side, by least squares on logarithms, whose scatter is π/√6 for one residual, with a prior
+# of this standard deviation. With 2, the squared errors of the three lowest points of a sweep are
+# 1.39 times the stated variance, with 1 they are 1.24 times (white noise; AR(0.95): 1.32 and 1.37
+# times).
 STEEP = 1.0
 LOG_SCATTER = math.pi / math.sqrt(6)
 
@@ -246,7 +247,7 @@ def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
 
 
 class _Widths(NamedTuple):
-    """Widths of the narrowest bands for a point and for the noise, rad/s, and residuals of the last."""
+    """Widths of the narrowest bands for a point and for noise, rad/s; residuals of the second."""
 
     point: float
     noise: float
@@ -261,7 +262,7 @@ class _Widths(NamedTuple):
 def _narrowest(
     lines: Lines, omega: float, residuals: int, transient_share: float = 1.0
 ) -> tuple[float, int]:
-    """Return the width of the narrowest band around `omega` with enough residuals, and their number.
+    """Return the narrowest width of a band with enough residuals, and their number.
 
     The number of lines in a band of given width depends on its position: the worst case counts.
     """
@@ -404,10 +405,10 @@ def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band
 
 
 def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
-    """Return the zeros of the next polynomial orthogonal over the lines, weighted by the excitation.
+    """Return the zeros of the next orthogonal polynomial, weighted by the excitation of the lines.
 
-    They are the eigenvalues of multiplication by x, projected on the polynomials of the fitted order
-    (Golub and Welsch (1969), Mathematics of Computation 23).
+    They are the eigenvalues of multiplication by x, projected on the polynomials of the fitted
+    order (Golub and Welsch (1969), Mathematics of Computation 23).
     """
     u, _, r, *_ = lines.values[:, fitted.rows]
     amplitude = np.sqrt(np.abs(u) * np.abs(r))
@@ -595,9 +596,9 @@ def _overlap(residuals: Sequence[_Residual]) -> float:
 def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -> _Residual | None:
     """Return the residuals of a narrow band; None if its polynomials are not determined.
 
-    With an instrument, Y - P̂U is projected with the response P̂ of the nearest band: the instrument
-    may be too weak for a response in the narrow band. Without one, these are the residuals of least
-    squares.
+    With an instrument, Y - P̂U is projected with the response P̂ of the nearest band: the
+    instrument may be too weak for a response in the narrow band. Without one, these are the
+    residuals of least squares.
     """
     fitted = fit_band(lines, center, half)
     if fitted is None:

@@ -1,11 +1,11 @@
 """Frequency responses of multisines from whole periods in steady state, free of leakage.
 
-At a line, the transforms of n periods obey Y = P U + V with independent noise V of one variance. The
-estimate is P̂ = aY with a = Rᴴ / (RᴴU) and an instrument R: the input itself (direct), or an injected
-signal (joint input-output), since noise that a feedback returns to U biases the direct estimate
-(Tischler and Remple, 2nd ed., section 5.7). Its variance is E|V|² aaᴴ. The residuals are QV with Q =
-I - Ua. The eigenvalues of QQᴴ are 0, k = |U|² |a|², and n - 2 ones: so E|V|² = |residuals|² / (n - 2
-+ k), with 2 (n - 2 + k)² / (n - 2 + k²) degrees of freedom (Satterthwaite).
+At a line, the transforms of n periods obey Y = P U + V with independent noise V of one variance.
+The estimate is P̂ = aY with a = Rᴴ / (RᴴU) and an instrument R: the input itself (direct), or an
+injected signal (joint input-output), since noise that a feedback returns to U biases the direct
+estimate (Tischler and Remple, 2nd ed., section 5.7). Its variance is E|V|² aaᴴ. The residuals are
+QV with Q = I - Ua. The eigenvalues of QQᴴ are 0, k = |U|² |a|², and n - 2 ones: so E|V|² =
+|residuals|² / (n - 2 + k), with 2 (n - 2 + k)² / (n - 2 + k²) degrees of freedom (Satterthwaite).
 """
 
 from collections.abc import Sequence
@@ -112,12 +112,15 @@ def period_spectra(
 
 
 def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
-    """Return the last whole periods of a stretch."""
+    """Return the last whole periods of a stretch.
+
+    An incomplete period is dropped at the start, where the plant may still settle.
+    """
     count = round(period / stretch.step)
     if count < 2 or abs(count * stretch.step - period) > WHOLE * stretch.step * count:
         raise ValueError(
-            f"a period of {period:g} s has {period / stretch.step:.6g} samples: resample the record "
-            "so that it has a whole number."
+            f"a period of {period:g} s has {period / stretch.step:.6g} samples: resample the "
+            "record so that it has a whole number."
         )
     remainder = stretch.values.shape[1] % count
     origin = stretch.origin

@@ -72,8 +72,8 @@ def response_matrix(
     stretches, spectra = period_spectra(records, period, (*inputs, *outputs, *excitations))
     if len(spectra) < 3:
         raise ValueError(
-            f"the records hold {counted(len(spectra), 'whole period')} of {period:g} s, and a variance "
-            "needs at least three: record longer."
+            f"the records hold {counted(len(spectra), 'whole period')} of {period:g} s, and a "
+            "variance needs at least three: record longer."
         )
     omega = 2 * np.pi / period * np.arange(1, spectra.shape[2] + 1)
     m, k = len(inputs), len(outputs)
@@ -85,8 +85,8 @@ def response_matrix(
     for j, rows in enumerate(rows_of):
         if rows.size < 2:
             raise ValueError(
-                f"{inputs[j]} has {counted(rows.size, 'line')} of its own, and interpolation needs at "
-                "least two: excite every input with its own multisine, "
+                f"{inputs[j]} has {counted(rows.size, 'line')} of its own, and interpolation needs "
+                "at least two: excite every input with its own multisine, "
                 "gb.experiment.multisine(signals=[...])."
             )
     between = [_interpolation(omega[lines[rows]], omega[lines]) for rows in rows_of]

@@ -34,7 +34,7 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
     level, dof : (n,) arrays
         The degrees of freedom of a level are at most the sum of all.
     """
-    from scipy.special import digamma, polygamma  # noqa: PLC0415  (scipy takes longer to import than this package)
+    from scipy.special import digamma, polygamma  # noqa: PLC0415  (slow import)
 
     omega, level, dof = (np.array(values, dtype=float) for values in (omega, level, dof))
     used = (level > 0) & (dof > 0)
@@ -51,7 +51,8 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
     prior = np.inf if spread <= 0 else 2 * _inverse_trigamma(float(spread))
     weight = dof[used] / (prior + dof[used])
 
-    # Levels that differ are modeled as a constant over a χ² variable, whose logarithm is biased too.
+    # Levels that differ are modeled as a constant over a χ² variable, whose logarithm is biased
+    # too.
     center = curve if np.isinf(prior) else curve + digamma(prior / 2) - np.log(prior / 2)
     pooled = level.copy()
     pooled[used] = weight * level[used] + (1 - weight) * np.exp(center)
@@ -62,8 +63,8 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
 
 def _inverse_trigamma(value: float) -> float:
     """Return x with ψ'(x) = `value`: ψ'(x) lies between 1/x and 1/x + 1/x²."""
-    from scipy.optimize import root_scalar  # noqa: PLC0415  (as above)
-    from scipy.special import polygamma  # noqa: PLC0415  (as above)
+    from scipy.optimize import root_scalar  # noqa: PLC0415  (slow import)
+    from scipy.special import polygamma  # noqa: PLC0415  (slow import)
 
     low, high = 0.5 / value, 1 / value + 1 / np.sqrt(value)
     return root_scalar(lambda x: float(polygamma(1, x)) - value, bracket=(low, high)).root

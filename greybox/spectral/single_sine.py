@@ -32,7 +32,8 @@ from greybox.spectral.saturation import at_limit
 # of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
 LINES = 6
 
-# The first three harmonics: a symmetric nonlinearity has odd ones, a rounded or biased one even ones.
+# The first three harmonics: a symmetric nonlinearity has odd ones, a rounded or biased one even
+# ones.
 HARMONICS = 3
 
 # Standard errors of a complex amplitude. Noise alone exceeds three with a probability of exp(-9) =
@@ -80,13 +81,13 @@ def finite_frequency(
 
     Sine, cosine, constant, trend and two harmonics are fitted to control and output over all q
     periods together, which is exact on any sampling; the sums of (3.16) are exact only if a period
-    is a whole number of samples. The residual e = y - P u is examined beside ω, on the lines
-    ω(1 ± m/q), m = 1 ... M: a periodic signal has no power there, noise and transients do. A
-    straight line through these values is the leakage of a plant whose state differs between the
-    ends of the window (integrators, unstable poles); its value at ω is subtracted. The scatter about
-    the line is the noise near ω. The variance follows from it, with 2(2M - 2) degrees of freedom
-    (two periods: 2). In a closed loop, the plain scatter of periods would overstate the variance
-    several times.
+    is a whole number of samples. The residual e = y - P u is examined beside ω, on the lines ω(1 ±
+    m/q), m = 1 ... M: a periodic signal has no power there, noise and transients do. A straight
+    line through these values is the leakage of a plant whose state differs between the ends of the
+    window (integrators, unstable poles); its value at ω is subtracted. The scatter about the line
+    is the noise near ω. The variance follows from it, with 2(2M - 2) degrees of freedom (two
+    periods: 2). In a closed loop, the plain scatter of periods would overstate the variance several
+    times.
 
     Noise that the feedback brings into the control is in both y and P u, and cancels in e. Both
     amplitudes refer to the phase of the setpoint, so the ratio has no closed-loop bias, unlike a
@@ -221,7 +222,7 @@ def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
 
 
 def frequency_error(t: Array, r: Array, omega: float) -> float:
-    """Return the setpoint's frequency minus `omega`, rad/s, from its phase drift between the halves."""
+    """Return the frequency of the setpoint minus `omega`, rad/s, from its phase drift."""
     half = (t[-1] - t[0]) / 2
     halves = (t < t[0] + half, t >= t[0] + half)
     first, second = (least_squares(t[k], r[None, k], omega, t[0], 1)[0][0, 0] for k in halves)
@@ -245,7 +246,8 @@ def estimate_by_lines(
         [spectral_line(t, residual[:2], omega * (1 + k / q), float(t[0])) for k in m], axis=-1
     )
 
-    # The leakage of y - P u is a polynomial in m; `at_omega` gives its value at m = 0 from the lines.
+    # The leakage of y - P u is a polynomial in m; `at_omega` gives its value at m = 0 from the
+    # lines.
     smooth = m[:, None] ** np.arange(1 if count == 1 else 2)
     to_polynomial = np.linalg.pinv(smooth)
     at_omega = to_polynomial[0]

@@ -77,10 +77,10 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     Returns
     -------
     FrequencyResponse
-        With coherence, variance E|P̂ - P|² and its degrees of freedom. Points are left out where too
-        little remains to estimate the noise, or where the instrument hardly moves the input. The
-        coherence is partial, without transients and conditioned inputs; with an instrument, it is
-        the lower of its coherences with input and output. The variance assumes stationary noise.
+        With coherence, variance E|P̂ - P|² and its degrees of freedom. Points are left out where
+        too little remains to estimate the noise, or where the instrument hardly moves the input.
+        The coherence is partial, without transients and conditioned inputs; with an instrument, it
+        is the lower of its coherences with input and output. The variance assumes stationary noise.
 
     Raises
     ------
@@ -115,8 +115,8 @@ def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[f
         raise ValueError(f"the band must be increasing: got {low:g} to {high:g} rad/s.")
     if not max(low, lowest) < min(high, highest):
         raise ValueError(
-            f"these records resolve {lowest:.4g} to {highest:.4g} rad/s, not the band from {low:.4g} "
-            f"to {high:.4g} rad/s: choose another band, record longer or faster, or use "
+            f"these records resolve {lowest:.4g} to {highest:.4g} rad/s, not the band from "
+            f"{low:.4g} to {high:.4g} rad/s: choose another band, record longer or faster, or use "
             f"{FOR_MANOEUVRES}."
         )
     return max(low, lowest), min(high, highest)
@@ -127,8 +127,8 @@ def _check_periods(omega: Array, lowest: float, longest: float) -> None:
     if too_low.size:
         raise ValueError(
             f"omega = {too_low[0]:g} rad/s has fewer than {LOWEST} periods in the longest stretch, "
-            f"{longest:.4g} s: leave out frequencies below {lowest:.4g} rad/s, record longer, or use "
-            f"{FOR_MANOEUVRES}."
+            f"{longest:.4g} s: leave out frequencies below {lowest:.4g} rad/s, record longer, or "
+            f"use {FOR_MANOEUVRES}."
         )
 
 

@@ -54,7 +54,7 @@ ERROR = (0.1, 0.5)
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: its subject, its severity, the number behind it, a sentence, and the frequencies (rad/s) it concerns."""
+    """One finding: subject, severity, number, sentence, and the frequencies (rad/s) it concerns."""
 
     about: str
     severity: Severity

@@ -55,8 +55,8 @@ def transient_spectrum(
     stretches = uniform_stretches(record, names)
     if len(stretches) > 1:
         raise ValueError(
-            f"{record.name or 'the record'} has {len(stretches)} stretches between gaps: cut out one "
-            "with record.between(start, end); several manoeuvres are several spectra."
+            f"{record.name or 'the record'} has {len(stretches)} stretches between gaps: cut out "
+            "one with record.between(start, end); several manoeuvres are several spectra."
         )
     stretch = stretches[0]
     assert stretch.origin is not None
@@ -98,15 +98,16 @@ def lines_in_band(band: tuple[float, float], duration: float, step: float) -> Ar
         )
     if high > HIGHEST * 2 * np.pi / step * (1 + 1e-9):  # rounding of the step
         raise ValueError(
-            f"the band ends at {high:g} rad/s, but the signals are sampled at {1 / step:g} Hz: end it "
-            f"at {HIGHEST * 2 * np.pi / step:.4g} rad/s ({HIGHEST:g} of the sampling rate) at most."
+            f"the band ends at {high:g} rad/s, but the signals are sampled at {1 / step:g} Hz: end "
+            f"it at {HIGHEST * 2 * np.pi / step:.4g} rad/s ({HIGHEST:g} of the sampling rate) at "
+            "most."
         )
     lines = np.arange(
         max(1, np.ceil(low / spacing * (1 - 1e-9))), np.floor(high / spacing * (1 + 1e-9)) + 1
     )
     if not lines.size:
         raise ValueError(
-            f"the band from {low:g} to {high:g} rad/s holds no multiple of {spacing:.4g} rad/s, the "
+            f"the band from {low:g} to {high:g} rad/s has no multiple of {spacing:.4g} rad/s, the "
             f"resolution of {duration:.4g} s: widen the band or use a longer part."
         )
     return lines * spacing
@@ -129,8 +130,8 @@ def _held(values: Array, omega: Array, step: float) -> ComplexArray:
 
 
 def _interpolated(values: Array, omega: Array, step: float) -> ComplexArray:
-    # Constants vanish on this grid. Without the line, the signal is periodic without a jump, and the
-    # trapezoidal rule is accurate.
+    # Constants vanish on this grid. Without the line, the signal is periodic without a jump, and
+    # the trapezoidal rule is accurate.
     change = values[-1] - values[0]
     line = np.linspace(0.0, change, values.size)
     periodic = values[:-1] - values[0] - line[:-1]

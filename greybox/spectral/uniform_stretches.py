@@ -20,7 +20,7 @@ CONSTANT = 1e-12
 
 
 class UniformStretch(NamedTuple):
-    """Values (signals, n) without gaps, the sampling interval in s, and the origin of the samples."""
+    """Values (signals, n) without gaps, the sampling interval in s, and where they come from."""
 
     values: Array
     step: float
@@ -91,8 +91,9 @@ def _check_uniform(time: Array, record: Record) -> None:
     deviation = np.abs(time - uniform)
     if deviation.max() > JITTER * (uniform[1] - uniform[0]):
         raise ValueError(
-            f"{record.name or 'the record'} is not uniformly sampled ({1e3 * deviation.max():.2g} ms "
-            f"off at {time[deviation.argmax()]:.2f} s): resample it with gb.prepare(..., rate=...)."
+            f"{record.name or 'the record'} is not uniformly sampled "
+            f"({1e3 * deviation.max():.2g} ms off at {time[deviation.argmax()]:.2f} s): "
+            "resample it with gb.prepare(..., rate=...)."
         )
 
 

@@ -177,7 +177,8 @@ def require_distinct(members: Sequence[Member]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(
-                f"{counted(names.count(name), 'member')} have the name {name!r}: give different names."
+                f"{counted(names.count(name), 'member')} have the name {name!r}: give different "
+                "names."
             )
 
 
@@ -243,8 +244,9 @@ def _is_done(member: Member, stored: StoredMember) -> bool:
         return False
     if stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(
-            f"the study has the answer to another problem under the name {member.name!r}, or to other options, or of "
-            "another version of greybox or CasADi: give what the study was begun with, or begin another one."
+            f"the study has the answer to another problem under the name {member.name!r}, or to "
+            "other options, or of another version of greybox or CasADi: give what the study was "
+            "begun with, or begin another one."
         )
     return stored.answer.get("asked") == _asked(member)
 

@@ -1,4 +1,4 @@
-"""The bootstrap: a fit is repeated on data that are drawn anew, and the spread of its estimates is their error.
+"""The bootstrap: a fit is repeated on data that are drawn anew; the spread is the error.
 
 Begin with `bootstrap`. Sources: Efron and Tibshirani (1993), An
 Introduction to the Bootstrap; Davison and Hinkley (1997), Bootstrap Methods and their Application.
@@ -148,8 +148,9 @@ class Bootstrap:
         if not names:
             return ()
         return (
-            f"the replicates of {some(names)} reach much farther to one side. Percentile intervals of such parameters "
-            "covered 91 to 93 % instead of 95 %, profiles 95 to 97 %: use gb.profile where it can.",
+            f"the replicates of {some(names)} reach much farther to one side. Percentile intervals "
+            "of such parameters covered 91 to 93 % instead of 95 %, profiles 95 to 97 %: use "
+            "gb.profile if it is available for this criterion.",
         )
 
     @cached_property
@@ -191,7 +192,7 @@ class Bootstrap:
         )
 
     def summary(self, level: float = 0.95) -> dict[str, Any]:
-        """Return all but the replicates as plain values for JSON; None for an open side, or no interval."""
+        """Return plain values for JSON, without the replicates; None for an open or unknown end."""
         error = self.standard_error
         bias = self.bias
         intervals = self.interval(level)
@@ -314,7 +315,8 @@ def bootstrap(
         raise ValueError(f"the fit {fit.name!r} has no estimate to begin from: {fit.status}.")
     if not isinstance(replicates, int) or replicates < 2:
         raise ValueError(
-            f"replicates={replicates!r:.40} must be a whole number of at least 2; 1000 give intervals."
+            f"replicates={replicates!r:.40} must be a whole number of at least 2; 1000 give "
+            "intervals."
         )
     if not isinstance(seed, int) or seed < 0:
         raise ValueError(f"seed={seed!r:.40} must be a whole number of at least 0.")
@@ -388,8 +390,8 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordRep
     if nlp.problem.held_estimates:
         names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
-            f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are compiled "
-            "into records as constants: fit them along, or bootstrap that fit."
+            f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are "
+            "compiled into records as constants: fit them along, or bootstrap that fit."
         )
     x = np.array([fit.estimate[name] for name in nlp.free])
     solver = solver_for(nlp)
@@ -463,13 +465,13 @@ def _bar(count: int, progress: bool | Callable[[int, int], None]) -> Any:
 
 
 def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:
-    """Warn of many failed replicates, by their statuses, and of too few replicates for an interval."""
+    """Warn of many failed replicates, and of too few replicates for an interval."""
     failed = Counter(status for status in statuses if status)
     if failed.total() > 0.05 * len(statuses):  # twice the size of a tail
         reasons = ", ".join(f"{count} {status}" for status, count in failed.most_common(3))
         yield (
-            f"{failed.total()} of {len(statuses)} replicates failed ({reasons}): the tails of the others are not those "
-            "of the estimate."
+            f"{failed.total()} of {len(statuses)} replicates failed ({reasons}): the tails of the "
+            "others are not those of the estimate."
         )
     # Four replicates beyond an end of an interval leave it uncertain by a quarter of a standard
     # error.
@@ -477,6 +479,6 @@ def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:
     if len(statuses) < needed:
         few = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
         yield (
-            f"{few}{100 * tail(0.95, dof):.2g} % of the replicates lie beyond each end of a 95 % interval: "
-            f"make {math.ceil(needed / 100) * 100} instead of {len(statuses)}."
+            f"{few}{100 * tail(0.95, dof):.2g} % of the replicates lie beyond each end of a 95 % "
+            f"interval: make {math.ceil(needed / 100) * 100} instead of {len(statuses)}."
         )

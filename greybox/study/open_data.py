@@ -1,8 +1,8 @@
-"""The cost of frequency responses as a function of the measured values, so that many data sets share one compilation.
+"""The cost of frequency responses as a function of the measured values.
 
 Begin with `open_program`. A compiled problem contains its data as numbers, and hundreds of refits
-would spend most of their time on compilations. Here the measured values are an input, and so are
-the constants of the problem, which an earlier fit may give with errors.
+would spend most of their time on compilations. Here they share one compilation: the measured values
+are an input, and so are the constants of the problem, which an earlier fit may give with errors.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 
 def program_input(constants: Array, measured: Sequence[ComplexArray]) -> Array:
-    """Return the third input of an `open_program`: constants, and the measured values of every part."""
+    """Return the third input of an `open_program`: constants, then measured values by part."""
     return np.concatenate(
         [constants, *(part for values in measured for part in (values.real, values.imag))]
     )
@@ -31,7 +31,7 @@ def program_input(constants: Array, measured: Sequence[ComplexArray]) -> Array:
 
 @one_thread_at_a_time
 def open_program(nlp: CompiledProblem) -> ca.Function:
-    """Return the function (z, smoothing, data) -> cost in the solver's units, limits that must be >= 0.
+    """Return the function (z, smoothing, data) -> cost in the solver's units, limits (>= 0).
 
     Raises
     ------
@@ -93,6 +93,7 @@ def _cost(part: Problem, response: Complex, data: Any, smoothing: Any) -> Any:
     except (TypeError, AttributeError, NotImplementedError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:120].rstrip(".")
         raise ValueError(
-            f"{type(criterion).__name__} accepts numbers alone ({reason}), and many data sets are fitted at once as "
-            "symbols: write its cost with data.response, abs and the functions of greybox."
+            f"{type(criterion).__name__} accepts numbers alone ({reason}), and many data sets are "
+            "fitted at once as symbols: write its cost with data.response, abs and the functions "
+            "of greybox."
         ) from error

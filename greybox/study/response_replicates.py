@@ -78,7 +78,7 @@ class DrawnPart:
         return self.deviation * normal
 
     def _correlated(self, normal: ComplexArray, correlation: float, scale: float) -> ComplexArray:
-        """Return errors that are correlated from neighbor to neighbor, along and across the response."""
+        """Return errors that are correlated between neighbors, along and across the response."""
         from scipy.signal import lfilter  # noqa: PLC0415 - takes a third of a second to import
 
         order = np.argsort(self.omega, kind="stable")
@@ -212,7 +212,7 @@ def _drawn_part(
 
 
 def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
-    """Return the leverages (n,) of the points of every part, from the derivatives (n, p) of their errors."""
+    """Return the leverages (n,) of the points by part, from the derivatives (n, p) of errors."""
     rows = [np.vstack([slope.real, slope.imag]) for slope in slopes]
     left, singular, _ = np.linalg.svd(np.vstack(rows) / scale, full_matrices=False)
     # Below this singular value a direction takes nothing from the residuals.
@@ -223,7 +223,7 @@ def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
 
 
 class ResponseReplicates(Runner):
-    """Newton's method on many data sets at once from the estimate; IPOPT for those that it does not solve.
+    """Newton's method on many data sets at once from the estimate; IPOPT where it fails.
 
     Parameters
     ----------

@@ -1,12 +1,12 @@
-"""A study on disk: one folder, in which only one process writes at a time and from which all may read.
+"""A study on disk: a folder in which one process writes at a time; all may read.
 
 ``study.sqlite``  an SQLite database: members and their answers, and every run as it is made.
 ``001-NAME.h5``   the fit of a member, as `greybox.save` writes it.
 ``lock``          locked by the process that writes.
 
-A single fit with ``--out`` and a bootstrap keep their runs in such a folder, too, as those of one member. SQLite commits
-are atomic: `kill -9` leaves all runs up to the last commit. Runs and answers are JSON texts with a checksum, so nothing
-in a folder from a stranger is executed.
+A single fit with ``--out`` and a bootstrap keep their runs in such a folder, too, as those of one
+member. SQLite commits are atomic: `kill -9` leaves all runs up to the last commit. Runs and answers
+are JSON texts with a checksum, so nothing in a folder from a stranger is executed.
 """
 
 import json
@@ -33,9 +33,10 @@ LOCK = "lock"
 APPLICATION = 0x67_72_65_79  # "grey", by which SQLite files tell whose they are
 LAYOUT = 1
 TABLES = (
-    "CREATE TABLE members (id INTEGER PRIMARY KEY, name TEXT UNIQUE, fingerprint TEXT DEFAULT '', answer TEXT, "
-    "checksum INTEGER)",
-    "CREATE TABLE runs (member INTEGER, number INTEGER, run TEXT, checksum INTEGER, PRIMARY KEY (member, number))",
+    "CREATE TABLE members (id INTEGER PRIMARY KEY, name TEXT UNIQUE, "
+    "fingerprint TEXT DEFAULT '', answer TEXT, checksum INTEGER)",
+    "CREATE TABLE runs (member INTEGER, number INTEGER, run TEXT, checksum INTEGER, "
+    "PRIMARY KEY (member, number))",
     f"PRAGMA application_id = {APPLICATION}",
     f"PRAGMA user_version = {LAYOUT}",
 )
@@ -81,7 +82,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class StoredMember:
-    """A member as the database has it: its `answer` is empty until it is done, `runs` counts those on disk."""
+    """A member in the database: `answer` is empty until it is done, `runs` counts those on disk."""
 
     number: int
     name: str
@@ -95,7 +96,7 @@ class StoredMember:
 
 
 def is_study(folder: Path) -> bool:
-    """Return whether the folder has a study; a full disk leaves an empty file where one was begun."""
+    """Return whether the folder has a study; an empty file, left by a full disk, is none."""
     path = folder / DATABASE
     return path.is_file() and path.stat().st_size > 0
 
@@ -186,8 +187,9 @@ class StoredRuns(KeptRuns):
             raise KeptRunsError(str(error)) from error
         if rows and fingerprints != [(fingerprint,)]:
             raise KeptRunsError(
-                f"the runs in {self._folder} are those of another problem, of other options, or of another version of "
-                "greybox or CasADi: give what they were begun with, or begin another study."
+                f"the runs in {self._folder} are those of another problem, of other options, or of "
+                "another version of greybox or CasADi: give what they were begun with, or begin "
+                "another study."
             )
         return _Runs(
             self._folder, {int(number): (text, checksum) for number, text, checksum in rows}
@@ -199,11 +201,11 @@ class StoredRuns(KeptRuns):
         self.look()
 
     def look(self) -> None:
-        """Write the runs if they are older, or took longer, than `UNWRITTEN`; a full disk is tried again later."""
+        """Write the runs if they are older, or took longer, than `UNWRITTEN`."""
         age = time.monotonic() - self._written_at
         work = sum(outcome.seconds for _, _, outcome in self._unwritten)
         if max(age, work) >= UNWRITTEN:
-            with suppress(OSError):
+            with suppress(OSError):  # a full disk: the next run tries again
                 self.write()
 
     def write(self) -> None:
@@ -254,7 +256,7 @@ class StoredRuns(KeptRuns):
 
 @contextmanager
 def runs_beside(path: Path) -> Iterator[StoredRuns]:
-    """Keep the runs of a fit in a folder beside its file, until they are removed, whatever ends the fit.
+    """Keep the runs of a fit in a folder beside its file until they are removed.
 
     Raises
     ------
@@ -373,7 +375,7 @@ def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connect
 
 
 def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool) -> None:
-    """Make the tables of a new database, and refuse one that is not a study's, or is of a later version."""
+    """Make the tables of a new database; refuse another program's, or one of a later version."""
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     layout = connection.execute("PRAGMA user_version").fetchone()[0]
     if create and application == layout == 0:

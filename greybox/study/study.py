@@ -50,7 +50,7 @@ class StudyMember:
         FileNotFoundError
             If the member has no fit yet.
         """
-        from greybox.estimate.storage import load  # noqa: PLC0415  (few look at more than the numbers)
+        from greybox.estimate.storage import load  # noqa: PLC0415  (slow import)
 
         return load(self.file)
 
@@ -127,7 +127,8 @@ def _member(stored: StoredMember, folder: Path) -> StudyMember:
         _require_labels(answer)
     except (LookupError, TypeError, ValueError, AttributeError):
         raise ValueError(
-            f"the answer of {name!r} in {folder} is damaged: restore the folder, or begin another study."
+            f"the answer of {name!r} in {folder} is damaged: restore the folder, or begin another "
+            "study."
         ) from None
     return member
 

@@ -76,7 +76,7 @@ def test_errors_of_white_noise_are_independent_and_of_known_size():
 @pytest.mark.parametrize(
     ("band", "words"),
     [
-        ((0.1, 0.5), r"holds no multiple of 0\.7854 rad/s"),
+        ((0.1, 0.5), r"has no multiple of 0\.7854 rad/s"),
         ((1, 200), r"125\.7 rad"),
         (
             (1, 126),
