@@ -32,6 +32,8 @@ from greybox.estimate.response_band import (
 from greybox.estimate.summary import summary
 from greybox.files.arrays import Array
 from greybox.files.text_table import alternatives, counted, one_line, with_error
+from greybox.formulation.frequency_criteria import cost_of_zero
+from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import resolve
@@ -202,11 +204,27 @@ class Fit:
 
     @property
     def agreeing(self) -> int:
-        """Number of runs whose cost differs from the best by less than 0.1 in log-likelihood, or its equivalent."""
+        """Number of runs whose cost differs from the best by less than 0.1 in log-likelihood.
+
+        For other criteria, by its equivalent. It is 0 if the best response is nearly zero.
+        """
+        criteria = {criterion.name: criterion for criterion in CRITERIA}
+        zero = sum(
+            part.weight * cost_of_zero(criteria[part.criterion], part.data)
+            if isinstance(part, FittedResponse) and part.criterion in criteria
+            else math.inf
+            for part in self.parts
+        )
         numbers = sum(2 * len(part.data) for part in self.responses)
         is_likelihood = any(part.is_likelihood for part in self.parts)
         return len(
-            agreeing_runs(self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood)
+            agreeing_runs(
+                self.runs,
+                self.minima,
+                numbers=numbers,
+                is_likelihood=is_likelihood,
+                zero=zero,
+            )
         )
 
     @property

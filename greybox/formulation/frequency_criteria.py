@@ -487,6 +487,16 @@ def evaluate(criterion: Criterion, model: ComplexArray, data: FrequencyResponse)
         return float(criterion.cost(Complex(model.real, model.imag), data))
 
 
+def cost_of_zero(criterion: Criterion, data: FrequencyResponse) -> float:
+    """Return the cost of a response that is zero everywhere, infinite where it has none.
+
+    Over the measured magnitude a relative error is 1 there, so that (4.26) has a wide attractor at
+    zero gain.
+    """
+    cost = evaluate(criterion, np.zeros(len(data), dtype=complex), data)
+    return cost if math.isfinite(cost) else math.inf
+
+
 def _variance(data: FrequencyResponse) -> Array:
     assert data.variance is not None
     return data.variance

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, one_line
+from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.solve.runs import AT_ONCE, SCREENED, TOO_COARSE, Run, Runs
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
@@ -115,21 +116,45 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
 
 
 def agreeing_runs(
-    runs: Sequence[Run], minima: Sequence[Minimum], *, numbers: int, is_likelihood: bool
+    runs: Sequence[Run],
+    minima: Sequence[Minimum],
+    *,
+    numbers: int,
+    is_likelihood: bool,
+    zero: float = math.inf,
 ) -> tuple[int, ...]:
     """Return the indices of runs whose cost the data cannot distinguish from the lowest.
+
+    None agree if the lowest is nearly `zero`, the cost of a response that is zero: such a model
+    explains nothing, wherever the runs began.
 
     The costs differ by at most a tenth of a unit of log-likelihood. With unknown noise the cost of
     `numbers` real numbers is proportional to the noise or its square, and the log-likelihood to
     n log(cost): a unit of it is cost / n.
     """
-    if not minima:
+    if not minima or explains_nothing(minima[0].cost, zero):
         return ()
     best = minima[0].cost
     limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / max(numbers, 1))
     columns = Runs.of(runs)
     close = columns.indices[columns.converged & (columns.cost <= limit)]
     return tuple(sorted({*close.tolist(), *minima[0].runs}))
+
+
+def explains_nothing(cost: float, zero: float) -> bool:
+    """Tell whether a cost is that of a response of zero, to a percent."""
+    return cost >= 0.99 * zero
+
+
+def zero_cost(nlp: CompiledProblem) -> float:
+    """Return the cost of a response that is zero; infinite with parts that are not responses."""
+    cost = 0.0
+    for part in nlp.parts:
+        criterion = part.problem.criterion
+        if not isinstance(criterion, Criterion):
+            return math.inf
+        cost += part.weight * cost_of_zero(criterion, part.problem.response)
+    return cost
 
 
 def find_minima(

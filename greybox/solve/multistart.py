@@ -20,7 +20,7 @@ from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver, Runner
-from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
+from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima, zero_cost
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import SCREENED, Outcome, Run, Runs
 from greybox.solve.transcribed_program import TranscribedProgram
@@ -32,7 +32,9 @@ def agreeing_runs_of(
     """Return the indices of the runs at the lowest cost, within the noise of the data."""
     numbers = sum(part.numbers for part in nlp.parts)
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
-    return agreeing_runs(runs, minima, numbers=numbers, is_likelihood=is_likelihood)
+    return agreeing_runs(
+        runs, minima, numbers=numbers, is_likelihood=is_likelihood, zero=zero_cost(nlp)
+    )
 
 
 ProgressReport = Callable[[int, int], None]

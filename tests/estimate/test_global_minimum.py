@@ -1,10 +1,12 @@
 """What is said of other minima."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.estimate.diagnostics import global_minimum
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
@@ -13,7 +15,9 @@ from greybox.estimate.diagnostics.global_minimum import (
     several_estimates_of_one_response,
     unfinished_runs,
 )
-from greybox.solve.runs import TOO_COARSE
+from greybox.models.rate import DampedRate
+from greybox.problems import pitch_hover
+from greybox.solve.runs import SCREENED, TOO_COARSE
 
 
 def said(is_likelihood, *costs):
@@ -97,13 +101,13 @@ def test_a_rival_is_within_three_of_a_log_likelihood_or_a_hundredth_of_the_cost(
 def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(
     monkeypatch, agreeing, converged, count, texts
 ):
-    monkeypatch.setattr(global_minimum, "agreeing_runs", lambda *_, **__: range(agreeing))
-    nlp = SimpleNamespace(parts=[SimpleNamespace(is_likelihood=True, numbers=10)])
+    monkeypatch.setattr(global_minimum, "agreeing_runs_of", lambda *_, **__: range(agreeing))
+    nlp = SimpleNamespace(parts=[SimpleNamespace(problem=SimpleNamespace(criterion=None))])
     runs = [None] * count
     search = SimpleNamespace(
         brought=runs,
         runs=runs,
-        minima=(),
+        minima=[SimpleNamespace(cost=1.0)],
         converged=converged,
         failures=f"{count - converged} failed",
     )
@@ -155,3 +159,18 @@ def test_several_estimates_are_told_where_no_combination_is(
     texts = [*several_estimates_of_one_response(nlp, None, accuracy)]
     assert len(texts) == count
     assert all(text.startswith("at least 2 clearly different parameter vectors") for text in texts)
+
+
+def test_a_response_of_zero_explains_nothing_and_no_start_agrees_on_it():
+    """(2.7) in a wide box: at zero gain (4.26) costs the number of points, and most starts end there."""
+    data = replace(pitch_hover.data().times_s(), input="u", output=DampedRate.output, units={})
+    wide = {"K_1": (0, 1e5), "T_1": (1e-4, 100), "xi": (-10, 10), "omega_p": (1e-3, 200)}
+    problem = gb.Problem(DampedRate(), data, bounds=wide)
+    fit = gb.fit(problem, [{"K_1": 0.0}], profiles=False, progress=False)
+    assert fit.cost == pytest.approx(len(data), rel=1e-3)
+    assert fit.agreeing == 0
+    assert any("explains nothing" in text for text in fit.warnings)
+    # The default search does not stop at the few promising starts that all end there.
+    default = gb.fit(problem, profiles=False, progress=False)
+    assert not any(run.stage == SCREENED for run in default.runs)
+    assert default.agreeing < 20

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.equivalent_minima import equivalent_estimates, equivalents_warning
-from greybox.solve.minima import Multistart, agreeing_runs
+from greybox.solve.minima import Multistart, explains_nothing, zero_cost
+from greybox.solve.multistart import agreeing_runs_of
 from greybox.solve.runs import TOO_COARSE
 
 # Difference of negative log-likelihoods up to which another minimum is a rival: at 3 it is twenty
@@ -16,11 +17,13 @@ RIVAL_LIKELIHOOD = 3.0
 def few_agreeing_starts(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
     """Warn where fewer than a tenth of the starts reached the best minimum, or most runs failed."""
     count = len(search.brought)
-    numbers = sum(part.numbers for part in nlp.parts)
-    is_likelihood = any(part.is_likelihood for part in nlp.parts)
-    agreeing = len(
-        agreeing_runs(search.runs, search.minima, numbers=numbers, is_likelihood=is_likelihood)
-    )
+    if explains_nothing(search.minima[0].cost, zero_cost(nlp)):
+        yield (
+            f"the model explains nothing: the cost {search.minima[0].cost:.6g} is that of a "
+            "response of zero; narrow the start boxes or the bounds, or use more starts."
+        )
+        return
+    agreeing = len(agreeing_runs_of(nlp, search.runs, search.minima))
     if len(search.runs) == 1:
         yield "one start only: another minimum may be lower; use more starts."
     elif agreeing == 1 or agreeing < count / 10:
