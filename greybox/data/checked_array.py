@@ -39,6 +39,7 @@ def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
     array.setflags(write=False)
+
     return array
 
 

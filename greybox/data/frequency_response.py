@@ -108,6 +108,7 @@ class FrequencyResponse:
         if self.common_errors is not None:
             object.__setattr__(self, "common_errors", self._checked_errors(self.common_errors))
         object.__setattr__(self, "stretches", tuple(self.stretches))
+
         for name in ("units", "about"):
             texts = {
                 printable(str(key)): printable(str(text))
@@ -135,6 +136,7 @@ class FrequencyResponse:
                 "frequency, "
                 "or add two problems, one for each experiment."
             )
+
         measured = np.isfinite(self.response)
         self._require("response", measured, "leave out the points that were not measured")
         for name in ("omega", "response"):
@@ -145,6 +147,7 @@ class FrequencyResponse:
                 "unit, "
                 "or leave the point out",
             )
+
         for name in ("coherence", "variance", "dof"):
             values = getattr(self, name)
             if values is not None:
@@ -174,6 +177,7 @@ class FrequencyResponse:
                     "but they are a part of it: add their squares to it."
                 )
         errors.setflags(write=False)
+
         return errors if len(errors) else None
 
     @classmethod
@@ -294,6 +298,7 @@ class FrequencyResponse:
             if self.units.get(self.output):
                 units[name] = to_si(self.units[self.output] + unit).si
         response = self.response * factor
+
         return replace(
             self,
             response=response,

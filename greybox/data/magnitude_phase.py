@@ -45,6 +45,7 @@ def complex_response(
         )
     if _si(phase_unit) != "rad":
         raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
+
     if str(magnitude_unit).lower() == "db":
         with np.errstate(
             over="ignore"
@@ -60,6 +61,7 @@ def complex_response(
             f"magnitude is {size[negative[0]]:g} at index {negative[0]}, below 0: "
             "if these are decibels, say so, magnitude_unit='dB'."
         )
+
     return np.asarray(size * np.exp(1j * to_si(phase_unit).apply(angle)), dtype=complex)
 
 

@@ -62,6 +62,7 @@ def columns_of(frame: Frame, without: str = "") -> dict[str, Array]:
                 f"the column {name!r} of the data frame is not one of numbers: drop or convert it."
             )
         result[name] = column.to_numpy(dtype=float, na_value=np.nan)
+
     return result
 
 
@@ -93,7 +94,9 @@ def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...
         )
     if values.dtype.kind in "mM":
         return seconds_from_first(values), column, ()
+
     times = checked_array(f"the time {name!r} of the data frame", values.to_numpy())
     label, unit = heading(name)
     times, findings = times_in_seconds(label, unit, times)
+
     return times, column, findings

@@ -99,6 +99,7 @@ class Record:
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
             )
+
         measured = {_printable(name): _read_only(x, name) for name, x in self.signals.items()}
         signals = {name: within_range(values) for name, values in measured.items()}
         lost = [
@@ -246,6 +247,7 @@ class Record:
         if "units" in described:  # those of columns that were dropped later stay in `attrs`
             described["units"] = {n: u for n, u in described["units"].items() if n in columns}
         options = described | others | ({} if units is None else {"units": units})
+
         return cls(moments, columns, **options)  # type: ignore[arg-type]
 
     def to_pandas(self) -> Frame:
@@ -367,6 +369,7 @@ class Recording(Mapping[str, Record]):
             raise KeyError(
                 f"the signal {signal!r} is ambiguous or unknown, {reason}; write MESSAGE.{signal}."
             )
+
         return self.records[holders[0]], signal
 
     def __repr__(self) -> str:
@@ -402,12 +405,14 @@ def share_samples(a: Record, b: Record) -> bool:
             for piece in a.pieces
             for other_piece in b.pieces
         )
+
     _, rows, other_rows = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
     alike = [
         np.isclose(a[name][rows], b[name][other_rows], rtol=0.0, atol=0.0, equal_nan=True)
         for name in a.signals
         if name in b.signals
     ]
+
     # A few samples of quantized signals are equal by chance.
     return (
         bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT

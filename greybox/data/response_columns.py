@@ -53,6 +53,7 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
             "frequency, magnitude and "
             "phase, or of frequency, alpha and beta."
         )
+
     result = {}
     for role, text in columns.items():
         column = find_column(text, header)
@@ -63,6 +64,7 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
                 f"{example}."
             )
         result[role] = column
+
     return result
 
 
@@ -82,6 +84,7 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
             f"holds several responses, {', '.join(pairs)}: choose one by the names of its input "
             "and output."
         )
+
     if missing:
         raise ValueError(
             f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the "
@@ -91,6 +94,7 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
         )
     roles = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
     optional = [role for role in roles if role in EXTRAS or COMMON.fullmatch(role)]
+
     return required | {"frequency": f"{OMEGA}:rad/s"} | {role: prefix + role for role in optional}
 
 
@@ -132,6 +136,7 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
                 f"there is no column {missing!r}: give both parts of a common error, or none."
             )
         errors.append(values[alpha] + 1j * values[beta])
+
     return optional | ({"common_errors": np.array(errors)} if errors else {})
 
 

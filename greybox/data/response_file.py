@@ -60,6 +60,7 @@ def read_response(
         places = columns_by_role(columns or written_columns(table.header, prefix), table.header)
     except ValueError as error:
         raise ValueError(f"{path} {error}") from None
+
     values = table.numbers({role: column.place for role, column in places.items()})
     about = described({} if prefix else table.facts)
     about["input"] = input or about["input"]

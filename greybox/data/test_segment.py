@@ -118,6 +118,7 @@ def segment_table(segments: Sequence[Segment]) -> str:
         sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
         rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
     notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
+
     return (
         "\n".join([text_table(header, rows, left=(3, 4, 10)), *notes])
         if rows

@@ -48,6 +48,7 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
     }
     if spectrum.stretch is not None:
         facts[f"{STRETCH}1"] = stretch_text(spectrum.stretch)
+
     columns = {OMEGA: spectrum.omega.tolist()}
     for name, values in spectrum.signals.items():
         columns[f"{name}_{PARTS[0]}"] = values.real.tolist()
@@ -95,6 +96,7 @@ def _from_table(table: DelimitedText) -> TransientSpectrum:
         for kind in names
     }
     stretches = stretches_in(facts)
+
     return TransientSpectrum(
         columns[OMEGA],
         **signals,

@@ -82,6 +82,7 @@ class TransientSpectrum:
                 "over the duration: "
                 "use gb.spectral.transient_spectrum(record, ...)."
             )
+
         object.__setattr__(self, "omega", omega)
         for kind in ("inputs", "outputs"):
             signals = getattr(self, kind)
@@ -108,6 +109,7 @@ class TransientSpectrum:
     def __repr__(self) -> str:
         band = f"{self.omega[0]:.4g} to {self.omega[-1]:.4g} rad/s"
         signals = f"{', '.join(self.inputs)} to {', '.join(self.outputs)}"
+
         return one_line(
             self,
             repr(self.name),

@@ -204,6 +204,7 @@ def to_si(unit: str) -> Conversion:
             powers[si] = powers.get(si, 0) + exponent * power
     if not powers:
         raise ValueError(f"the unit {unit!r} is not known")
+
     return Conversion(factor, 0.0, _written(powers))
 
 
@@ -218,6 +219,7 @@ def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
         kinds.append(
             {name: power for name, power in powers.items() if power and name not in ("rad", "1")}
         )
+
     return kinds[0] == kinds[1]
 
 
@@ -255,6 +257,7 @@ def _powers(text: str) -> dict[str, int]:
             group = 0
         elif token["mark"] in "()":
             return {}
+
     return powers if side > 0 and not group else {}
 
 

@@ -112,6 +112,7 @@ class DelimitedText:
                         f"{self.path}, line {number}: {self.header[place]} is {cell!r}, which is "
                         "not a number."
                     ) from None
+
         return dict(zip(places, table.T, strict=True))
 
     def _too_long(self, number: int, cells: int) -> str:
@@ -160,6 +161,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
             names = titles
             body = [header, *body]
     matches = map(FACT.fullmatch, lines[:header])
+
     return DelimitedText(
         path,
         separator,
@@ -182,6 +184,7 @@ def numbered(text: DelimitedText) -> DelimitedText:
         return text
     names = tuple(str(k) for k in range(1, len(cells) + 1))
     numbers = [text.line_numbers[0] - 1 if text.line_numbers else 1, *text.line_numbers]
+
     return replace(text, header=names, lines=lines, line_numbers=numbers)
 
 
@@ -232,12 +235,14 @@ def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> 
             "write all numbers "
             "with one decimal mark and without thousands separators."
         )
+
     if comma and not certain:
         raise ValueError(
             f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands "
             "separator: "
             "write a decimal point."
         )
+
     return comma is not None
 
 
@@ -273,4 +278,5 @@ def _split(line: str, hint: str) -> tuple[list[str], str]:
     names = [cell.strip() for cell in (best or [line.strip().strip('"')])]
     while len(names) > 1 and not names[-1]:
         names.pop()  # separators at the end of the line
+
     return names, separator

@@ -110,6 +110,7 @@ def _tree(items: list[dict[str, Any]], arrays: Iterator[Any]) -> Stored:
             root = stored
         else:
             (root[group] if group else root).members[name] = stored
+
     return root
 
 

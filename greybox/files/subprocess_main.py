@@ -129,6 +129,7 @@ def _members(
     collector.links -= len(group)
     if collector.links < 0:
         raise RefusedError(f"it has more than {LINKS} links")
+
     for name in group:
         place = f"{path}/{name}".lstrip("/")
         link = group.id.links.get_info(name.encode("utf-8", "surrogateescape"))
@@ -179,6 +180,7 @@ def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
         collector.add(
             name, values, unit=_text(dataset.attrs, "unit") or _text(dataset.attrs, "units")
         )
+
     for field in fields or ():
         if values[field].dtype.kind in "biuf" and values[field].ndim == 1:
             collector.add(f"{name}/{field}", values[field], unit="")
@@ -219,6 +221,7 @@ def _attributes(item: Any, collector: Collector) -> dict[str, Any]:
             attributes[name] = collector.text(str(item.attrs[name]))
         elif _is_number(stored.dtype):
             attributes[name] = item.attrs[name].item()
+
     return attributes
 
 
@@ -303,6 +306,7 @@ def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
             columns[label if isinstance(label, str) and label else f"signal{i + 1}"] = signal[
                 "values"
             ]
+
     return columns
 
 
@@ -319,6 +323,7 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
             if not collector.reserve(values.size):
                 raise ValueError("its arrays are too large for the size of the file")
             collector.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
+
     parameters = {
         **log.initial_parameters,
         **{name: value for _, name, value in log.changed_parameters},

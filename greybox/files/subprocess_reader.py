@@ -68,6 +68,7 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
         raise ValueError(f"{path} is not read: {reason}.")
     if status == TOO_LONG:
         raise ValueError(f"{path} is damaged: reading it takes too long for its size.")
+
     if status < 0:
         raise ValueError(
             f"{path} is damaged: the library that reads it crashed; export or copy it again."
@@ -77,6 +78,7 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
             f"{path} is damaged or of another format ({reason or 'no reason given':.160}): "
             "export or copy it again."
         )
+
     return answer
 
 
@@ -94,4 +96,5 @@ def _answer(pipe: Any) -> tuple[dict[str, Any], list[Array]] | None:
             pipe.readinto(values.data.cast("B"))
         values.setflags(write=False)
         arrays.append(values)
+
     return head, arrays

@@ -98,6 +98,7 @@ def with_error(value: float, error: float) -> tuple[str, str]:
             f"{error:.2g}",
         )
     places = max(decimals, 0)
+
     return f"{round(value, decimals):.{places}f}", f"{round(error, decimals):.{places}f}"
 
 

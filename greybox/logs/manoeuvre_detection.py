@@ -100,6 +100,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
         time.size < 2 or not 1e-100 < np.ptp(values) < 1e100
     ):  # squares must neither vanish nor overflow
         return []
+
     low, high = np.quantile(values, [0.001, 0.999])
     noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
     drift = max(AT_REST * float(high - low), 1e-12 * float(np.abs(values).max()))
@@ -114,6 +115,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
         if end < len(rests):
             manoeuvres.append(_named(time, values, rests[k], rests[end], drift, height))
         k = end
+
     return [segment for segment in manoeuvres if segment]
 
 
@@ -163,10 +165,12 @@ def _named(
     amplitude = float(np.abs(deviation).max())
     if amplitude <= height:
         return None
+
     pulses = _pulses(time[rows], deviation, amplitude / 2)
     if len(pulses) > MOST_PULSES and sines_and_sweeps(time[rows], values[rows]):
         return None
     kind = _pattern(pulses) if returned else OTHER
+
     return _segment(time, values, before, after, kind, amplitude)
 
 
@@ -194,6 +198,7 @@ def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, 
             else:
                 pulses += [(last, duration_before + way / 2), (sign, duration + way / 2)]
         way = 0.0
+
     return pulses
 
 
@@ -211,6 +216,7 @@ def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
             abs(d / (unit * n) - 1) <= OFF_PATTERN for d, n in zip(durations, pattern, strict=True)
         ):
             return name
+
     return OTHER
 
 
@@ -248,6 +254,7 @@ def _band(
     inside = (omega >= low) & (omega <= max(high, 2 * low))
     if not inside.any():  # hardly more samples than those of the rests
         return low, 2 * low
+
     omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
     strong = np.flatnonzero(size >= STRONG * size.max())
     # The band ends at the first hole of an octave.
@@ -255,6 +262,7 @@ def _band(
     stop = next(
         (strong[k] for k in weak if omega[strong[k + 1]] > 2 * omega[strong[k]]), strong[-1]
     )
+
     return low, float(max(omega[stop], 2 * low))
 
 
@@ -287,4 +295,5 @@ def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
             "one, "
             f"{', '.join(map(str, numbers))}."
         )
+
     return segments[numbers[0] - 1]

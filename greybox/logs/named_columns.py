@@ -37,6 +37,7 @@ def renamed(
     unnamed = [name for name in columns if name not in (*own_names, *own_names.values())]
     own_names |= {name: name for name in unnamed}
     labels |= {name: unit for name in unnamed if (unit := units.get(name))}
+
     return {name: columns[column] for name, column in own_names.items()}, labels
 
 
@@ -65,4 +66,5 @@ def in_si(record: Record, names: Iterable[str]) -> Record:
         signals[name] = conversion.apply(record[name])
         units[name] = conversion.si
         findings += [f"{name}: {conversion.remark}."] if conversion.remark else []
+
     return replace(record, signals=signals, units=units, findings=tuple(findings))

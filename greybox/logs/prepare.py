@@ -141,6 +141,7 @@ def prepare(
     }
     for name in {source for signal in held for source in needed[signal]}:
         sources[name] = replace(sources[name], hold=HELD)
+
     grid = _grid(sources, rate, start, end)
     sampled = {name: _on_grid(source, grid) for name, source in sources.items()}
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
@@ -159,6 +160,7 @@ def prepare(
         units[name] = (item.unit if isinstance(item, Derived) else "") or sources[
             needed[name][0]
         ].unit
+
     return Record(
         grid[keep],
         values,
@@ -226,9 +228,11 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
         values = untruncated(signal, values) if unit == "deg" else values
         values, unit = conversion.apply(values), conversion.si
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
+
     inside = time[(time >= start) & (time <= end)]
     step = float(np.median(np.diff(inside if inside.size > 1 else time)))
     values = np.unwrap(values) if unit == "rad" else values
+
     return _Source(time, values, unit, findings, record.hold.get(field), step)
 
 
@@ -243,6 +247,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
         rate = 1 / max(source.step for source in sources.values())
     if not (math.isfinite(rate) and rate > 0):
         raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
+
     fastest = 1 / min(source.step for source in sources.values())
     if rate > FASTEST * fastest:
         raise ValueError(
@@ -257,6 +262,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
         raise ValueError(
             f"the signals do not overlap in time ({spans}): check start, end and the messages."
         )
+
     return first + np.arange(count) / rate
 
 
@@ -281,6 +287,7 @@ def _on_grid(source: _Source, grid: Array) -> Array:
             else (time, values)
         )
         result[inside] = _interpolated(*smooth, times)
+
     return result
 
 

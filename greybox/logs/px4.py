@@ -56,4 +56,5 @@ def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
         for center, width in pairs
         if center > 0 < width
     )
+
     return filters | ({"gyro-notch": notches} if notches else {})

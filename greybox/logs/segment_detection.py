@@ -81,6 +81,7 @@ def find_segments(
             s for name in names or present(data, SETPOINTS) for s in _in_setpoint(data, name)
         ]
     segments = _compared([_checked(s, data) for s in segments])
+
     return tuple(sorted(segments, key=lambda s: (s.start, s.axis)))
 
 
@@ -94,6 +95,7 @@ def _system_identification(data: Recording | Record) -> list[Segment]:
         {name: float(values[k]) for name, values in settings.signals.items()}
         for k in range(len(ends))
     ]
+
     return [
         _one_run(data, float(start) + SYSTEMID_DELAY, end, run)
         for start, end, run in zip(settings.time, ends, runs, strict=True)
@@ -119,9 +121,11 @@ def _one_run(data: Recording, start: float, until: float, setting: Mapping[str, 
     stop, reason = _stop_of_run(data, start - SYSTEMID_DELAY, until)
     if stop <= start:
         return segment.refused(f"ended before the waveform began{reason}")
+
     if stop < planned_end - EDGE:
         text = f"ended early, after {stop - start:.1f} of {planned_end - start:.1f} s{reason}"
         return replace(segment, end=stop).refused(text)
+
     return segment
 
 
@@ -155,10 +159,12 @@ def _announced(
             f"frequency, but {what}"
             f': write fields={{"omega": "W"}}; the message has {", ".join(record.signals)}.'
         )
+
     columns = {key: record[name] for key, name in chosen.items()}
     if "frequency" in columns:
         columns["omega"] = 2 * np.pi * columns.pop("frequency")
     unit = record.units.get(chosen.get("amplitude", ""), "")
+
     return [
         _one_test(record, rows, columns, unit, message) for rows in _tests(record.time, columns)
     ]
@@ -207,6 +213,7 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
     for moment, mode in data.metadata.get("modes", ()):
         if segment.start + EDGE < moment < segment.end - EDGE and segment.source != "SIDS":
             texts.append(f"the mode changed to {mode} at {moment:.1f} s, during the test")
+
     return segment.refused(*texts) if texts else segment
 
 
@@ -224,6 +231,7 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
             travel = max(float(np.ptp(record[field][finite])), STICK_TRAVEL.get(message, 1.0))
             if np.ptp(record[field][during]) > STICK_MOVES * travel:
                 return stick
+
     return ""
 
 
@@ -250,6 +258,7 @@ def _compared(segments: list[Segment]) -> list[Segment]:
                 f"{largest[s.unit]:.3g}"
             )
         result.append(s.refused(*texts) if texts else s)
+
     return result
 
 
@@ -279,6 +288,7 @@ def stretches(
     values = record[field][finite]
     cuts = np.flatnonzero(np.diff(time) > max(longest_gap, GAP * record.step)) + 1
     turn = _whole_turn(unit)
+
     return unit, [
         (t, np.unwrap(x, period=turn) if turn else x)
         for t, x in zip(np.split(time, cuts), np.split(values, cuts), strict=True)

@@ -128,6 +128,7 @@ def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray
             direction = -direction
             extreme = index
             top = level
+
     return np.array([corners[0], *turns, extreme], dtype=np.intp)
 
 
@@ -162,6 +163,7 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
         else:
             start += 1
         end = start + 3
+
     return runs
 
 
@@ -257,6 +259,7 @@ def _sweeps(pieces: list[Segment]) -> list[Segment]:
         low, high = sorted((chain[0].band[0], chain[-1].band[0]))
         if len(chain) >= SWEEP_PIECES and high > SWEEP_RATIO * low:
             sweeps.append(replace(chain[0], end=chain[-1].end, band=(low, high)))
+
     return sweeps
 
 
@@ -344,6 +347,7 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
         swings[k + way] / swings[k]
     )  # 1/2 on the way from a rest, whose middle is not that of the sweep
     predicted = (1 - OFF_SWEEP) * short - step < period < (1 + OFF_SWEEP) * long + step
+
     return bool(predicted and SWING[0] < ratio < SWING[1])
 
 

@@ -66,6 +66,7 @@ def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[Known
     for name, end in CONTROLLER_FILTERS.items():
         cutoff = parameters.get(f"ATC_RAT_{controller}_{end}", 0)
         filters |= {name: (FirstOrderLowPass(float(cutoff)),)} if cutoff > 0 else {}
+
     return filters
 
 
@@ -83,6 +84,7 @@ def _harmonic_notches(recording: Recording, parameters: Mapping[str, float]) -> 
             if center > width / 2 > 0
             else []
         )
+
     return tuple(notches)
 
 
@@ -102,6 +104,7 @@ def _one_harmonic_notch(
     offsets = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[parts]
     quality = _quality(center, width / parts)
     harmonics = [k + 1 for k in range(16) if int(setting["HMNCS"] or 1) >> k & 1]
+
     return [
         Notch(k * base * (1 + offset), quality, float(setting["ATT"]))
         for k in harmonics

@@ -87,6 +87,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
         (name for moment, name in reversed(recording.metadata.get("modes", ())) if moment <= start),
         "",
     )
+
     return Thinning(loop, logged, kept, count, age / gyro, _cure(parameters, mode))
 
 
@@ -112,6 +113,7 @@ def thinning_error(
     )
     if response.units.get(response.output) == "rad":
         share = share * s * second_order(float(parameters["INS_GYRO_FILTER"]), s)
+
     return DRIFTING * np.array(
         [share * found.count * remaining_alternation(parameters, axis, found.loop), s * found.age]
     )
@@ -162,6 +164,7 @@ def _cure(parameters: Mapping[str, float], mode: str) -> str:
         )
     else:
         needed, bits = mask | FAST, "fast attitude"
+
     return (
         f"set LOG_BITMASK {needed} ({bits})"
         if needed != mask

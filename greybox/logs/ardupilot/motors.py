@@ -90,6 +90,7 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
     if not motors or not rows.size:
         return None
     inside = record.rows(rows)
+
     return Record(
         inside.time, {name: inside[name] for name in motors}, dict.fromkeys(motors, "µs"), "RCOU"
     )
@@ -116,6 +117,7 @@ def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> fl
             # Outputs are whole numbers, cut off and not rounded: the greatest may be a step less.
             shares.append(np.any((values <= low) | (values >= high - 1), axis=0).mean())
             sizes.append(len(outputs))
+
     return float(np.average(shares, weights=sizes)) if sizes else math.nan
 
 

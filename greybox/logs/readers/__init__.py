@@ -181,6 +181,7 @@ def _head(path: Path) -> bytes:
         raise ValueError(
             f"{path} is empty: logging never started, or the copy failed; copy it again."
         )
+
     return head
 
 
@@ -197,4 +198,5 @@ def _looks(head: bytes) -> str:
             return f"looks like {kind}"
     if _is_text(head):
         return f"looks like text that starts with {head[:30].decode('utf-8', 'replace').strip()!r}"
+
     return f"looks like binary data that start with {head[:4].hex(' ')}"

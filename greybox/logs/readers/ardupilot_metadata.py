@@ -104,4 +104,5 @@ def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]
         ]
     else:
         return ()
+
     return tuple(zip(mode.time.tolist(), names, strict=True))

@@ -84,6 +84,7 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
         if np.median(steps) > 1 / SLOWEST_LOOP:
             return holds
         period = HELD
+
     return holds | {name: period for name in group.columns if _is_among(OUTPUTS, group.name, name)}
 
 

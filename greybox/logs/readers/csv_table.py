@@ -98,6 +98,7 @@ def read(
     has_time = any(seconds(name, units.get(name, "")) for name in columns)
     if has_time and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
+
     if columns and not has_time and not rate:
         record = of_rows(
             path.stem, columns, units, source=path.name, checksum=checksum, findings=findings
@@ -113,6 +114,7 @@ def read(
 
     findings = (*findings, *left_out, *log.findings, *dropped)
     by_name = {name: replace(record, findings=findings) for name, record in by_name.items()}
+
     return Recording(by_name, path.name, checksum, {}, findings)
 
 
@@ -132,6 +134,7 @@ def _headings(text: DelimitedText) -> list[Heading]:
         raise ValueError(
             f"{text.path} has two columns named {twice!r}: give each column a name of its own."
         )
+
     return headings
 
 
@@ -169,6 +172,7 @@ def _columns(
                 text_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
         elif name and any(cells):
             not_numeric.append(name)
+
     findings = []
     if short:
         findings.append(
@@ -182,6 +186,7 @@ def _columns(
         )
     if not_numeric:
         findings.append(f"columns without numbers were left out: {name_list(not_numeric)}.")
+
     return columns, (*findings, *_infinite(columns, numbers))
 
 
@@ -201,6 +206,7 @@ def _numbers(cells: Sequence[str], comma: bool) -> tuple[Array | None, list[int]
             odd.append(k)
     if not filled or len(odd) > filled / 2:  # some damaged cells do not make a column text
         return None, []
+
     return values, odd
 
 
@@ -242,4 +248,5 @@ def _time_first(
             "unit: give it in "
             "seconds as 'time [s]', or another name if it is no time."
         )
+
     return dict(columns)

@@ -80,6 +80,7 @@ def recording(
             f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again."
         )
     findings = (*findings, *conflicts, *restarts, *missing, *problems, *assumed)
+
     return Recording(by_name, path.name, checksum, metadata, findings)
 
 
@@ -132,6 +133,7 @@ def _decoded(
             texts[name] = [text(value) for value in values.tolist()]
         elif letter != "a":  # arrays, of files and of raw samples of the IMU
             columns[name] = _numbers(values, layout.scale(i))
+
     return Messages(layout.name, order, time, columns, texts, units.columns, units.instance)
 
 
@@ -164,6 +166,7 @@ def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, 
     ]
     if "RATE" not in present and ("ATT" in present if messages is None else "RATE" in messages):
         findings.append(ardupilot_metadata.NO_RATE)
+
     return tuple(findings)
 
 
@@ -180,4 +183,5 @@ def _damage(positions: Index) -> tuple[str, ...]:
             f"the last message ({positions.cut}) is cut off: the file was truncated, or the power "
             "was lost."
         )
+
     return tuple(findings)

@@ -108,6 +108,7 @@ def _layouts(
         rows = np.flatnonzero(kinds == kind)
         since, number = np.array([(-1, -1), *described]).T
         numbers[rows] = number[np.searchsorted(since, rows) - 1]  # a later description replaces it
+
     return tuple(layouts), numbers
 
 
@@ -142,6 +143,7 @@ def _chain(
         if resume < len(data) or (rest.strip(b"\0") and rest.strip(b"\xff")):
             damage.append((end, resume))
         end = resume
+
     return is_message, tuple(damage)
 
 

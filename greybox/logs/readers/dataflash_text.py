@@ -37,6 +37,7 @@ class Lines:
         self.messages: dict[str, _MessageLines] = {}
         self.unknown = 0
         self.banner = ""
+
         for number, line in enumerate(lines):
             name, comma, body = line.partition(",")
             if not comma:
@@ -76,6 +77,7 @@ class _MessageLines:
         self._timer = clock_column(layout)
         self._order = array("q")
         self._columns: dict[str, array[float] | list[str]] = {}
+
         for name, letter in zip(layout.columns, layout.format, strict=True):
             if is_wanted or name == self._timer:
                 is_text = letter in TEXTS and name != self._timer
@@ -88,6 +90,7 @@ class _MessageLines:
             self.damaged += 1
             return
         self._order.append(number)
+
         for name, field in zip(self.layout.columns, fields, strict=True):
             column = self._columns.get(name)
             if isinstance(column, array):
@@ -109,6 +112,7 @@ class _MessageLines:
                 numbers[name] = np.array([_number(cell) for cell in column])
             else:
                 texts[name] = column
+
         return Messages(
             self.layout.name,
             np.asarray(self._order),
@@ -160,6 +164,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     ]
     groups = [group for group in groups if len(group)]
     findings = [*_damage(lines), *tables.findings]
+
     return recording(on_one_clock(groups + _banner(lines)), path, checksum, messages, findings)
 
 
@@ -188,4 +193,5 @@ def _damage(lines: Lines) -> list[str]:
             f"{lines.unknown} lines are damaged, or have no FMT line that describes them, and were "
             "skipped."
         )
+
     return findings

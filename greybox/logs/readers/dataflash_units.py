@@ -41,6 +41,7 @@ class UnitTables:
         self._several: dict[str, set[str]] = {}
         for letter, label in _pairs(tables.get("UNIT"), "Id", "Label"):
             self._several.setdefault(_letter(letter), set()).add(label)
+
         self.labels = {
             letter: min(labels) for letter, labels in self._several.items() if len(labels) == 1
         }
@@ -91,6 +92,7 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
         replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups
     ]
     names = ", ".join(dict.fromkeys(names))
+
     return with_units, (
         (f"the log has no table of units: ArduPilot's usual ones are assumed for {names}.",)
         if names

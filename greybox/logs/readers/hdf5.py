@@ -51,6 +51,7 @@ def read(
     rows = [
         variable._replace(values=_rows(variable.values, matlab)) for variable in contents.variables
     ]
+
     return named_arrays.recording(
         path, contents._replace(variables=rows), messages, None, stated, rate
     )

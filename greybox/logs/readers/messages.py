@@ -129,6 +129,7 @@ def records(
             continue
         by_name[name] = record
         findings += record.findings
+
     return by_name, (*findings, *_gaps(by_name))
 
 
@@ -148,6 +149,7 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
             longest.append(steps.max())
     if len(texts) <= 3:
         return texts
+
     return [f"{len(texts)} messages have gaps. {texts[int(np.argmax(longest))]}"]
 
 
@@ -161,6 +163,7 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
     labels = group.texts.get(group.instance)
     values = np.array(labels) if labels is not None else group.columns[group.instance]
     columns = {name: column for name, column in group.columns.items() if name != group.instance}
+
     for value in np.unique(values).tolist():
         label = str(value) if labels is not None else f"{value:g}"
         part = replace(group, columns=columns).rows(np.flatnonzero(values == value))
@@ -182,6 +185,7 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
     for values in (time, *columns.values()):
         values.setflags(write=False)  # a record keeps, without a copy, what nobody can change
     units = {column: part.units.get(column, "") for column in columns}
+
     return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)
 
 

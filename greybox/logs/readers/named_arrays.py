@@ -85,6 +85,7 @@ def recording(
         raise ValueError(
             f"{path.name} has {len(groups)} groups, but `columns` names the columns of one table."
         )
+
     for name, group in groups.items():
         labels = units[name]
         if stated:
@@ -101,4 +102,5 @@ def recording(
             "length; "
             f"it holds {', '.join(columns) or 'no vectors at all'}."
         )
+
     return Recording(by_name, path.name, checksum, {}, tuple(findings))

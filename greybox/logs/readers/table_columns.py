@@ -74,6 +74,7 @@ def table(
                 hold[label] = seconds_held
         if values.shape[:1] != time.shape:
             wrong_length.append(key)
+
     findings = [*assumed]
     if wrong_length:
         findings.append(
@@ -85,6 +86,7 @@ def table(
         if signals
         else None
     )
+
     return messages, tuple(findings)
 
 

@@ -91,6 +91,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         *_received(untimed),
         *problems,
     )
+
     return Recording(by_name, path.name, checksum, about, findings)
 
 
@@ -105,6 +106,7 @@ def _kinds(packets: Packets, messages: Collection[str] | None) -> tuple[dict[str
             kinds[name] = Kind(type(packet), is_stored)
         first_received = first_received or received
         kinds[name].append(number, received, packet)
+
     return kinds, first_received
 
 
@@ -128,6 +130,7 @@ def _clocks(kinds: Mapping[str, Kind]) -> dict[int, Clock]:
         # The median is free of the jitter of the link.
         starts = [float(np.median(received[boot] - 1e6 * sent[boot])) for boot in boots]
         clocks[sender] = Clock(numbers[[boot[0] for boot in boots]], np.array(starts))
+
     return clocks
 
 
@@ -153,6 +156,7 @@ def _messages(kind: Kind, time: Array) -> Messages:
     labels = _labels(np.asarray(kind.senders), texts.get(instance), columns.pop(instance, None))
     if labels:
         texts[SENDER] = labels
+
     messages = Messages(
         kind.definition.msgname,
         np.asarray(kind.numbers),
@@ -164,6 +168,7 @@ def _messages(kind: Kind, time: Array) -> Messages:
     )
     if np.all(np.diff(time) >= 0):
         return messages
+
     return messages.rows(np.argsort(time, kind="stable"))
 
 
@@ -180,6 +185,7 @@ def _labels(senders: IntArray, names: Sequence[str] | None, instances: Array | N
         columns.append(list(names))
     if len(columns) == 1:
         return columns[0]
+
     return [":".join(parts) for parts in zip(*columns, strict=True)]
 
 
@@ -214,4 +220,5 @@ def _damage(packets: Packets) -> list[str]:
         findings.append(
             f"{packets.unknown} packets of kinds that pymavlink does not know were left out."
         )
+
     return findings

@@ -63,6 +63,7 @@ def _heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartb
     sender = int(senders[flying.argmax()])
     rows = flying & (senders == sender)
     time = times.get("HEARTBEAT", np.zeros(rows.size))
+
     return Heartbeats(sender, {name: x[rows] for name, x in fields.items()}, time[rows])
 
 
@@ -78,6 +79,7 @@ def _firmware(beats: Heartbeats, texts: Sequence[str]) -> dict[str, str]:
         return {"vehicle": "PX4"}
     if autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
         return {"vehicle": HULLS.get(int(beats.fields["type"][0]), "ArduPilot")}
+
     return {}
 
 
@@ -92,6 +94,7 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
             float(struct.unpack_from(f"<{code}", struct.pack("<f", value))[0])
             for code, value in zip(codes, values, strict=True)
         ]
+
     return dict(zip(sent.texts["param_id"], values, strict=True))
 
 

@@ -75,6 +75,7 @@ class Packets:
             following = end + STAMP
             if end != len(self._data) and not MARK.match(self._data, following):
                 return None, at
+
         return packet, end
 
     def _next_known(self, at: int) -> int:

@@ -57,6 +57,7 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
                 f"to {PAUSE:g} s after it; the real pause is not known."
             )
         end = float(np.nanmax(piece)) + shift
+
     return shifted, tuple(findings)
 
 
@@ -106,4 +107,5 @@ def _longest_increase(values: Array) -> IntArray:
     chain = [last[-1]] if last else []
     while chain and link[chain[-1]] >= 0:
         chain.append(int(link[chain[-1]]))
+
     return np.array(chain[::-1], dtype=np.intp)

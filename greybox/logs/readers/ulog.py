@@ -72,6 +72,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
             f"{path} is a PX4 log, which needs pyulog: install it with pip install "
             "'greybox-id[px4]'."
         )
+
     contents = named_arrays.read_contents(
         "ulog", path, *(sorted({STATUS, *topics_wanted}) if topics_wanted else ())
     )
@@ -90,6 +91,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         f"there is no topic {name}."
         for name in sorted({*(topics_wanted or ())} - {*topics.values()})
     )
+
     return Recording(
         by_name, recording.source, recording.checksum, about, (*missing, *recording.findings)
     )
@@ -128,11 +130,13 @@ def with_angles(name: str, record: Record) -> Record:
             "yaw": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
         }
         angles = {name: values for name, values in angles.items() if name not in record.signals}
+
     hold = {
         angle: record.hold[f"{QUATERNIONS[name]}[0]"]
         for angle in angles
         if f"{QUATERNIONS[name]}[0]" in record.hold
     }
+
     return replace(
         record,
         signals={**record.signals, **angles},
