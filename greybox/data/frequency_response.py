@@ -129,6 +129,7 @@ class FrequencyResponse:
 
         positive = np.isfinite(self.omega) & (self.omega > 0)
         self._require("omega", positive, "frequencies must be finite and above 0 rad/s")
+        # Two points at one frequency would count as independent in a fit.
         values, counts = np.unique(self.omega, return_counts=True)
         if counts.max() > 1:
             raise ValueError(
@@ -263,6 +264,7 @@ class FrequencyResponse:
     @property
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
+        # Not the name, the source or the remarks: the same numbers are the same data.
         digest = hashlib.sha256(f"{self.input}->{self.output}".encode())
         for name in COLUMNS:
             values = getattr(self, name)
@@ -292,6 +294,7 @@ class FrequencyResponse:
     ) -> "FrequencyResponse":
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
         common = None if self.common_errors is None else self.common_errors * factor
+        # The unit of the output changes with the factor, so only that of the input is kept.
         name = output or self.output
         units = {key: value for key, value in self.units.items() if key == self.input}
         with contextlib.suppress(ValueError):  # a unit that is not known has no rate that is

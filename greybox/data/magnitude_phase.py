@@ -20,6 +20,7 @@ def angular_frequency(frequency: ArrayLike, unit: str) -> Array:
     """
     values = checked_array("frequency", frequency)
     si = _si(unit)
+    # In tables of responses Hz is a frequency in cycles; `to_si` keeps it as a unit of its own.
     if si == "Hz":
         return 2 * math.pi * to_si(unit).factor * values
     if si == "rad/s":

@@ -131,6 +131,7 @@ class Record:
         )
         for name in ("name", "source", "units", "findings"):
             object.__setattr__(self, name, _printable(getattr(self, name)))
+        # A checksum that is given is that of the file, by which excerpts of one log are recognized.
         if not self.checksum:
             object.__setattr__(self, "checksum", _digest(time, signals))
 
@@ -171,6 +172,7 @@ class Record:
         """The stretches between gaps, as records; rows without a time are one."""
         if not self.has_time:
             return (self,)
+        # Relative to the median step: the mean would grow with the gaps that are looked for.
         cuts = np.flatnonzero(np.diff(self.time) > GAP * self.step) + 1
         return tuple(self.rows(slice(*ends)) for ends in pairwise([0, *cuts.tolist(), len(self)]))
 
@@ -406,6 +408,7 @@ def share_samples(a: Record, b: Record) -> bool:
             for other_piece in b.pieces
         )
 
+    # Without a common file, only equal values at equal times show a common measurement.
     _, rows, other_rows = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
     alike = [
         np.isclose(a[name][rows], b[name][other_rows], rtol=0.0, atol=0.0, equal_nan=True)

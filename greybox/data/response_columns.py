@@ -46,6 +46,7 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
                 f"has no {role!r}, which is not a column of a frequency response; name "
                 f"{alternatives(role, ROLES)}"
             )
+    # One complete pair: magnitude with beta would be a response of its own making.
     pairs = [pair for pair in (RECTANGULAR, POLAR) if set(pair) & set(columns)]
     if "frequency" not in columns or len(pairs) != 1 or not set(pairs[0]) <= set(columns):
         raise ValueError(
@@ -149,6 +150,7 @@ def find_column(text: str, header: Sequence[str]) -> Column:
         If there is none, or two. The sentence continues one that begins with the name of the file.
     """
     name, _, unit = text.rpartition(":")
+    # A name as it stands goes first: it may have a colon or brackets of its own.
     bare = [heading(cell).name for cell in header]
     for wanted, stated in ((text, ""), (name, unit)):
         for names in (list(header), bare):

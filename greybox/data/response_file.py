@@ -97,6 +97,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     """
     path = Path(path)
     require_csv(path)
+    # Pairs may have been measured at different frequencies; blank cells keep one column of them.
     omega = sorted({w for response in responses for w in response.omega.tolist()})
     columns: dict[str, list[object]] = {OMEGA: [*omega]}
     for response in responses:

@@ -73,6 +73,7 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
             text = f"{name} was taken for {ticks} since 1970: times are from the first sample."
             return (times - finite[0]) * SECONDS[ticks], (text,)
 
+    # Ticks of a counter are whole; seconds since the start rarely are.
     is_whole = bool(np.all(finite == np.round(finite)))
     if name.lower().startswith("timestamp") and is_whole and step >= 1:
         # A log at 1 kHz has 1000 µs a step, and one at 1 Hz has 1000 ms.

@@ -69,6 +69,7 @@ class TransientSpectrum:
                 "step the shorter one."
             )
         omega = _checked("omega", self.omega, float)
+        # Off this grid constants leak into the integrals, and errors are correlated.
         lines = omega * self.duration / (2 * np.pi)
         off = np.abs(lines - np.round(lines)) > 1e-6 * np.maximum(lines, 1)  # more than rounding
         if (

@@ -190,6 +190,7 @@ def to_si(unit: str) -> Conversion:
         scale = f"{named.factor:g} {conversion.si}" if not named.zero else "degrees Celsius"
         return replace(conversion, remark=f"{text} was taken for {scale}, not for {DOUBTFUL[text]}")
 
+    # pymavlink writes multipliers before a unit, as in ``1e-07 deg``.
     leading = LEADING.match(text)
     factor = float(leading[1]) if leading else 1.0
     powers: dict[str, int] = {}

@@ -101,6 +101,7 @@ class DelimitedText:
             if any(cells[1:]):
                 rows.append((number, cells))
 
+        # All cells decide together: 1,234 alone may be either.
         comma = has_decimal_comma(self.path, rows)
         table = np.empty((len(rows), len(places)))
         for k, (number, cells) in enumerate(rows):
@@ -142,6 +143,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
             "UTF-8."
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    # Excel reads and writes its separator in a line of its own.
     first = lines[0].strip().lower()
     hint = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""  # Excel's name of the separator
 

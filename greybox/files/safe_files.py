@@ -23,6 +23,7 @@ def replacing(path: Path) -> Iterator[Path]:
         is as it was.
     """
     # 48 characters of the name and the rest stay below 255 bytes in UTF-8.
+    # In the same folder: a rename is atomic within a file system only.
     temporary = path.with_name(f".{path.name[:48]}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         try:

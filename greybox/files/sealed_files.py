@@ -89,6 +89,7 @@ def open_sealed(path: Path, kind: str) -> Iterator[Stored]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
+    # Before the HDF5 library sees the file: damage is found by the checksum, not by a crash.
     _require_seal(path, kind)
     head, arrays = read_in_subprocess("sealed", path)
     try:

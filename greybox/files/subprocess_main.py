@@ -107,6 +107,7 @@ def hdf5_objects(path: str, collector: Collector) -> Iterator[tuple[str, Any]]:
     import h5py  # noqa: PLC0415 (only one of these libraries is needed)
 
     with h5py.File(path, "r") as file:
+        # Hard links may lead back to a group above: each object is visited once.
         seen: set[int] = set()
         addresses: set[int] = set()
         waiting: list[tuple[str, Any]] = [("", file["/"])]
@@ -145,6 +146,7 @@ def _members(
 def _require_own_storage(name: str, dataset: Any) -> None:
     import h5py  # noqa: PLC0415
 
+    # Reading such a dataset would open a file that the sender of this one names.
     created = dataset.id.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
         raise RefusedError(f"the data of {name} are stored in another file")
@@ -315,6 +317,7 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
     from pyulog import ULog  # noqa: PLC0415 (only one of these libraries is needed)
 
     with contextlib.redirect_stdout(io.StringIO()):
+        # pyulog prints about damage; standard output belongs to the answer.
         log = ULog(path, topics or None)
     repeated = {topic.name for topic in log.data_list if topic.multi_id}
     for topic in log.data_list:

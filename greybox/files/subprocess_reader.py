@@ -85,6 +85,7 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
 def _answer(pipe: Any) -> tuple[dict[str, Any], list[Array]] | None:
     """Return the answer, or None from a process that ended early."""
     try:
+        # One line of facts, then the numbers, in the order of the shapes.
         head = json.loads(pipe.readline())
     except ValueError:
         return None

@@ -73,6 +73,7 @@ def some(names: Sequence[str], most: int = 4) -> str:
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the known name that a misspelled one probably means; None if it resembles none."""
+    # Capitals are the most frequent mistake.
     spelled = {candidate.lower(): candidate for candidate in known}
     matches = difflib.get_close_matches(name.lower(), spelled, n=1)
     return spelled[matches[0]] if matches else None

@@ -83,6 +83,7 @@ def from_text(text: str) -> tuple[KnownFilter, ...]:
 
 
 def _from_text(text: str) -> KnownFilter:
+    # The text comes from a file: only known names and numbers, never an expression.
     match = re.fullmatch(r"\s*(\w+)\(([-+.,\seE\d]*)\)\s*", text)
     try:
         if match is None or match[1] not in KINDS:

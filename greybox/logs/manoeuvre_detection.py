@@ -102,6 +102,8 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
         return []
 
     low, high = np.quantile(values, [0.001, 0.999])
+    # Differences of successive samples are free of the manoeuvre, their median of its edges; 1.4826
+    # makes a standard deviation of it.
     noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
     drift = max(AT_REST * float(high - low), 1e-12 * float(np.abs(values).max()))
     height = max(drift, NOISE * noise)
@@ -127,6 +129,7 @@ def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
         return []
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415  (slow import)
 
+    # The filters are centered: sample k of them covers the window that begins half of it earlier.
     spread = maximum_filter1d(values, window) - minimum_filter1d(values, window)
     begins = np.flatnonzero(spread[window // 2 :][: time.size - window + 1] <= height)
     rests: list[_Rest] = []
@@ -159,6 +162,7 @@ def _named(
     change = after.begins - before.ends
     returned = abs(change) <= 2 * drift
     if not returned and time[after.first] - time[before.last] <= REST:
+        # A change that takes less than a rest is one step of the hand or of the autopilot.
         share = deviation / change
         if np.all((share > -0.5) & (share < 1.5)):
             return _segment(time, values, before, after, STEP, abs(change))
@@ -244,9 +248,11 @@ def _band(
     first, last = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
     rows = slice(int(first), int(last) + 1)
     t, x = time[rows], values[rows] - before.ends
+    # The FFT needs uniform samples, and logs jitter.
     uniform = np.linspace(t[0], t[-1], t.size)
     step = float(uniform[1] - uniform[0])
     x = np.interp(uniform, t, x)
+    # The spectrum of a step itself falls as 1/ω and depends on where the record ends.
     if kind == STEP:
         x = np.diff(x)
     low, high = 2 * math.pi / (t[-1] - t[0]), HIGHEST * 2 * math.pi / step

@@ -21,6 +21,7 @@ def renamed(
     ValueError
         If a column does not exist, its unit is not known, or the table has it in another unit.
     """
+    # As in the file, so that a message can quote it and a name in brackets is found.
     header = [f"{name} [{unit}]" if (unit := units.get(name)) else name for name in columns]
     own_names: dict[str, str] = {}
     labels: dict[str, str] = {}
@@ -34,6 +35,7 @@ def renamed(
             joint = " " if sentence.startswith("has ") else f": {text}: "
             raise ValueError(f"{source}{joint}{sentence.rstrip('.')}.") from None
 
+    # The others stay under their own names, which may be those of the model.
     unnamed = [name for name in columns if name not in (*own_names, *own_names.values())]
     own_names |= {name: name for name in unnamed}
     labels |= {name: unit for name in unnamed if (unit := units.get(name))}
@@ -43,6 +45,7 @@ def renamed(
 
 def _agreed(stated: str, written: str) -> str:
     """Return the unit of a column with its hold; ValueError if the table has another unit."""
+    # ``deg sampled`` is a unit and a word on the hold, which a stated unit does not replace.
     unit, _, hold = written.rpartition(" ") if written.endswith(HOLDS) else (written, "", "")
     if stated in (unit, written):
         to_si(unit)

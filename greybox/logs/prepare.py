@@ -144,6 +144,7 @@ def prepare(
 
     grid = _grid(sources, rate, start, end)
     sampled = {name: _on_grid(source, grid) for name, source in sources.items()}
+    # A gap in one signal is a gap of the record, because a model needs all of them at once.
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
         raise ValueError(
@@ -225,12 +226,14 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     except ValueError as error:
         findings += (f"{signal} is in {unit!r}, as in the log, not in SI: {error}.",)
     else:
+        # In the unit of the log, in which the cut is a whole number of steps.
         values = untruncated(signal, values) if unit == "deg" else values
         values, unit = conversion.apply(values), conversion.si
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
 
     inside = time[(time >= start) & (time <= end)]
     step = float(np.median(np.diff(inside if inside.size > 1 else time)))
+    # Before any filter or interpolation: both would smear a jump from 2π to 0.
     values = np.unwrap(values) if unit == "rad" else values
 
     return _Source(time, values, unit, findings, record.hold.get(field), step)
@@ -254,6 +257,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
             f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} "
             "Hz: lower it."
         )
+    # The last sample is lost to rounding without the small number.
     count = math.floor((last - first) * rate + 1e-6) + 1
     if count < 2:
         spans = "; ".join(
@@ -298,6 +302,7 @@ def _rate(grid: Array) -> float:
 def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
     """Return the mean of a held signal over each coming step, which moves nothing in time."""
     ends = np.append(time[1:], time[-1] + step)
+    # The mean over a step is the difference of the integral, which is linear between the samples.
     integral = np.append(0.0, np.cumsum(values * (ends - time)))
     bounds = np.append(time[0], ends)
     return (np.interp(grid + step, bounds, integral) - np.interp(grid, bounds, integral)) / step
@@ -329,8 +334,10 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
         taps | 1, 2 * ((samples.size - 1) // 2) + 1
     )  # odd, and no longer than the reflection can feed
     window: Any = ("kaiser", beta)
+    # A symmetric kernel delays all frequencies alike; centered, it delays none.
     kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=window, fs=2 * nyquist)
     half = taps // 2
+    # An odd reflection continues value and slope, so that the filter makes no step at the ends.
     padded = np.pad(samples, half, mode="reflect", reflect_type="odd")
     return uniform, oaconvolve(padded, kernel, mode="valid")
 

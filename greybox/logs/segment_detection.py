@@ -72,6 +72,7 @@ def find_segments(
         data = replace(
             data, records={name: record for name, record in data.items() if record.has_time}
         )
+    # What the autopilot states about its own tests is exact; a search in the setpoint is not.
     segments = _system_identification(data)
     if message or (fields and isinstance(data, Record)):
         segments += _announced(data, message, fields)
@@ -90,6 +91,7 @@ def _system_identification(data: Recording | Record) -> list[Segment]:
     if not isinstance(data, Recording) or "SIDS" not in data:
         return []
     settings = data["SIDS"]
+    # A run lasts until the next one begins, if nothing ends it before.
     ends = [*settings.time[1:].tolist(), math.inf]
     runs = [
         {name: float(values[k]) for name, values in settings.signals.items()}
@@ -131,6 +133,7 @@ def _one_run(data: Recording, start: float, until: float, setting: Mapping[str, 
 
 def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, str]:
     """Return when a run stopped: its data end, or a text says so while the data continue."""
+    # Messages of the excitation itself come only while it runs.
     time = data["SIDD"].time if "SIDD" in data else np.array([until])
     during = time[(time >= start) & (time <= until)]
     last = float(during[-1]) if during.size else start
@@ -177,6 +180,7 @@ def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
         steps = np.diff(time)
         change = steps > max(PAUSE, 5 * float(np.median(steps)))
     for values in columns.values():
+        # NaN differs from itself, and would cut a test at every sample.
         change = change | (np.diff(np.nan_to_num(values)) != 0)
     groups = np.split(np.arange(time.size), np.flatnonzero(change) + 1)
     return [rows for rows in groups if rows.size > 1 and columns["omega"][rows[0]] > 0]
@@ -226,6 +230,7 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
         message, _, field = stick.rpartition(".")
         record = data[message]
         finite = np.isfinite(record[field])
+        # Some logs have the stick at 10 Hz: two samples do not show whether it moved.
         during = finite & (record.time >= segment.start) & (record.time <= segment.end)
         if during.sum() > 2:
             travel = max(float(np.ptp(record[field][finite])), STICK_TRAVEL.get(message, 1.0))

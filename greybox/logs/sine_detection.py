@@ -87,6 +87,7 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
 
     corners = np.arange(time.size)
     candidates = []
+    # Low heights first: each next one needs only the turning points of the previous one.
     for height in np.ptp(values) * HEIGHTS:
         corners = _turning_points(values, corners, float(height))
         crossings, swings = _crossings(time, values, corners)
@@ -137,6 +138,7 @@ def _crossings(time: Array, values: Array, corners: IntArray) -> tuple[Array, Ar
     times = []
     for a, b in pairwise(corners):
         part = (values[a : b + 1] - (values[a] + values[b]) / 2) * np.sign(values[b] - values[a])
+        # Noise crosses the middle several times; the mean of the first and the last is unbiased.
         last_below = a + np.flatnonzero(part <= 0)[-1]
         first_above = a + np.flatnonzero(part >= 0)[0]
         times.append((time[last_below] + time[first_above]) / 2)
@@ -201,6 +203,7 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
         return None
 
     middle = (start + end) / 2
+    # Times from the middle: offset, trend and phase are then hardly correlated.
     omega = _refined_frequency(t - middle, x, math.pi / half_period)
     bend = _phase_bend(t - middle, x, omega, (end - start) / 2)
     c = np.linalg.lstsq(_waves(t - middle, omega, 4), x, rcond=None)[0]
@@ -218,6 +221,7 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
         )
 
     off = time[deviation > max(FOLLOWS * amplitude, 4 * noise)]
+    # The sine lasts from the last sample before it to the first one after it that are off.
     first = off[off < start].max(initial=time[0])
     last = off[off > end].min(initial=time[-1])
     run = Segment(float(first), float(last), omega=omega, amplitude=amplitude, offset=float(c[0]))
@@ -337,6 +341,7 @@ def _beyond(steps: float) -> Array:
 def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
     """Return whether a smooth change of frequency predicts the next crossing after k, one way."""
     crossings_used = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
+    # In half periods per second, the first of them next to the crossing that is predicted.
     frequency = 1 / np.abs(np.diff(crossings_used))
     least = 0.5 * frequency[0]
     linear = max(float(_beyond(1.0) @ frequency), least)

@@ -99,10 +99,12 @@ def _one_harmonic_notch(
     base = _logged_center(recording, number) or _set_center(recording, setting)
     if not (center > width / 2 > 0 and base):
         return []
+    # A double or triple notch is two or three narrower ones around the center.
     parts = 3 if int(setting["OPTS"]) & TRIPLE else 2 if int(setting["OPTS"]) & DOUBLE else 1
     spread = width / (32 * center)
     offsets = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[parts]
     quality = _quality(center, width / parts)
+    # A bit mask; firmware without it has the first harmonic alone.
     harmonics = [k + 1 for k in range(16) if int(setting["HMNCS"] or 1) >> k & 1]
 
     return [

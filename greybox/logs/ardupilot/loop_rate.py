@@ -80,6 +80,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     logged = 1 / float(np.median(np.diff(time)))
     if loop < EVERY_PASS * logged:
         return None
+    # The rate of the log jitters; the loop logs every pass, every second, every third ...
     kept = round(loop / logged)
     gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
     count, age = _differences(gyro / loop, kept)
@@ -111,6 +112,7 @@ def thinning_error(
         * response.response
         * first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
     )
+    # The D term acts on the rate, behind the filter of the gyro.
     if response.units.get(response.output) == "rad":
         share = share * s * second_order(float(parameters["INS_GYRO_FILTER"]), s)
 
@@ -121,6 +123,7 @@ def thinning_error(
 
 def _differences(per_pass: float, kept: int) -> tuple[float, float]:
     """Return how kept passes differ from all: the number of gyro samples, the age of the newest."""
+    # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass
     times = j + np.arange(PHASES)[:, None] / PHASES
     counts = np.diff(np.floor(times + 1e-9), axis=1)
@@ -157,6 +160,7 @@ def _cure(parameters: Mapping[str, float], mode: str) -> str:
     if parameters.get("LOG_FILE_RATEMAX", 0) > 0:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
     mask = int(parameters.get("LOG_BITMASK", 0))
+    # The firmware logs at full rate in this mode only if both bits are set.
     if mode == "SYSTEMID":
         needed, bits = (
             mask | FAST | MEDIUM,

@@ -48,6 +48,7 @@ def pwm_of_control(parameters: Mapping[str, float]) -> float:
     values = {name: float(parameters.get(name, value)) for name, value in DEFAULTS.items()}
     expo = values["MOT_THST_EXPO"]
     # thrust = (1 - expo) a + expo a², of the actuator's a from 0 to 1
+    # The derivative of this curve at the thrust of hover, without solving for a.
     slope = math.sqrt((1 - expo) ** 2 + 4 * expo * values["MOT_THST_HOVER"])
     low, high = _range(parameters)
     return SHARE * (values["MOT_SPIN_MAX"] - values["MOT_SPIN_MIN"]) * (high - low) / slope
@@ -66,6 +67,7 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     a, sigma = (
         np.atleast_1d(np.asarray(values, dtype=float))[..., None] for values in (amplitude, spread)
     )
+    # The terms are 0/0 at zero amplitude, and their limit is finite.
     a = np.maximum(a, 1e-9)
     terms = (
         2

@@ -146,6 +146,7 @@ def read(
         log = reader.read(path, names, **table_options)
         if not columns:
             return log
+        # The readers of tables refuse more than one when columns are named.
         ((name, record),) = log.items()
         signals = [key for key in columns if key in record.signals]
         return replace(log, records={name: in_si(record, signals)})
@@ -155,6 +156,7 @@ def read(
 
 def _format(path: Path) -> Format:
     head = _head(path)
+    # The contents decide: logs are renamed and sent around.
     for candidate in FORMATS:
         if candidate.recognizes(head):
             return candidate

@@ -53,6 +53,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path = Path(path)
     messages = bare(messages)
+    # Mapped: the system reads only the pages that are needed, and lets go of them.
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     log, damage = _contents(data, messages)
@@ -87,6 +88,7 @@ def recording(
 def _contents(data: Bytes, messages: Collection[str] | None) -> tuple[Clocked, tuple[str, ...]]:
     """Return the messages on one clock, the requested ones with their columns, and findings."""
     positions = index(data)
+    # One sort instead of a comparison for each type: a file may describe many types.
     order = np.argsort(positions.numbers, kind="stable")
     counts = np.bincount(positions.numbers, minlength=len(positions.layouts))
     rows = dict(zip(positions.layouts, np.split(order, np.cumsum(counts)[:-1]), strict=True))

@@ -78,12 +78,14 @@ class Index:
 def index(data: Bytes) -> Index:
     """Find every message in `data`."""
     raw = np.frombuffer(data, dtype=np.uint8)
+    # Every place that may begin a message; data look like a header once in 65 536 bytes.
     starts = np.flatnonzero((raw[:-2] == HEAD[0]) & (raw[1:-1] == HEAD[1]))
     layouts, numbers = _layouts(data, starts, raw[starts + 2])
     starts, numbers = starts[numbers >= 0], numbers[numbers >= 0]
     ends = starts + np.array([layout.length for layout in layouts])[numbers]
 
     is_message, damage = _chain(data, starts, ends)
+    # Only the last message can reach beyond the end of the file.
     cut = np.flatnonzero(is_message & (ends > raw.size))
     is_message[cut] = False
     name = layouts[numbers[cut[0]]].name if cut.size else ""
@@ -125,6 +127,7 @@ def _chain(
     damage = []
     last, end = -1, 0
     while end <= len(data) - len(HEAD) - 1:
+        # All messages up to the next break follow each other without a look at each of them.
         first = int(np.searchsorted(starts, end))
         if first < starts.size and starts[first] == end:
             last = int(breaks[np.searchsorted(breaks, first)])

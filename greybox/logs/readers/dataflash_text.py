@@ -85,6 +85,7 @@ class _MessageLines:
 
     def append(self, number: int, body: str) -> None:
         """Append a line; lines with too few fields are damaged."""
+        # The last field may be a text with commas.
         fields = body.split(",", len(self.layout.columns) - 1)
         if len(fields) < len(self.layout.columns):
             self.damaged += 1
@@ -177,6 +178,7 @@ def _number(field: str) -> float:
 
 def _banner(lines: Lines) -> list[Messages]:
     """Return the line in which an old log names its firmware, as a text message."""
+    # Logs with messages of text name the firmware there.
     if not lines.banner or "MSG" in lines.messages:
         return []
     return [Messages("MSG", np.zeros(1, dtype=np.int64), None, {}, {"Message": [lines.banner]})]

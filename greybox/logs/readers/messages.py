@@ -73,6 +73,7 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
     for group in groups:
         by_name.setdefault(group.name, []).append(group)
 
+    # A damaged description makes a few messages of its own; the larger lot is the sound one.
     largest = {name: max(lots, key=len) for name, lots in by_name.items()}
     lost = {name: sum(map(len, lots)) - len(largest[name]) for name, lots in by_name.items()}
     findings = tuple(
@@ -161,6 +162,7 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
         yield group.name, group
         return
     labels = group.texts.get(group.instance)
+    # Senders are told apart by a text in telemetry, and by a number in DataFlash.
     values = np.array(labels) if labels is not None else group.columns[group.instance]
     columns = {name: column for name, column in group.columns.items() if name != group.instance}
 

@@ -80,6 +80,7 @@ def recording(
     by_name = {}
     findings = list(contents.findings)
     findings += [f"there is no group {name}." for name in messages or () if name not in columns]
+    # Groups without a time, such as settings, are findings, not errors.
     groups = {n: group for n, group in columns.items() if messages is None or n in messages}
     if stated and len(groups) != 1:
         raise ValueError(

@@ -46,6 +46,7 @@ def table(
     timer = next(
         (key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), ""
     )
+    # MATLAB's iddata and many scripts store one interval instead of a vector of times.
     interval = columns["Ts"] if np.size(columns.get("Ts", ())) == 1 else None
     if timer and columns[timer].size:
         time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])

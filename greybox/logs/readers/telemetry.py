@@ -115,6 +115,7 @@ def _clocks(kinds: Mapping[str, Kind]) -> dict[int, Clock]:
     timed = [kind for kind in kinds.values() if kind.timer]
     if not timed:
         return {}
+    # A restart shows in the order in which the packets came, whatever their kinds.
     order = np.argsort(np.concatenate([kind.numbers for kind in timed]))
     numbers, senders, received, sent = (
         np.concatenate([getattr(kind, name) for kind in timed])[order]
@@ -142,6 +143,7 @@ def _times(kind: Kind, clocks: Mapping[int, Clock], zero: float) -> Array:
     sent = np.asarray(kind.sent)
     for sender, clock in clocks.items():
         rows = np.flatnonzero((senders == sender) & np.isfinite(sent))
+        # The boot of each packet: the last one that began before it.
         boot = np.searchsorted(clock.first, numbers[rows], side="right") - 1
         time[rows] = clock.starts[boot] + 1e6 * sent[rows]
     return (time - zero) / 1e6

@@ -61,6 +61,7 @@ def _heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartb
     if not flying.any():
         return Heartbeats(-1, {}, np.empty(0))
     sender = int(senders[flying.argmax()])
+    # Modes of another vehicle on the same link are not those of this one.
     rows = flying & (senders == sender)
     time = times.get("HEARTBEAT", np.zeros(rows.size))
 

@@ -28,6 +28,7 @@ def restarts(stamps: Array) -> tuple[int, ...]:
     for drop in drops:
         start = starts[-1] if starts else 0
         earlier, later = stamps[max(start, drop - WINDOW) : drop], stamps[drop : drop + WINDOW]
+        # Both: a damaged stamp raises the last one, and a long window lowers the median.
         if np.median(later) < np.median(earlier) - BACK and np.median(later) < earlier[-1] - BACK:
             starts.append(int(drop))
     return tuple(starts)
@@ -48,6 +49,7 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
         piece = _plausible(ticks[start:stop])
         if not piece.size:
             continue
+        # The first boot keeps its clock, to which the texts of the log refer.
         shift = end + PAUSE - float(np.nanmin(piece)) if boot else 0.0
         shifted[finite[start:stop]] = piece + shift
         if boot:
@@ -92,6 +94,7 @@ def increasing(time: Array) -> IntArray:
 
 def _longest_increase(values: Array) -> IntArray:
     """Return the longest strictly increasing subsequence, by patience sorting, O(n log n)."""
+    # Patience sorting: the smallest last value of an increasing sequence of every length.
     tails: list[float] = []
     last: list[int] = []
     link = np.full(values.size, -1)

@@ -73,6 +73,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
             "'greybox-id[px4]'."
         )
 
+    # Modes come from the status, so it is read even if nobody asked for it.
     contents = named_arrays.read_contents(
         "ulog", path, *(sorted({STATUS, *topics_wanted}) if topics_wanted else ())
     )
