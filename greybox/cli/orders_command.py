@@ -63,13 +63,14 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     columns = stated_columns(options) or None
     data = [read_response(path, columns=columns) for path in options.responses]
+    filters: list[Any] = [f for word in options.through for f in filters_of(word, data[0])]
     selection = select_orders(
         data,
         options.n,
         options.m,
         options.integrators,
         delay=not options.no_delay,
-        through=[model for word in options.through for model in filters_of(word, data[0])],
+        through=filters,
         **stated_values(options),
     )
     answer = selection_json(selection)

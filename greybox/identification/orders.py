@@ -172,16 +172,18 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
     if not orders.delay:
         squares, coefficients = _at_delay(data, orders, 0.0)
         return LinearFit(squares, (coefficients,))
-    longest = TURN / float(data.omega.max())
-    for _ in range(4):
+    turn = TURN / float(data.omega.max())
+    longest = turn
+    while True:
         grid = np.linspace(0.0, longest, DELAYS)
         fits = [_at_delay(data, orders, delay) for delay in grid]
         best = int(np.argmin([squares for squares, _ in fits]))
-        if best < DELAYS - 1:
+        if best < DELAYS - 1 or longest > 8 * turn:
             break
         longest *= 2
+
     around = slice(max(best - 1, 0), best + 2)
-    refined = minimize_scalar(
+    refined: Any = minimize_scalar(
         lambda delay: _at_delay(data, orders, delay)[0],
         bounds=(grid[around][0], grid[around][-1]),
         method="bounded",

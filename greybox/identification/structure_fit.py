@@ -66,19 +66,20 @@ def fit_within_far_bounds(
     bounds = {**(bounds or {}), **stated.get("bounds", {})}
     options |= {name: value for name, value in stated.items() if name != "bounds"}
     boxes = options.pop("starts", {})
-    for _ in range(WIDENINGS):
+    widenings = 0
+    while True:
         problem = problem_of_structure(model, responses, bounds=bounds, starts=boxes, **options)
         result = fit(problem, points, seed, profiles=False, progress=False)
         held = [
             q for q in result.quantities if q.at_bound and q.name not in stated.get("bounds", {})
         ]
         wider = {q.name: moved for q in held if (moved := _wider(q)) != q.bounds}
-        if not wider:
-            break
+        if not wider or widenings == WIDENINGS:
+            return result
         # Starts are drawn where they were: a box of six decades would hold few good ones.
         boxes = {q.name: q.box for q in held} | boxes
         bounds |= wider
-    return result
+        widenings += 1
 
 
 def _wider(quantity: Quantity) -> tuple[float, float]:

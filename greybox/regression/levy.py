@@ -141,7 +141,7 @@ def levy(
     data: FrequencyResponse,
     n: int,
     m: int,
-    integrator: bool = False,
+    integrator: int = False,
     *,
     weight: ArrayLike | None = None,
     iterations: int = 0,
@@ -235,7 +235,7 @@ def order_path(
 
 
 def _solve(
-    data: FrequencyResponse, n: int, m: int, integrator: bool, weights: Array
+    data: FrequencyResponse, n: int, m: int, integrator: int, weights: Array
 ) -> tuple[Array, Array, float]:
     """Return numerator (m + 1,), denominator (n + 1,) and condition number."""
     powers = (1j * data.omega[:, None]) ** np.arange(n, -1, -1) * weights[:, None]
@@ -256,7 +256,7 @@ def _solve(
     )
 
 
-def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: bool) -> None:
+def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> None:
     _check_whole("n", n, 1)
     _check_whole("m", m, 0)
     if m >= n:

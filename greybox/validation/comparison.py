@@ -131,9 +131,7 @@ class Comparison:
                 for lengths in ([p.horizon for p in in_time], [p.lead for p in in_time])
             )
             count = counted(sum(map(len, in_time)), "window")
-            samples = in_time[0].rows.shape[1]
-            of_samples = f" ({counted(samples, 'sample')})" if len(in_time) == 1 else ""
-            texts.append(f"{count} of {window} s{of_samples}, each from {lead} s before it")
+            texts.append(f"{count} of {window} s, each from {lead} s before it")
         return " and ".join(texts)
 
     def _section(self, rows: Sequence[Row], title: str) -> list[str]:

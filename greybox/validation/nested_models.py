@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import listed, number, one_line
@@ -20,11 +21,6 @@ from greybox.validation.same_data import (
     labels_of,
     other_samples,
 )
-
-# What the scale of a ratio accounts for.
-IN_TIME = "residuals that are correlated in time"
-BEYOND = "residuals larger than the given variance"
-SIZE = "the size of the errors"
 
 
 @dataclass(frozen=True)
@@ -47,8 +43,6 @@ class NestedTest:
     dof : (float, float)
         Degrees of freedom of that distribution; the second is `Fit.dof` of the larger fit.
     p_value : float
-    scaled_for : str
-        What the scale accounts for, in words.
     """
 
     small: str
@@ -59,7 +53,6 @@ class NestedTest:
     statistic: float
     dof: tuple[float, float]
     p_value: float
-    scaled_for: str = IN_TIME
 
     def __repr__(self) -> str:
         return one_line(self, f"{self.small} in {self.large}", p_text(self.p_value))
@@ -76,11 +69,7 @@ class NestedTest:
             statistic = f"chi2({numerator:g}) = {number(self.statistic * numerator, 4)}"
         else:
             statistic = f"F({numerator:g}, {denominator:.0f}) = {number(self.statistic, 4)}"
-        scale = (
-            ""
-            if self.scale == 1.0
-            else f"; scaled by {number(self.scale, 3)} for {self.scaled_for}"
-        )
+        scale = "" if self.scale == 1.0 else f"; scaled by {number(self.scale, 3)}"
         return f"{', '.join(self.terms)} {verdict} ({statistic}, {p_text(self.p_value)}{scale})."
 
 
@@ -161,11 +150,8 @@ def nested_test_at(
 
     removed = count_unknowns(large) - count_unknowns(small)
     ratio = _likelihood_ratio(small, large, labels)
-    reason = _scaled_for(large)
     scale = 1.0
-    if reason == BEYOND and not any(
-        isinstance(part.settings.get("noise"), Mapping) for part in large.parts
-    ):
+    if all(_estimates_variance(part) for part in large.parts):
         # The variance is estimated: the ratio is n log(1 + x) of the relative decrease x of the
         # squares, for which F is x (n - p) / r.
         numbers = sum(count_numbers(part) for part in large.parts)
@@ -176,9 +162,8 @@ def nested_test_at(
             scale = float(np.trace(np.linalg.solve(white, covariance))) / len(rows)
         statistic = max(ratio, 0.0) / (scale * removed)
     p_value = f_tail(statistic, removed, large.dof, on_bound=bool(on_bound))
-    return NestedTest(
-        *labels, tuple(values), ratio, scale, statistic, (removed, large.dof), p_value, reason
-    )
+    dof = (removed, large.dof)
+    return NestedTest(*labels, tuple(values), ratio, scale, statistic, dof, p_value)
 
 
 def _is_definite(covariance: Array) -> bool:
@@ -235,10 +220,11 @@ def f_tail(statistic: float, r: int, dof: float, *, on_bound: bool = False) -> f
     return 0.5 * (p_value + fewer)
 
 
-def _scaled_for(fit: Fit) -> str:
-    if any(part.data.has_time for part in fit.records):
-        return IN_TIME
-    return SIZE if fit.responses else BEYOND
+def _estimates_variance(part: FittedPart) -> bool:
+    """Tell whether the data of a part are rows or lines of a variance that the fit estimates."""
+    if isinstance(part, FittedResponse) or getattr(part.data, "has_time", False):
+        return False
+    return not isinstance(part.settings.get("noise"), Mapping)
 
 
 def _labels(small: Fit, large: Fit) -> tuple[str, str]:

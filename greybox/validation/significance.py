@@ -57,7 +57,7 @@ def verdicts(
     for k in range(len(fits)):
         sentences += term_sentences(fits, labels, k, tests)
     if likelihoods is not None:
-        sentences.append(_which_likelihood(fits, labels, likelihoods))
+        sentences.append(_which_likelihood(labels, likelihoods))
     return tuple(sentences), tests
 
 
@@ -239,13 +239,9 @@ def term_sentences(
             yield f"{estimate}: not distinguishable from {text}."
 
 
-def _which_likelihood(fits: Sequence[Fit], labels: Sequence[str], likelihoods: Likelihoods) -> str:
+def _which_likelihood(labels: Sequence[str], likelihoods: Likelihoods) -> str:
     """Say which likelihood AIC, AICc and BIC are based on, and where it is not at its maximum."""
     text = f"AIC, AICc and BIC are those of {likelihoods.name}, maximized from each estimate"
-    rules = sorted({part.rule for fit in fits for part in fit.responses if not part.is_likelihood})
-    if rules:
-        verb = "is not a likelihood" if len(rules) == 1 else "are not likelihoods"
-        text += f", since {' and '.join(rules)} {verb}"
     elsewhere = [label for label, at in zip(labels, likelihoods.at_maximum, strict=True) if not at]
     if elsewhere:
         text += f"; those of {listed(elsewhere)} are not at the maximum, and too high"

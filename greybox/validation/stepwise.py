@@ -118,9 +118,6 @@ class StepwiseSelection:
         for term, rivals in self.alike.items():
             texts = listed([f"{rival} (AIC {above:+.2f})" for rival, above in rivals.items()])
             yield f"These data cannot tell {term} from {texts}."
-        for first, second, r in self.fit.identifiability.correlated:
-            if {first, second} & set(self.terms):
-                yield f"{first} and {second} are collinear: correlation {r:.3f} of their estimates."
         yield (
             f"A term is added below {100 * self.size:g} % over the number of terms tried (Bonferroni), "
             f"and removed above {100 * self.size:g} %."

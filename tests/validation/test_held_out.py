@@ -69,10 +69,7 @@ def test_windows_follow_the_sample_time_and_one_model_is_as_good_as_itself(rooms
     record, one, other = rooms
     found = gb.compare(one, other, records=days(300, seed=1))
     text = str(found)
-    assert (
-        "identification data: 39 windows of 36000 s (10 samples), each from 36000 s before it"
-        in text
-    )
+    assert "identification data: 39 windows of 36000 s, each from 36000 s before it" in text
     prediction = found.predictions["identification"][0][0]
     assert prediction.ahead.tolist() == [3600.0 * k for k in range(1, 11)]
     for data in ("their own data", "held-out data"):
@@ -103,7 +100,7 @@ def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
         gb.predict(one, record=record, lead=0.5)
     found = gb.compare(*flights[:2], window=1.03, lead=0.48)
     assert (found.window, found.lead) == pytest.approx((1.05, 0.5))
-    assert "windows of 1.05 s (21 samples), each from 0.5 s before it" in str(found)
+    assert "windows of 1.05 s, each from 0.5 s before it" in str(found)
     for shift in (0.0, 37.1, 1234.567):  # 12.5 samples in figures that rounding disturbs
         record = flights[2].rows(np.arange(0, 300))
         slow = gb.Record(shift + 0.08 * np.arange(300), dict(record.signals), name="slow")
