@@ -110,6 +110,7 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
             values[place] = symbols[k]
         term = values[0] * _with_constants(members[0][2], inputs, values[1:])
         groups.append(_Group(term, symbols, table[differs]))
+
     return groups, remainder
 
 
@@ -134,6 +135,7 @@ def summands(cost: ca.SX) -> list[tuple[float, ca.SX]]:
             waiting.append((factor / float(parts[1]), parts[0]))
         else:
             terms.append((factor, term))
+
     return terms
 
 
@@ -157,4 +159,5 @@ def _with_constants(
             registers[target] = ca.SX.unary(operation, registers[sources[0]])
         else:
             registers[target] = ca.SX.binary(operation, *(registers[source] for source in sources))
+
     return result

@@ -83,6 +83,7 @@ def colored_errors(
     times = longest / slowest if slowest > 0 else math.inf
     if times < FEWEST_TIMES:
         dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
+
     return ColoredErrors(
         meat=larger * effect.meat,
         dof=dof,

@@ -163,6 +163,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     for part in problem.parts:
         if isinstance(part.data, TransientSpectrum):
             parts[part] = compile_spectrum(part, named, point)
+
     recorded = [part for part in problem.parts if isinstance(part.data, Record)]
     parts |= dict(zip(recorded, compile_records(recorded, named, point, method), strict=True))
 

@@ -99,6 +99,7 @@ def solve_in_outputs(
         continuity / column,
         variance / unit**2,
     )
+
     return x * column, multiplier / column
 
 
@@ -207,6 +208,7 @@ def solve_continuity(
     if not np.all(np.isfinite(solution)):
         raise np.linalg.LinAlgError("the nodes of the record are not determined.")
     solution = solution.reshape(s, 2 * n, r)
+
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 

@@ -47,6 +47,7 @@ def explicit_program(
     for part, formula, root in zip(parts, formulas, roots, strict=True):
         outputs: Any = formula.function(ca.vertcat(*part.local_values(named).values()), root)
         responses.append(Complex(*outputs))
+
     smoothing = ca.SX.sym("smoothing")
     return ca.Function(
         "explicit", [z, smoothing, ca.vertcat(*roots)], [ca.SX(cost(responses, smoothing)), limits]
@@ -72,6 +73,7 @@ def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Fu
     x, p, f, m = (ca.MX.sym("v", count) for count in (z.numel(), 1, 1, limits.numel()))
     hessian_at_root: Any = curvature(x, p, f, m, roots(x))
     slope_at_root: Any = slope(x, p, roots(x))
+
     return {
         "grad_f": ca.Function("nlp_grad_f", [x, p], slope_at_root, ["x", "p"], ["f", "grad_f_x"]),
         "hess_lag": ca.Function(

@@ -73,6 +73,7 @@ class InitialStates:
             return states
         unknown = np.flatnonzero(hidden & ~is_known)
         states = self._sized(measured_states, unknown, measured, inputs, p)
+
         return self._mended(states, measured, inputs, p)
 
     def as_measured(self, states: Array, measured: Array) -> Array:
@@ -102,6 +103,7 @@ class InitialStates:
                 score = self._score(trial, measured, inputs, p)
                 if score < least:
                     best, least = trial, score
+
         return best
 
     def _mended(self, states: Array, measured: Array, inputs: Array, p: Array) -> Array:
@@ -149,6 +151,7 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Link]:
         offset = ca.simplify(ca.substitute(y[k], x, ca.SX.zeros(x.numel())))
         if factor and offset.is_constant():
             links[state[0]] = Link(state[0], k, factor, float(offset))
+
     return list(links.values())
 
 
@@ -176,4 +179,5 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
             rows.append(np.broadcast_to(values, at.size))
         outputs.append(np.array(rows).reshape(len(rows), at.size))
         inputs.append(stretch.inputs[:, at])
+
     return np.concatenate(outputs, axis=1), np.concatenate(inputs, axis=1)

@@ -89,6 +89,7 @@ class KalmanGain:
         slopes = np.einsum("mi,pij,jm->mp", left, np.array(slopes), right)
         # A pole at zero has no direction, and is far from the limit.
         size = np.maximum(np.abs(poles), 1e-12)
+
         return np.real(np.conj(poles)[:, None] * slopes) / size[:, None], self.limit - np.abs(poles)
 
     def _reached(self, A: Array) -> Array:
@@ -141,6 +142,7 @@ class KalmanGain:
             unknowns, q = np.concatenate([intensities, deviations]), q.copy()
             q[self.unknowns] = unknowns
             K = noise.at(q).gain
+
         stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
         return unknowns if stable else None
 
@@ -167,6 +169,7 @@ def kalman_gain(part: Part) -> KalmanGain | None:
     )
     noise = part.noise_model
     unknowns = places if noise is None else np.concatenate([noise.intensities, noise.deviations])
+
     return KalmanGain(
         part,
         states=np.array([part.system.states.index(state) for state, _ in part.gains], dtype=int),

@@ -44,6 +44,7 @@ def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
                         return sign * (p[name] - bound)
 
                     limits.setdefault(label, Limit(label, part, room))
+
     return list(limits.values())
 
 

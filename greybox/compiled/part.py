@@ -305,6 +305,7 @@ class Part(ABC):
                 (name, value) for name, value in vars(source).items() if name in facts
             )
             return
+
         self.problem = source
         self.name = source.name
         self.weight = float(source.weight)

@@ -77,6 +77,7 @@ class RecordGroup(SegmentedPart):
         for model in distinct.values():
             q, slope, delay = model.locate(z)
             results.append([q, slope, delay, *model.initial(q)])
+
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
         pairs = zip(sides, zip(*results, strict=True), strict=True)
         stacked = [ca.densify(side(*values)) for side, values in pairs]
@@ -91,6 +92,7 @@ class RecordGroup(SegmentedPart):
         if not index.any():
             data = self.data_at(delay.ravel())
             return Placed(q.ravel(), slope, data, initial.ravel(), initial_slope)
+
         count = int(index.max()) + 1
         stretches = np.repeat(index, [len(part.data.stretches) for part in self.parts])
         return Placed(
@@ -150,6 +152,7 @@ class Groups:
                 result[k] = (
                     t if alone else self._all[k].trajectory(t.z, nodes[k], simulated=t.simulated)
                 )
+
         return result
 
 

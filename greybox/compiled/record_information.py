@@ -58,6 +58,7 @@ def record_information(
         variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
         pairs = zip(variance, weighted, strict=True)
         score = sum((v * J @ J.T for v, J in pairs), np.zeros_like(score))
+
     initial = part.unknown_initial_states
     independent = independent_numbers(part.numbers, initial, len(score), 1.0)
     meat = score * independent / (independent - initial)

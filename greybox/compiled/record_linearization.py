@@ -60,6 +60,7 @@ def without_known_states(
         b.cross_hessian[k, known] = 0
         b.node_gradient[k, known] = 0
         b.transition[k, :, known] = 0
+
     return b
 
 

@@ -117,6 +117,7 @@ class RecordModel:
                 integrator,
                 substeps,
             )
+
         return self.steps[key]
 
 
@@ -142,6 +143,7 @@ def record_model(
     initial = kin.initial.call([symbol])[0]
     by_active = ca.densify(ca.jacobian(initial, symbol[active]))
     begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
+
     return replace(
         kin,
         problem=problem,
@@ -174,6 +176,7 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         _called(f"initial[{name!r}]", initial_values.get(name, math.nan), local)
         for name in system.states
     ]
+
     return RecordModel(
         problem=problem,
         record=problem.data,
@@ -208,12 +211,14 @@ def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
         problem.model, other.problem.model
     ):
         return False
+
     if not (problem.criterion is other.criterion or problem.criterion == other.criterion):
         return False
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)
     between = between_samples(problem.criterion.inputs, other.system.inputs, problem.data)
     compared = problem.criterion.compared(problem.model, problem.data)
+
     return (
         _parameters(problem) == other.parameters
         and compared == other.outputs

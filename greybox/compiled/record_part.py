@@ -108,6 +108,7 @@ class RecordPart(SegmentedPart):
         )
         feedthrough = ca.jacobian(system.output(x, u, p), u)
         delay = system.delay(p)
+
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
             reached = [
                 name
@@ -117,6 +118,7 @@ class RecordPart(SegmentedPart):
             if held[i] and reached and ca.depends_on(delay[i], p[j]):
                 place = self.model.parameters.index(system.parameters[j])
                 result[self.model.outside_names[place]] = (system.inputs[i], reached[0])
+
         return result
 
     @property
@@ -137,6 +139,7 @@ class RecordPart(SegmentedPart):
             estimated = len(slope) - count
             q[len(q) - count :] = steady.gain.ravel()
             slope[estimated:] = steady.gain_slope.reshape(count, estimated) @ slope[:estimated]
+
         data = self.data_at(delay.ravel())
         return Placed(q, slope, data, initial.ravel(), initial_slope, steady)
 
@@ -157,12 +160,14 @@ class RecordPart(SegmentedPart):
                 "process_noise, whose filter is steady: resample the outputs to one rate, or leave "
                 "process_noise out."
             )
+
         outputs, inputs = self.at_nodes
         unknown = np.full(self.states, np.nan)
         nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
         inputs = data.delayed_inputs(np.zeros(len(self.system.inputs)))
         reference = nodes.mean(axis=1), np.vstack([*inputs, data.measured_rows]).mean(axis=1)
         step = max(data.stretches, key=len).step
+
         return noise_model(
             self.step, step, reference, model.parameters, model.active, model.driven, self.outputs
         )
@@ -217,6 +222,7 @@ class RecordPart(SegmentedPart):
                 values[list(places)], trajectory.nodes, simulated=trajectory.simulated
             )
             dz_dx = np.ones(len(places))
+
         return record_information(part, trajectory, Columns(places, dz_dx, len(values)))
 
 
@@ -248,6 +254,7 @@ def compile_records(
         )
         for model in models
     ]
+
     for model, sampled in zip(models, data, strict=True):
         if model.criterion.noise == "full":
             require_independent(model.outputs, sampled.measured)
@@ -258,6 +265,7 @@ def compile_records(
         lots.setdefault((id(model.steps), f"{model.record.step:.3g}", points.tobytes()), []).append(
             k
         )
+
     parts: dict[int, RecordPart] = {}
     for lot in lots.values():
         model, every = models[lot[0]], joined([data[k] for k in lot])
@@ -279,4 +287,5 @@ def compile_records(
         for k in lot:
             cut = replace(data[k], segment_length=segment_length)
             parts[k] = RecordPart(models[k], cut, substeps)
+
     return [parts[k] for k in range(len(models))]

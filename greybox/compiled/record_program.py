@@ -23,6 +23,7 @@ class RecordProgram(Program):
                 f"{part.problem.name!r} has process_noise, whose gains "
                 f"{part.model.method.label} does not follow: use MultipleShooting()."
             )
+
         q = part.model.locate(z)[0]
         weight = ca.MX.sym("W", len(part.outputs), len(part.outputs))
         data = ca.MX.sym("data", part.step.width, part.data.samples)

@@ -77,6 +77,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
         directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
         by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)
+
     if placed.filter is not None:
         active = len(part.model.active)
         rows = filter_information(placed.filter, weight, part.compared_samples, active)
@@ -122,6 +123,7 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
         unknown = values > 1e-12 * values[-1]  # directions of less variance count as known
         axes = vectors[:, unknown] / np.sqrt(values[unknown])
         directions[rows, :, : unknown.sum()] = X[rows] @ axes
+
     return directions
 
 
@@ -147,6 +149,7 @@ def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Arr
         if present.any() and not present.all():  # missing samples have no sensitivity
             for row in response:
                 row[:] = np.interp(samples, samples[present], row[present])
+
     power = (shocks**2).sum(axis=0)
     # The power of the last quarter over that of the whole is 2.3 for two integrators, and 3.8 for
     # an unstable mode over three time constants.

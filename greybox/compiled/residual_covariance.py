@@ -75,6 +75,7 @@ class ResidualCovariance:
         count = np.maximum(self.counts, 1)
         if not self.full:
             return diagonal(np.maximum(of_diagonal(products) / count, floor))
+
         return products / count.max(axis=-1)[..., None, None] + diagonal(floor)
 
     def cost(self, products: Array) -> float:
@@ -85,11 +86,13 @@ class ResidualCovariance:
         if self.predicted is not None:
             logarithm = float(np.linalg.slogdet(2 * math.pi * covariance)[1] * self.counts.max())
             return (logarithm + float(np.trace(np.linalg.solve(covariance, products)))) / 2
+
         if self.full and self.known is None:
             logarithm = (
                 float(np.sum(np.linalg.slogdet(covariance)[1] * self.counts.max(axis=-1))) / 2
             )
             return logarithm + self.counts.sum() / 2 * (math.log(2 * math.pi) + 1)
+
         variance = of_diagonal(covariance)
         squares = of_diagonal(products) / variance if self.known is not None else self.counts
         return float(0.5 * np.sum(squares + self.counts * np.log(2 * math.pi * variance)))

@@ -177,6 +177,7 @@ class ResponsePart(Part):
                 scores, np.vstack([root, constants]), neighbors, criterion.score_correlation, dof
             )
             meat = middle + common_meat(bread)
+
             return CorrelatedPoints(
                 meat,
                 remaining_dof,
@@ -231,6 +232,7 @@ class ResponsePart(Part):
             criterion.noise_ratio(response, data) * correction**2 if criterion.known_noise else None
         )
         errors = turned * (data.response - response)[order]
+
         return neighbor_correlation(errors, np.vstack([design.real, design.imag]), inflation)
 
 

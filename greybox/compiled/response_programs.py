@@ -97,6 +97,7 @@ def compile_responses(
         if mapped:
             hessian = _mapped_hessian(parts, mapped, values_at(point), point, limits, choose)
             return CostProgram(function, {"hess_lag": hessian})
+
         if roots is None:
             return CostProgram(function, explicit=function if kind is ca.SX else None)
         explicit = explicit_program(
@@ -107,6 +108,7 @@ def compile_responses(
             lambda found, smoothing: _weighted(parts, _costs(parts, found, smoothing, choose)),
             stacked(limits, values_at(point), ca.SX),
         )
+
         return CostProgram(function, derivatives_at(roots, explicit), explicit, roots)
 
     is_located = any(_own_criterion(part).locator is not None for part in parts)
@@ -135,6 +137,7 @@ def compile_responses(
         "constraint": ca.Function("constraint", [x], [stacked(limits, by_name, kind)]),
         "limits": tuple(limit.label for limit in limits),
     }
+
     return dict(zip(parts, compiled, strict=True)), functions
 
 
@@ -185,6 +188,7 @@ def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
         if formula is None:
             return []
         mapped.append(Mapped(formula, omega))
+
     return mapped if sum(response.work for response in mapped) > LARGE else []
 
 
@@ -206,6 +210,7 @@ def _mapped_hessian(
         )
         for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
     ]
+
     return lagrangian_hessian(terms, z, stacked(limits, named, ca.SX))
 
 

@@ -38,6 +38,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     G = transposed(scaled) @ scaled
     H = process / row / column
     eye = np.eye(F.shape[-1])
+
     for _ in range(60):  # doublings of the time: 2^60 samples
         if not np.all(np.isfinite(A)) or not np.all(np.isfinite(H)):
             break
@@ -52,6 +53,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
         H = H + (change + transposed(change)) / 2
         if np.abs(change).max(initial=0.0) <= 1e-12 * np.abs(H).max(initial=0.0):
             return H * row * column
+
     return np.full(F.shape, np.nan)
 
 
@@ -149,6 +151,7 @@ class NoiseModel:
         if not np.all(np.isfinite(S)):
             K[:, r] = np.nan
             return K, V
+
         K[:, r] = transposed(np.linalg.solve(S, C @ P))
         return K, S
 

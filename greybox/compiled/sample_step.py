@@ -73,6 +73,7 @@ class SampleStep:
             D = ca.MX.sym("D", self.width, samples)
             states, residuals, *_ = one.mapaccum("fold", samples)(x, q, D)
             self._folds[samples] = ca.Function("folded", [x, q, D], [states, residuals])
+
         return self._folds[samples]
 
     def simulate(self, x: Array, q: Array, data: Array) -> tuple[Array, Array]:
@@ -101,6 +102,7 @@ class SampleStep:
             buffer.set_res(0, states[first + 1 : first + RUN + 1].data)
             buffer.set_res(1, residuals[first : first + RUN].data)
             evaluate()
+
         return states[: m + 1], residuals[:m]
 
 
@@ -151,6 +153,7 @@ def _measurement(
         means.append(mean - bias.get(name, 0))
         changes.append(change)
         nows.append(now - bias.get(name, 0))
+
     mean, change, now = (ca.vertcat(ca.SX(0, 1), *values) for values in (means, changes, nows))
 
     rows = [system.outputs.index(name) for name in outputs]

@@ -124,6 +124,7 @@ class SampledData:
                 rows = slice(start, start + length)
                 inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
                 pieces_of_all.append(Stretch(inputs, outputs, stretch.rows[rows], stretch.step))
+
         return SampledData(tuple(pieces_of_all), self.outputs, self.segment_length)
 
     def padded(self, values: list[Array], fill: float | None) -> Array:
@@ -184,6 +185,7 @@ class SampledData:
             values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
             around.append(values.reshape(3 * len(delay), len(stretch)))
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
+
         return self.padded(whole, None), self.padded(around, None)
 
 
@@ -221,6 +223,7 @@ def sampled_data(
             f"{_called(record)} has no measured value of "
             f"{empty[0] if empty else ', '.join(outputs)}: every sample is missing."
         )
+
     shortest = 1 if static else SHORTEST
     stretches = gapless(
         record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
@@ -238,6 +241,7 @@ def sampled_data(
             f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
             "nothing can be estimated from it."
         )
+
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
     if not usable and static:
         what = "sample" if record.has_time else "row"
@@ -245,6 +249,7 @@ def sampled_data(
             f"{_called(record)} has no {what} with all inputs and an output "
             f"({names}; {listed(outputs)})."
         )
+
     if not usable:
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         delay = float(np.max(lead, initial=0.0))
@@ -254,18 +259,21 @@ def sampled_data(
             f"lasts {longest:.3g} s{reason}; give a longer record"
             f"{' or a smaller upper bound' if delay else ''}."
         )
+
     constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
     if constant_outputs and len(constant_outputs) == len(outputs):
         raise ValueError(
             f"the outputs of the record never change ({', '.join(outputs)}): "
             "nothing can be estimated from it."
         )
+
     dead = [name for name in constant_outputs if not np.isnan(record[name]).all()]
     if dead:  # its residuals would decide the fit
         raise ValueError(
             f"{_called(record)} has {dead[0]} = {np.nanmax(record[dead[0]]):g} at all times, while other outputs "
             "change: if the sensor is dead, leave it out of the record."
         )
+
     measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
     masked = sum(int(measured[s.rows[: s.masked]].sum()) for s in stretches)
     return SampledData(usable, outputs, segment_length, masked, constant)
@@ -317,6 +325,7 @@ def gapless(
                     )
                 )
         first_row += len(piece)
+
     return stretches
 
 
@@ -348,6 +357,7 @@ def _stretch(
             "first, gb.prepare(..., rate=...); put a few irregular samples on a fine uniform time "
             "base, with NaN where nothing was measured."
         )
+
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
     masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size)
     compared = outputs.copy()
@@ -385,6 +395,7 @@ def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, A
     if held:
         late = f > WHOLE
         return f * a + r * b, 6 * f * r * (b - a), late * a + (1 - late) * b
+
     now = f * a + r * b
     first, last = f**2 / 2, r**2 / 2
     early, late = 2 * f**3 - 3 * f**2, 3 * r**2 - 2 * r**3

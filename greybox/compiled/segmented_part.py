@@ -129,6 +129,7 @@ class SegmentedPart(Part):
             initial = initial[self.segments.records[begin]]
         nodes = nodes.copy()
         nodes[np.ix_(begin, known)] = initial[..., known]
+
         return nodes
 
     # --- trajectories
@@ -193,6 +194,7 @@ class SegmentedPart(Part):
             for stretch, values in zip(self.data.stretches, residuals, strict=True)
         ]
         tests = (whiteness([rows[k] for rows in stretches]) for k in range(len(self.outputs)))
+
         # One of a hundred records with white residuals is not recognized.
         return all(test.p_value > 0.01 / len(self.outputs) for test in tests)
 
@@ -239,6 +241,7 @@ class SegmentedPart(Part):
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
+
         known = self.model.known_states
         if not known.any():
             return b

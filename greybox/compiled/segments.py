@@ -121,6 +121,7 @@ class Segments:
         ):  # whose entries are symbols: derivatives by the others need not be formed
             free = ca.vertcat(x, *(q[i] for i in active))  # q[[]] of one parameter adds a row
             return [ca.densify(ca.jacobian(r, free)) for r in results]
+
         return [
             ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results
         ]
@@ -147,6 +148,7 @@ class Segments:
             k: own[i] for i, k in enumerate(self._own)
         }
         joined = ca.vertcat(*(place[k] for k in range(q.numel())))
+
         return ca.Function(
             function.name(), [x, common, own, d], function.call([x, joined, d]), {"cse": True}
         )
@@ -198,10 +200,12 @@ class Segments:
         s = self.count
         x = nodes.T
         states = np.empty((self.n, self.length * s))
+
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
             (x,) = self._evaluate(self._advance, x, q, data[:, sample])
+
         return states, x.T
 
     def simulate_stretches(
@@ -224,6 +228,7 @@ class Segments:
             ends[first : first + count] = run[self.length :: self.length]
             products[self.records[first]] += residuals.T @ residuals
             first += count
+
         return states[:: self.length].copy(), self.columns(states.T), ends, products
 
     def residuals(self, states: Array, q: Array, data: Array) -> Array:
@@ -357,6 +362,7 @@ class Segments:
                 end = self._evaluate(self._advance, states, values, d)[0] if self.n else states
                 moved.append([end, self._evaluate(self._output, states, values, d)[1]])
             slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
+
         A, C = (
             (np.concatenate(parts) for parts in zip(*slopes, strict=True))
             if slopes
@@ -379,11 +385,13 @@ class Segments:
         J = np.empty((length, k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
+
         for i in range(length):
             np.einsum("jac,jvc->avc", rows[:n, :, i], S, out=J[i])
             S = np.einsum("jac,jvc->avc", transitions[:n, :, i], S)
             J[i, :, n:] += rows[n:, :, i].swapaxes(0, 1)
             S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
+
         return S, J
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:

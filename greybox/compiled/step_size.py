@@ -82,6 +82,7 @@ def drawn_parameters(problem: Problem) -> Array:
             for name, p in problem.parameters.items()
         }
         drawn.append([float(value) for value in problem.local_values(outside).values()])
+
     return np.array(drawn).reshape(DRAWS, -1)
 
 

@@ -171,4 +171,5 @@ def with_options(settings: Strategies, options: Mapping[str, Any]) -> Strategies
         if not isinstance(value, int if name == "max_iter" else int | float) or not value > 0:
             kind = "a whole number of iterations" if name == "max_iter" else "a number above 0"
             raise ValueError(f"solver_options {name!r} is {value!r}: give {kind}.")
+
     return replace(settings, **{names[name]: value for name, value in options.items()})

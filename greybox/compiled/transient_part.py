@@ -158,11 +158,13 @@ class TransientPart(Part):
         late = zip(self.inputs, matrices.delays.tolist(), strict=True)
         inputs = np.array([self.data.delayed_input(name, delay) for name, delay in late])
         pencil: Any = 1j * self.data.omega[:, None, None] * np.eye(len(self.states)) - matrices.A
+
         try:
             inverse: Any = np.linalg.inv(pencil)
             transform = self._transform(matrices, pencil)
         except np.linalg.LinAlgError:
             return None
+
         forced = np.einsum("lij,jl->li", inverse, matrices.B @ inputs)
         outputs = matrices.C @ forced.T + matrices.D @ inputs
         by_ends = matrices.C @ inverse
@@ -170,11 +172,13 @@ class TransientPart(Part):
         if transform is not None:
             errors, basis = np.einsum("lab,bl->al", transform, errors), transform @ by_ends
             logarithms = float(np.linalg.slogdet(transform)[1].sum())
+
         errors, basis = self._real(errors), self._stacked(basis.swapaxes(0, 1))
         if not (
             np.all(np.isfinite(errors)) and np.all(np.isfinite(basis)) and math.isfinite(logarithms)
         ):
             return None
+
         covariance = self._covariance(transform)
         errors, ends = _without_ends(errors, basis, covariance)
         return Along(
@@ -211,6 +215,7 @@ class TransientPart(Part):
         if isinstance(self._noise, Mapping):
             known = np.array([float(self._noise[name]) for name in self.outputs])
         counts = np.full(len(self.outputs), 2 * len(self.data))
+
         return ResidualCovariance(
             counts, np.where(spread > 0, spread, 1.0), known, self._noise == "full"
         )
@@ -250,6 +255,7 @@ class TransientPart(Part):
             + np.einsum("kjq,jl->klq", d.D, at.inputs)
             + np.einsum("kj,jlq->klq", m.D, later)
         )
+
         if not self._is_equation_error:
             mean = self._stacked(-modelled)
             return mean, mean, np.zeros((len(omega), *m.C.shape[:1] * 2, len(at.q)), complex)
@@ -262,6 +268,7 @@ class TransientPart(Part):
         else:
             change = -np.einsum("ijq,ljk->likq", d.A, at.inverse)
             change = change - np.einsum("lij,jkq,lkn->linq", transform, d.C, at.inverse)
+
         unexplained = np.einsum("lab,bl->al", transform, self._measured - at.modelled)
         mean = -np.einsum("lab,blq->alq", transform, modelled)
         total = mean + np.einsum("labq,bl->alq", change, unexplained)
@@ -295,6 +302,7 @@ class TransientPart(Part):
         variance = _hermitian_rows(turned)
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
         reach = np.sqrt((rows**2).sum(axis=0) + (variance**2).sum(axis=0))
+
         return projected.reshape(weighted.shape), variance, reach
 
     def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
@@ -309,6 +317,7 @@ class TransientPart(Part):
         total = np.tensordot(self.derivatives(at)[1], self.locate(z)[1].full(), axes=1)
         turned = np.exp(-1j * np.angle(at.modelled))
         rows = np.concatenate([at.errors[..., None], total, at.basis], axis=-1)
+
         for name, turn, of_output in zip(self.outputs, turned, rows, strict=True):
             values = turn[:, None] * (of_output[: len(turn)] + 1j * of_output[len(turn) :])
             yield name, values[:, 0], values[:, 1:]
@@ -339,6 +348,7 @@ class TransientPart(Part):
         by_errors = np.einsum("kl,klz->z", root.T @ root @ at.errors, total)
         mean, variance, _ = self.fisher_root(at, mean, change)
         rows = np.vstack([mean.reshape(-1, mean.shape[-1]), variance])
+
         return by_errors - 2 * np.einsum("laaz->z", change).real, rows.T @ rows
 
     def signature(self, trajectory: Trajectory) -> Array:
@@ -414,11 +424,13 @@ def _matrix_functions(
         "linear", [q, x, u], [*map(ca.densify, blocks), ca.densify(system.delay(q))]
     )
     point: Any = ca.DM.zeros(len(system.states)), ca.DM.zeros(len(system.inputs))
+
     if isinstance(model, StateSpace):
         states, inputs = trim_of(model, at).closed()(p)
         # The states of a Padé delay follow those of the model, and the linear delay has no
         # operating point.
         point = ca.vertcat(states, ca.DM.zeros(len(system.states) - len(model.states))), inputs
+
     matrices: Any = linear(p, *point)
     slopes = [ca.densify(ca.jacobian(ca.vec(block), p)) for block in matrices]
     return ca.Function("matrices", [p], matrices), ca.Function("slopes", [p], slopes)
@@ -443,6 +455,7 @@ def _without_ends(
         if len(errors) == 1 or not last - cost > SETTLED * errors.size:
             break
         last = cost
+
     return remaining, ends
 
 

@@ -109,6 +109,7 @@ class Columns:
             values = self._layout(columns.stop - begin).run(part)
             for out, value in zip(outputs, values, strict=True):
                 out[:, columns] = value
+
         return outputs
 
     def _layout(self, m: int) -> "_Mapped | _Registers":
@@ -139,6 +140,7 @@ def _dense(function: ca.Function) -> ca.Function:
         function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())
     ):
         return function
+
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     inputs = [kind.sym("v", *function.size_in(k)) for k in range(function.n_in())]
     return ca.Function(

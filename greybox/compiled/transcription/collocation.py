@@ -57,6 +57,7 @@ class Collocation(Transcription):
         linked = np.setdiff1d(np.arange(samples), last)
         gaps = end[:, linked.tolist()] - nodes[:, (linked + 1).tolist()]
         first = np.concatenate([[0], last[:-1] + 1]).tolist()
+
         return Transcribed(
             unknowns=ca.vertcat(ca.vec(nodes), ca.vec(inside)),
             residuals=residual_rows,
@@ -78,6 +79,7 @@ class Collocation(Transcription):
             step.system, corrected, stages, mean - change / 2, change / h, p, h
         )
         end = scheme.end(corrected, stages)
+
         return (
             ca.Function("equations", [x, ca.vec(stages), q, d], [ca.vec(equations), end]),
             ca.Function("residuals", [x, q, d], [residual]),

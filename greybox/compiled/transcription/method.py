@@ -110,6 +110,7 @@ class Transcription(ABC):
             for k in chosen
             if k in changes or getattr(self, k) != getattr(usual, k)
         )
+
         return f"method={type(self).__name__}({', '.join(arguments)})"
 
 

@@ -66,6 +66,7 @@ class MultipleShooting(Transcription):
         ends, residuals = segment.map("segments", "serial", s, [1], [])(nodes, q, rows)
         linked = np.flatnonzero(data.coupled)
         gaps = ends[:, linked.tolist()] - nodes[:, (linked + 1).tolist()]
+
         return Transcribed(
             unknowns=ca.vec(nodes),
             residuals=residuals,

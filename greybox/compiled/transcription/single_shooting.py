@@ -49,6 +49,7 @@ class SingleShooting(Transcription):
             size = count * data.segment_length
             residuals.append(step.folded(size)(initial[:, k], q, rows[:, first : first + size])[1])
             first += size
+
         starts = (np.cumsum([0, *counts[:-1]]) * data.segment_length).tolist()
         return Transcribed(
             unknowns=ca.vec(initial),
