@@ -88,6 +88,7 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
         function = ca.Function("term", [*inputs], [term])
         places = range(function.n_instructions())
         operations = [function.instruction_id(k) for k in places]
+        # Terms are of one form if they differ in nothing but their constants.
         form = tuple(
             (operation, *function.instruction_input(k), *function.instruction_output(k))
             for k, operation in zip(places, operations, strict=True)
@@ -143,6 +144,7 @@ def _with_constants(
     function: ca.Function, inputs: Sequence[ca.SX], constants: Sequence[ca.SX]
 ) -> ca.SX:
     """Return the output of an SX function with other constants, in instruction order."""
+    # CasADi cannot substitute constants: the instructions are repeated with symbols instead.
     registers: dict[int, ca.SX] = {}
     remaining = iter(constants)
     result = ca.SX(0)

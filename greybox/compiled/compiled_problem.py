@@ -136,6 +136,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     ValueError
         If no parameter is free, or a formula does not trace.
     """
+    # Priors become parts, so that costs, counts and covariances include them without a special
+    # case.
     problem = with_priors(problem)
     method = method or MultipleShooting()
     parameters = problem.parameters

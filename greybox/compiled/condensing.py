@@ -36,6 +36,7 @@ def condense(
     node_damping = np.zeros_like(trajectory.gaps)
     damped = b
     if damping:
+        # Damping enters the matrix but not the gradient: a minimum of the problem stays one.
         node_damping = damping * _node_curvature(b, variance, data)
         added = node_damping[:, :, None] * np.eye(segments.n)
         damped = replace(b, node_hessian=b.node_hessian + added)
@@ -45,6 +46,7 @@ def condense(
     continuity = -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2)
     x, multiplier = solve_in_outputs(damped, data.coupled, stationarity, continuity, variance)
 
+    # The last segment of a stretch continues nowhere: no multiplier acts on its end.
     linked = np.where(data.coupled[:, None, None], b.parameter_sensitivity, 0.0)
     hessian, gradient = b.parameter_hessian.copy(), b.parameter_gradient.copy()
     for record, rows in enumerate(segments.record_rows):
@@ -65,6 +67,7 @@ def condense(
         multiplier=multiplier[:, :, 0],
         multiplier_sensitivity=_by_variables(multiplier[:, :, 1:], slopes, segments),
         damping=node_damping,
+        # Of the undamped system: the prediction is compared with the true merit.
         decrease=_predicted_decrease(b, x[:, :, 0], multiplier[:, :, 0], trajectory.gaps, variance),
     )
 
@@ -197,6 +200,7 @@ def solve_continuity(
     bands[width - n, 1:, :n] = link[:-1]
 
     right = np.concatenate([stationarity * size[:, None], gaps], axis=1).reshape(2 * n * s, r)
+    # LAPACK may overwrite the matrix and the right-hand sides, which were made here.
     solution = solve_banded(
         (width, width),
         bands.reshape(2 * width + 1, 2 * n * s),

@@ -63,7 +63,9 @@ def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Fu
     cost, limits = explicit(z, smoothing, w)
     factor, multipliers = ca.SX.sym("factor"), ca.SX.sym("multipliers", limits.numel())
     hessian, _ = ca.hessian(factor * cost + ca.dot(multipliers, limits), z)
+    # IPOPT takes the upper triangle alone.
     upper = [ca.triu(ca.densify(hessian))]
+    # Cost and gradient share most of their operations, which cse computes once.
     slope = ca.Function(
         "slope", [z, smoothing, w], [cost, ca.densify(ca.gradient(cost, z))], {"cse": True}
     )

@@ -96,6 +96,7 @@ class InitialStates:
         """Return the states with the best sizes of the hidden ones: together, then one by one."""
         best, least = states, self._score(states, measured, inputs, p)
         groups = [hidden] if hidden.size else []
+        # All states together first: one alone may leave the model undefined because of another.
         for group in [*groups, *([[k] for k in hidden] * SWEEPS)]:
             for size in (0.0, *SIZES):
                 trial = best.copy()
@@ -108,6 +109,7 @@ class InitialStates:
 
     def _mended(self, states: Array, measured: Array, inputs: Array, p: Array) -> Array:
         """Give samples where the model is not finite the states of the nearest finite one."""
+        # A few samples outside the domain, as noise below an empty tank, must not spoil a start.
         finite, _ = self._judged(states, measured, inputs, p)
         if not finite.any():
             return np.zeros_like(states)
@@ -127,6 +129,7 @@ class InitialStates:
         The errors are in units of the largest measured value.
         """
         f, y, slopes = self._model(states, inputs, p)
+        # Derivatives count too: a root is finite at zero, its slope is not.
         finite = np.asarray(np.isfinite(np.vstack([f, y, slopes])).all(axis=0))
         scale = np.abs(measured).max(axis=1, initial=0.0, keepdims=True)
         with np.errstate(all="ignore"):

@@ -130,6 +130,7 @@ class KalmanGain:
         noise = self.part.noise_model
         K = np.zeros((len(F), len(C)))
         if noise is None:
+            # In units of the measurement noise, for which the equation of the filter is written.
             root = np.linalg.inv(np.linalg.cholesky(covariance))
             corrected = np.isin(np.arange(len(F)), self.states)
             gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
@@ -151,6 +152,7 @@ class KalmanGain:
         slope, z = trajectory.detail.slope, z.copy()
         active = self.part.model.active.tolist()
         for k, value in zip(self.unknowns.tolist(), values, strict=True):
+            # An unknown that several variables determine cannot be set by one of them.
             row = slope[active.index(k)] if k in active else np.zeros(len(z))
             (variables,) = np.nonzero(row)
             if len(variables) == 1:

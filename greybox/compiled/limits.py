@@ -29,6 +29,7 @@ def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
     named = dict(zip(parameters, ca.vertsplit(x), strict=True))
     for part in problem.parts:
         for k, constraint in enumerate(part.constraints):
+            # Formulas are compared as compiled: equal lambdas are different objects in Python.
             label = f"constraints[{k}] of {part.name!r}"
             value = ca.Function("value", [x], [kind(constraint(part.local_values(named)))])
             limits.setdefault((label, value.serialize()), Limit(label, part, constraint))

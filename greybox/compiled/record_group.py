@@ -33,6 +33,7 @@ class RecordGroup(SegmentedPart):
         """Join the data; records have parameters of their own where their expressions differ."""
         self.parts = tuple(parts)
         first = self.parts[0]
+        # Equal expressions of z have equal values and derivatives in all records.
         expressions = zip(*(part.model.expressions for part in self.parts), strict=True)
         own = tuple(k for k, of_records in enumerate(expressions) if len(set(of_records)) > 1)
         counts = [part.data.segments for part in self.parts]
@@ -89,6 +90,7 @@ class RecordGroup(SegmentedPart):
         function, index = self._located
         q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
         n, active = self.states, len(self.model.active)
+        # One placement serves all records: nothing needs an axis of records.
         if not index.any():
             data = self.data_at(delay.ravel())
             return Placed(q.ravel(), slope, data, initial.ravel(), initial_slope)
@@ -171,5 +173,6 @@ def _kind(part: Part, number: int) -> Any:
     """Return a key that records have in common if they can be evaluated together."""
     if not isinstance(part, RecordPart) or part.gains:
         return number
+    # Records in a group share the step and its derivatives; one weight multiplies them all.
     active = tuple(part.model.active.tolist())
     return (id(part.step), part.data.segment_length, active, part.weight, part.model.has_time)

@@ -60,6 +60,7 @@ def record_information(
         score = sum((v * J @ J.T for v, J in pairs), np.zeros_like(score))
 
     initial = part.unknown_initial_states
+    # Fitted initial states make residuals smaller than errors, and the covariance too small.
     independent = independent_numbers(part.numbers, initial, len(score), 1.0)
     meat = score * independent / (independent - initial)
     meat = columns.derivatives(columns.derivatives(meat).T)

@@ -54,6 +54,7 @@ def without_known_states(
         b.cross_hessian[k] += b.node_hessian[k] @ follow
         b.parameter_sensitivity[k] += b.transition[k] @ follow
 
+        # What does not move gets the rows of an identity, so that the system stays regular.
         b.node_hessian[k, known, :] = 0
         b.node_hessian[k, :, known] = 0
         b.node_hessian[k, known, known] = 1

@@ -136,6 +136,7 @@ def record_model(
         kin = _first_of_its_kind(problem, method)
 
     slope = ca.jacobian(q, z)
+    # Gains that follow from process noise have no expression in z: the filter gives their slopes.
     following = range(len(problem.declared), q.numel())
     active = [i for i in range(q.numel()) if slope[i, :].nnz() or i in following]
     delay = kin.system.delay(q[: len(kin.system.parameters)])

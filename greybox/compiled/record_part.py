@@ -106,6 +106,7 @@ class RecordPart(SegmentedPart):
             ca.SX.sym("v", len(names))
             for names in (system.states, system.inputs, system.parameters)
         )
+        # Through states, and with interpolated inputs, the outputs are continuous in the delay.
         feedthrough = ca.jacobian(system.output(x, u, p), u)
         delay = system.delay(p)
 
@@ -135,6 +136,7 @@ class RecordPart(SegmentedPart):
         q, steady = q.ravel(), None
         if self.noise_model is not None:
             steady = self.noise_model.at(q)
+            # The filter gives the gains and their slopes, which fill the last places of q.
             count = len(self.gains)
             estimated = len(slope) - count
             q[len(q) - count :] = steady.gain.ravel()
@@ -161,6 +163,7 @@ class RecordPart(SegmentedPart):
                 "process_noise out."
             )
 
+        # A steady filter belongs to one linear model: the one about the mean state.
         outputs, inputs = self.at_nodes
         unknown = np.full(self.states, np.nan)
         nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
@@ -273,6 +276,7 @@ def compile_records(
         # reactor is missed, and two of three runs stall.
         looks = at_samples(every, max(every.segments // 100, 1), spread=True)
 
+        # Drawn vectors lack the gains of process noise, on which no initial state depends.
         def known_initial(q: Array, model: RecordModel = model) -> Array:
             return model.initial(np.pad(q, (0, len(model.parameters) - len(q))))[0].full().ravel()
 

@@ -34,6 +34,7 @@ class RecordProgram(Program):
         self.error = ca.vec(weight @ residuals)
         self.cost = ca.MX(0.0)
         self.equations = ca.vertcat(self._transcribed.equations, self._known_states(q))
+        # Without weights: the covariance that follows must not depend on those in use.
         self._products = ca.Function(
             "products", [z, self.unknowns, self.parameters], [residuals @ residuals.T]
         )

@@ -72,6 +72,8 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         squares += np.einsum("lkpc,lkpc->p", by_parameters, by_parameters)
         root = by_states + by_parameters
         rows = np.moveaxis(root, 2, 0).reshape(p, -1)
+        # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
+        # digits.
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows.T]), mode="r"))
         white += rows @ rows.T
         weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
@@ -111,6 +113,7 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
     if not n:
         return np.zeros((s, 0, 0))
     given = np.ix_(data.begins_record, part.model.known_states)
+    # Any R of full rank does; a fixed one makes the result reproducible.
     R = np.random.default_rng(0).normal(size=(s, n, n))
     R[given] = 0
     X, _ = solve_in_outputs(b, data.coupled, R, np.zeros_like(R), np.zeros(n))

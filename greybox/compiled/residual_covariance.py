@@ -71,6 +71,7 @@ class ResidualCovariance:
             return self.predicted
         if self.known is not None:
             return diagonal(self.known**2)
+        # A perfect fit has no residuals: without a floor its cost would be minus infinity.
         floor = (ROUNDING * self.spread) ** 2
         count = np.maximum(self.counts, 1)
         if not self.full:

@@ -123,6 +123,7 @@ class ResponsePart(Part):
     def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
         gradient, hessian = (value.full() for value in self._derivatives(trajectory.z, SMOOTHING))
+        # Away from a minimum the Hessian may be indefinite; a descent needs positive curvature.
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
         return gradient.ravel(), (vectors * np.abs(values)) @ vectors.T
 
@@ -171,6 +172,7 @@ class ResponsePart(Part):
                 return None
             order = np.argsort(data.omega, kind="stable")
             bread, meat = criterion.spread(response, data, correction)
+            # Neighbors in frequency are neighbors in correlation: the order matters here alone.
             scores = _complex(np.sqrt(independent * meat)[:, None] * jacobian)[order]
             constants = np.zeros((jacobian.shape[1] - len(root), root.shape[1]))
             middle, remaining_dof, scale = averaged_meat(

@@ -69,6 +69,7 @@ def compile_responses(
     formulas = [] if mapped else [_formula(part) for part in parts]
     models = [response.function() for response in mapped] or [_closed(f) for f in formulas]
     kind: Any = ca.SX if all(model.is_a("SXFunction") for model in models) else ca.MX
+    # Limits take the kind of the responses, so that one function can hold both.
     limits = limits_of(problem, kind)
 
     def responses_at(named: Named) -> list[Complex]:

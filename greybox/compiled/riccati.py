@@ -28,6 +28,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     iterations as the filter takes doublings of the sample to settle. Source: Chu, Fan, Lin, Wang
     (2004), International Journal of Control 77(8).
     """
+    # States in units of their noise, because intensities may be decades apart.
     variance: Any = np.diagonal(process, axis1=-2, axis2=-1)
     variance = variance.real
     largest = variance.max(axis=-1, keepdims=True, initial=0.0)
@@ -135,6 +136,7 @@ class NoiseModel:
         n, k = F.shape[-1], C.shape[-2]
         K = np.zeros((len(q), n, k), dtype=complex)
         V = diagonal(q[:, self.deviations] ** 2)
+        # Without process noise the predictions need no correction.
         if not np.any(q[0, self.intensities].real > 0):
             return K, V
         W = np.zeros((len(q), n, n), dtype=complex)

@@ -148,6 +148,7 @@ def _measurement(
     delay = system.delay(p)
     means, changes, nows = [], [], []
     for i, name in enumerate(system.inputs):
+        # The data are shifted by the whole samples of the delay: the formula sees the rest.
         fraction = ca.SX(0) if delay[i].is_zero() else delay[i] / step - whole[i]
         mean, change, now = input_over_step(window[3 * i : 3 * i + 3], fraction, held[i])
         means.append(mean - bias.get(name, 0))
@@ -160,6 +161,7 @@ def _measurement(
     simulated = system.output(x, now, p)[rows] + ca.vertcat(
         *[bias.get(name, 0) for name in outputs]
     )
+    # Zero where nothing was measured: no correction, and no share in the cost.
     residual = present * (measured - simulated)
 
     corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol

@@ -178,6 +178,7 @@ class SampledData:
         """
         whole, around = [], []
         for stretch, delay in zip(self.stretches, self.by_stretch(delays), strict=True):
+            # Rounding must not turn a delay of whole samples into one sample less.
             shift = np.floor(delay / stretch.step + 1e-9)
             shift = np.clip(shift, -len(stretch), len(stretch))
             at = np.arange(len(stretch)) - shift[:, None].astype(int)
@@ -270,8 +271,8 @@ def sampled_data(
     dead = [name for name in constant_outputs if not np.isnan(record[name]).all()]
     if dead:  # its residuals would decide the fit
         raise ValueError(
-            f"{_called(record)} has {dead[0]} = {np.nanmax(record[dead[0]]):g} at all times, while other outputs "
-            "change: if the sensor is dead, leave it out of the record."
+            f"{_called(record)} has {dead[0]} = {np.nanmax(record[dead[0]]):g} at all times, "
+            "while other outputs change: if the sensor is dead, leave it out of the record."
         )
 
     measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)

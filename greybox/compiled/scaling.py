@@ -21,6 +21,7 @@ class Scaling:
 
     def to_solver(self, x: Array) -> Array:
         """Return z for x, along the last axis."""
+        # A lower bound of zero has no logarithm: -inf, no bound, is right.
         with np.errstate(divide="ignore"):
             return np.where(
                 self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor

@@ -127,6 +127,7 @@ class SegmentedPart(Part):
         initial = placed.initial
         if initial.ndim == 2:
             initial = initial[self.segments.records[begin]]
+        # The nodes may belong to another trajectory.
         nodes = nodes.copy()
         nodes[np.ix_(begin, known)] = initial[..., known]
 
@@ -150,6 +151,7 @@ class SegmentedPart(Part):
         states, ends = self.segments.simulate(nodes, placed.q, placed.data)
         gaps = np.zeros_like(ends)
         gaps[:-1] = ends[:-1] - nodes[1:]
+        # The last segment of a stretch has no next node.
         gaps[~self.data.coupled] = 0
         residuals = self.segments.residuals(states, placed.q, placed.data)
         products = self._products(self.segments.products(residuals))
@@ -239,6 +241,7 @@ class SegmentedPart(Part):
         placed: Placed = trajectory.detail
         b = self.segments.linearize(trajectory.states, placed.q, weight, placed.data)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
+            # With other weights than the filter's own, the merit does not contain its covariance.
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
 

@@ -278,6 +278,7 @@ class Segments:
         for batch in self.batches(s):
             ends, J, e = self.sensitivities(states, q, data, batch)
             transition[batch] = ends.transpose(2, 0, 1)
+            # A matrix product is faster than einsum where one weight serves all segments.
             if weight.ndim == 2:
                 J = (weight @ J.reshape(self.length, self.k, -1)).reshape(J.shape)
                 e = weight @ e
@@ -285,6 +286,7 @@ class Segments:
                 J = np.einsum("cab,lbvc->lavc", weight[self.records[batch]], J)
                 e = np.einsum("cab,lbc->lac", weight[self.records[batch]], e)
             c = len(range(s)[batch])
+            # Products of stacked matrices are fast for contiguous ones.
             J = np.ascontiguousarray(J.reshape(-1, v, c).transpose(2, 0, 1))
             e = e.reshape(-1, c).T
             H = J.transpose(0, 2, 1) @ J

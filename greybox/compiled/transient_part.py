@@ -163,6 +163,7 @@ class TransientPart(Part):
             inverse: Any = np.linalg.inv(pencil)
             transform = self._transform(matrices, pencil)
         except np.linalg.LinAlgError:
+            # A pole lies on the imaginary axis, at one of the frequencies.
             return None
 
         forced = np.einsum("lij,jl->li", inverse, matrices.B @ inputs)
@@ -300,6 +301,7 @@ class TransientPart(Part):
         projected = rows - directions @ (directions.T @ rows)
         turned = np.einsum("ka,labx,bc->lkcx", weight, change, np.linalg.inv(weight))
         variance = _hermitian_rows(turned)
+        # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
         reach = np.sqrt((rows**2).sum(axis=0) + (variance**2).sum(axis=0))
 

@@ -114,6 +114,7 @@ class Columns:
 
     def _layout(self, m: int) -> "_Mapped | _Registers":
         if m not in self._layouts:
+            # Searches end one by one: layouts for past numbers of columns are not used again.
             if len(self._layouts) > 12:
                 self._layouts.clear()
             # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each.
@@ -135,6 +136,7 @@ class Columns:
 @one_thread_at_a_time
 def _dense(function: ca.Function) -> ca.Function:
     """Return the function with dense inputs and outputs."""
+    # Columns are read by position: structural zeros need a place too.
     is_dense = all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
     if is_dense and all(
         function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())

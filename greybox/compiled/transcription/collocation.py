@@ -53,6 +53,7 @@ class Collocation(Transcription):
         nodes, inside = ca.MX.sym("nodes", n, samples), ca.MX.sym("inside", n * stages, samples)
         residual_rows = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, rows)
         errors, end = equations.map("equations", "serial", samples, [2], [])(nodes, inside, q, rows)
+        # The last sample of a stretch continues nowhere.
         last = np.cumsum([count * data.segment_length for count in data.segment_counts]) - 1
         linked = np.setdiff1d(np.arange(samples), last)
         gaps = end[:, linked.tolist()] - nodes[:, (linked + 1).tolist()]
@@ -63,6 +64,7 @@ class Collocation(Transcription):
             residuals=residual_rows,
             equations=ca.vertcat(ca.vec(errors), ca.vec(gaps)),
             initial=nodes[:, first],
+            # Stages begin at the state of their sample.
             start=lambda states: np.concatenate(
                 [states.ravel(order="F"), np.tile(states, (stages, 1)).ravel(order="F")]
             ),

@@ -64,6 +64,7 @@ class MultipleShooting(Transcription):
         segment = ca.Function("segment", [x, Q, D], [states[:, length - 1], errors])
         nodes = ca.MX.sym("nodes", n, s)
         ends, residuals = segment.map("segments", "serial", s, [1], [])(nodes, q, rows)
+        # The last segment of a stretch continues nowhere.
         linked = np.flatnonzero(data.coupled)
         gaps = ends[:, linked.tolist()] - nodes[:, (linked + 1).tolist()]
 
