@@ -15,10 +15,10 @@ Begin with `fit`.
 | `covariance` | standard errors from the sandwich, for all criteria |
 | `undetermined` | combinations of parameters that the data do not determine |
 | `identifiability` | how well each parameter is determined, and which combinations are |
-| `structural_identifiability` | the same before there are data |
-| `equivalent_minima` | different parameters that give one response |
+| `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
-| `profile`, `profiles`, `held_quantity` | likelihood profiles, their values, and minima with a quantity held |
+| `profile`, `profiles` | likelihood profiles, and their values |
+| `held_quantity` | minima with a parameter or another quantity held |
 | `harmonic_numbers` | how many harmonics a sine test needs |
 | `diagnostics` | the folder of warnings |
 | `verdict`, `summary` | the answer in three sentences, and as plain values for JSON |

@@ -39,10 +39,12 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
     estimated = [*outside.values()]
     if driven is not None:  # gains follow from the variances of the noise
         estimated = [part.rename.get(name, name) for name in (*model.parameters, *driven.added)]
+
     for name in estimated:
         if name not in fit.estimate:
             raise ValueError(
-                f"the fit has no {name!r}, which {model.label} needs; it has {', '.join(fit.estimate)}: "
+                f"the fit has no {name!r}, which {model.label} needs; it has "
+                f"{', '.join(fit.estimate)}: "
                 "give the model that was fitted, or the values as {name: value}."
             )
 
@@ -52,6 +54,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
     is_known = np.array([name in free and free[name].at_bound for name in estimated], dtype=bool)
     values = np.array([fit.estimate[name] for name in estimated])
     covariance = np.where(is_known | is_known[:, None], 0.0, fit.covariance_of(estimated))
+
     if driven is not None:
         assert driven.gain is not None
         assert driven.gain_slope is not None
@@ -59,6 +62,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
         values = np.concatenate([values[:own], driven.gain])
         slope = np.vstack([np.eye(own, len(estimated)), driven.gain_slope])
         covariance = propagated(slope, covariance)
+
     return ModelAtEstimate(
         label=model.label,
         system=dynamics(model, delay_order(part.delay)),
@@ -101,6 +105,7 @@ def _own_names(
         and not share_samples(other.data, part.data)
     ]
     own = []
+
     for name, known_as in outside.items():
         elsewhere = [other.rename.get(name, name) for other in others]
         if name in model.parameters:
@@ -109,11 +114,12 @@ def _own_names(
             is_own = name.endswith("_bias") and known_as not in elsewhere
         if is_own and known_as in free:
             own.append(name)
+
     return tuple(own)
 
 
 def part_index(fit: Any, model: Model | None, part: int | None, record: Record | None) -> int:
-    """Return the index of a part of a `Fit`: the given one, else that of the record, else the first record.
+    """Return the index of a part of a `Fit`, by default that of the record, or the first record.
 
     Parts of the given model come first.
 
@@ -143,9 +149,10 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
         for k in records_first:
             if _class_name(fit.parts[k].model) == wanted:
                 return k
+
     return records_first[0]
 
 
 def _class_name(model: Mapping[str, object]) -> str:
-    """Return a model's class without its module, which is another one where the file was run as a script."""
+    """Return the class without its module: a file that is run as a script has another module."""
     return re.sub(r"^.*:", "", str(model["class"]))

@@ -1,4 +1,4 @@
-"""How well the data determine the estimate: covariance right for the criterion, and combinations left undetermined."""
+"""The accuracy of an estimate: its covariance, and the combinations that the data leave open."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -113,7 +113,7 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """What one part tells of the unknowns: bread (p, k) against all values, its root (n, p), and meat (p, p).
+    """The information of one part: bread (p, k) by all values, its root (n, p), and meat (p, p).
 
     `jacobian` is the root with a limit on the weight that one part may have beside others, and
     `reach` (p,) has the lengths of its columns before the initial states were fitted along. `pull`
@@ -150,10 +150,11 @@ class _Corrected:
 
 @dataclass(frozen=True, eq=False)
 class _Sandwich:
-    """A square root (p, r) of the inverse bread, the slope (k, k) of all values to the constants, and the terms.
+    """The covariance of all parts and earlier fits.
 
-    `terms` are B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit, with their degrees of
-    freedom; `unknown` (k,) tells which constants have no error.
+    `root` (p, r) is a square root of the inverse bread, `slope` (k, k) has the derivatives of all
+    values by the constants. `terms` are B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit,
+    with their degrees of freedom; `unknown` (k,) tells which constants have no error.
     """
 
     root: Array
@@ -169,7 +170,9 @@ class _Sandwich:
 def assess(
     nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None] = ()
 ) -> Accuracy:
-    """Return the accuracy of the estimate `x` (p,); parts with nodes need their best `trajectories` there.
+    """Return the accuracy of the estimate `x` (p,).
+
+    Parts with nodes need their best `trajectories` there.
 
     The covariance is that of an M-estimator under the noise condition of each part's criterion;
     parameters at a bound are taken as fixed there, and active constraints hold. Fixed values that
@@ -182,22 +185,30 @@ def assess(
     jacobian = np.vstack([share.jacobian for share in shares])
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
+
+    # A column that is rounding, beside its value or beside what initial states took from it, would
+    # otherwise count as information.
     length = np.linalg.norm(jacobian, axis=0)
     reach = np.sqrt(sum((share.reach**2 for share in shares), np.zeros(p)))
     reach[reach * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
     length[(length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING) | (length < DEAD * reach)] = 0
     jacobian = jacobian * (length > 0)
-    # In units in which every column of the Jacobian had length one before initial states were
-    # fitted along, ranks can be judged: less than a share of that is what rounding leaves where
-    # they make up for a parameter.
+
+    # Ranks can only be judged in units in which all columns have length one. The length is that
+    # before initial states were fitted along: where these make up for a parameter, the rest is
+    # rounding.
     size = np.where(np.isfinite(reach) & (reach > 0), 1 / np.where(reach > 0, reach, 1.0), 1.0)
     unit = np.nan_to_num(jacobian * size)
     bounded = [nlp.free.index(name) for name in at_bound]
+
+    # A parameter at a bound counts as known, unless the data see nothing of it: then the bound held
+    # it only by chance.
     seen, invisible = determined_directions(unit, active * size, bounded)
     idle = [k for k in bounded if not (unit[:, k].any() or active[:, k].any())]
     combinations = invisible_groups(
         np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, parts
     )
+
     numbers = sum(part.numbers for part in parts) - seen.shape[1]
     known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
     blind = np.zeros((k, invisible.shape[1] + len(bounded)))
@@ -212,8 +223,10 @@ def assess(
         active=holding,
         informations=tuple(parts),
     )
+
     if accuracy.dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
         accuracy = _with_covariance(nlp, accuracy, shares, seen * size[:, None], known_noise)
+
     # Collinearity matters where an error exceeds half of a value.
     error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
     loose = ~(error < 0.5 * np.abs(x))
@@ -228,7 +241,7 @@ def _with_covariance(
     basis: Array,
     known_noise: bool,
 ) -> Accuracy:
-    """Return the accuracy with a covariance within a basis (p, r) of the directions that the data determine."""
+    """Return the accuracy with a covariance within a basis (p, r) of the determined directions."""
     p = len(nlp.free)
     root = _root_of_inverse(shares, basis)
     corrected = [
@@ -239,9 +252,13 @@ def _with_covariance(
     colored = tuple(part.colored for part in corrected)
     dof = sum(part.dof for part in corrected)
     if known_noise:
+        # Variances that were given have no uncertainty; the estimated correlation has.
         dof = min((points.dof for points in neighbors if points is not None), default=math.inf)
+
     independent = None
     if any(neighbors):
+        # Tests of terms need errors that are taken as independent: a term that is missing looks
+        # like a correlation.
         alone = _sandwich(
             nlp, shares, root, [part.independent for part in corrected], colored, basis
         )
@@ -249,12 +266,14 @@ def _with_covariance(
         independent = alone.covariance[:p, :p], math.inf if known_noise else numbers
 
     sandwich = _sandwich(nlp, shares, root, [part.share for part in corrected], colored, basis)
+    # The bias is the least-squares answer to what noise adds to the residuals in the mean.
     inverse = sandwich.root @ sandwich.root.T
     bias = np.zeros(len(nlp.names))
     bias[:p] = inverse @ sum(part.share.pull for part in corrected)
     # What depends on a constant without a standard error has none either.
     lost = sandwich.slope[:, sandwich.unknown] / accuracy.size[:, None]
     lost = lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)
+
     return replace(
         accuracy,
         covariance=sandwich.covariance,
@@ -281,6 +300,7 @@ def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
         return {}
     if accuracy.white is None:
         return dict.fromkeys(nlp.free, math.nan)
+
     roots = [_share(part, p=p).root @ accuracy.white for part in accuracy.informations]
     information = np.array([np.sum(root**2, axis=0) for root in roots])
     share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
@@ -332,7 +352,7 @@ def directions_beside(
 def informations(
     nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None] = ()
 ) -> list[Information]:
-    """Return what every part says about all values at the unknowns `x` (p,), see `Part.information`."""
+    """Return the information of every part on all values, at the unknowns `x` (p,)."""
     values = nlp.all_values(x)
     uncertain = tuple(
         k
@@ -341,6 +361,7 @@ def informations(
     )
     slope = nlp.scaling.slope(x)
     pairs = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
+
     return [
         part.information(nlp.names, values, uncertain, trajectory, slope)
         for part, trajectory in pairs
@@ -361,18 +382,20 @@ def degrees(accuracy: Accuracy, gradient: Array) -> Array:
 
 
 def propagate(accuracy: Accuracy, gradient: Array) -> Array:
-    """Return the standard errors of quantities from their gradient (m, k) with respect to all values: (m,).
+    """Return the standard errors (m,) of quantities from their gradients (m, k) by all values.
 
     NaN for a quantity that depends on a direction about which the data say nothing.
     """
     variance = np.einsum("ij,jk,ik->i", gradient, accuracy.covariance, gradient)
+    # The covariance is zero along unseen directions: without this test a quantity that depends on
+    # one would seem certain.
     scaled = gradient * accuracy.size
     unseen = np.abs(scaled @ accuracy.blind) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
     return np.where(unseen.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
 
 
 def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
-    """Scale the noise of a part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p of all parts.
+    """Scale the noise of a part for its share pᵢ = tr(B⁻¹ Bᵢ) of the p parameters.
 
     2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with
     pᵢ parameters. Correlated errors have degrees of freedom of their own. `root` (p, r) is one of
@@ -387,6 +410,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
         if colored is not None:
             share = replace(share, dof=colored.dof)
             return _Corrected(share, share, colored.dof, colored, None)
+
     dof = math.inf if problem.criterion.known_noise else numbers
     correction = math.sqrt(max(part.numbers, numbers) / numbers)
     independent = corrected = _share(part, p=p, correction=correction, dof=dof)
@@ -394,11 +418,13 @@ def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
     if neighbors is not None:
         meat = problem.weight**2 * neighbors.meat[:p, :p]
         corrected = replace(independent, meat=meat, dof=neighbors.dof)
+
     return _Corrected(corrected, independent, numbers, None, neighbors)
 
 
 def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
-    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), accurate also where B has lost its smallest digits."""
+    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), accurate where B itself is not."""
+    # B itself has the squares of the singular values: it loses the digits that a root keeps.
     triangle = np.linalg.qr(np.vstack([share.root for share in shares]) @ basis, mode="r")
     return basis @ np.linalg.inv(triangle).astype(float)
 
@@ -420,6 +446,8 @@ def _sandwich(
     k = len(nlp.names)
     root = _root_of_inverse(shares, basis)
     bread = sum((share.bread for share in shares), np.zeros((p, k)))
+
+    # How the estimate follows the constants, from the optimality condition: -B⁻¹ Bᵪ.
     slope = np.zeros((k, k))
     slope[:p, p:] = -root @ (root.T @ bread[:, p:])
     slope[p:, p:] = np.eye(k - p)
@@ -434,6 +462,7 @@ def _sandwich(
         term = np.zeros((k, k))
         term[:p, :p] = root @ meat @ root.T
         terms.append((term, share.dof))
+
     unknown = np.zeros(k, dtype=bool)
     for known, dof in known_covariances(nlp):
         unknown |= np.isnan(np.diag(known))
@@ -454,6 +483,7 @@ def determined_directions(
     if len(closed):
         _, singular, rows = np.linalg.svd(closed)
         basis = rows[int(np.sum(singular > 1e-12 * singular[0])) :].T
+
     _, singular, rows = np.linalg.svd(np.linalg.qr(jacobian @ basis, mode="r"), full_matrices=True)
     rank = int(np.sum(singular > DEAD))
     return basis @ rows[:rank].T, basis @ rows[rank:].T
@@ -502,7 +532,8 @@ def _at_bound(
     close = (distance <= 0.01 * error) & ~held
     if close.any() and trajectories and all(t is not None for t in trajectories):
         outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
-        # By more than a hundredth of the standard deviation that noise gives the gradient.
+        # By more than a hundredth of the standard deviation that noise gives the gradient. In a flat
+        # valley a minimum may lie this close to a bound that does not hold it.
         held |= close & (outward > 0.01 * np.sqrt(np.where(known, spread, 0.0)))
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
 
@@ -524,28 +555,33 @@ def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, tuple[st
     p = len(nlp.free)
     if not nlp.limits:
         return np.zeros((0, p)), ()
+
     values = nlp.all_values(x)
+    # Constraints may contain a trim, which only MX can express.
     symbols = ca.MX.sym("x", len(values))
     slope = ca.Function("slope", [symbols], [ca.jacobian(nlp.constraint(symbols), symbols)])
     gradient = np.asarray(ca.DM(slope(values)))[:, :p]
     slack = np.asarray(nlp.constraint(values)).ravel()
     active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
+
     return gradient[active], tuple(
         label for label, holds in zip(nlp.limits, active, strict=True) if holds
     )
 
 
 def known_covariances(nlp: CompiledProblem) -> list[tuple[Array, float]]:
-    """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
+    """Return the covariance (k, k) of the constants from each earlier fit, zero elsewhere."""
     names = nlp.names
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
     for name, source in nlp.problem.held_estimates.items():
         if name in names:
             sources.setdefault(id(source), (source, []))[1].append(name)
+
     result = []
     for source, group in sources.values():
         places = [names.index(name) for name in group]
         embedded = np.zeros((len(names), len(names)))
         embedded[np.ix_(places, places)] = source.covariance_of(group)
         result.append((embedded, source.dof))
+
     return result

@@ -79,7 +79,10 @@ class Interrupted(KeyboardInterrupt):
     def __str__(self) -> str:
         if self.fit is None:
             return "interrupted before the first start"
-        return f"interrupted after {counted(len(self.fit.runs), 'start')}; the best fit so far is in the attribute fit"
+        return (
+            f"interrupted after {counted(len(self.fit.runs), 'start')}; the best fit so far is in "
+            "the attribute fit"
+        )
 
 
 def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
@@ -194,6 +197,7 @@ class SolverChoice:
             raise TypeError(
                 f"method is {self.method!r:.60}: give an instance such as MultipleShooting()."
             )
+
         if self.search not in SEARCHES:
             raise ValueError(
                 f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}."
@@ -215,11 +219,12 @@ def fit_keeping(
     profiles: bool = True,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
-    """Fit as `fit` does, and store every run as soon as it is done; stored runs are not made again."""
+    """Fit as `fit` does, and store every run at once; stored runs are not repeated."""
     if not isinstance(problem, Problem | Sum):
         raise TypeError(
             f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them."
         )
+
     require_executor(executor)
     try:
         with listening():
@@ -244,7 +249,7 @@ def fit_keeping(
 
 
 def fingerprint(problem: AnyProblem, by: SolverChoice | None = None) -> str:
-    """Return the number by which runs are stored: it stands for compiled problem, data and solver options."""
+    """Return the key of stored runs: of the compiled problem, its data and the solver options."""
     by = by or SolverChoice()
     return packed(by.solver(compile_problem(with_enough_harmonics(problem), by.method)))[0]
 
@@ -260,7 +265,7 @@ def _fitted_from(
     executor: Executor | None,
     kept: KeptRuns | None,
 ) -> Fit | None:
-    """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
+    """Return the fit, after Ctrl-C from the starts that were done; None without any."""
     began = time.perf_counter()
     nlp = compile_problem(with_enough_harmonics(problem), by.method)
     solver = by.solver(nlp)
@@ -276,18 +281,22 @@ def _fitted_from(
         kept=kept,
         promising=solver.promising if starts is None else None,
     )
+
     with responding(Response.STOP):
         search = _with_progress(run, progress, len(points))
         interrupted = stop_requested()
+        # Reasons belong to the runs before any refinement replaces the compiled problem.
         search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         search = solver.polished(search)
+
     if not search.runs:
         return None
 
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), error=error)
         messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
+        # A search that was cut short has no time for profiles.
         if profiles and answer.converged and not messages:
             profiled = profiled_where_misleading(nlp, answer)
             if profiled is not None:
@@ -315,11 +324,12 @@ def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator
         cause = "the time limit ended the search" if is_search_over() else "interrupted"
         machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
         yield f"{cause} after {done} of {total}: another one may end at a lower cost{machine}."
+
     cut = int(np.count_nonzero(search.runs.status == RUN_OVER))
     if cut:
         yield (
-            f"{cut} of {total} {'was' if cut == 1 else 'were'} cut at {current_limits().start:g} s, the time limit of "
-            "a start: on a faster machine it may end at a lower cost."
+            f"{cut} of {total} {'was' if cut == 1 else 'were'} cut at {current_limits().start:g} "
+            "s, the time limit of a start: on a faster machine it may end at a lower cost."
         )
 
 
@@ -343,6 +353,7 @@ def assemble(
     if search.minima:
         trajectories = solver.profile(best, search.nodes).trajectories
         accuracy = assess(nlp, best, trajectories)
+
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     lines, covariance, slopes = quantities(nlp, accuracy, estimate)
     parts = _parts(nlp, best, trajectories)
@@ -352,8 +363,8 @@ def assemble(
         quantities=lines,
         covariance=covariance,
         dof=accuracy.dof,
-        cost=math.nan,
-        costs={},
+        cost=search.minima[0].cost if search.minima else math.nan,
+        costs=_all_costs(parts) if search.minima else {},
         runs=search.runs,
         minima=search.minima,
         warnings=(),
@@ -365,27 +376,30 @@ def assemble(
         priors=_priors(nlp.problem),
         prior_share=prior_shares(nlp, accuracy),
     )
+
     if not search.minima:
+        # Its values are NaN: the end of a run that did not converge is no estimate.
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
 
     directions = known_directions(
         nlp, accuracy, np.array([answer.estimate[name] for name in answer.names]), slopes
     )
     if directions is not None and directions.unseen.any():
+        # At equal values, a product looks like a sum: another point tells them apart.
         elsewhere = directions_beside(
             nlp, best, accuracy.at_bound, lambda x: solver.profile(x, search.nodes).trajectories
         )
         directions = replace(directions, elsewhere=elsewhere)
+
     answer = replace(
         answer,
-        cost=search.minima[0].cost,
-        costs=_all_costs(parts),
-        warnings=warnings(nlp, search, accuracy, parts, trajectories, error),
+        warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
         notes=notes(nlp.problem),
         white=accuracy.white,
         independent=accuracy.independent,
         directions=directions,
     )
+
     if accuracy.combinations:
         return replace(answer, notes=(*answer.notes, *determined_together(answer)))
     return answer
@@ -418,7 +432,7 @@ def _parts(
 
 
 def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
-    """Return the rule for starts; for some solvers the first of a number of starts is the declared one."""
+    """Return the rule for starts; for records the declared values are the first of a number."""
     number = solver.starts if starts is None else starts
     rule = as_starts(number, seed)
     if isinstance(number, Starts | Sequence) or not solver.tries_declared_values:
@@ -433,6 +447,7 @@ def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:
     responses = [part for part in parts if isinstance(part, FittedResponse)]
     if len(responses) < len(parts):
         return {}
+
     return {
         criterion.name: sum(
             part.weight * evaluate(criterion, part.response, part.data) for part in responses

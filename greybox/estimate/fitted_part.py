@@ -22,7 +22,7 @@ PRIOR = Prior(noise={}).class_path
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FittedPart:
-    """One problem of the sum with its data, in plain values: `FittedResponse`, `FittedRecord` or `FittedSpectrum`.
+    """One problem of the sum with its data, in plain values.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class FittedResponse(FittedPart):
 
     @property
     def signals(self) -> dict[str, Any]:
-        """Input, output, operating point and delay: the keywords of functions that evaluate the model."""
+        """Input, output, operating point and delay, as keywords for evaluating the model."""
         pair = {"input": self.data.input, "output": self.data.output}
         return {**pair, "at": self.at, "delay": self.delay}
 
@@ -183,12 +183,12 @@ class FittedRecord(FittedPart):
         return (*biases, *(f"K_{state}_{output}" for state, output in self.gains))
 
     def innovation_parameters(self, output: str) -> int:
-        """Return the number of noise parameters that were fitted to the correlated residuals of an output."""
+        """Return the number of noise parameters that were fitted to the residuals of an output."""
         return len(self.driven) or sum(of == output for _, of in self.gains)
 
     @property
     def between(self) -> dict[str, str]:
-        """How every input ran between its samples, in words, and who states it; empty for a static model."""
+        """How every input ran between its samples, in words; empty for a static model."""
         if self.is_static:
             return {}
         names = [name for name in self.data.signals if name not in self.outputs]
@@ -199,7 +199,7 @@ class FittedRecord(FittedPart):
         return self.data[output] - self.simulated[output]
 
     def fit_percent(self, output: str) -> float:
-        """Return 100 (1 - |residual| / |measured - mean|), the normalized root mean square of MATLAB's `compare`."""
+        """Return 100 (1 - |residual| / |measured - mean|), the fit of MATLAB's `compare`."""
         return fit_percent(self.data[output], self.simulated[output])
 
 
@@ -235,7 +235,7 @@ class FittedSpectrum(FittedPart):
         return self.data.outputs[output] - self.fitted[output]
 
     def fit_percent(self, output: str) -> float:
-        """Return 100 (1 - |residual| / |measured|) over the band, without the mean value, as in time."""
+        """Return 100 (1 - |residual| / |measured|) over the band, which has no mean value."""
         size = float(np.linalg.norm(self.data.outputs[output]))
         return 100 * (1 - float(np.linalg.norm(self.residual(output))) / size) if size else math.nan
 

@@ -29,8 +29,10 @@ def compiled_again(
     checksums = [part.data.checksum for part in nlp.problem.parts]
     if nlp.free != fit.free or checksums != [part.data.checksum for part in fit.parts]:
         raise ValueError(
-            f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
+            f"problem {problem.name!r} has other unknowns or other data than the fit: give the one "
+            "fitted."
         )
+
     return nlp
 
 
@@ -40,8 +42,8 @@ def problem_of(fit: Fit) -> AnyProblem:
     Raises
     ------
     ValueError
-        If it has a prior, ties, constraints, values of an earlier fit, or a criterion of your own or
-        with functions.
+        If it has a prior, ties, constraints, values of an earlier fit, or a criterion of your own
+        or with functions.
     LookupError
         If a loaded fit does not know its model.
     """
@@ -50,6 +52,7 @@ def problem_of(fit: Fit) -> AnyProblem:
     boxes = {q.name: q.box for q in fit.quantities if q.kind == "free" and q.box != q.bounds}
     uncertain = [q.name for q in held.values() if q.standard_error != 0]
     problems = []
+
     for k, part in enumerate(fit.parts):
         if part.is_prior:
             raise ValueError(f"the fit {fit.name!r} has a-priori knowledge: give its problem=...")
@@ -62,7 +65,8 @@ def problem_of(fit: Fit) -> AnyProblem:
                 else f"{uncertain[0]} from an earlier fit"
             )
             raise ValueError(
-                f"the fit {fit.name!r} has {what}, of which only the text is known: give its problem=..."
+                f"the fit {fit.name!r} has {what}, of which only the text is known: give its "
+                "problem=..."
             )
         model = fit.models[k] if fit.models else resolve(part.model, fit.given)
         criterion: Any = _criterion(fit, part)
@@ -97,6 +101,7 @@ def problem_of(fit: Fit) -> AnyProblem:
                 **at,
             )
         )
+
     return problems[0] if len(problems) == 1 else Sum(tuple(problems), fit.name)
 
 
@@ -112,10 +117,11 @@ def _criterion(fit: Fit, part: FittedPart) -> Any:
         ]
         if functions:
             raise ValueError(
-                f"the fit {fit.name!r} has a function for the initial {functions[0]}, of which only the text is "
-                "known: give its problem=..."
+                f"the fit {fit.name!r} has a function for the initial {functions[0]}, of which "
+                "only the text is known: give its problem=..."
             )
         return criterion
     raise ValueError(
-        f"the fit {fit.name!r} has the criterion {part.criterion}, not one of greybox: give its problem=..."
+        f"the fit {fit.name!r} has the criterion {part.criterion}, not one of greybox: give its "
+        "problem=..."
     )

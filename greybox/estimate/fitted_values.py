@@ -1,4 +1,4 @@
-"""What a fit keeps of each part of its problem, made from the compiled part and its best trajectory."""
+"""The values that a fit keeps of each part, from the compiled part and its best trajectory."""
 
 import contextlib
 from collections.abc import Callable
@@ -68,6 +68,7 @@ def _(
 
         with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
             curve = refined_curve(at, data.omega)
+
     return FittedResponse(
         **_of_problem(problem),
         data=data,
@@ -83,7 +84,7 @@ def _(
 def refined_curve(
     response: Callable[[Array], FrequencyResponse], omega: Array
 ) -> FrequencyResponse:
-    """Evaluate a response over the band of `omega` for figures; coarse steps are halved, as at a resonance."""
+    """Evaluate a response over the band of `omega` for figures, in finer steps at a resonance."""
     grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
     curve = response(grid)
     for _ in range(12):
@@ -94,6 +95,7 @@ def refined_curve(
             break
         grid = np.sort(np.concatenate([grid, np.sqrt(grid[:-1] * grid[1:])[coarse]]))
         curve = response(grid)
+
     return curve
 
 
@@ -121,6 +123,7 @@ def _(
     gain = gain_slope = None
     nodes = np.full((part.data.segments, part.states), np.nan)
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
+
     if trajectory is not None:
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
         steady = trajectory.detail.filter
@@ -132,6 +135,7 @@ def _(
             gain_slope[:, estimated] = steady.gain_slope.reshape(gain.size, -1)
         nodes = trajectory.nodes
         signals = _simulated(part, trajectory)
+
     return FittedRecord(
         **_of_problem(part.problem),
         data=stored,
@@ -176,6 +180,7 @@ def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, Array]:
         for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
             left_out = np.isfinite(data[name][rows]) & ~np.isfinite(measured)
             signals[name][rows] = np.where(left_out, np.nan, row)
+
     return signals
 
 
@@ -189,12 +194,14 @@ def _(
     ends = np.full(len(part.states), np.nan)
     known = False
     full = part.problem.criterion.settings["noise"] == "full"
+
     if trajectory is not None:
         at: Along = trajectory.detail
         noise = at.covariance.covariance(trajectory.products)
         fitted = at.modelled
         ends = at.ends
         known = at.covariance.known is not None
+
     return FittedSpectrum(
         **_of_problem(part.problem),
         data=part.data,

@@ -17,7 +17,7 @@ def are_open(problem: AnyProblem) -> list[bool]:
 
 
 def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
-    """Return the problem with as many harmonics as matter at the start values, where the number is open."""
+    """Return the problem with as many harmonics as matter at the start values, if left open."""
     if not any(are_open(problem)):
         return problem
     return problem.with_parts([_with_enough(part) for part in problem.parts])
@@ -38,4 +38,5 @@ def _with_enough(part: Problem) -> Problem:
         at=part.at,
         pade=delay_order(part.delay),
     )
+
     return part.with_(amplitude=sine)

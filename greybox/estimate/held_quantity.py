@@ -90,6 +90,7 @@ class HeldResponses(HeldSolver):
         ends = np.clip(np.array(starts), lower, upper)
         converged = np.zeros(len(starts), bool)
         remaining = ~converged
+        # Newton's method knows bounds only, so a held quantity needs IPOPT.
         if quantity is None and self._newton is not None:
             minima = self._newton.minimize(
                 ends.T,
@@ -109,6 +110,7 @@ class HeldResponses(HeldSolver):
             bounds = {"lbx": lower, "ubx": upper, **equations}
             ends[k], status, _ = ipopt.solve(ends[k], [SMOOTHING, value], bounds)
             converged[k] = status in CONVERGED
+
         costs = np.where(converged, self._nlp.costs(scaling.to_parameters(ends)), np.inf)
         return list(zip(ends, np.where(np.isfinite(costs), costs, np.inf).tolist(), strict=True))
 
@@ -143,6 +145,7 @@ class HeldRecords(HeldSolver):
         lower = self._nlp.lower.copy()
         upper = self._nlp.upper.copy()
         equation = None
+
         if isinstance(held, int):
             x[held] = lower[held] = upper[held] = value
         else:
@@ -158,6 +161,8 @@ class HeldRecords(HeldSolver):
                 for piece, shape in zip(np.split(start[p:], ends), self._shapes, strict=True)
             ]
             outcome = solver.solved_from(x, nodes)
+
+        # From the neighbor's states a run may end elsewhere; a run from the data is the fallback.
         if outcome is None or not outcome.converged:
             outcome = solver.run(x)
         return _point(self._nlp, outcome), outcome.cost if outcome.converged else math.inf
@@ -165,7 +170,7 @@ class HeldRecords(HeldSolver):
 
 @one_thread_at_a_time
 def steep_equation(quantity: ca.Function, z: Array, value: float) -> ca.Function:
-    """Return (z) -> quantity less value, of slope one at the point z (p,): as steep as a bound is."""
+    """Return (z) -> quantity less value, with slope one at z (p,), like a bound."""
     point = ca.SX.sym("z", len(z))
     size = float(np.linalg.norm(slope_of(quantity, z)))
     return ca.Function("equation", [point], [(quantity(point) - value) / (size or 1.0)])
@@ -182,7 +187,7 @@ def slope_of(quantity: ca.Function, z: Array) -> Array:
 def best_of_records(
     nlp: CompiledProblem, x: Array
 ) -> tuple[HeldRecords, Array, float, tuple[Trajectory, ...]]:
-    """Return the solver of records, its minimum from an estimate x (p,), the cost, and the trajectories.
+    """Return the solver of records, its minimum from x (p,), the cost, and the trajectories.
 
     Raises
     ------
@@ -193,8 +198,10 @@ def best_of_records(
     outcome = solver.solved_from(x, [trajectory.nodes for trajectory in states.trajectories])
     if not outcome.converged or outcome.nodes is None:
         raise NoMinimumError(
-            f"the minimum of {nlp.problem.name!r} is not found again from the estimate: {outcome.status}."
+            f"the minimum of {nlp.problem.name!r} is not found again from the estimate: "
+            f"{outcome.status}."
         )
+
     held = HeldRecords(nlp, [nodes.shape for nodes in outcome.nodes])
     trajectories = solver.profile(outcome.estimate, outcome.nodes).trajectories
     return held, _point(nlp, outcome), outcome.cost, trajectories

@@ -1,4 +1,4 @@
-"""How well each parameter is determined, in percent, and which combinations are although their members are not."""
+"""How well each parameter, and each combination of parameters, is determined."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,14 +14,24 @@ from greybox.files.text_table import counted, number, one_line, text_table, with
 # Identification, ch. 12.
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
-CORRELATED = 0.9  # correlation from which two parameters are named: each error is then 2.3 times that with the other known
-GAIN = 5.0  # how many times smaller the error of a combination is than those of its members, for it to be news
-UNSEEN = 1e-5  # share of an unseen direction from which a combination has no standard error, as for parameters
-POWERS = 3  # largest power in a product of two: a length squared or cubed; of more members only the first power
-MEMBERS = 4  # most members of a product, and two of a sum: longer ones are read by nobody
-CANDIDATES = (
-    8  # parameters up to which products of more than two are looked for: a few thousand of them
-)
+# Correlation from which two parameters are named: each error is then 2.3 times that with the other
+# parameter known.
+CORRELATED = 0.9
+
+# How many times smaller than those of its members the error of a combination must be to be
+# reported.
+GAIN = 5.0
+
+# Share of an unseen direction from which a combination has no standard error, as for parameters.
+UNSEEN = 1e-5
+
+# Largest power in a product of two parameters: a length squared or cubed. In products of more, up
+# to four, only first powers: nobody reads longer ones.
+POWERS = 3
+MEMBERS = 4
+
+# Parameters up to which products of more than two are looked for: a few thousand candidates.
+CANDIDATES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,23 +78,24 @@ class KnownDirections:
 
     @property
     def matrix(self) -> Array:
-        """The inverse of the covariance within the determined directions, zero in the others, in multiples of size."""
+        """The inverse covariance in multiples of size; zero along unseen directions."""
         scaled = self.covariance / np.outer(self.size, self.size)
         values, vectors = np.linalg.eigh(scaled)
         rank = len(values) - np.linalg.matrix_rank(self.unseen) if self.unseen.size else len(values)
+        # Directions without information have the smallest eigenvalues: zero but for rounding.
         values = values[len(values) - rank :]
         vectors = vectors[:, len(vectors) - rank :]
         return (vectors / np.maximum(values, 1e-300)) @ vectors.T
 
     def errors(self, gradients: Array) -> Array:
-        """Return the standard errors (m,) of quantities by their gradients (m, p); NaN for what is not determined."""
+        """Return the standard errors (m,) of quantities by their gradients (m, p); NaN if open."""
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
         scaled = gradients * self.size
         lost = np.abs(scaled @ self.unseen) > UNSEEN * np.linalg.norm(scaled, axis=1)[:, None]
         return np.where(lost.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
 
     def gradients(self, rows: Array, *, is_product: bool) -> Array:
-        """Return those (m, p) of the logarithms of products of powers `rows` (m, p), or of sums with these factors."""
+        """Return gradients (m, p) of logarithms of products of powers `rows` (m, p), or of sums."""
         return rows / np.where(self.at == 0, 1.0, self.at) if is_product else rows
 
     def hold_elsewhere(self, rows: Array, *, is_product: bool) -> BoolArray:
@@ -98,7 +109,7 @@ class KnownDirections:
 
 @dataclass(frozen=True)
 class DeterminedCombination:
-    """A product of powers, or a sum, of parameters that is determined although none of its members is.
+    """A product of powers, or a sum, that is determined although none of its members is.
 
     Attributes
     ----------
@@ -186,6 +197,7 @@ def identifiability(
     at_bound: Sequence[str],
 ) -> Identifiability:
     """Judge every free parameter at the estimate, and find the combinations that are determined."""
+    # A parameter at its bound counts as known, and must not appear as an unseen direction.
     places = [k for k, name in enumerate(names) if name not in at_bound]
     inside = directions.of(places)
     inside_names = [names[k] for k in places]
@@ -200,6 +212,7 @@ def identifiability(
         alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
         error[places] = errors / np.abs(inside.at)
         insensitivity[places] = alone / np.abs(inside.at)
+
     return Identifiability(
         names=tuple(names),
         error=error,
@@ -220,7 +233,7 @@ def _correlated(names: Sequence[str], matrix: Array) -> Iterator[tuple[str, str,
 
 
 def _condition(matrix: Array) -> float:
-    """Return that of the Jacobian, of which `matrix` (m, m) is the square, with columns of unit length."""
+    """Return the condition number of the Jacobian J with unit columns; `matrix` (m, m) is JᵀJ."""
     length = np.sqrt(np.diag(matrix))
     if not len(matrix):
         return math.nan
@@ -236,7 +249,7 @@ def _combinations(
     directions: KnownDirections,
     errors: Array,
 ) -> list[DeterminedCombination]:
-    """Return the simplest independent combinations of what is not determined that are determined."""
+    """Return the simplest independent combinations that are determined."""
     value = directions.at
     loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
     candidates = []
@@ -270,6 +283,8 @@ def _combinations(
             )
             for k in np.flatnonzero(good)
         ]
+
+    # The simplest first: fewest factors, products before sums, few divisors, then the best known.
     chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
     for _, _, _, is_product, row, error in sorted(
@@ -281,11 +296,12 @@ def _combinations(
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended
             chosen.append(_named(names, value, row, error, is_product=is_product))
+
     return chosen
 
 
 def _products(members: Sequence[int], p: int) -> Array:
-    """Return candidates (m, p): powers of two members, and first powers of more, the first sign positive."""
+    """Return candidate powers (m, p): of two members, and first powers of more."""
     rows = []
     for count in range(2, MEMBERS + 1):
         if count > 2 and len(members) > CANDIDATES:
@@ -299,6 +315,7 @@ def _products(members: Sequence[int], p: int) -> Array:
                 row = np.zeros(p)
                 row[list(group)] = powers_of
                 rows.append(row)
+
     return np.array(rows).reshape(len(rows), p)
 
 
@@ -317,12 +334,13 @@ def _sums(members: Sequence[int], units: Sequence[str], p: int) -> Array:
 def _named(
     names: Sequence[str], value: Array, row: Array, error: float, *, is_product: bool
 ) -> DeterminedCombination:
-    """Write a combination as people do: few divisors, and of a ratio the larger over the smaller."""
+    """Write a combination as people do: few divisors, the larger value over the smaller."""
     if is_product:
         turned = (row < 0).sum() - (row > 0).sum()
         smaller = row @ np.log(np.abs(np.where(row == 0, 1.0, value))) < 0
         if turned > 0 or (turned == 0 and smaller):
             row = -row
+
     places = np.flatnonzero(row).tolist()
     members = tuple(names[k] for k in places)
     powers = tuple(int(row[k]) for k in places)
@@ -335,6 +353,7 @@ def _named(
             float(row @ value),
             error,
         )
+
     above = [_power(n, k) for n, k in zip(members, powers, strict=True) if k > 0]
     below = [_power(n, -k) for n, k in zip(members, powers, strict=True) if k < 0]
     divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
@@ -365,13 +384,15 @@ def _text(of: Identifiability) -> Iterator[str]:
             else ""
         )
         rows.append([name, _percent(error), _percent(alone), remark])
+
     yield text_table(["parameter", "error, %", "insensitivity, %", ""], rows, left=(0, 3))
     yield ""
     yield (
-        f"guidelines: {100 * ERROR_GUIDELINE:.0f} % error (Cramér-Rao bound), {100 * INSENSITIVITY_GUIDELINE:.0f} % "
-        "insensitivity (the error if all others were known)"
+        f"guidelines: {100 * ERROR_GUIDELINE:.0f} % error (Cramér-Rao bound), "
+        f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity (the error if all others were known)"
     )
     yield f"condition number of the scaled Jacobian: {number(of.condition, 3)}"
+
     for first, second, r in of.correlated:
         yield f"correlation of {first} and {second}: {r:.4f}"
     for combination in of.combinations:

@@ -1,4 +1,4 @@
-"""The answer as a person reads it: facts, one table, warnings; as text, and as HTML for notebooks."""
+"""The answer as a person reads it: facts, one table, warnings; as text and as HTML."""
 
 import math
 import re
@@ -28,6 +28,7 @@ def text(fit: Any) -> str:
     if not fit.converged:
         effort = ["", "  best effort, no estimate:", "", *table] if fit.best_effort else []
         return "\n".join([title(fit), "", f"  FAILED: {fit.status}.", *remarks, *effort])
+
     sections = (
         [title(fit)],
         [f"  {label:<10} {fact}" for label, fact in facts(fit)],
@@ -35,6 +36,7 @@ def text(fit: Any) -> str:
         _profile_lines(fit),
         [*remarks, f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
     )
+
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
 
 
@@ -66,6 +68,7 @@ def facts(fit: Any) -> list[tuple[str, str]]:
         for part in fit.responses
         if part.pade_error is not None
     )
+
     return [
         (
             "starts",
@@ -76,6 +79,13 @@ def facts(fit: Any) -> list[tuple[str, str]]:
         ("data", f"{data_text(fit)}, delay {fit.delay}{pade}"),
         *(("prior", line) for line in _prior_texts(fit)),
         *(("inputs", line) for line in _input_texts(fit.records)),
+        *closeness(fit),
+    ]
+
+
+def closeness(fit: Any) -> list[tuple[str, str]]:
+    """Return how closely the model follows each kind of data, as pairs of a label and a text."""
+    return [
         *(("output", line) for line in _output_texts(fit.records)),
         *(("response", line) for line in _response_texts(fit.responses)),
         *(("output", line) for line in _spectrum_texts(fit.spectra)),
@@ -83,7 +93,7 @@ def facts(fit: Any) -> list[tuple[str, str]]:
 
 
 def parameter_table(fit: Any) -> Table:
-    """Return the table of all quantities; of a failed fit, of the values at which its best run ended."""
+    """Return the table of all quantities; of a failed fit the values where its best run ended."""
     header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
     if not fit.converged:
         values = fit.best_effort or {}
@@ -100,11 +110,12 @@ def parameter_table(fit: Any) -> Table:
         rows.append(
             [f"... and {len(fit.quantities) - len(rows)} more", *[""] * 5, "fit.quantities"]
         )
+
     return header, rows, (0, 3, 5, 6)
 
 
 def data_text(fit: Any) -> str:
-    """Return the numbers of points, lines, samples and rows, and of those compared where these are fewer."""
+    """Return the numbers of points, lines, samples and rows, and how many were compared."""
     texts = []
     for parts, noun, place in (
         (fit.responses, "point", "frequency response"),
@@ -113,6 +124,7 @@ def data_text(fit: Any) -> str:
         if parts:
             points = counted(sum(len(part.data) for part in parts), noun)
             texts.append(f"{points} in {counted(len(parts), place)}")
+
     for has_time, noun, remark in ((True, "sample", ""), (False, "row", " without a time")):
         records = [part for part in fit.records if part.data.has_time == has_time]
         if records:
@@ -121,6 +133,7 @@ def data_text(fit: Any) -> str:
             share = "" if compared == count else f"{compared} of "
             size = f"{share}{counted(count, noun)}{remark}"
             texts.append(f"{size} in {counted(len(records), 'record')}")
+
     return " and ".join(texts)
 
 
@@ -129,19 +142,22 @@ def error_statement(fit: Any) -> str:
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     if fit.independent is not None:
         conditions += "; correlated along frequency like the residuals"
+
     interval = ""
     if math.isfinite(fit.dof):
         freedom = counted(round(fit.dof), "degree of", "degrees of")
         interval = (
             f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, {freedom} freedom)"
         )
+
     return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}."
 
 
 def _bias_text(fit: Any) -> str:
     """Name the quantities whose intervals are corrected for a bias.
 
-    From a bias of 0.3 standard errors, an interval without the correction loses 1 % of its coverage.
+    With a bias of 0.3 standard errors, an interval without the correction loses 1 % of its
+    coverage.
     """
     biased = [q for q in fit.quantities if abs(q.bias) > 0.3 * q.standard_error > 0]
     biased.sort(key=lambda q: -abs(q.bias) / q.standard_error)
@@ -164,7 +180,8 @@ def _profile_lines(fit: Any) -> list[str]:
     profiles = fit.profiles.profiles
     width = max(len(profile.name) for profile in profiles)
     return [
-        f"  {100 * fit.profiles.level:g} % intervals by profile likelihood, where the standard error misleads:",
+        f"  {100 * fit.profiles.level:g} % intervals by profile likelihood, where the standard "
+        "error misleads:",
         *(f"    {profile.name:<{width}}  {profile}" for profile in profiles),
     ]
 
@@ -175,9 +192,11 @@ def _prior_texts(fit: Any) -> list[str]:
         return []
     share = fit.prior_share
     priors = [
-        f"{name} = {' ± '.join(with_error(mean, sigma))} ({number(100 * share.get(name, math.nan), 2)} %)"
+        f"{name} = {' ± '.join(with_error(mean, sigma))} "
+        f"({number(100 * share.get(name, math.nan), 2)} %)"
         for name, (mean, sigma) in fit.priors.items()
     ]
+
     return [
         f"{some(priors, MANY)}; in parentheses its share in the information (maximum a posteriori)"
     ]
@@ -202,9 +221,10 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
         percents = [part.fit_percent(output) for part in parts]
         least = parts[percents.index(min(percents))].data.name
         texts.append(
-            f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to {max(percents):.1f} % "
-            f"(least in {least!r}), see fit.records"
+            f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to "
+            f"{max(percents):.1f} % (least in {least!r}), see fit.records"
         )
+
     return texts
 
 
@@ -217,7 +237,7 @@ def _output_text(part: FittedRecord, output: str) -> str:
 
 
 def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
-    """Say how far the points are from the model, and which one most; of many responses the worst three."""
+    """Say how far the points are from the model, of many responses for the worst three."""
     lines = []
     for part in responses:
         with np.errstate(divide="ignore", invalid="ignore"):  # zeros, which are left out
@@ -226,10 +246,12 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
             worst = int(np.argmax(error))
             where = f" ({part.name})" if part.name and len(responses) > 1 else ""
             line = (
-                f"residual {number(100 * rms(error), 2)} % rms, largest {number(100 * float(error[worst]), 2)} % at "
-                f"{part.data.omega[worst]:.4g} rad/s{where}"
+                f"residual {number(100 * rms(error), 2)} % rms, largest "
+                f"{number(100 * float(error[worst]), 2)} % at {part.data.omega[worst]:.4g} "
+                f"rad/s{where}"
             )
             lines.append((-rms(error), line))
+
     if len(lines) > MANY:
         lines = sorted(lines)[:3]
     return [line for _, line in lines]
@@ -248,6 +270,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
             else:
                 noise = f"noise of a sample {noise} {part.data.units.get(output, '')}".rstrip()
             texts.append(f"{output}{where}: {noise}, fit {part.fit_percent(output):.1f} %")
+
     return texts
 
 

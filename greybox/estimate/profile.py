@@ -1,4 +1,4 @@
-"""Profile likelihood: the lowest cost with one quantity held at a value, as a function of that value.
+"""Profile likelihood: the lowest cost with one quantity held, as a function of its value.
 
 With C the cost and Ĉ its minimum, the signed root of the likelihood ratio is r = ±√(2 c (C - Ĉ)),
 and the interval is where |r| is below Student's t. The factor c turns the ratio of costs into one
@@ -21,6 +21,7 @@ of the standard error, about the value less b.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -100,12 +101,14 @@ def profile(
     lines = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
     if fit.records:
         lines = {name: q for name, q in lines.items() if not q.at_bound}
+
     chosen = list(lines) if names is None else [names] if isinstance(names, str) else list(names)
     for name in chosen:
         if name not in lines:
             raise ValueError(
                 f"there is no {name!r} to profile; there are {alternatives(name, list(lines))}."
             )
+
     # Every point of a response is solved from two fresh starts too. The states of a neighbor lead
     # records to the minimum.
     fresh = 0 if fit.records else 2
@@ -120,8 +123,10 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledPro
         raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
     if fit.priors:
         raise ValueError(
-            f"the fit {fit.name!r} has a-priori knowledge, so its cost is no likelihood: use fit.interval()."
+            f"the fit {fit.name!r} has a-priori knowledge, so its cost is no likelihood: use "
+            "fit.interval()."
         )
+
     if len(fit.responses) + len(fit.records) < len(fit.parts):
         raise ValueError(
             f"the fit {fit.name!r} has manoeuvres, which cannot be profiled: use fit.interval()."
@@ -141,18 +146,21 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
     static = all(isinstance(part, RecordPart) and part.is_static for part in nlp.parts)
     if not (static or (len(fit.responses) == len(fit.parts) and ResponseSolver.serves(nlp))):
         return None
+
     intervals = fit.interval(0.95)
     lines = [
         q
         for q in fit.quantities
         if q.kind == "free" and not q.at_bound and _misleads(q, *intervals[q.name])
     ]
+
     if not lines or _ratio_refusal(nlp, np.array([fit.estimate[name] for name in nlp.free])):
         return None
     # Beyond these sizes the profiles of a table take more than a second.
     rows = sum(part.samples for part in nlp.parts)
     if static and (len(lines) * len(nlp.free) > 12 or rows > 1000):
         return None
+
     try:
         return _profiles(nlp, fit, lines, 0.95, fresh=0)
     except NoMinimumError:
@@ -168,7 +176,7 @@ def _misleads(line: Quantity, low: float, high: float) -> bool:
 
 
 def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
-    """Return why the costs at the estimate x (p,) admit no likelihood ratio; empty where they do."""
+    """Return why the costs at the estimate x (p,) admit no likelihood ratio, or an empty text."""
     values = nlp.all_values(x)
     for part in nlp.parts:
         if not isinstance(part, ResponsePart):
@@ -178,15 +186,17 @@ def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
             return f"{part.problem.name!r} is fitted exactly, so the size of its errors is unknown"
         if not part.criterion.weighs_alike and np.ptp(meat) > 1e-6 * meat.max():
             return (
-                f"{type(part.criterion).__name__} does not weigh the points of {part.problem.name!r} by their errors, "
-                "so differences of its cost are no ratio of likelihoods: use RelativeError, "
-                "SquaredRelativeError or MaximumLikelihood, or a bootstrap"
+                f"{type(part.criterion).__name__} does not weigh the points of "
+                f"{part.problem.name!r} by their errors, so differences of its cost are no ratio "
+                "of likelihoods: use RelativeError, SquaredRelativeError or MaximumLikelihood, or "
+                "a bootstrap"
             )
+
     return ""
 
 
 def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
-    """Return c: the variance by the curvature of the cost over that of the estimate, along a gradient (p,).
+    """Return c along a gradient (p,): the variance by the curvature over that of the estimate.
 
     Where the data leave the gradient open, the average over the directions that they determine.
     """
@@ -195,6 +205,7 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
     covariance = accuracy.covariance[:p, :p]
     by_curvature = gradient @ accuracy.white @ gradient
     variance = gradient @ covariance @ gradient
+
     if not (np.isfinite(variance) and variance > 0 and by_curvature > 0):
         scale = np.outer(accuracy.size[:p], accuracy.size[:p])
         by_curvature = np.trace(accuracy.white / scale)
@@ -203,7 +214,7 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
 
 
 def _numbers(nlp: CompiledProblem) -> float:
-    """Return how many numbers the logarithm of whose variance is the cost; infinite for other costs."""
+    """Return N for costs that are N/2 log of a sum of squares; infinite for other costs."""
     numbers = 0
     for part in nlp.parts:
         is_logarithm = (
@@ -212,6 +223,7 @@ def _numbers(nlp: CompiledProblem) -> float:
         if not is_logarithm:
             return math.inf
         numbers += part.numbers
+
     return numbers
 
 
@@ -314,6 +326,7 @@ class _Search:
             if abs(value - self.best.value) > FAR * self.size:
                 break
             step *= min(max(STEP * self.limit / max(rise, 1e-12), 1 / GROWTH), GROWTH)
+
         return points, "flat"
 
     def crossing(self, inner: _Point, outer: _Point, root: float) -> float:
@@ -327,7 +340,8 @@ class _Search:
             return self.signed_root(point) - root
 
         tolerance = max(1e-3 * abs(outer.value - inner.value), 1e-12 * self.size)
-        return float(brentq(height, inner.value, outer.value, xtol=tolerance))  # type: ignore[arg-type]
+        root_value: Any = brentq(height, inner.value, outer.value, xtol=tolerance)
+        return float(root_value)
 
 
 @one_thread_at_a_time
@@ -361,6 +375,7 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
         point = nlp.scaling.to_solver(x)
         accuracy = assess(nlp, x, tuple(part.initial_trajectory(point) for part in nlp.parts))
         estimate = _Estimate(x, accuracy, nlp.cost(nlp.all_values(x)), point, HeldResponses(nlp))
+
     if refusal or estimate.accuracy.white is None:
         raise ValueError(f"no profile of {fit.name!r}: {refusal or 'its errors are not known'}.")
     return estimate
@@ -379,6 +394,7 @@ def _profiles(
     starts = np.zeros((0, len(nlp.free)))
     if fresh:
         starts = Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free})
+
     starts = nlp.scaling.to_solver(starts)
     profiles = []
     limits = {}
@@ -393,8 +409,10 @@ def _profiles(
     # The smoothing moves costs by up to 6e-5.
     if lowest < estimate.cost - 1e-4 * max(abs(estimate.cost), 1.0):
         warnings = (
-            f"a profile found the cost {number(lowest)} below the fit's {number(estimate.cost)}: fit from more starts.",
+            f"a profile found the cost {number(lowest)} below the fit's {number(estimate.cost)}: "
+            "fit from more starts.",
         )
+
     return Profiles(fit.name, level, limits, nlp.free, tuple(profiles), warnings)
 
 
@@ -417,6 +435,7 @@ def _search(
         slope = slope_of(quantity, nlp.scaling.to_solver(x)) * slope_of_x
         value = line.value
         bounds = (-math.inf, math.inf)
+
     size = float(np.max(np.abs([line.value, *(slope / slope_of_x)])))
     error = line.standard_error
     first = STEP * limit * error if math.isfinite(error) and error > 0 else 0.02 * size
@@ -444,6 +463,7 @@ def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> Profil
     points = [*down[::-1], *up[1:]]
     roots = np.array([search.signed_root(point) for point in points])
     inside = np.flatnonzero((roots >= lowest) & (roots <= highest))
+
     if not inside.size:  # beyond the bound at which the walk ended
         inside = np.array([np.argmin(np.abs(roots + search.bias))])
 
@@ -452,6 +472,7 @@ def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> Profil
     low, high = -math.inf, math.inf
     at_low: tuple[str, ...] = ()
     at_high: tuple[str, ...] = ()
+
     if first > 0:
         low = search.crossing(points[first - 1], points[first], lowest)
         low_end = "crossed"
@@ -460,6 +481,7 @@ def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> Profil
         high = search.crossing(points[last], points[last + 1], highest)
         high_end = "crossed"
         at_high = _newly_at_bound(nlp, points[last + 1], search.best, line.name)
+
     return ProfileOf(
         name=line.name,
         unit=line.unit,

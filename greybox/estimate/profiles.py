@@ -68,6 +68,7 @@ class ProfileOf:
             text = f"below {high}{unit}, no lower limit{self._reason(0, 'down')}"
         else:
             text = f"{low} to {high}{unit}"
+
         for end, names in zip(("lower", "upper"), self.at_bound, strict=True):
             if names:
                 bounds = "its bound" if len(names) == 1 else "their bounds"
@@ -115,7 +116,8 @@ class Profiles:
             if profile.name == name:
                 return profile
         raise KeyError(
-            f"{name!r} was not profiled; there are {alternatives(name, [p.name for p in self.profiles])}"
+            f"{name!r} was not profiled; there are "
+            f"{alternatives(name, [p.name for p in self.profiles])}"
         )
 
     @property
@@ -140,7 +142,7 @@ class Profiles:
         )
 
     def intervals_in_words(self) -> dict[str, Any]:
-        """Return interval and text of every profile as plain values, for JSON; None for an open side."""
+        """Return interval and text of every profile for JSON; None for an open side."""
         return {
             p.name: {"low": finite(p.interval[0]), "high": finite(p.interval[1]), "text": str(p)}
             for p in self.profiles

@@ -1,8 +1,9 @@
-"""The lines of an answer: parameters, tied values and derived quantities, each with its standard error."""
+"""The quantities of an answer: parameters, ties and derived quantities, with their errors."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -17,7 +18,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 
 class Formula(NamedTuple):
-    """A quantity that follows from the parameters; `evaluate` takes their values by outside name."""
+    """A quantity that follows from the parameters; `evaluate` takes values by outside name."""
 
     name: str
     kind: Literal["tied", "derived"]
@@ -29,10 +30,10 @@ class Formula(NamedTuple):
 def quantities(
     nlp: CompiledProblem, accuracy: Accuracy, estimate: Mapping[str, float]
 ) -> tuple[tuple[Quantity, ...], Array, Array]:
-    """Return all lines, and of free, fixed and tied parameters the covariance and the slopes (m, k).
+    """Return all quantities, then the covariance and the slopes (m, k) of the parameters.
 
-    The slopes are derivatives by all values. The errors of tied and derived quantities are of first
-    order. NaN where the data do not determine a quantity.
+    Parameters are free, fixed or tied; slopes are derivatives by all values. The errors of tied and
+    derived quantities are of first order. NaN where the data do not determine a quantity.
     """
     follow = formulas(nlp.problem)
     values, gradients = _evaluated(nlp, follow, estimate)
@@ -54,6 +55,7 @@ def quantities(
 
     of_parameters = slopes[[line.kind != "derived" for line in lines]]
     covariance = of_parameters @ accuracy.covariance @ of_parameters.T
+    # Within the determined directions the covariance is finite also for these.
     unknown = np.isnan(errors[: len(covariance)])
     covariance[unknown | unknown[:, None]] = np.nan
     return tuple(lines), covariance, of_parameters
@@ -116,13 +118,17 @@ def _tied(problem: AnyProblem) -> list[Formula]:
             outside = part.outside(name)
             declared = part.model.parameters[name]
             found.setdefault(
-                outside, Formula(outside, "tied", declared.unit, declared.about, _tie(part, name))
+                outside,
+                Formula(
+                    outside, "tied", declared.unit, declared.about, partial(_tied_value, part, name)
+                ),
             )
+
     return list(found.values())
 
 
 def _derived(problem: AnyProblem) -> list[Formula]:
-    """Return the derived quantities; those of parts that rename or tie parameters have the name of the part."""
+    """Return the derived quantities, with the name of the part where it renames or ties."""
     taken = {*problem.parameters, *(formula.name for formula in _tied(problem))}
     found: dict[str, Formula] = {}
     for position, part in enumerate(problem.parts):
@@ -131,15 +137,16 @@ def _derived(problem: AnyProblem) -> list[Formula]:
             label = f"{name} ({part.name})" if differs or name in taken else name
             if differs and label in found:  # two parts of one name
                 label = f"{name} (part {position})"
-            found.setdefault(label, Formula(label, "derived", "", "", _derivation(part, function)))
+            found.setdefault(
+                label, Formula(label, "derived", "", "", partial(_derived_value, part, function))
+            )
+
     return list(found.values())
 
 
-def _tie(part: Problem, name: str) -> Callable[[Mapping[str, Any]], Any]:
-    return lambda values: part.local_values(values)[name]
+def _tied_value(part: Problem, name: str, values: Mapping[str, Any]) -> Any:
+    return part.local_values(values)[name]
 
 
-def _derivation(
-    part: Problem, function: Callable[[Any], Any]
-) -> Callable[[Mapping[str, Any]], Any]:
-    return lambda values: function(part.local_values(values))
+def _derived_value(part: Problem, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
+    return function(part.local_values(values))

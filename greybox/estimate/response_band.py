@@ -1,4 +1,4 @@
-"""The confidence band of a fitted frequency response, to first order in the errors of the parameters."""
+"""The confidence band of a fitted response, to first order in the errors of the parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from greybox.modeling.sine import Sine
 
 @dataclass(frozen=True, eq=False)
 class ResponseBand:
-    """A fitted frequency response with the errors that those of its parameters make, frequency by frequency.
+    """A fitted frequency response with its error at each frequency, from those of the parameters.
 
     It holds the response of the true system at each single frequency at this level, if the model
     structure is right; the noise of the measured points is not in it.
@@ -65,14 +65,14 @@ class ResponseBand:
 
     @property
     def offset(self) -> Array:
-        """The middle of the band from the response on, (2, n): logarithm of the magnitude, and phase in rad."""
+        """Middle of the band less the response, (2, n): log magnitude, and phase in rad."""
         with np.errstate(divide="ignore", invalid="ignore"):
             away: ComplexArray = np.log(self._center / self.response.response)
         return np.array([away.real, away.imag])
 
     @property
     def half_width(self) -> Array:
-        """Half of the widths (2, n) of the band of the logarithm of the magnitude and of the phase in rad."""
+        """Half of the widths (2, n): logarithm of the magnitude, phase in rad."""
         return t_quantile(self.level, self.dof) * self.relative_error
 
     @property
@@ -89,7 +89,7 @@ class ResponseBand:
         return phase - self.half_width[1], phase + self.half_width[1]
 
     def ellipses(self, points: int = 48) -> ComplexArray:
-        """Return the ellipse (n, points) in the complex plane that holds real and imaginary part at this level."""
+        """Return the confidence ellipse (n, points) of every response in the complex plane."""
         turn = np.linspace(0, 2 * np.pi, points)
         circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
         values, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
@@ -108,7 +108,7 @@ class ResponseBand:
 
 
 def t_quantile(level: float, dof: float) -> float:
-    """Return how many standard errors of `dof` degrees of freedom hold a value at this level, to either side.
+    """Return the two-sided quantile of Student's t at this level; `dof` may be infinite.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def require_level(level: float) -> None:
 
 
 def radius(level: float, dof: float) -> float:
-    """Return how many standard errors of one component hold both of two at this level: √(2 F) of (2, dof) degrees."""
+    """Return √(2 F), the radius for two components; F has (2, dof) degrees of freedom."""
     outside = 1 - level
     squared = -2 * np.log(outside) if np.isinf(dof) else dof * (outside ** (-2 / dof) - 1)
     return float(np.sqrt(squared))
@@ -145,15 +145,16 @@ def band_of(
     dof: float,
     bias: Array,
 ) -> ResponseBand:
-    """Return the band of a response (n,) from its derivatives `slope` (n, k) by parameters at `places` in `known`.
+    """Return the band of a response (n,) from its derivatives `slope` (n, k).
 
-    `bias` (k,) is that of these parameters.
+    The k parameters stand at `places` in `known` and have the bias `bias` (k,).
     """
     gradient: ComplexArray = np.zeros((len(response), len(known.at)), dtype=complex)
     for k, place in enumerate(places):
         gradient[:, place] += slope[:, k]
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = gradient / response.response[:, None]
+
     components = np.stack([gradient.real, gradient.imag])
     covariance = np.einsum("ink,kl,jnl->nij", components, known.covariance, components)
     lost = np.isnan(known.errors(gradient.real)) | np.isnan(known.errors(gradient.imag))
@@ -176,7 +177,7 @@ def response_and_slope(
     measured: Array,
     **signals: Any,
 ) -> tuple[FrequencyResponse, ComplexArray]:
-    """Return the response at `omega` (n,) rad/s and its derivatives (n, k) by the parameters of the model.
+    """Return the response at `omega` (n,) rad/s and its derivatives (n, k) by the parameters.
 
     The arguments are those of `greybox.modeling.periodic_motions.response_of_test`.
     """
@@ -187,6 +188,8 @@ def response_and_slope(
     if sine is None and (formula := formula_at_one_frequency(model, omega, **options)) is not None:
         q, frequency = ca.SX.sym("p", p.size), ca.SX.sym("omega")
         rows = ca.vertcat(*formula(q, frequency))
+        # One small function mapped over the frequencies compiles twenty times faster than one
+        # expression of all of them.
         slope = ca.Function(
             "slope", [q, frequency], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))]
         )
@@ -206,6 +209,7 @@ def response_and_slope(
         value, jacobian = (np.asarray(ca.DM(result)) for result in slope(p))
         values_and_slopes = np.concatenate([value, jacobian], axis=1)
         values_and_slopes = values_and_slopes.reshape(2, omega.size, 1 + p.size)
+
     columns = values_and_slopes[0] + 1j * values_and_slopes[1]
     response = FrequencyResponse(
         omega, columns[:, 0], input, output, name=model.label, source="model"

@@ -229,7 +229,7 @@ class Fit:
 
     @property
     def criterion(self) -> str:
-        """The name of the criterion that was minimized, such as ``relative-error``; of several, joined by "; "."""
+        """Name of the criterion that was minimized, such as ``relative-error``; several by "; "."""
         return "; ".join(dict.fromkeys(part.criterion for part in self.parts))
 
     @property
@@ -257,6 +257,7 @@ class Fit:
         run = None if self.converged else best_unfinished(self.runs)
         if run is None:
             return None
+
         ended = dict(zip(self.free, run.estimate.tolist(), strict=True))
         return {
             q.name: ended.get(q.name, q.value)
@@ -271,12 +272,12 @@ class Fit:
 
     @property
     def standard_error(self) -> dict[str, float]:
-        """Standard errors by name, also of derived quantities; NaN where the data determine none, 0 for a constant."""
+        """Standard errors by name, also of derived quantities; NaN if unknown, 0 for a constant."""
         return {q.name: q.standard_error for q in self.quantities}
 
     @property
     def identifiability(self) -> Identifiability:
-        """Errors and insensitivities in percent, correlations, and the combinations that are determined.
+        """Errors and insensitivities in percent, correlations, and determined combinations.
 
         Raises
         ------
@@ -293,7 +294,7 @@ class Fit:
 
     @property
     def correlation(self) -> Array:
-        """Correlation matrix (p, p) of the free parameters; NaN for those without a standard error."""
+        """Correlation matrix (p, p) of the free parameters; NaN without a standard error."""
         return self._known_directions().of(range(len(self.free))).correlation
 
     def _known_directions(self) -> KnownDirections:
@@ -313,7 +314,7 @@ class Fit:
         return " ".join(part.data.checksum for part in self.parts)
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Return confidence intervals by Student's t, by name; NaN where the standard error is unknown.
+        """Return confidence intervals by Student's t, by name; NaN if the error is unknown.
 
         Their centers are the values without their `Quantity.bias`.
         """
@@ -331,7 +332,8 @@ class Fit:
         for name in names:
             if name not in self.names:
                 raise ValueError(
-                    f"the fit has no parameter {name!r} with a covariance; it has {alternatives(name, self.names)}"
+                    f"the fit has no parameter {name!r} with a covariance; it has "
+                    f"{alternatives(name, self.names)}"
                 )
         rows = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(rows, rows)]
@@ -435,6 +437,7 @@ class Fit:
             [q.bounds for q in self.quantities], (-1, 2)
         ).T
         about = {"name": self.name, "criterion": self.criterion, "cost": self.cost, "level": level}
+
         return frame_of(columns, [q.name for q in self.quantities], "name", about)
 
     def _repr_html_(self) -> str:
@@ -446,7 +449,8 @@ class Fit:
         if not isinstance(fitted, FittedResponse):
             raise ValueError(
                 f"part {part} of the fit is not a frequency response: use "
-                "gb.frequency_response(model, fit.estimate, omega), or gb.simulate for time histories."
+                "gb.frequency_response(model, fit.estimate, omega), or gb.simulate for time "
+                "histories."
             )
         return fitted, model or self.model_of(part)
 
@@ -471,7 +475,7 @@ class Fit:
         part: int = 0,
         model: Model | None = None,
     ) -> ResponseBand:
-        """Return the fitted response of a part at `omega` (n,) rad/s with its confidence band at each frequency.
+        """Return the fitted response of a part at `omega` (n,) rad/s with its confidence band.
 
         The band is of first order in the errors of the parameters and holds where their standard
         errors do. By default `omega` is that of the curve in figures.
@@ -487,8 +491,9 @@ class Fit:
         known = self._known_directions()
         require_level(level)
         if omega is None:
-            has_curve = not fitted.sine and fitted.curve is not None
-            omega = fitted.curve.omega if has_curve else fitted.data.omega  # type: ignore[union-attr]
+            curve = None if fitted.sine else fitted.curve
+            omega = curve.omega if curve is not None else fitted.data.omega
+
         names = [fitted.rename.get(name, name) for name in model.parameters]
         response, slope = response_and_slope(
             model,
@@ -501,10 +506,11 @@ class Fit:
         places = [self.names.index(name) for name in names]
         biases = {q.name: q.bias for q in self.quantities}
         bias = np.array([biases[name] for name in names])
+
         return band_of(response, slope, known, places, level, self._fewest_degrees(names), bias)
 
     def _fewest_degrees(self, names: Sequence[str]) -> float:
-        """Return the fewest degrees of freedom of these parameters, or of the fit if they have no errors."""
+        """Return the fewest degrees of freedom of these parameters, by default that of the fit."""
         return min(
             (q.dof for q in self.quantities if q.name in names and q.standard_error > 0),
             default=self.dof,

@@ -104,6 +104,7 @@ def load(
             raise ValueError(f"its format is {file.attrs['format']!r:.60}")
         if layout == LAYOUT:
             return replace(_read(file), given=given)
+
     cure = "install a newer greybox" if layout > LAYOUT else "fit again"
     raise ValueError(f"{path} has layout {layout} and this version reads {LAYOUT}: {cure}.")
 
@@ -116,6 +117,7 @@ def _models(entry: Model | type[Model] | ModuleType | str | Path) -> Sequence[Mo
         return models_of(entry)
     if isinstance(entry, Model) or (isinstance(entry, type) and issubclass(entry, Model)):
         return [entry]
+
     raise TypeError(
         f"models has {entry!r:.60}: give model classes, models, modules, or paths of Python files."
     )
@@ -124,13 +126,16 @@ def _models(entry: Model | type[Model] | ModuleType | str | Path) -> Sequence[Mo
 def _write(file: Node, fit: Fit) -> None:
     file.attrs["format"] = "greybox fit"
     file.attrs["layout"] = LAYOUT
-    for name in ("criterion", "delay", "status", "checksum"):  # for other readers
+    # Other readers find these here; `load` computes them again.
+    for name in ("criterion", "delay", "status", "checksum"):
         file.attrs[name] = getattr(fit, name)
+
     write_fields(file, replace(fit, runs=Runs.of(fit.runs)), FIELDS)
     write_table(file.create_group("quantities"), fit.quantities, fields_of(Quantity))
 
     minima = file.create_group("minima")
     write_table(minima, fit.minima, MINIMUM)
+    # Minima have different numbers of runs: one flat list and their counts need no padding.
     members = [run for minimum in fit.minima for run in minimum.runs]
     minima["members"] = np.array(members, dtype=int)
     minima["count"] = np.array([len(minimum.runs) for minimum in fit.minima], dtype=int)
@@ -154,6 +159,7 @@ def _read(file: Stored) -> Fit:
         minima=_read_minima(file["minima"]),
     )
     _require_consistent(fit)
+
     return fit
 
 
@@ -167,6 +173,7 @@ def _read_minima(group: Stored) -> tuple[Minimum, ...]:
 
 
 def _read_part(group: Stored) -> AnyFittedPart:
+    # The kind follows from a field, not from a class name that the file could invent.
     kind = next(kind for name, kind in PARTS.items() if name in group)
     part = kind(**read_fields(group, fields_of(kind)))
     model = part.model
@@ -177,6 +184,7 @@ def _read_part(group: Stored) -> AnyFittedPart:
         part.data.checksum == group.attrs["checksum"],
         f"the data of part {part.name!r:.60} do not match their checksum",
     )
+
     return part
 
 
@@ -192,6 +200,7 @@ def _require_consistent(fit: Fit) -> None:
     require(len({*names}) == len(names), "two quantities have the same name")
     require(bool(fit.parts) and len(fit.runs.cost) > 0, "it has no data or no runs")
     require({*fit.priors} <= {*fit.free}, "a parameter with a prior was not free")
+
     for name, prior in fit.priors.items():
         normal_prior(prior, f"the prior of {name!r:.40}")
 
@@ -200,9 +209,11 @@ def _require_consistent(fit: Fit) -> None:
     if fit.independent is not None:
         size = (sizes["p"], sizes["p"])
         require(fit.independent[0].shape == size, "independent has another shape")
+
     if fit.directions is not None:
         _require_consistent_directions(fit.directions, sizes["k"])
         _require_consistent_directions(fit.directions.elsewhere, sizes["p"])
+
     columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
     _require_shapes(fit.runs, columns | {"start": "rp", "estimate": "rp"}, sizes)
     require(np.array_equal(fit.runs.indices, np.arange(sizes["r"])), "its runs are not in order")
@@ -211,6 +222,7 @@ def _require_consistent(fit: Fit) -> None:
         ends = (0, *sorted(minimum.runs), sizes["r"] - 1)
         require(len(ends) > 2, "no run ended at one of its minima")
         require(sorted(ends) == [*ends], "a minimum belongs to a run that it does not have")
+
     for part in fit.parts:
         _require_consistent_part(part)
     if fit.profiles is not None:
@@ -246,13 +258,17 @@ def _require_consistent_part(part: AnyFittedPart) -> None:
         sizes["g"] = len(part.gains)
         _require_shapes(part, {"gain": "g", "gain_slope": "g*"}, sizes)
         require(all(a.ndim == 1 for a in part.initial.values()), "an initial state is no list")
+
     require({*part.outputs} <= known, "an output is not in the data")
 
 
 def _require_shapes(value: Any, axes_of: Mapping[str, str], sizes: Mapping[str, int]) -> None:
-    """Require the shapes of the arrays of a value: a letter of `sizes` for each axis, "*" for any length."""
+    """Require the shapes of arrays: a letter of `sizes` for each axis, "*" for any length."""
     for name, axes in axes_of.items():
         array = getattr(value, name)
         if array is not None:
-            shape = tuple(sizes.get(axis, length) for axis, length in zip(axes, array.shape))  # noqa: B905
-            require(array.shape == shape and array.ndim == len(axes), f"{name} has another shape")
+            required = [sizes.get(axis, -1) for axis in axes]
+            is_right = array.ndim == len(axes) and all(
+                size in (-1, length) for size, length in zip(required, array.shape, strict=True)
+            )
+            require(is_right, f"{name} has another shape")

@@ -1,4 +1,4 @@
-"""Frozen values in groups of an HDF5 file: the annotation of a field says how it is written and read.
+"""Frozen values in groups of an HDF5 file, written and read by the annotations of their fields.
 
 | annotation | in the file |
 | --- | --- |
@@ -39,7 +39,7 @@ def require(condition: bool, message: str) -> None:
 
 @cache
 def fields_of(kind: type) -> dict[str, Any]:
-    """Return the annotations of the fields of a dataclass by name, except those that are not stored."""
+    """Return the annotations of the stored fields of a dataclass by name."""
     hints = get_type_hints(kind)
     stored = [field for field in dataclasses.fields(kind) if field.metadata.get("stored", True)]
     return {field.name: hints[field.name] for field in stored}
@@ -106,6 +106,7 @@ def _read_group(group: Stored, kind: Any) -> Any:
     if get_origin(kind) is Mapping:
         arrays = read_fields(group, dict.fromkeys(group.members, kinds[1]))
         return {as_kind(unescaped(key), str): array for key, array in arrays.items()}
+
     if kinds[-1] is Ellipsis:
         kinds = kinds[:1] * len(group)
     return tuple(read(group, str(k), member) for k, member in enumerate(kinds))
@@ -148,11 +149,13 @@ def as_kind(value: Any, kind: Any) -> Any:
         return value
     if _is_scalar(kind):
         return _as_scalar(value, kind)
+
     members = get_args(kind)
     if get_origin(kind) is tuple:
         require(isinstance(value, list), f"{value!r:.40} is not a list")
         kinds = members[:1] * len(value) if members[-1] is Ellipsis else members
         return tuple(as_kind(item, k) for item, k in zip(value, kinds, strict=True))
+
     require(isinstance(value, dict), f"{value!r:.40} has no names")
     if kind is Sine:
         return Sine(**value)
@@ -174,7 +177,8 @@ def _members(kind: Any, value: Any) -> list[tuple[str, Any, Any]] | None:
     """Return name, value and kind of the members of a group; None for what is written as JSON."""
     inner = get_args(kind)
     if dataclasses.is_dataclass(kind) and kind is not Sine:
-        return [(name, getattr(value, name), k) for name, k in fields_of(kind).items()]  # type: ignore[arg-type]
+        kinds = fields_of(type(value))
+        return [(name, getattr(value, name), inner) for name, inner in kinds.items()]
     if _is_mapping_of_arrays(kind):
         return [(name, array, inner[1]) for name, array in value.items()]
     if get_origin(kind) is tuple and any(
@@ -182,6 +186,7 @@ def _members(kind: Any, value: Any) -> list[tuple[str, Any, Any]] | None:
     ):
         kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
         return [(str(k), v, kind) for k, (v, kind) in enumerate(zip(value, kinds, strict=True))]
+
     return None
 
 
@@ -225,6 +230,7 @@ def _read_array(values: Any, kind: Any) -> Any:
     if get_origin(kind) is tuple:
         low, high = values.tolist()
         return float(low), float(high)
+
     item = _item(kind)
     if issubclass(item, np.complexfloating):
         require(values.ndim == 2 and len(values) == 2, "complex numbers have two rows")

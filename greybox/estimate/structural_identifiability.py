@@ -1,4 +1,4 @@
-"""Which parameters of a model structure data could determine: the rank of its sensitivities at random points."""
+"""Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,6 +28,7 @@ from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
 
+POINTS = 3  # at which the rank is computed: at one of them it may be smaller by chance
 FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
 BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
 SAMPLES = 240  # of the record that is simulated
@@ -44,7 +45,7 @@ LARGEST = 30.0  # state, in sizes that are plausible for SI units
 
 @dataclass(frozen=True, eq=False)
 class StructuralIdentifiability:
-    """Which parameters inputs and outputs of a structure determine. Printing it names those that cannot be separated.
+    """Which parameters a structure can determine. Printing it names those that it cannot separate.
 
     Attributes
     ----------
@@ -85,6 +86,7 @@ class StructuralIdentifiability:
         if not self.groups:
             yield f"  all of {listed(self.names)} can be determined."
             return
+
         for group in self.groups:
             members = [*group.names, *(f"the initial state of {name}" for name in group.states)]
             if len(members) == 1:
@@ -92,13 +94,14 @@ class StructuralIdentifiability:
             else:
                 cure = "one" if group.directions == 1 else str(group.directions)
                 yield f"  {listed(members)} cannot be separated: fix {cure} of them."
+
         if self.combinations:
             yield f"  determined are {listed(self.combinations)}."
         if self.identifiable:
             yield f"  {listed(self.identifiable)} can be determined."
 
 
-def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
+def structural_identifiability(
     model: Model,
     outputs: Sequence[str] | None = None,
     *,
@@ -107,8 +110,6 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
     free: Sequence[str] = (),
     tied: Mapping[str, Callable[[Any], Any]] | None = None,
     initial: Mapping[str, Any] | None = None,
-    points: int = 3,
-    seed: int = 0,
 ) -> StructuralIdentifiability:
     """Tell before any data which parameters of a structure its inputs and outputs could determine.
 
@@ -128,9 +129,6 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
         As of a `Problem`; `at` asks for the linearized response.
     initial : mapping, optional
         Known initial states, as of `OutputError`.
-    points : int
-        At which the rank is computed.
-    seed : int
 
     Raises
     ------
@@ -149,18 +147,19 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
         else tuple(model.output_names if outputs is None else outputs)
     )
     require_known(chosen, model.output_names, "output", model.label)
-    if isinstance(points, bool) or not isinstance(points, int) or points < 1:
-        raise ValueError(f"points is {points!r}: give a whole number of at least 1.")
     options = {"fixed": fixed or {}, "free": free, "tied": tied or {}}
     in_frequency = isinstance(model, TransferFunction) or at is not None
+
     if in_frequency and initial:
         raise ValueError(
-            f"initial={dict(initial)} is for records; {model.label} is judged by its response: leave it out."
+            f"initial={dict(initial)} is for records; {model.label} is judged by its response: "
+            "leave it out."
         )
 
-    random = np.random.default_rng(seed)
+    # The same points at every call: an answer must not change from run to run.
+    random = np.random.default_rng(0)
     best: tuple[int, CompiledProblem, Array, Accuracy] | None = None
-    for _ in range(points):
+    for _ in range(POINTS):
         values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
         if in_frequency:
             compiled = _of_responses(model, chosen, values, at or {}, options, random)
@@ -173,10 +172,13 @@ def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
         lost = sum(c.directions for c in accuracy.combinations if math.isinf(c.index))
         if best is None or lost < best[0]:
             best = (lost, nlp, x, accuracy)
+
     if best is None:
         raise ValueError(
-            f"{model.label} is finite at none of {counted(points, 'point')} of its start boxes: narrow `starts`."
+            f"{model.label} is finite at none of {POINTS} points of its start boxes: "
+            "narrow `starts`."
         )
+
     _, nlp, x, accuracy = best
     return StructuralIdentifiability(
         model=model.label,
@@ -195,7 +197,7 @@ def _of_responses(
     options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> tuple[CompiledProblem, Array, tuple[None, ...]] | None:
-    """Return the compiled responses of all pairs, and the point; None where the model is not finite."""
+    """Return the compiled responses of all pairs, and the point; None if not finite."""
     problems = []
     for input in model.input_names or ("",):
         for output in outputs or ("",):
@@ -208,9 +210,11 @@ def _of_responses(
             problems.append(
                 Problem(model, response, SquaredRelativeError("model"), at=at, **options)
             )
+
     problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
     nlp = _without_bounds(compile_problem(problem))
     x = _point(nlp, values)
+    # A response of zero at all frequencies would count every parameter as lost.
     seen = np.asarray(nlp.responses(nlp.all_values(x)))
     return (nlp, x, (None,) * len(problems)) if np.all(np.isfinite(seen)) and np.any(seen) else None
 
@@ -223,11 +227,12 @@ def _of_record(
     options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> tuple[CompiledProblem, Array, tuple[Trajectory, ...]] | None:
-    """Return a compiled record with random inputs, the point, and the trajectory; None where it is not finite."""
+    """Return a record with random inputs, the point and the trajectory; None if not finite."""
     time, gaps = _times(model, values, random)
     shape = random.normal(size=(len(model.input_names), len(time)))
     measured = random.normal(size=(len(outputs), len(time)))
     criterion = OutputError(noise=dict.fromkeys(outputs, 1.0), initial=initial, inputs="held")
+
     for size in SIZES:
         signals = dict(zip(model.input_names, size * shape, strict=True))
         signals |= dict(zip(outputs, measured, strict=True))
@@ -247,6 +252,7 @@ def _of_record(
                 and np.all(np.abs(states) < LARGEST)
             ):
                 return nlp, x, (trajectory,)
+
     return None
 
 
@@ -254,7 +260,7 @@ def _of_record(
 def _times(
     model: Model, values: Mapping[str, float], random: np.random.Generator
 ) -> tuple[Array, BoolArray]:
-    """Return uniform times that the poles of the model ask for, and which of them are gaps between stretches."""
+    """Return uniform times that suit the poles of the model, and the gaps among them."""
     system = dynamics(model)
     n = len(system.states)
     step = 1.0
@@ -272,12 +278,13 @@ def _times(
         growing = float(poles.real.max(initial=0.0))
         if growing > 0:
             length = int(np.clip(GROWTH / growing / step, 2 * n + 4, length))
+
     gaps = np.arange(STRETCHES * (length + 1)) % (length + 1) == length
     return step * np.arange(gaps.size), gaps
 
 
 def _without_bounds(nlp: CompiledProblem) -> CompiledProblem:
-    """Return the problem without bounds: nothing is estimated, so that none can hold a parameter."""
+    """Return the problem without bounds: nothing is estimated, so none may hold a parameter."""
     return replace(nlp, lower=np.full(len(nlp.free), -np.inf), upper=np.full(len(nlp.free), np.inf))
 
 
@@ -291,10 +298,12 @@ def _determined(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[
     directions = known_directions(nlp, accuracy, x, np.eye(len(x), len(nlp.names)))
     if directions is None:
         return
+
     lost = {name for c in accuracy.combinations if math.isinf(c.index) for name in c.names}
     # Enough data make any error small, so every visible direction counts as determined.
     directions = replace(directions, covariance=1e-12 * directions.covariance)
     units = [nlp.problem.parameters[name].unit for name in nlp.free]
+
     for combination in identifiability(nlp.free, units, directions, accuracy.at_bound).combinations:
         if set(combination.names) <= lost:
             yield combination.formula

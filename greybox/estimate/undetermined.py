@@ -40,7 +40,7 @@ class Combination:
 def invisible_groups(
     invisible: Array, size: Array, names: tuple[str, ...], parts: Sequence[Information]
 ) -> tuple[Combination, ...]:
-    """Return the groups of parameters that move without effect in the `invisible` directions (p, b), of unit columns.
+    """Return the groups of parameters that move without effect in `invisible` directions (p, b).
 
     Directions without a common parameter are different groups, however the directions are mixed.
     """
@@ -48,6 +48,7 @@ def invisible_groups(
     linked = np.abs(projector) > BLIND
     remaining = set(np.flatnonzero(np.diag(projector) > BLIND**2).tolist())
     groups = []
+
     while remaining:
         # Every parameter that takes part has no error, however small its part is.
         group = {max(remaining, key=lambda k: (projector[k, k], -k))}
@@ -68,6 +69,7 @@ def invisible_groups(
         directions = max(round(float(np.trace(block))), 1)
         members_by_name = tuple(names[k] for k in members)
         groups.append(Combination(members_by_name, math.inf, directions, tuple(states)))
+
     return tuple(sorted(groups, key=lambda group: names.index(group.names[0])))
 
 
@@ -78,7 +80,7 @@ def collinear_groups(
     at_bound: Sequence[str],
     invisible: Array,
 ) -> tuple[Combination, ...]:
-    """Return the combinations whose effects nearly cancel, apart from `invisible` directions (p, b).
+    """Return combinations whose effects nearly cancel, apart from `invisible` ones (p, b).
 
     Singular vectors of the same parameters are one combination, with the largest index. `active`
     (a, p) has the gradients of active constraints.
@@ -98,9 +100,11 @@ def collinear_groups(
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
     seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
     groups: dict[frozenset[str], Combination] = {}
+
     for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):
         if value > 1 / 20:  # above an index of 20 parameters hardly compensate one another
             break
         group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > 0.2 * row.max())
         groups.setdefault(frozenset(group), Combination(group, float(1 / max(value, 1e-300))))
+
     return tuple(groups.values())

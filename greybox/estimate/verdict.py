@@ -1,6 +1,5 @@
-"""The verdict on a fit in three sentences: its minimum, its distance from the data, its parameters."""
+"""The verdict on a fit in three sentences: its minimum, its residuals, its parameters."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -8,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
+from greybox.estimate.printed import closeness
 from greybox.files.text_table import counted, listed, number, some
 from greybox.solve.runs import SCREENED
-from greybox.statistics.metrics import rms
 
 Grade = Literal["good", "doubt", "failed"]
 
@@ -42,10 +41,14 @@ def verdict(fit: Any) -> Verdict:
         )
         sentences = ("There is no estimate: " + fit.status + ".", *fit.warnings[:1], ended)
         return Verdict("failed", tuple(text for text in sentences if text))
+
     minimum, found_again = _minimum(fit)
     determined, well = _determined(fit)
     grade = "good" if found_again and well and not fit.warnings else "doubt"
-    return Verdict(grade, (minimum, _closeness(fit), determined))
+    texts = [text for _, text in closeness(fit)]
+    close = f"How closely the model follows the data: {'; '.join(texts)}."
+
+    return Verdict(grade, (minimum, close if texts else "Nothing was compared.", determined))
 
 
 def _minimum(fit: Any) -> tuple[str, bool]:
@@ -59,44 +62,15 @@ def _minimum(fit: Any) -> tuple[str, bool]:
             f"Only 1 of {count} reached the best minimum, so another one may have a lower cost.",
             False,
         )
+
     others = len(fit.minima) - 1
     rest = (
         f"; {counted(others, 'other minimum has', 'other minima have')} a higher cost"
         if others
         else ""
     )
+
     return f"{fit.agreeing} of {count} agree on the best minimum{rest}.", True
-
-
-def _closeness(fit: Any) -> str:
-    """Say how far the model is from each kind of data."""
-    texts = []
-    with np.errstate(divide="ignore", invalid="ignore"):  # measured zeros, which are left out
-        off = [
-            np.abs(part.data.response - part.response) / np.abs(part.data.response)
-            for part in fit.responses
-        ]
-    relative = np.concatenate([np.zeros(0), *off])
-    relative = relative[np.isfinite(relative)]
-    if relative.size:
-        texts.append(
-            f"it is {percent(rms(relative))} % rms from the {counted(relative.size, 'measured point')} of "
-            f"frequency response, {percent(float(relative.max()))} % at most"
-        )
-    in_time = (*fit.records, *fit.spectra)
-    for output in dict.fromkeys(name for part in in_time for name in part.outputs):
-        shares = [1 - part.fit_percent(output) / 100 for part in in_time if output in part.outputs]
-        known = [percent(share) for share in sorted(shares) if math.isfinite(share)]
-        if known:
-            span = " to ".join(dict.fromkeys((known[0], known[-1])))
-            texts.append(
-                f"its residual of {output} is {span} % of the standard deviation of {output}"
-            )
-    return (
-        f"How closely the model follows the data: {'; '.join(texts)}."
-        if texts
-        else "Nothing was compared."
-    )
 
 
 def _determined(fit: Any) -> tuple[str, bool]:
@@ -111,19 +85,26 @@ def _determined(fit: Any) -> tuple[str, bool]:
             "The data give no standard errors, so the estimate cannot be judged by itself.",
             False,
         )
+
     texts = []
     if at_bound:
         texts.append(f"{_names(at_bound)} ended at a bound")
     if judged.beyond:
-        guidelines = f"{100 * ERROR_GUIDELINE:.0f} % error, {100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity"
+        guidelines = (
+            f"{100 * ERROR_GUIDELINE:.0f} % error, {100 * INSENSITIVITY_GUIDELINE:.0f} % "
+            "insensitivity"
+        )
         verb = "is" if len(judged.beyond) == 1 else "are"
         texts.append(f"{_names(judged.beyond)} {verb} beyond the guidelines ({guidelines})")
+
     if texts:
         well = len(fit.free) - len({*at_bound, *judged.beyond})
         return (
-            f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: {'; '.join(texts)}.",
+            f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: "
+            f"{'; '.join(texts)}.",
             False,
         )
+
     worst = int(np.nanargmax(judged.error))
     whole = (
         "The free parameter is"
@@ -131,6 +112,7 @@ def _determined(fit: Any) -> tuple[str, bool]:
         else f"All {len(fit.free)} free parameters are"
     )
     most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
+
     return f"{whole} well determined, with standard errors of at most {most}.", True
 
 

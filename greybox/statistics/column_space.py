@@ -8,7 +8,7 @@ DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rou
 
 
 def column_basis(columns: Array) -> Array:
-    """Return an orthonormal basis (n, r) of the space of the columns (n, p), of whatever lengths, also zero."""
+    """Return an orthonormal basis (n, r) of the space of columns (n, p), of any length."""
     length = np.linalg.norm(columns, axis=0)
     vectors, singular, _ = np.linalg.svd(
         columns[:, length > 0] / length[length > 0], full_matrices=False

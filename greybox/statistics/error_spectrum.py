@@ -49,6 +49,7 @@ class ErrorSpectrum:
         for row, known, values in zip(filled, there, residuals, strict=True):
             if known.any():
                 row[:] = np.interp(samples, samples[known], values[known])
+
         scaled = filled / self.deviation[:, None]
         white = self._filtered(np.hstack([scaled, scaled[:, ::-1]]), -0.5)[:, : len(samples)]
         return np.where(there, white, np.nan)
@@ -73,6 +74,7 @@ class ErrorSpectrum:
             "bij,jk,bik,b->i", roots, covariance, roots.conj(), width, optimize=True
         ).real
         wanted = np.einsum("bij,bij,b->i", roots, roots.conj(), width, optimize=True).real
+
         return ErrorSpectrum(self.omega, self.density, np.sqrt(wanted / drawn) * self.deviation)
 
     def _roots(self, power: float) -> ComplexArray:

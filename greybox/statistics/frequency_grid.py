@@ -17,7 +17,7 @@ COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and ei
 
 @dataclass(frozen=True, eq=False)
 class FrequencyGrid:
-    """Frequencies of a transform of `size` samples, and the bands (b,) over which spectra are compared.
+    """Frequencies of a transform of `size` samples, and the bands (b,) of spectra.
 
     Attributes
     ----------
@@ -51,6 +51,7 @@ class FrequencyGrid:
         starts = starts[first_indices(starts)]
         band_weight = np.add.reduceat(weight, starts)
         omega = np.add.reduceat(weight * 2 * np.pi * np.arange(count) / size, starts) / band_weight
+
         return cls(size, longest, starts, weight, band_weight, omega)
 
     def banded(self, values: NDArray) -> NDArray:
@@ -58,7 +59,7 @@ class FrequencyGrid:
         return np.add.reduceat(values * self.weight, self.starts, axis=-1) / self.band_weight
 
     def spread_out(self, values: NDArray, part: slice = slice(None)) -> NDArray:
-        """Return values (..., b) of the bands at the frequencies of a part, interpolated: (..., f)."""
+        """Interpolate values (..., b) of the bands at the frequencies of a part: (..., f)."""
         omega = 2 * np.pi * np.arange(len(self.weight))[part] / self.size
         above = np.clip(np.searchsorted(self.omega, omega), 1, len(self.omega) - 1)
         low, high = self.omega[above - 1], self.omega[above]
@@ -79,7 +80,7 @@ class FrequencyGrid:
         return values @ self.band_weight
 
     def transform(self, weighted: Array, deviation: Array) -> ComplexArray:
-        """Return the transforms (k, p, frequencies) of sensitivities (k, p, n) times deviations (k,)."""
+        """Return the transforms (k, p, f) of sensitivities (k, p, n) times deviations (k,)."""
         result = np.empty((*weighted.shape[:2], len(self.weight)), dtype=complex)
         for out, J, size in zip(result, weighted, deviation, strict=True):
             out[:] = np.fft.rfft(size * J, self.size)
@@ -88,7 +89,7 @@ class FrequencyGrid:
     def covariances(
         self, density: Callable[[int, int], ComplexArray], k: int, order: int
     ) -> tuple[Array, ComplexArray]:
-        """Return autocovariances (order + 1, k, k) and means over the bands (k, k, b) of a periodogram of k outputs.
+        """Return autocovariances (order + 1, k, k) and band means (k, k, b) of a periodogram.
 
         `density` gives it at all frequencies for two outputs, in both orders the conjugate.
         """
@@ -102,6 +103,7 @@ class FrequencyGrid:
             lags[0, j, i] = r[0]
             banded[i, j] = self.banded(values)
             banded[j, i] = banded[i, j].conj()
+
         return lags, banded
 
     def score_covariance(self, transforms: Iterable[ComplexArray], density: ComplexArray) -> Array:
@@ -113,6 +115,7 @@ class FrequencyGrid:
                 spread = self.spread_out(density, part) * self.weight[part]
                 columns = np.ascontiguousarray(transform[..., part])
                 total = total + products(columns.view(float), filtered(spread, columns).view(float))
+
         assert isinstance(total, np.ndarray)
         return (total + total.T) / 2
 
@@ -130,7 +133,7 @@ class FrequencyGrid:
 
 
 def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
-    """Return the product of a density (k, k, f) and transforms (k, p, f), frequency by frequency."""
+    """Return the product of a density (k, k, f) and transforms (k, p, f) at each frequency."""
     result = density[:, 0, None] * transform[0]
     for j in range(1, len(transform)):
         result += density[:, j, None] * transform[j]
@@ -148,7 +151,7 @@ def output_pairs(k: int) -> list[tuple[int, int]]:
 
 
 def first_indices(values: IntArray) -> IntArray:
-    """Return where each of the sorted values stands first; np.unique imports masked arrays, 8 ms."""
+    """Return where each sorted value stands first; np.unique imports masked arrays, 8 ms."""
     return np.flatnonzero(np.diff(values, prepend=-1))
 
 

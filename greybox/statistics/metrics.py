@@ -1,4 +1,4 @@
-"""Measures of fit and tests of residuals: how large they are, of what kind, and whether they are white.
+"""Measures of fit, and tests of residuals.
 
 All take measured and predicted values, or residuals, as arrays with NaN where there is none.
 """
@@ -24,7 +24,7 @@ def rms(error: ArrayLike) -> float:
 
 
 def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
-    """Return 100 (1 - |y - ŷ| / |y - mean y|), the normalized root mean square error of MATLAB's `compare`."""
+    """Return 100 (1 - |y - ŷ| / |y - mean y|), the fit of MATLAB's `compare`."""
     y, p = _pairs(measured, predicted)
     spread = float(np.linalg.norm(y - y.mean())) if y.size else 0.0
     return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
@@ -43,7 +43,7 @@ def theil_coefficient(measured: ArrayLike, predicted: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CorrelationTest:
-    """A statistic with its degrees of freedom under the hypothesis, and the probability of one as large.
+    """A statistic with its degrees of freedom, and the probability of a larger one by chance.
 
     `correlations` (lags,) are those tested, `bound` what 99 % of single ones stay within.
     """
@@ -54,14 +54,9 @@ class CorrelationTest:
     correlations: Array
     bound: float
 
-    @property
-    def outside(self) -> int:
-        """How many correlations lie beyond the 99 % bound."""
-        return int(np.sum(np.abs(self.correlations) > self.bound))
-
 
 def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0) -> CorrelationTest:
-    """Test whether residuals are white: the statistic of Ljung and Box, with as many terms as there are pairs.
+    """Test whether residuals are white, by the statistic of Ljung and Box.
 
     Parameters
     ----------
@@ -82,27 +77,31 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     sums, pairs = _lagged([s - mean for s in series], [s - mean for s in series], lags)
     if n < 3 or not sums[0] > 0:
         return _unknown(lags)
+
     r = sums[1:] / sums[0]
     pairs = pairs[1:]
     # Under the hypothesis r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2))
     # without a gap.
     used = pairs > 0
     statistic = float(np.sum(r[used] ** 2 * n * (n + 2) / pairs[used]))
+
     return _tested(statistic, max(int(used.sum()) - fitted, 1), r, NORMAL_99 / math.sqrt(n))
 
 
 def input_correlation(
     residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS
 ) -> CorrelationTest:
-    """Test whether residuals are correlated with the input 1 to `lags` samples before: dynamics that the model lacks.
+    """Test whether residuals are correlated with the input up to `lags` samples before.
 
-    The input of the same moment or later is not tested, since feedback correlates it with the
-    errors. The autocorrelation of the input is accounted for, and so is that of the residuals, as
-    an autoregression. Source: Ljung (1999), System Identification, 2nd ed., section 16.6.
+    If they are, the model lacks dynamics. The input of the same moment or later is not tested,
+    since feedback correlates it with the errors. The autocorrelation of the input is accounted for,
+    and so is that of the residuals, as an autoregression. Source: Ljung (1999), System
+    Identification, 2nd ed., section 16.6.
     """
     pairs = _centered(residuals, inputs)
     if pairs is None:
         return _unknown(lags)
+
     e, u = pairs
 
     # The filter that whitens the residuals is applied to both, so that successive residuals are
@@ -113,6 +112,7 @@ def input_correlation(
     # whose past values hardly differ, is no alarm.
     errors, past = _with_past_values(e, u, lags)
     products = past.T @ past
+
     if not len(errors) > lags or not np.any(products) or not np.any(errors):
         return _unknown(lags)
     values, vectors = np.linalg.eigh(products)
@@ -124,16 +124,18 @@ def input_correlation(
         float(np.sum((vectors[:, informative].T @ shared) ** 2 / values[informative])) / variance
     )
     r = shared / np.sqrt(np.maximum(np.diag(products), np.finfo(float).tiny) * np.sum(errors**2))
+
     return _tested(statistic, int(informative.sum()), r, NORMAL_99 / math.sqrt(len(errors)))
 
 
 def _with_past_values(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
-    """Return the residuals (m,) whose `lags` past values of the input are all known, and these (m, lags)."""
+    """Return residuals (m,) whose `lags` past input values are all known, and these (m, lags)."""
     pairs = [
         (a[lags:], np.lib.stride_tricks.sliding_window_view(b, lags)[:-1, ::-1])
         for a, b in zip(e, u, strict=True)
         if len(a) > lags
     ]
+
     if not pairs:
         return np.zeros(0), np.zeros((0, lags))
     errors, past = (np.concatenate(group) for group in zip(*pairs, strict=True))
@@ -154,6 +156,7 @@ def feedback_correlation(
     stretches = _centered(residuals, inputs)
     if stretches is None:
         return _unknown(lags)
+
     e, u = (
         [_filtered(s, autoregression([np.nan_to_num(s) for s in group])) for s in group]
         for group in stretches
@@ -161,6 +164,7 @@ def feedback_correlation(
     sums, pairs = _lagged(u, e, lags)
     sizes = [rms(np.concatenate(group)) for group in (e, u)]
     used = pairs[1:] > 0
+
     if not (sizes[0] > 0 and sizes[1] > 0 and used.any()):
         return _unknown(lags)
     r = sums[1:] / np.maximum(pairs[1:], 1) / (sizes[0] * sizes[1])
@@ -169,7 +173,7 @@ def feedback_correlation(
 
 
 def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
-    """Return the mean of a correlated series and its standard error, by the spectrum of an autoregression at zero.
+    """Return the mean of a correlated series and its standard error.
 
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 2.2; for
     differences of forecasts Diebold and Mariano (1995), Journal of Business and Economic Statistics
@@ -180,6 +184,7 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     n = int(np.isfinite(values).sum())
     if n < 3:
         return math.nan, math.nan
+
     mean = float(np.nanmean(values))
     centered = [np.nan_to_num(s - mean) for s in series]
     a = autoregression(centered)
@@ -187,13 +192,14 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
         [_filtered(np.where(np.isfinite(s), s - mean, np.nan), a) for s in series]
     )
     variance = float(np.nanmean(white**2)) / float(a.sum()) ** 2
+
     return mean, math.sqrt(variance / n)
 
 
 def _centered(
     residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike]
 ) -> tuple[list[Array], list[Array]] | None:
-    """Return residuals and inputs less their means, NaN where not finite; None with fewer than three pairs."""
+    """Return residuals and inputs less their means; None with fewer than three pairs."""
     e, u = ([_present(s) for s in group] for group in (residuals, inputs))
     if sum(int(np.isfinite(a * b).sum()) for a, b in zip(e, u, strict=True)) < 3:
         return None
@@ -216,7 +222,7 @@ def _present(values: ArrayLike) -> Array:
 
 
 def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, IntArray]:
-    """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and how many pairs there were."""
+    """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and the numbers of pairs."""
     sums = np.zeros(lags + 1)
     pairs = np.zeros(lags + 1, dtype=np.int64)
     for a, b in zip(e, u, strict=True):

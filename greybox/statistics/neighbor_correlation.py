@@ -1,4 +1,4 @@
-"""How far the errors of neighboring points along frequency are correlated, by what a fit has left of them.
+"""The correlation of errors of neighboring points along frequency, from the residuals of a fit.
 
 The correlation is taken to fall exponentially with the number of points between, rho^|i - j|, real
 and imaginary parts alike: so do errors of points that are closer than the resolution of their
@@ -30,7 +30,9 @@ INDEPENDENT = 0.5  # how likely independent errors are before
 # How likely afterwards, where they are taken for sure: intervals then change by less than 8 %, and
 # hold half a per cent less of the truths.
 TAKEN_FOR_SURE = 2 / 3
-VALUES = 200  # of rho, evenly up to a correlation over all points: steps are below its error up to 10 000 points
+# Values of rho, evenly up to a correlation over all points: steps are below its error up to 10 000
+# points.
+VALUES = 200
 LEAST_WEIGHT = 1e-6  # of a value of rho: what is below does not show
 LEAST_LEFT = 4  # numbers beyond the parameters: fewer tell nothing of a correlation
 EXACT = math.sqrt(
@@ -76,7 +78,7 @@ class NeighborCorrelation:
 
     @property
     def lengths(self) -> float:
-        """How many correlation lengths the points are: the length of the mean correlation, to its fall by 1/e."""
+        """Number of points over the correlation length, where the mean correlation falls to 1/e."""
         return -math.log(self.mean) * self.points if self.mean > 0 else math.inf
 
     @cached_property
@@ -111,6 +113,7 @@ def neighbor_correlation(
         return None
     if not np.sqrt(np.mean(np.abs(errors) ** 2)) > EXACT:
         return None
+
     basis = column_basis(design)
     numbers = 2 * n - basis.shape[1]
     if numbers < LEAST_LEFT:
@@ -129,16 +132,19 @@ def neighbor_correlation(
     squares = moments[:, 0, 0] - np.sum(
         gradient * np.linalg.solve(information, gradient), axis=(1, 2)
     )
+
     if (
         not squares.min() > EXACT**2 * squares_of_rows[0, 0]
     ):  # what is left was all taken, but for rounding
         return None
+
     squares /= squares[0]
     if inflation is None:
         scale, score = squares, numbers * np.log(squares)
     else:
         size = np.maximum(inflation * squares, 1.0)
         scale, score = size / size[0], numbers * (np.log(size) + inflation * squares / size)
+
     score += 2 * (n - 1) * np.log(1 - rho**2) + np.linalg.slogdet(information)[1]
 
     prior = np.full(VALUES, (1 - INDEPENDENT) / (VALUES - 1))
@@ -147,6 +153,7 @@ def neighbor_correlation(
     weight /= weight.sum()
     if weight[0] > TAKEN_FOR_SURE:
         return None
+
     likely = weight > LEAST_WEIGHT
     weight = weight[likely] / weight[likely].sum()
     return NeighborCorrelation(n, rho[likely], weight, scale[likely])
@@ -159,7 +166,7 @@ def averaged_meat(
     correlation: Callable[[Array], Array],
     dof: float,
 ) -> tuple[Array, float, float]:
-    """Return the covariance of the sum of scores, the middle of the sandwich, and the degrees of freedom it has.
+    """Return the covariance of the sum of scores, its degrees of freedom, and a scale.
 
     The last number is how many times larger than those of independent errors the variances of
     errors are that have the mean correlation and make the estimate vary as much.
@@ -191,6 +198,7 @@ def averaged_meat(
     meat = (transform.conj().T @ (spectrum[:, None] * transform)).real / size
     variance, dof = student_of_average(known.weight, np.maximum(variances, 0.0), dof)
     average = float(known.weight @ variances)
+
     if not average > 0:
         return meat, dof, 1.0
     alike = float(correlation(np.power(known.mean, np.arange(n, dtype=float))) @ of_lags)
@@ -208,14 +216,17 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     dof = min(dof, 1e9)
     if variance.size == 1 or not variance.min() > 0:
         return float(weight @ variance), dof
+
     deviation = np.sqrt(variance)
     tails = (1 - np.array(LEVELS)) / 2
     unit = -stdtrit(dof, tails)
     low, high = deviation.min() * unit, deviation.max() * unit
+
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
         outside = stdtr(dof, -middle[:, None] / deviation) @ weight
         low, high = np.where(outside > tails, middle, low), np.where(outside > tails, high, middle)
+
     inner, outer = (low + high) / 2
 
     # The ratio of both intervals falls as the degrees of freedom rise.
@@ -224,5 +235,6 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
         middle = (few + many) / 2
         ratio = stdtrit(1 / middle, tails)
         few, many = (middle, many) if ratio[1] / ratio[0] < outer / inner else (few, middle)
+
     dof = 1 / few
     return float((outer / stdtrit(dof, 1 - tails[1])) ** 2), float(dof)

@@ -1,4 +1,4 @@
-"""The ratio of von Neumann: whether a sampled signal varies smoothly or is indistinguishable from white noise."""
+"""The von Neumann ratio: whether a sampled signal is smooth, or looks like white noise."""
 
 import math
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ class NoiseRatio:
 
     @property
     def smooth(self) -> bool:
-        """True where the smooth part has more variance than the noise; with few samples the limit is lower."""
+        """True if the smooth part has more variance than the noise; stricter for few samples."""
         return self.ratio < min(SMOOTH, 2 - CERTAIN * self.spread)
 
     @property
@@ -53,7 +53,7 @@ class NoiseRatio:
 
 
 def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
-    """Return the ratio of stretches of samples (n,), each about its own mean; NaN among them are skipped."""
+    """Return the ratio of stretches of samples (n,), each about its own mean; NaN are skipped."""
     series = [
         s[np.isfinite(s)] for s in (np.asarray(stretch, dtype=float) for stretch in stretches)
     ]
@@ -61,6 +61,7 @@ def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
     samples = sum(s.size for s in series)
     differences = sum(s.size - 1 for s in series)
     squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)
+
     if samples < 4 or not squares > 0:
         return NoiseRatio(math.nan, samples)
     return NoiseRatio(

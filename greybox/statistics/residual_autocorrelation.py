@@ -13,7 +13,7 @@ PREDICTABLE = 1e-12  # relative variance of what cannot be predicted, below whic
 
 
 def autocovariance(stretches: list[Array], lags: int) -> Array:
-    """Return the mean products of samples 0 to `lags` apart, within stretches (n,): (lags + 1,). Zeros are no data."""
+    """Return mean products (lags + 1,) of samples in stretches (n,); zeros are gaps."""
     total = np.zeros(lags + 1)
     count = 0
     for e in stretches:
@@ -22,16 +22,17 @@ def autocovariance(stretches: list[Array], lags: int) -> Array:
         products = np.fft.irfft(spectrum, size)[: lags + 1]
         total[: min(lags + 1, e.size)] += products[: min(lags + 1, e.size)]
         count += int(np.count_nonzero(e))
+
     return total / max(count, 1)
 
 
 def levinson(r: Array) -> list[tuple[Array, float]]:
-    """Return the autoregressions of order 0, 1, 2 ... of autocovariances r (lags + 1,): coefficients and variance.
+    """Return the autoregressions of order 0, 1, 2 ... from autocovariances r (lags + 1,).
 
-    Coefficients are 1, a_1 ... a_n with white e + Σ a_k e(t - k) of that variance. Yule-Walker
-    equations by the recursion of Levinson and Durbin, so that all are stable; up to the order at
-    which the series is predictable. Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th
-    ed., appendix A3.2.
+    Each has coefficients and a variance. Coefficients are 1, a_1 ... a_n with white e + Σ a_k e(t -
+    k) of that variance. Yule-Walker equations by the recursion of Levinson and Durbin, so that all
+    are stable; up to the order at which the series is predictable. Source: Box, Jenkins, Reinsel,
+    Ljung, Time Series Analysis, 5th ed., appendix A3.2.
     """
     a: Array = np.ones(1)
     variance = float(r[0])
@@ -44,11 +45,12 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
         if not variance > PREDICTABLE * r[0]:
             break
         steps.append((a, variance))
+
     return steps
 
 
 def autoregression(stretches: list[Array]) -> Array:
-    """Return the coefficients 1, a_1 ... a_n with white e + Σ a_k e(t - k), of the order that BIC chooses.
+    """Return 1, a_1 ... a_n with white e + Σ a_k e(t - k), of the order that BIC chooses.
 
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 6.2; Schwarz
     (1978), Annals of Statistics 6.
@@ -64,7 +66,7 @@ def autoregression(stretches: list[Array]) -> Array:
 
 
 def vector_autoregressions(r: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield the vector autoregressions of every order: coefficients (k, order * k) and innovation covariance (k, k).
+    """Yield coefficients (k, order * k) and innovation covariance (k, k) of every order.
 
     The coefficients A_1, A_2 ... stand side by side. From r (lags + 1, k, k), with r(l) = E e(t +
     l) e(t)ᵀ, by Whittle's recursion, so that all are stable.
@@ -75,6 +77,7 @@ def vector_autoregressions(r: Array) -> Iterator[tuple[Array, Array]]:
     forward = backward = np.zeros((k, 0))
     ahead = behind = r[0]
     yield forward, ahead
+
     for order in range(1, len(r)):
         delta = r[order] + forward @ last_first[len(last_first) - (order - 1) * k :]
         gain, back = -np.linalg.solve(

@@ -1,4 +1,4 @@
-"""The spectrum of residuals that are correlated in time, and the covariance of an estimate that follows from it.
+"""The spectrum of residuals that are correlated in time, and the covariance of the estimate.
 
 No single family of spectra fits short records of every kind: a small slow drift under white noise
 needs an autoregression of order 30, whose coefficients 300 samples do not determine, and wind moves
@@ -98,7 +98,7 @@ def colored_information(
     initial: Sequence[Array] | None = None,
     shocks: Callable[[], Array] | None = None,
 ) -> ColoredInformation:
-    """Return Σ J' Σ_e J (p, p) for errors with the spectrum of the residuals: the middle of the sandwich.
+    """Return Σ J' Σ_e J (p, p), the middle of the sandwich, for the spectrum of the residuals.
 
     Parameters
     ----------
@@ -125,6 +125,7 @@ def colored_information(
     if not compared.any():
         nothing = np.zeros_like(inverse)
         return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
+
     spectra = ResidualSpectra(
         [J[compared] for J in weighted],
         [e[compared] for e in residuals],
@@ -141,6 +142,7 @@ def colored_information(
     density[np.ix_(compared, compared)] = mixture.density
     deviation = np.ones(k)
     deviation[compared] = spectra.deviation
+
     return ColoredInformation(
         meat=meat,
         taken=float(np.sum(inverse * meat)),
@@ -151,12 +153,13 @@ def colored_information(
     )
 
 
-def _corrected_mixture(spectra: "ResidualSpectra") -> tuple["_Mixture", bool]:
-    """Return the average of the spectra, and whether it is corrected for what the fit took from the errors."""
+def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, bool]":
+    """Return the average of the spectra, and whether it is corrected for what the fit took."""
     lags, banded = spectra.periodogram
     mixture = spectra.mixture(lags, banded)
     if sum(e.shape[1] for e in spectra.residuals) > LONGEST_CORRECTED:
         return mixture, False
+
     # A third correction changes standard errors by less than 2 % (records of 100 samples,
     # correlation times of 10).
     for iteration in range(2):
@@ -169,28 +172,32 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> tuple["_Mixture", bool]:
         # Another correction would change the variance by the square of this change, 1 %.
         if abs(mixture.taken - taken) < 0.1 * taken:
             break
+
     return mixture, True
 
 
 @dataclass(frozen=True, eq=False)
-class _Mixture:
+class AveragedSpectrum:
     """An average of spectra.
 
     Attributes
     ----------
-    density : (k, k, b) array
-    typical : (k, b) array
+    density : (k, k, b) array, or (b,) of one output
+    typical : (k, b) array, or (b,)
         The geometric mean.
     taken : float
         tr(B⁻¹ M).
     uncertainty : float
         Variance of its logarithm.
+    score : float
+        -2 log of the evidence.
     """
 
-    density: ComplexArray
+    density: NDArray[Any]
     typical: Array
     taken: float
     uncertainty: float
+    score: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +232,7 @@ class ResidualSpectra:
 
     @cached_property
     def periodogram(self) -> tuple[Array, ComplexArray]:
-        """Autocovariances (lags, k, k) of the residuals, and the bands (k, k, b) of their periodogram."""
+        """Autocovariances (lags, k, k), and band means (k, k, b) of the power, of the residuals."""
         scale = (self.deviation * np.sqrt(self.counts))[:, None]
         transforms = [np.fft.rfft(e / scale, self.grid.size) for e in self.residuals]
         nothing = np.zeros(len(self.grid.weight), dtype=complex)
@@ -237,6 +244,7 @@ class ResidualSpectra:
         )
         ridge = ROUNDING * np.eye(k)  # for outputs that are combinations of others
         lags[0] += ridge
+
         return lags, banded + ridge[:, :, None]
 
     @property
@@ -252,7 +260,7 @@ class ResidualSpectra:
 
     @cached_property
     def power(self) -> ComplexArray:
-        """Power (k, k, b) of the sensitivities: the mean of its product with a spectrum is tr(B⁻¹ M)."""
+        """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
         k = len(self.counts)
         power = np.zeros((k, k, len(self.grid.starts)), dtype=complex)
         product = np.empty(len(self.grid.weight), dtype=complex)
@@ -266,6 +274,7 @@ class ResidualSpectra:
                 power[i, j] += banded
                 if i != j:
                     power[j, i] += banded.conj()
+
         return power
 
     @cached_property
@@ -279,6 +288,7 @@ class ResidualSpectra:
             if own.max() > 0:
                 shapes = with_white_noise(sensitivity_shapes(self.grid, own))
                 families[i].append(SpectralFamily.of(shapes, self.grid))
+
         return families
 
     def transforms(self) -> Iterator[ComplexArray]:
@@ -289,22 +299,25 @@ class ResidualSpectra:
         for J in self.weighted:
             yield self.grid.transform(J, self.deviation)
 
-    def mixture(self, lags: Array, banded: ComplexArray) -> _Mixture:
-        """Return the average of the spectra that may have made a periodogram, as in `periodogram`."""
+    def mixture(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
+        """Return the average of the spectra that may have caused a periodogram."""
         k = len(self.counts)
         alone = [
             self.one_output(i, lags[:, i, i], banded[i, i].real, self.families[i]) for i in range(k)
         ]
         candidates = [self.independent_outputs(alone)]
+
         if k > 1:
             candidates.append(self.joint_outputs(lags))
         if self.noise_parts is not None:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
+
         shares = remaining_products(self.residuals)
         candidates = [
             replace(average, density=unmasked(average.density, shares, self.grid))
             for average in candidates
         ]
+
         if self.noise_parts is not None:
             candidates.append(self.process_noise(self.noise_parts))
 
@@ -314,32 +327,34 @@ class ResidualSpectra:
         taken = np.array([average.taken for average in candidates])
         logarithm = np.log(np.maximum(taken, TINY))
         between = (logarithm - weight @ logarithm) ** 2
-        return _Mixture(
+
+        return AveragedSpectrum(
             np.tensordot(weight, [average.density for average in candidates], 1),
             np.exp(np.tensordot(weight, [average.typical for average in candidates], 1)),
             float(weight @ taken),
             float(weight @ (between + [average.uncertainty for average in candidates])),
         )
 
-    def independent_outputs(self, alone: Sequence["AveragedSpectrum"]) -> "AveragedSpectrum":
+    def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the spectra of outputs whose errors are independent, from those of every one."""
         k = len(alone)
         density = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
         density[np.arange(k), np.arange(k)] = [average.density for average in alone]
         taken = sum(average.taken for average in alone)
         uncertainty = sum(average.uncertainty * average.taken**2 for average in alone)
+
         return AveragedSpectrum(
             density,
             np.array([average.typical for average in alone]),
-            sum(average.score for average in alone),
             taken,
             uncertainty / max(taken**2, TINY),
+            sum(average.score for average in alone),
         )
 
     def judged_on_residuals(
-        self, average: "AveragedSpectrum", banded: ComplexArray
-    ) -> "AveragedSpectrum":
-        """Replace the likelihood of a periodogram of the errors by that of the residuals, and keep the penalty."""
+        self, average: AveragedSpectrum, banded: ComplexArray
+    ) -> AveragedSpectrum:
+        """Replace the likelihood of the errors by that of the residuals, and keep the penalty."""
         density = average.density.transpose(2, 0, 1)
         errors = whittle_score(density, banded.transpose(2, 0, 1), self._numbers)
         penalty = average.score - errors + self._numbers.sum() * len(self.counts)
@@ -363,38 +378,42 @@ class ResidualSpectra:
     def _of_residuals(self) -> ComplexArray:
         return self.periodogram[1].transpose(2, 0, 1)
 
-    def process_noise(self, parts: "_NoiseParts") -> "AveragedSpectrum":
-        """Return white noise of every sensor with process noise, of the variances that the residuals show."""
+    def process_noise(self, parts: "_NoiseParts") -> AveragedSpectrum:
+        """Return white sensor noise with process noise, by the variances of the residuals."""
         variance = self.variances.variance
         numbers = self.counts.max() * len(self.counts)
         density = np.tensordot(variance, parts.density, 1)
         taken = np.array([self.taken_by(part) for part in parts.density]) * variance
         share = taken / max(float(taken.sum()), TINY)
+
         return AveragedSpectrum(
             density,
             _log_power(density),
-            self.variances.score + aicc_penalty(len(variance), numbers),
             float(taken.sum()),
             float(share @ self.variances.covariance @ share),
+            self.variances.score + aicc_penalty(len(variance), numbers),
         )
 
     @cached_property
     def noise_parts(self) -> "_NoiseParts | None":
-        """White noise of every sensor and process noise in every state, each of variance one; None without shocks."""
+        """White noise of every sensor and process noise of every state, of variance one, if any."""
         # A record of more samples shows the spectrum of process noise without the model's dynamics.
         if self.shocks is None or self.counts.max() > 10_000:
             return None
+
         k = len(self.counts)
         grid = self.grid
         transforms = np.fft.rfft(self.shocks() / self.deviation[:, None, None], grid.size)
         spectra = [
             np.diag(row)[:, :, None] * np.ones(len(grid.weight), dtype=complex) for row in np.eye(k)
         ]
+
         for H in transforms.transpose(1, 0, 2):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float(np.einsum("iif->f", spectrum).real @ grid.weight) / k
             if power > TINY:
                 spectra.append(spectrum / power)
+
         if len(spectra) == k:
             return None
 
@@ -404,16 +423,18 @@ class ResidualSpectra:
         pairs /= np.sqrt(self.counts * self.counts[:, None])[:, :, None]
         density = []
         of_residuals = []
+
         for spectrum in spectra:
             expected = np.fft.rfft(np.fft.irfft(spectrum, grid.size) * pairs, grid.size)
             density.append(grid.banded(spectrum))
             left = grid.banded(expected) - self.taken_power(density[-1])[1]
             of_residuals.append(_positive(left.transpose(2, 0, 1)))
+
         return _NoiseParts(np.array(density), np.array(of_residuals))
 
     def one_output(
         self, i: int, r: Array, banded: Array, families: Sequence[SpectralFamily]
-    ) -> "AveragedSpectrum":
+    ) -> AveragedSpectrum:
         """Average the spectra of one output, of autocovariances r (lags,) and periodogram (b,)."""
         n = self.counts[i]
         grid = self.grid
@@ -425,6 +446,7 @@ class ResidualSpectra:
         penalties = np.array([aicc_penalty(order, n) for order in orders])
         scores = [n * np.log(scales[0]) + penalties]
         within = [2 * orders / n]
+
         for family in families:
             scale, score = family.scores(banded, n)
             scales.append(scale)
@@ -447,16 +469,17 @@ class ResidualSpectra:
         taken = grid.mean(spectra * self.power[i, i].real)
         logarithm = np.log(np.maximum(taken, TINY))
         between = (logarithm - weight @ logarithm) ** 2
+
         return AveragedSpectrum(
             weight @ spectra,
             weight @ np.log(spectra),
-            evidence,
             float(weight @ taken),
             float(weight @ (between + np.concatenate(within)[likely])),
+            evidence,
         )
 
-    def joint_outputs(self, lags: Array) -> "AveragedSpectrum":
-        """Return the vector autoregression of all outputs of the order that AICc chooses, from lags (l, k, k)."""
+    def joint_outputs(self, lags: Array) -> AveragedSpectrum:
+        """Return the vector autoregression of the order that AICc chooses, from lags (l, k, k)."""
         k = lags.shape[1]
         n = self.counts.max()
         longest = int(min(len(lags) - 1, n // (5 * k)))  # five numbers for a coefficient
@@ -471,7 +494,8 @@ class ResidualSpectra:
         density = (response @ innovation @ response.conj().transpose(0, 2, 1)).transpose(1, 2, 0)
         score = float(scores[order])
         taken = self.taken_by(density)
-        return AveragedSpectrum(density, _log_power(density), score, taken, 2 * (order + 1) / n)
+
+        return AveragedSpectrum(density, _log_power(density), taken, 2 * (order + 1) / n, score)
 
     def score_of(self, density: ComplexArray) -> float:
         """Return -2 log likelihood of the residuals for errors of a spectrum (k, k, b)."""
@@ -483,7 +507,7 @@ class ResidualSpectra:
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
     def taken_power(self, density: ComplexArray) -> tuple[Array, ComplexArray]:
-        """Return the periodogram, as in `periodogram`, of what the fit took from errors of this spectrum.
+        """Return the periodogram of what the fit took from errors of this spectrum.
 
         Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
         Pᵀ. What other data bring to the estimate is taken to have errors of the same color.
@@ -542,7 +566,7 @@ class ResidualSpectra:
 
 @dataclass(frozen=True, eq=False)
 class _NoiseParts:
-    """Parts of the errors, of variance one: their spectra, and the periodograms of residuals to be expected.
+    """Parts of the errors, of variance one: spectra, and expected periodograms of residuals.
 
     Attributes
     ----------
@@ -555,30 +579,19 @@ class _NoiseParts:
     of_residuals: ComplexArray
 
 
-@dataclass(frozen=True, eq=False)
-class AveragedSpectrum:
-    """An average of spectra and its mean logarithm, -2 log of its evidence, tr(B⁻¹ M), and the variance of its log."""
-
-    density: NDArray[Any]
-    typical: Array
-    score: float
-    taken: float
-    uncertainty: float
-
-
 def _log_power(density: ComplexArray) -> Array:
     """Return the logarithms (k, b) of the spectra of all outputs."""
     return np.log(np.maximum(np.einsum("iib->ib", density).real, TINY))
 
 
 def _positive(matrices: ComplexArray) -> ComplexArray:
-    """Return Hermitian matrices (b, k, k) without their negative parts, which approximations leave."""
+    """Return Hermitian matrices (b, k, k) without the negative parts that approximations leave."""
     values, vectors = np.linalg.eigh(matrices)
     return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
 
 
 def product_over_time(weighted: Array, noise: Array) -> Array:
-    """Return Σ Jᵀ R J (p, p) over the samples of weighted sensitivities J (k, p, n), for R (k, k)."""
+    """Return Σ Jᵀ R J (p, p) over samples of weighted sensitivities J (k, p, n), for R (k, k)."""
     p = weighted.shape[1]
     rows = zip(weighted, noise, strict=True)
     return sum((J @ np.tensordot(row, weighted, 1).T for J, row in rows), np.zeros((p, p)))
@@ -600,7 +613,7 @@ def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> Compl
 
 
 def remaining_products(stretches: Sequence[Array]) -> Array:
-    """Return the share (k,) of the products of samples some lag apart that missing samples leave, at the best lag.
+    """Return the share (k,) of products of samples that missing samples leave, at the best lag.
 
     Near 1 where blocks are missing, or every n-th sample is measured; less where samples are
     missing at random.

@@ -30,9 +30,10 @@ class SpectralFamily:
         return cls(shapes, grid.mean(np.log(shapes)), grid.band_weight / shapes)
 
     def scores(self, banded: Array, n: float) -> tuple[Array, Array]:
-        """Return the variances (m,) for n samples of a periodogram (b,), and -2 log likelihood with its penalty.
+        """Return variances (m,) for n samples of a periodogram (b,), and -2 log likelihood.
 
-        Every member is equally likely before: the family counts with its mean likelihood.
+        The likelihood has its penalty. Every member is equally likely before: the family counts
+        with its mean likelihood.
         """
         scale = self.inverse @ np.maximum(banded, ROUNDING)
         return scale, n * (np.log(scale) + self.logarithm) + 2 * math.log(
@@ -41,12 +42,12 @@ class SpectralFamily:
 
 
 def aicc_penalty(unknowns: float, n: float) -> float:
-    """Return the penalty of AICc, which grows without limit as the unknowns become as many as the numbers."""
+    """Return the penalty of AICc, without limit as the unknowns approach the numbers."""
     return 2 * unknowns * n / max(n - unknowns - 1, 1e-3)
 
 
 def slow_parts(grid: FrequencyGrid) -> Array:
-    """Return the spectra (m, b), of mean one, of white noise with a part whose correlation decays exponentially."""
+    """Return spectra (m, b), of mean one, of white noise with an exponentially correlated part."""
     # A record cannot tell slower errors from a constant.
     times = np.geomspace(1.0, max(grid.longest / 3, 2.0), 14)
     phi = np.exp(-1 / times)[:, None]

@@ -1,4 +1,4 @@
-"""Errors that are a sum of parts whose spectra are known but for their sizes: the variances, from a periodogram.
+"""The variances of parts of the errors whose spectra are known but for their sizes.
 
 Sensors have white noise each, and process noise reaches the outputs through the dynamics, which the
 model knows. Then a few variances say all of the spectrum, where an autoregression has to find the
@@ -17,10 +17,13 @@ import numpy as np
 
 from greybox.files.arrays import Array, ComplexArray
 
-WHITE = 0.7  # share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same variances
+# Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
+# variances.
+WHITE = 0.7
 ITERATIONS = 50  # five to fifteen are needed
 LONGEST_STEP = 1.5  # of the logarithm of a variance
-CLOSE = 1e-8  # of -2 log likelihood, to which the minimum is found: a ten-thousandth of the variances' errors
+# Tolerance on -2 log likelihood: a ten-thousandth of the errors of the variances.
+CLOSE = 1e-8
 DAMPING = 1e-2  # at the beginning, of Levenberg and Marquardt
 UNDAMPED = 1e-6
 NO_STEP = 1e6  # damping beyond which there is no better point
@@ -28,7 +31,8 @@ NO_STEP = 1e6  # damping beyond which there is no better point
 # Of the variance of an output: variances below are zero. A ridge of this size stands for what the
 # expectations leave out where a fit takes all power from a frequency.
 LEAST = 1e-4
-UNSEEN = 1e-8  # of the largest eigenvalue of the information: directions in which the likelihood does not change
+# Share of the largest eigenvalue of the information below which the likelihood does not change.
+UNSEEN = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +55,7 @@ class VarianceComponents:
 
 
 def whittle_score(spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array) -> float:
-    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (b,), for an expected one (b, k, k)."""
+    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (b,), given its mean."""
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
     ratio = np.linalg.solve(spectrum, periodogram)
     return float(numbers @ (np.linalg.slogdet(spectrum)[1] + np.einsum("bii->b", ratio).real))
@@ -107,5 +111,6 @@ def variance_components(
         damping = max(damping / 5, UNDAMPED)
         if better < CLOSE:
             break
+
     covariance = np.asarray(2 * np.linalg.pinv(information, UNSEEN, hermitian=True), dtype=float)
     return VarianceComponents(variance, covariance, score)

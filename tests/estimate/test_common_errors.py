@@ -76,5 +76,5 @@ def test_they_are_larger_by_how_far_the_common_errors_move_the_estimate(known):
 def test_replicates_have_them_too():
     """Of normal errors drawn anew, the estimates scatter by the standard errors, to the 7 % that 200 of them tell."""
     fit = fitted(gb.MaximumLikelihood(), noise=0.5)
-    drawn = gb.bootstrap(fit, "parametric", 200, progress=False)
+    drawn = gb.bootstrap(fit, 200, progress=False)
     assert_allclose([drawn.standard_error[name] for name in TRUTH], errors(fit), rtol=0.2)

@@ -84,15 +84,6 @@ def best_slope(best):
     return gb.simulate(Lag(), values, best.records[0].data, inputs="held", initial={"x": 0.0})["x"]
 
 
-def test_of_a_failure_by_ipopt_the_damped_method_is_proposed():
-    clean = gb.simulate(Lag(), {"a": 3.0, "k": 6.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
-    problem = gb.Problem(Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), fixed={"mass": 1.0})
-    options = {"method": gb.SingleShooting(), "solver_options": {"max_iter": 1}}
-    fit = gb.fit(problem, starts=[{}], **options, progress=False)
-    assert not fit.converged
-    assert "or leave out method" in fit.warnings[0]
-
-
 def test_an_estimate_leaves_no_best_effort():
     clean = gb.simulate(Lag(), {"a": 3.0, "k": 6.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
     problem = gb.Problem(Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), fixed={"mass": 1.0})

@@ -93,7 +93,7 @@ def test_what_follows_from_the_covariance_is_as_wide():
     low, high = gb.profile(fit, ["K"]).intervals["K"]
     wald = fit.interval()["K"]
     assert high - low == pytest.approx(wald[1] - wald[0], rel=0.1)
-    drawn = gb.bootstrap(fit, "parametric", 400, progress=False)
+    drawn = gb.bootstrap(fit, 200, progress=False)
     assert "with their correlation along frequency" in drawn.about
     assert drawn.standard_error["K"] == pytest.approx(fit.standard_error["K"], rel=0.15)
     small = gb.fit(

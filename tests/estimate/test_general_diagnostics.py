@@ -199,16 +199,6 @@ def test_three_points_are_enough_for_four_unknowns():
     assert not any("degrees of freedom" in text for text in warned(LagLagDelay(), data))
 
 
-def test_noise_beyond_a_tenth_is_told_with_the_side_to_which_it_errs():
-    loud = lags(noise=0.2)
-    measured_, model = (
-        warned(LagLagDelay(), loud, gb.RelativeError(normalized=n), constraints=ORDERED)
-        for n in ("measured", "model")
-    )
-    assert any("% too low" in text and "normalized='model'" in text for text in measured_)
-    assert any("% too high" in text and "normalized='measured'" in text for text in model)
-
-
 @pytest.mark.parametrize(
     ("factor", "words"),
     [(1.0, None), (0.04, "variances are too small"), (25.0, "the variances are too large")],
@@ -226,16 +216,6 @@ def test_variances_that_do_not_match_the_residuals_are_told(factor, words):
     ]
     assert len(texts) == (words is not None)
     assert all(words in text for text in texts)
-
-
-def test_words_about_a_part_name_that_part():
-    small = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.01, name="quiet", seed=1)
-    loud = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.3, name="loud", seed=2)
-    texts = gb.fit(gb.Problem(Lag(), small) + gb.Problem(Lag(), loud), starts=8).warnings
-    assert next(text for text in texts if "% too low" in text).startswith(
-        "the residual of 'loud' is"
-    )
-    assert not any("'quiet'" in text for text in texts)
 
 
 def test_one_of_a_thing_is_singular():

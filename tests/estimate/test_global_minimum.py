@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.estimate.diagnostics import global_minimum
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
     few_agreeing_starts,
@@ -98,10 +97,7 @@ def test_a_rival_is_within_three_of_a_log_likelihood_or_a_hundredth_of_the_cost(
         (4, 4, 10, ["only 4 of 10 runs converged (6 failed)."]),
     ],
 )
-def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(
-    monkeypatch, agreeing, converged, count, texts
-):
-    monkeypatch.setattr(global_minimum, "agreeing_runs_of", lambda *_, **__: range(agreeing))
+def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(agreeing, converged, count, texts):
     nlp = SimpleNamespace(parts=[SimpleNamespace(problem=SimpleNamespace(criterion=None))])
     runs = [None] * count
     search = SimpleNamespace(
@@ -111,7 +107,7 @@ def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(
         converged=converged,
         failures=f"{count - converged} failed",
     )
-    assert [*few_agreeing_starts(nlp, search)] == texts
+    assert [*few_agreeing_starts(nlp, search, agreeing)] == texts
 
 
 def test_the_lowest_end_that_did_not_converge_is_named():
@@ -147,18 +143,16 @@ def test_delays_at_which_the_cost_jumps_are_named_once_each():
 
 
 @pytest.mark.parametrize(
-    ("vectors", "combinations", "count"), [(1, (), 0), (2, (), 1), (2, ("a/b",), 0)]
+    ("variants", "combinations", "count"), [(1, (), 0), (2, (), 1), (2, ("a/b",), 0)]
 )
-def test_several_estimates_are_told_where_no_combination_is(
-    monkeypatch, vectors, combinations, count
-):
-    monkeypatch.setattr(
-        global_minimum, "equivalent_estimates", lambda *_: np.arange(2.0 * vectors).reshape(-1, 2)
-    )
+def test_several_estimates_are_told_where_no_combination_is(variants, combinations, count):
     nlp, accuracy = SimpleNamespace(free=("a", "b")), SimpleNamespace(combinations=combinations)
-    texts = [*several_estimates_of_one_response(nlp, None, accuracy)]
+    minima = (SimpleNamespace(variants=variants, runs=(0, 1)),)
+    runs = SimpleNamespace(estimate=np.array([[1.0, 2.0], [1.0, 3.0]]))
+    search = SimpleNamespace(minima=minima, runs=runs)
+    texts = [*several_estimates_of_one_response(nlp, search, accuracy)]
     assert len(texts) == count
-    assert all(text.startswith("at least 2 clearly different parameter vectors") for text in texts)
+    assert all("same response: b differ" in text for text in texts)
 
 
 def test_a_response_of_zero_explains_nothing_and_no_start_agrees_on_it():

@@ -1,14 +1,13 @@
 """Whether the harmonics of a sine test are enough: the step of the estimate, against least squares."""
 
 import numpy as np
-import pytest
 from duffing_oscillator import Spring
 from evaluation import numeric_jacobian
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.estimate.diagnostics.harmonics import too_few_harmonics
+from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.modeling import Sine, harmonic_response
 
 OMEGA = np.array([0.45, 1.7])
@@ -33,10 +32,10 @@ def test_more_harmonics_shift_the_estimate_as_least_squares_would():
     nlp = compile_problem(problem)
     assert nlp.free == ("b", "d")
     accuracy = assess(nlp, x)
-    (too_few,) = too_few_harmonics(nlp, x, accuracy)
+    (text,) = harmonic_warnings(nlp, x, accuracy)
     many = response(x, more)
-    assert (too_few.problem, too_few.harmonics) == (nlp.parts[0].problem, more)
-    assert too_few.change == pytest.approx(100 * np.abs(many / few - 1).max(), rel=1e-6)
+    change = 100 * np.abs(many / few - 1).max()
+    assert f"with {more} the response changes by up to {change:.2g} %" in text
 
     def stacked(values):
         return np.concatenate([values.real, values.imag])
@@ -45,6 +44,5 @@ def test_more_harmonics_shift_the_estimate_as_least_squares_would():
     step = np.linalg.lstsq(slopes, stacked((many - few) / np.abs(data)), rcond=None)[0]
     shift = np.abs(step) / np.sqrt(np.diag(accuracy.covariance))
     largest = int(np.argmax(shift))
-    assert too_few.parameter == nlp.free[largest]
-    assert too_few.shift == pytest.approx(shift[largest], rel=1e-3)
-    assert too_few.shift > 0.1
+    assert f"{nlp.free[largest]} by {shift[largest]:.2g} standard errors" in text
+    assert shift[largest] > 0.1

@@ -65,17 +65,17 @@ def fit(problem, starts=4, **options):
         (
             gb.Problem(Tank(), record("level"), fixed={"h": 2.5}),
             "4 × not finite at the start (the derivative of flow)",
-            "at the declared values the derivative of flow is not finite at 7 s, where level = 0, flow = 0, u = ",
+            "at the start of run 0 the derivative of flow is not finite at 7 s, where level = 0, flow = 0, u = ",
         ),
         (
             gb.Problem(Logarithm(), record("y")),
             "4 × not finite at the start (the output y)",
-            "at the declared values the output y is not finite at 7 s, where x = 0, u = ",
+            "at the start of run 0 the output y is not finite at 7 s, where x = 0, u = ",
         ),
         (
             gb.Problem(Explosive(), record("x")),
             "4 × not finite at the start (x, simulated)",
-            "at the declared values x is no longer finite at 7.1 s: start elsewhere, or bound the parameters",
+            "at the start of run 0 x is no longer finite at 7.1 s: start elsewhere, or bound the parameters",
         ),
     ],
     ids=["derivative", "output", "simulation"],
@@ -136,7 +136,7 @@ def test_where_some_starts_are_finite_it_is_a_warning_once_these_are_the_fewer()
     assert [run.reason for run in found.runs[:4]] == ["", *3 * ["the output y"]]
     (said,) = [text for text in found.warnings if "is not finite at" in text]
     assert said.startswith(
-        "at h = -1 the output y is not finite at 7 s, where x = 0, u = 0.5027: start elsewhere"
+        "at the start of run 1 the output y is not finite at 7 s, where x = 0, u = 0.5027: start elsewhere"
     )
     assert any(
         "converged (3 × not finite at the start (the output y))" in text for text in found.warnings

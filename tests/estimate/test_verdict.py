@@ -118,26 +118,6 @@ def test_how_well_the_minimum_is_known(parts, sentence):
     assert (judged.grade == "good") == ("agree on" in sentence)
 
 
-def test_how_close_the_model_is():
-    zero, exact = np.array([0.0, 1.0, 2j, -4.0]), np.array([1.0, 1.3, 2j, -4.4])
-    response = SimpleNamespace(data=SimpleNamespace(response=zero), response=exact)
-    fits = {"y": 90.0, "z": np.nan}
-    records = [
-        SimpleNamespace(outputs=("y", "z"), fit_percent=fits.get),
-        SimpleNamespace(outputs=("y",), fit_percent=lambda name: 75.0),
-    ]
-    assert told().sentences[1] == "Nothing was compared."
-    assert told(responses=[response], records=records[:1]).sentences[1] == (
-        "How closely the model follows the data: it is 18 % rms from the 3 measured points of frequency response, "
-        "30 % at most; its residual of y is 10 % of the standard deviation of y."
-    )
-    assert (
-        told(records=records)
-        .sentences[1]
-        .endswith("its residual of y is 10 to 25 % of the standard deviation of y.")
-    )
-
-
 def quantity(name, at_bound):
     return SimpleNamespace(name=name, at_bound=at_bound)
 

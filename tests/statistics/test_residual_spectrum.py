@@ -747,7 +747,7 @@ def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_say
     made = small()
     nothing = ResidualSpectra([0 * W for W in made.weighted], made.residuals, made.inverse, NOISE)
     density = some_density(made)
-    one = AveragedSpectrum(density, np.zeros((2, len(made.grid.omega))), 7.5, 3.0, 0.2)
+    one = AveragedSpectrum(density, np.zeros((2, len(made.grid.omega))), 3.0, 0.2, 7.5)
     judged = nothing.judged_on_residuals(one, made.periodogram[1])
     assert judged.score == pytest.approx(
         7.5 + 21 * 2
@@ -762,7 +762,7 @@ def test_outputs_apart_add_what_they_take_and_its_variance():
     made = small()
     size = len(made.grid.omega)
     alone = [
-        AveragedSpectrum(np.full(size, d), np.full(size, t), s, taken, u)
+        AveragedSpectrum(np.full(size, d), np.full(size, t), taken, u, s)
         for d, t, s, taken, u in ((2, 0.5, 11, 3, 0.2), (5, 1.5, 6, 0.5, 0.7))
     ]
     found = made.independent_outputs(alone)

@@ -7,7 +7,7 @@ Begin with `general`.
 | `general` | all warnings and notes of a fit, the most serious first |
 | `identifiability` | Which parameters do the data determine, alone or in combination? |
 | `global_minimum` | Is this the global minimum, and the only one? |
-| `noise_level` | Is the noise as large as assumed, and does the criterion use what is known of it? |
+| `noise_level` | Is the noise as large as stated, and does the criterion use that? |
 | `frequency_correlation` | Are the errors of neighboring frequencies independent? |
 | `outlying_points` | Which point of a response is an outlier? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |

@@ -11,7 +11,7 @@ from greybox.modeling.pade_delay import delay_order
 
 
 def pade_error(part: Problem, values: dict[str, float]) -> float | None:
-    """Return the largest phase error (degrees) of a Padé delay over the fitted band; None with exact delay."""
+    """Return the largest phase error of a Padé delay in the fitted band, degrees; else None."""
     if delay_order(part.delay) is None:
         return None
     data = part.response
@@ -23,10 +23,10 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
 
 
 def coarse_pade(nlp: CompiledProblem, errors: Sequence[float | None]) -> Iterator[str]:
-    """Warn where the phase error exceeds one degree, as much as noise of 1.7 % in each component makes."""
+    """Warn of a phase error beyond one degree, the effect of noise of 1.7 % in each component."""
     for part, error in zip(nlp.problem.parts, errors, strict=True):
         if error is not None and error > 1.0:
             yield (
-                f"the phase error of {part.delay} reaches {error:.2g}° in the band of {part.name!r}: "
-                "use a higher order or delay='exact'."
+                f"the phase error of {part.delay} reaches {error:.2g}° in the band of "
+                f"{part.name!r}: use a higher order or delay='exact'."
             )

@@ -8,7 +8,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
-from greybox.modeling.step_size import MOST_SUBSTEPS
+from greybox.modeling.integrators import RungeKutta
 from greybox.solve.discretization_error import DiscretizationError, discretization_error
 
 
@@ -21,30 +21,29 @@ def discretization_warnings(
     count = max(part.substeps for part in nlp.parts)
     if not count:
         return
+
     error = error or discretization_error(nlp, trajectories)
     if not error.matters:
         return
+
     name = nlp.free[int(np.argmax(np.abs(error.shift)))]
     size = "without limit, since the model diverges"
     if math.isfinite(error.largest):
         size = f"by {error.largest:.2g} standard errors"
+
     yield (
-        f"the integration is too coarse: twice the steps per sample ({2 * count} instead of {count}) would change "
-        f"{name} or its standard error {size}; {_cure(nlp.method, count, error.growth)}."
+        f"the integration is too coarse: twice the steps per sample ({2 * count} instead of "
+        f"{count}) would change {name} or its standard error {size}; "
+        f"{_cure(nlp.method, error.growth * count)}."
     )
 
 
-def _cure(method: Transcription, count: int, growth: int) -> str:
-    """Name a finer method; many more explicit steps come last, since they are slow."""
-    finer = method.finer(growth * count)
-    scheme = type(method.scheme).__name__
-    if scheme == "Rosenbrock":
-        return f"use {finer}, or RungeKutta() in its place if the model is not stiff"
-    if scheme == "RungeKutta" and count >= MOST_SUBSTEPS:
+def _cure(method: Transcription, steps: int) -> str:
+    """Name a method with this number of steps, or another integrator."""
+    finer = f"use {method.finer(steps)}"
+    if isinstance(method.scheme, RungeKutta):
         return (
-            "if the model is stiff, with time constants far below a sample, use "
-            f"method={type(method).__name__}(integrator=Rosenbrock()), otherwise {finer}"
+            f"{finer}; if the model is stiff, with time constants far below a sample, use "
+            f"method={type(method).__name__}(integrator=Rosenbrock()) instead"
         )
-    if scheme == "RungeKutta":
-        return f"use {finer}, or Rosenbrock() in its place if the model is stiff"
-    return f"use {finer}"
+    return finer

@@ -11,7 +11,6 @@ from greybox.files.text_table import counted, listed
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Multistart, best_unfinished
 from greybox.solve.runs import CUT_SHORT, Run
-from greybox.solve.transcribed_program import TranscribedProgram
 
 
 def failure_warnings(
@@ -21,25 +20,24 @@ def failure_warnings(
     run = best_unfinished(search.runs)
     if run is None:
         return
-    undamped = ""
-    if isinstance(solver, TranscribedProgram):
-        undamped = (
-            ", or leave out method: the default one damps its steps where the data determine little"
-        )
+
     yield (
-        f"run {run.index} came closest, cost {run.cost:.6g} after {counted(run.iterations, 'iteration')} "
-        f"({run.status}); its values, which are no estimate, are in best_effort: {_cure(run)}{undamped}."
+        f"run {run.index} came closest, cost {run.cost:.6g} after "
+        f"{counted(run.iterations, 'iteration')} ({run.status}); its values, which are no "
+        f"estimate, are in best_effort: {_cure(run)}."
     )
     profile = None if run.status in CUT_SHORT else _end(search, solver, run)
+
     if profile is None:
         return
 
     accuracy = assess(nlp, run.estimate, profile.trajectories)
     if accuracy.at_bound:
         yield (
-            f"{listed(accuracy.at_bound)} ended at a bound in that run: widen it if the physics allow, or fix the "
-            "parameter."
+            f"{listed(accuracy.at_bound)} ended at a bound in that run: widen it if the physics "
+            "allow, or fix the parameter."
         )
+
     yield from not_determined(nlp, accuracy)
 
 
@@ -55,7 +53,7 @@ def _cure(run: Run) -> str:
 
 
 def _end(search: Multistart, solver: LocalSolver, run: Run) -> Profile | None:
-    """Return the best trajectories at the end of a run; None where they are unknown or not finite."""
+    """Return the best trajectories at the end of a run; None if unknown or not finite."""
     nodes = search.ends[run.index] if search.ends else None
     try:
         profile = solver.profile(run.estimate, nodes)

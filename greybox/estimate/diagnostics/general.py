@@ -23,11 +23,12 @@ from greybox.estimate.diagnostics.identifiability import (
     no_degrees_of_freedom,
     not_determined,
 )
-from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_noise, unused_noise
+from greybox.estimate.diagnostics.noise_level import unlikely_noise, unused_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
-from greybox.estimate.fitted_part import FittedPart, FittedResponse
+from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import DiscretizationError
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
@@ -48,29 +49,30 @@ def warnings(
     nlp: CompiledProblem,
     search: Multistart,
     accuracy: Accuracy,
-    parts: Sequence[FittedPart],
+    answer: Fit,
     trajectories: Sequence[Trajectory],
     error: DiscretizationError | None,
 ) -> tuple[str, ...]:
     """Return the warnings of a converged fit."""
     best = search.minima[0]
-    pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
+    pade_errors = [
+        part.pade_error if isinstance(part, FittedResponse) else None for part in answer.parts
+    ]
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *discretization_warnings(nlp, trajectories, error),
-        *record_warnings(nlp, parts, trajectories, accuracy),
+        *record_warnings(nlp, answer.parts, trajectories, accuracy),
         *harmonic_warnings(nlp, best.estimate, accuracy),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),
         *no_degrees_of_freedom(nlp),
         *at_bounds(nlp, best, accuracy),
-        *few_agreeing_starts(nlp, search),
+        *few_agreeing_starts(nlp, search, answer.agreeing),
         *unfinished_runs(search),
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(nlp, pade_errors),
-        *biased_gains(accuracy),
         *unlikely_noise(nlp, trajectories),
         *correlated_frequencies(nlp, best.estimate, accuracy),
         *discontinuous_costs(nlp),

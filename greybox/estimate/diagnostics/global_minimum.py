@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
-from greybox.estimate.equivalent_minima import equivalent_estimates, equivalents_warning
+from greybox.files.text_table import listed
 from greybox.solve.minima import Multistart, explains_nothing, zero_cost
-from greybox.solve.multistart import agreeing_runs_of
 from greybox.solve.runs import TOO_COARSE
 
 # Difference of negative log-likelihoods up to which another minimum is a rival: at 3 it is twenty
@@ -14,7 +15,7 @@ from greybox.solve.runs import TOO_COARSE
 RIVAL_LIKELIHOOD = 3.0
 
 
-def few_agreeing_starts(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
+def few_agreeing_starts(nlp: CompiledProblem, search: Multistart, agreeing: int) -> Iterator[str]:
     """Warn where fewer than a tenth of the starts reached the best minimum, or most runs failed."""
     count = len(search.brought)
     if explains_nothing(search.minima[0].cost, zero_cost(nlp)):
@@ -23,13 +24,14 @@ def few_agreeing_starts(nlp: CompiledProblem, search: Multistart) -> Iterator[st
             "response of zero; narrow the start boxes or the bounds, or use more starts."
         )
         return
-    agreeing = len(agreeing_runs_of(nlp, search.runs, search.minima))
     if len(search.runs) == 1:
         yield "one start only: another minimum may be lower; use more starts."
     elif agreeing == 1 or agreeing < count / 10:
         yield (
-            f"only {agreeing} of {count} starts reached the best minimum: a better one may exist; use more starts."
+            f"only {agreeing} of {count} starts reached the best minimum: a better one may exist; "
+            "use more starts."
         )
+
     if search.converged < count / 2:
         yield f"only {search.converged} of {count} runs converged ({search.failures})."
 
@@ -42,11 +44,13 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
         for run in search.brought
         if not run.converged and run.status != TOO_COARSE and run.cost < best
     ]
+
     if unfinished:
         lowest = min(unfinished, key=lambda run: run.cost)
         yield (
-            f"run {lowest.index} ended at a lower cost, {lowest.cost:.6g} instead of {best:.6g}, but did not converge "
-            f"({lowest.status}): give it more iterations, solver_options={{'max_iter': ...}}, or start there."
+            f"run {lowest.index} ended at a lower cost, {lowest.cost:.6g} instead of {best:.6g}, "
+            f"but did not converge ({lowest.status}): give it more iterations, "
+            f"solver_options={{'max_iter': ...}}, or start there."
         )
 
 
@@ -57,7 +61,10 @@ def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
     for other in search.minima[1:]:
         if is_likelihood and other.cost <= best.cost + RIVAL_LIKELIHOOD:
             excess = other.cost - best.cost
-            yield f"another minimum with a different response is only exp({excess:.2g}) times less likely."
+            yield (
+                f"another minimum with a different response is only exp({excess:.2g}) times less "
+                "likely."
+            )
             return
         # A sum of n relative errors is itself uncertain by 0.52 / √n of its size (they are Rayleigh
         # distributed), which is 10 % for 24 points: a tenth of that ranks nothing.
@@ -71,13 +78,22 @@ def several_estimates_of_one_response(
     nlp: CompiledProblem, search: Multistart, accuracy: Accuracy
 ) -> Iterator[str]:
     """Warn where clearly different parameters give the best response, as two lags that swap."""
-    vectors = equivalent_estimates(nlp, search)
-    if len(vectors) > 1 and not accuracy.combinations:
-        yield equivalents_warning(nlp.free, vectors)
+    best = search.minima[0]
+    if best.variants < 2 or accuracy.combinations:
+        return
+
+    ends = search.runs.estimate[list(best.runs)]
+    differs = np.ptp(ends, axis=0) > 0.05 * np.abs(ends).max(axis=0)
+    names = listed([name for name, is_other in zip(nlp.free, differs, strict=True) if is_other])
+    yield (
+        f"at least {best.variants} clearly different parameter vectors give this same response: "
+        f"{names} differ. Add an ordering constraint, such as constraints=[lambda p: p.T1 - p.T2], "
+        "or fix a parameter to choose one of them."
+    )
 
 
 def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
-    """Warn where the cost jumps at whole samples of a delay: a held input reaches an output directly."""
+    """Warn where the cost jumps at whole samples of a delay."""
     delays = {
         name: pair
         for part in nlp.parts
@@ -86,7 +102,7 @@ def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
     }
     for name, (input_, output) in delays.items():
         yield (
-            f"the held input {input_} reaches {output} directly, so the cost is discontinuous where {name} is a whole "
-            f"number of samples: some start must lie in the right sample interval, and the standard error of {name} "
-            "holds within that interval."
+            f"the held input {input_} reaches {output} directly, so the cost is discontinuous "
+            f"where {name} is a whole number of samples: some start must lie in the right sample "
+            f"interval, and the standard error of {name} holds within that interval."
         )

@@ -1,4 +1,4 @@
-"""Which parameters the data determine, alone or in combination, and which the answer treats as known."""
+"""Which parameters the data determine, alone or in combination."""
 
 import math
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from greybox.solve.minima import Minimum
 
 
 def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
-    """Name the combinations of parameters that the data determine poorly or not at all, the worst three first."""
+    """Name the combinations that the data determine poorly or not at all, the worst three first."""
     absent = _absent_noise(nlp, accuracy)
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
     combinations.sort(key=lambda c: -c.index)
@@ -25,15 +25,17 @@ def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
             yield _not_determined(nlp, combination)
         else:
             yield (
-                f"{listed(combination.names)} are poorly identifiable: their effects nearly cancel one another "
-                f"(collinearity index {combination.index:.0f}); fix one of them, or add data in which their effects "
-                "differ."
+                f"{listed(combination.names)} are poorly identifiable: their effects nearly cancel "
+                f"one another (collinearity index {combination.index:.0f}); fix one of them, or "
+                "add data in which their effects differ."
             )
+
     if len(combinations) > 3:
         names = dict.fromkeys(name for c in combinations[3:] for name in c.names)
         yield (
-            f"{counted(len(combinations) - 3, 'more combination')} of parameters are determined poorly or not at "
-            f"all, of {listed(tuple(names))}; print(fit.identifiability) shows them."
+            f"{counted(len(combinations) - 3, 'more combination')} of parameters are determined "
+            f"poorly or not at all, of {listed(tuple(names))}; print(fit.identifiability) shows "
+            "them."
         )
 
 
@@ -44,31 +46,34 @@ def determined_together(fit: Fit) -> Iterator[str]:
         combinations = fit.identifiability.combinations
     if not combinations:
         return
+
     members = tuple(dict.fromkeys(name for c in combinations for name in c.names))
     more = f" and {len(combinations) - 3} more" if len(combinations) > 3 else ""
     yield (
-        f"{'; '.join(map(str, combinations[:3]))}{more}: determined together, although {listed(members)} are not; "
-        "print(fit.identifiability) shows how well each is."
+        f"{'; '.join(map(str, combinations[:3]))}{more}: determined together, although "
+        f"{listed(members)} are not; print(fit.identifiability) shows how well each is."
     )
 
 
 def _not_determined(nlp: CompiledProblem, combination: Combination) -> str:
-    """Name parameters of which the data show no effect, or only that of combinations, and what to fix."""
+    """Name parameters without an effect, or with effects only in combination; say what to fix."""
     names, count = combination.names, combination.directions
     branch = _inactive_branch(nlp, names)
     if len(names) == 1 and not combination.states:
         return (
-            f"{names[0]} is not determined: it does not change the response to these data at this estimate; "
-            f"fix it{branch}."
+            f"{names[0]} is not determined: it does not change the response to these data at this "
+            f"estimate; fix it{branch}."
         )
+
     members = [*names, *(f"the initial state of {name}" for name in combination.states)]
     cure = f"fix {names[0]}" if len(names) == 1 else f"fix {'one' if count == 1 else count} of them"
     if combination.states:
         cure += f", or give a known initial state, initial={{{combination.states[0]!r}: ...}}"
+
     combined = "a combination" if count == 1 else "combinations"
     return (
-        f"{listed(members)} are not determined: at this estimate the data depend only on {combined} of them, so no "
-        f"standard error is given; {cure}{branch}."
+        f"{listed(members)} are not determined: at this estimate the data depend only on "
+        f"{combined} of them, so no standard error is given; {cure}{branch}."
     )
 
 
@@ -79,16 +84,17 @@ def _inactive_branch(nlp: CompiledProblem, names: tuple[str, ...]) -> str:
         for part in nlp.problem.parts
         if any(part.outside(declared) in names for declared in part.declared)
     ]
+
     if not any(has_branches(model) for model in models):
         return ""
     return (
-        ", unless it acts in a branch or beyond a limit of the model (gb.where, gb.minimum, gb.maximum) that is not "
-        "active at this estimate: then try starts at which it is active"
+        ", unless it acts in a branch or beyond a limit of the model (gb.where, gb.minimum, "
+        "gb.maximum) that is not active at this estimate: then try starts at which it is active"
     )
 
 
 def _absent_noise(nlp: CompiledProblem, accuracy: Accuracy) -> set[str]:
-    """Return the sizes of process noise that ended at zero, where their effect is of second order."""
+    """Return the sizes of process noise that ended at zero: their effect is of second order."""
     sizes = {
         part.outside(f"w_{state}")
         for part in nlp.problem.parts
@@ -106,8 +112,8 @@ def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str
     unknown = [name for name, variance in pairs if name in held and np.isnan(variance)]
     if unknown:
         yield (
-            f"the earlier fit gives {listed(unknown)} no standard error, so none can be given here; "
-            "fix it at a number to treat it as known."
+            f"the earlier fit gives {listed(unknown)} no standard error, so none can be given "
+            "here; fix it at a number to treat it as known."
         )
 
 
@@ -117,11 +123,13 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     initial = sum(part.unknown_initial_states for part in nlp.parts)
     if numbers > len(nlp.free) + initial:
         return
+
     states = f" and {counted(initial, 'initial state')}" if initial else ""
     leave = "leaves" if numbers == 1 else "leave"
     yield (
-        f"{counted(numbers, 'real number')} of data for {counted(len(nlp.free), 'unknown')}{states} {leave} no degrees "
-        "of freedom, so that no standard error is known: add data."
+        f"{counted(numbers, 'real number')} of data for "
+        f"{counted(len(nlp.free), 'unknown')}{states} {leave} no degrees of freedom, so that no "
+        "standard error is known: add data."
     )
 
 
@@ -131,9 +139,10 @@ def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterat
     absent = _absent_noise(nlp, accuracy)
     if absent:
         yield (
-            f"these data show no process noise of the size {listed(sorted(absent))}, which ended at zero: OutputError, "
-            "or process_noise without it, says as much with fewer unknowns."
+            f"these data show no process noise of the size {listed(sorted(absent))}, which ended "
+            "at zero: OutputError, or process_noise without it, says as much with fewer unknowns."
         )
+
     for name in accuracy.at_bound:
         if name in without_effect or name in absent:
             continue
@@ -142,8 +151,9 @@ def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterat
         side = "lower" if at_lower else "upper"
         bound = nlp.lower[k] if at_lower else nlp.upper[k]
         yield (
-            f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as known there: "
-            "widen the bound if the physics allow, or fix the parameter."
+            f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as "
+            "known there: widen the bound if the physics allow, or fix the parameter."
         )
+
     for limit in accuracy.active:
         yield f"{limit} holds with equality: standard errors treat it as known."

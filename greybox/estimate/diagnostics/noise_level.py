@@ -1,71 +1,54 @@
-"""Whether the noise is as large as assumed, and whether the criterion uses what the data say about it."""
+"""Whether the noise is as large as stated, and whether the criterion uses what is stated."""
 
 from collections.abc import Iterator, Sequence
-from functools import singledispatch
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
-from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.formulation.frequency_criteria import Criterion
-
-
-def biased_gains(accuracy: Accuracy) -> Iterator[str]:
-    """Warn where noise biases the gain of a relative criterion by about 1 % or more."""
-    for information in accuracy.informations:
-        part, noise = information.part, information.relative_noise
-        # Noise of 10 % in each component biases the gain by 1 %.
-        bias = part.problem.criterion.gain_bias(noise, part.numbers // 2) if noise > 0.1 else 0.0
-        if bias:
-            other = "model" if bias < 0 else "measured"
-            yield (
-                f"the residual of {part.name!r} is {100 * noise:.0f} % rms in each component. If that is noise, the "
-                f"gain is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}, for which the intervals "
-                f"are corrected; compare with normalized='{other}', which errs in the other direction."
-            )
 
 
 def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[str]:
     """Warn where the residuals are far from the noise that was given with the data."""
     findings: list[Finding] = []
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
-        findings += unlikely_noise_of(part, trajectory, len(nlp.free))
+        if isinstance(part, ResponsePart):
+            findings += _of_response(part, trajectory, len(nlp.free))
+        elif isinstance(part, RecordPart):
+            findings += _of_record(part, trajectory)
     return once(findings)
 
 
-@singledispatch
-def unlikely_noise_of(part: Part, trajectory: Trajectory, unknowns: int) -> Iterator[Finding]:
-    """Do so for one part of a problem with this number of unknowns."""
-    yield from ()
-
-
-@unlikely_noise_of.register
-def _(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[Finding]:
+def _of_response(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[Finding]:
     if not part.criterion.known_noise:
         return
     points = part.numbers / 2
     ratio = part.noise_ratio(trajectory) * points / max(points - unknowns / 2, 0.5)
 
-    # With 10 degrees of freedom chi-square over these lies between 0.4 and 2.5 in 94 % of all cases,
-    # with more of them far more often.
+    # With 10 degrees of freedom, chi-square over its degrees of freedom lies between 0.4 and 2.5 in
+    # 94 % of all cases, with more of them far more often.
     if 0.4 <= ratio <= 2.5:
         return
+
     meaning = "the variances are too large"
     if ratio > 1:
         meaning = (
             "the model is incomplete or the variances are too small; the standard errors use the "
             "variance of the residuals"
         )
-    text = f"the residuals of {part.name!r} are {ratio:.2g} times as large as the given variances: {meaning}."
+
+    text = (
+        f"the residuals of {part.name!r} are {ratio:.2g} times as large as the given variances: "
+        f"{meaning}."
+    )
     yield "incomplete" if ratio > 1 else "too large", part.name, text
 
 
-@unlikely_noise_of.register
-def _(part: RecordPart, trajectory: Trajectory, unknowns: int) -> Iterator[Finding]:
+def _of_record(part: RecordPart, trajectory: Trajectory) -> Iterator[Finding]:
     if part.covariance.known is None or part.problem.criterion.is_prior:
         return
     deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
@@ -77,8 +60,9 @@ def _(part: RecordPart, trajectory: Trajectory, unknowns: int) -> Iterator[Findi
             continue
         name = part.model.record.name or part.name
         text = (
-            f"the residual of {output} in {name!r} is {ratio:.2g} times the given standard deviation: the model is "
-            "incomplete or the given value is wrong; the standard errors use the variance of the residuals."
+            f"the residual of {output} in {name!r} is {ratio:.2g} times the given standard "
+            "deviation: the model is incomplete or the given value is wrong; the standard errors "
+            "use the variance of the residuals."
         )
         yield f"{output} {ratio > 1}", name, text
 
@@ -93,6 +77,12 @@ def unused_noise(problem: AnyProblem) -> Iterator[str]:
         data = part.response
         if data.variance is not None:
             if "variance" not in uses:
-                yield f"the variances of {part.name!r} are not used: MaximumLikelihood() weights the points by them."
+                yield (
+                    f"the variances of {part.name!r} are not used: MaximumLikelihood() weights the "
+                    "points by them."
+                )
         elif data.coherence is not None and "coherence" not in uses and not beside_likelihood:
-            yield f"the coherence of {part.name!r} is not used: MagnitudePhase() weights the points by it."
+            yield (
+                f"the coherence of {part.name!r} is not used: MagnitudePhase() weights the points "
+                "by it."
+            )

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import singledispatch
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array, IntArray
-from greybox.files.text_table import counted
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
@@ -50,19 +48,11 @@ def not_finite_warnings(nlp: CompiledProblem, search: Multistart) -> Iterator[st
     if failed and search.converged < 0.5 * len(search.brought):
         trouble = _trouble(nlp, failed[0].start)
         if trouble is not None and trouble.cure:
-            yield f"at {_values(nlp, failed[0].start)} {trouble.why}: {trouble.cure}."
+            yield f"at the start of run {failed[0].index} {trouble.why}: {trouble.cure}."
 
 
 def _not_finite(runs: Runs) -> Runs:
     return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
-
-
-def _values(nlp: CompiledProblem, start: Array) -> str:
-    declared = np.array([nlp.problem.parameters[name].start for name in nlp.free])
-    if np.array_equal(start, declared):
-        return "the declared values"
-    values = [f"{name} = {value:.4g}" for name, value in zip(nlp.free, start, strict=True)]
-    return ", ".join(values[:4]) + (" ..." if len(values) > 4 else "")
 
 
 def _trouble(nlp: CompiledProblem, x: Array) -> Trouble | None:
@@ -71,36 +61,30 @@ def _trouble(nlp: CompiledProblem, x: Array) -> Trouble | None:
         return None
     z = nlp.scaling.to_solver(np.clip(x, nlp.lower, nlp.upper))
     with np.errstate(all="ignore"):
-        troubles = (trouble_of(part, z) for part in nlp.parts)
+        troubles = (_trouble_of(part, z) for part in nlp.parts)
         return next((trouble for trouble in troubles if trouble is not None), None)
 
 
-@singledispatch
-def trouble_of(part: Part, z: Array) -> Trouble | None:
+def _trouble_of(part: Part, z: Array) -> Trouble | None:
     """Return the trouble of a part at the solver's point z (p,)."""
-    return None
+    if isinstance(part, RecordPart):
+        trajectory = part.initial_trajectory(z)
+        return None if trajectory.finite else _located(part, trajectory)
+    if not isinstance(part, ResponsePart):
+        return None
 
-
-@trouble_of.register
-def _(part: ResponsePart, z: Array) -> Trouble | None:
     re, im = np.asarray(part.scaled_response(z)).reshape(2, -1)
     lost = ~(np.isfinite(re) & np.isfinite(im))
     if not lost.any():
         return None
     omega = part.data.omega[int(np.argmax(lost))]
-    return Trouble(
-        f"no finite response at {'any frequency' if lost.all() else f'omega = {omega:g} rad/s'}"
-    )
+    place = "any frequency" if lost.all() else f"omega = {omega:g} rad/s"
 
-
-@trouble_of.register
-def _(part: RecordPart, z: Array) -> Trouble | None:
-    trajectory = part.initial_trajectory(z)
-    return None if trajectory.finite else _located(part, trajectory)
+    return Trouble(f"no finite response at {place}")
 
 
 def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
-    """Look at the first states of the segments, at the integration from there, and at all samples."""
+    """Look at the first states of the segments, at the integration, and at all samples."""
     samples = np.arange(part.data.samples)
     at_nodes = _of_formulas(part, trajectory, samples[:: part.data.segment_length])
     if at_nodes is not None:
@@ -120,6 +104,7 @@ def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) ->
     )
     _, u, _, residual, _ = (value.full() for value in part.step.measurement(x, placed.q, data))
     rows = {f"the output {name}": row for name, row in zip(part.outputs, residual, strict=True)}
+
     if part.states:
         slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
         names = [f"the derivative of {name}" for name in system.states]
@@ -128,12 +113,14 @@ def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) ->
     lost = ~np.isfinite([*rows.values()])
     if not lost.any():
         return None
+
     at = int(np.argmax(lost.any(axis=0)))
     what = [*rows][int(np.argmax(lost[:, at]))]
     point = zip((*system.states, *system.inputs), (*x[:, at], *u[:, at]), strict=True)
     where = ", ".join(f"{name} = {value:.4g}" for name, value in point)
     when = _time(part, int(samples[at]))
     place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
+
     return Trouble(what, f"{what} is not finite {place}, where {where}", _elsewhere(part))
 
 
@@ -149,11 +136,11 @@ def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
 
     cure = f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)"
     if not isinstance(part.model.method.scheme, Rosenbrock):
-        step = float(part.data.steps.min())
         cure += (
-            f"; if the model is stiff (time constants far below {step:.3g} s / {part.substeps}, "
-            f"{counted(part.substeps, 'step')} in a sample), use method=MultipleShooting(integrator=Rosenbrock())"
+            "; if the model is stiff, with time constants far below a sample, use "
+            "method=MultipleShooting(integrator=Rosenbrock())"
         )
+
     verb = "is" if len(names) == 1 else "are"
     joined = " and ".join(names)
     return Trouble(

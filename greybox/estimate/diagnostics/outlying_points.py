@@ -2,12 +2,12 @@
 
 Let z be the residuals of a response over the expected sizes of its errors (real parts, then
 imaginary parts), M = I - H the projection that removes the parameters, and k the two rows of a
-point. Q = (Mz)_kᵀ M_kk⁻¹ (Mz)_k is the decrease of the sum of squares without that point. For normal
-errors of these sizes, up to a common factor, Q/2 over the mean square of the other points has an F
-distribution with 2 and the remaining degrees of freedom. The largest of n points is judged by n
-times its probability (Cook and Weisberg (1982), Residuals and Influence in Regression, section 2.2,
-for real data). The test concerns the errors, not the criterion: the residuals of any criterion are
-projected like those of least squares.
+point. Q = (Mz)_kᵀ M_kk⁻¹ (Mz)_k is the decrease of the sum of squares without that point. For
+normal errors of these sizes, up to a common factor, Q/2 over the mean square of the other points
+has an F distribution with 2 and the remaining degrees of freedom. The largest of n points is judged
+by n times its probability (Cook and Weisberg (1982), Residuals and Influence in Regression, section
+2.2, for real data). The test concerns the errors, not the criterion: the residuals of any criterion
+are projected like those of least squares.
 """
 
 import math
@@ -49,25 +49,26 @@ class Deviation:
 
 
 def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Name the points of responses that are outliers of the fit `x` (p,), the most unlikely first."""
+    """Name the outliers among the points of responses at `x` (p,), the most unlikely first."""
     values = nlp.all_values(x)
     responses = [part for part in nlp.parts if isinstance(part, ResponsePart)]
     points = sum(len(part.data) for part in responses)
     deviations = [(largest_deviation(part, values, len(nlp.free)), part) for part in responses]
     outliers = [(d, part) for d, part in deviations if d and points * d.probability < SIZE]
+
     for deviation, part in sorted(outliers, key=lambda pair: pair[0].probability):
         omega = part.data.omega[deviation.index]
         one_in = math.floor(1 / max(points * deviation.probability, 1e-12))
         yield (
             f"the point at {omega:.4g} rad/s of {part.problem.name!r} is an outlier, "
             f"{100 * deviation.relative:.2g} % from the model: fewer than one in "
-            f"{number(float(one_in), 2)} fits to clean data have such a point. Fit again without it, "
-            "response.where(...), to see its effect."
+            f"{number(float(one_in), 2)} fits to clean data have such a point. Fit again without "
+            "it, response.where(...), to see its effect."
         )
 
 
 def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
-    """Return the point that deviates most at all values (k,); the first `free` of these are estimated.
+    """Return the point that deviates most at all values (k,), of which the first `free` are free.
 
     Where the data give variances of few degrees of freedom, a residual is a bivariate Student's t
     and is judged as such. None if no point can be judged.
@@ -88,9 +89,11 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
         # A component of a given variance has half of it.
         least = 0.5 if criterion.known_noise else 0.0
         ratio, dof = deletion_ratios(residual, sensitivity, least)
+
     probability = (1 + 2 * ratio / dof) ** (-dof / 2)  # of exceeding the ratio, by F with 2 and dof
     if not np.any(np.isfinite(probability)):
         return None
+
     worst = int(np.nanargmin(probability))
     index = int(points[worst])
     with np.errstate(divide="ignore"):  # a gain of zero ends at a response of zero
@@ -101,7 +104,7 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
 def deletion_ratios(
     residual: ComplexArray, sensitivity: ComplexArray, least: float
 ) -> tuple[Array, float]:
-    """Return Q/2 over the mean square of the other points (n,), and the degrees of freedom of these.
+    """Return Q/2 over the mean square of the other points (n,), and their degrees of freedom.
 
     NaN for a point that the parameters fit exactly, and where no degrees of freedom remain.
 
@@ -118,6 +121,7 @@ def deletion_ratios(
     z = np.concatenate([residual.real, residual.imag])
     z = z - basis @ (basis.T @ z)
     total = float(z @ z)
+
     if dof < 2 or not total > 0:
         return np.full(n, math.nan), math.nan
 
@@ -127,6 +131,7 @@ def deletion_ratios(
     b = -np.sum(re * im, axis=1)
     c = 1 - np.sum(im**2, axis=1)
     is_judged = (a + c) / 2 - np.hypot((a - c) / 2, b) > ROUNDING
+
     with np.errstate(divide="ignore", invalid="ignore"):
         q = (c * z[:n] ** 2 - 2 * b * z[:n] * z[n:] + a * z[n:] ** 2) / (a * c - b**2)
     mean_square = np.maximum((total - q) / dof, max(least, ROUNDING * total))

@@ -4,7 +4,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.colored_errors import FEWEST_TIMES
@@ -26,7 +25,7 @@ FALSE_ALARMS = 0.01
 
 
 def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
-    """Repeat what the reader of a log found: restarts of the clock, lost lines, text instead of numbers."""
+    """Repeat the findings of the log reader: restarts of the clock, lost lines."""
     records = [
         (part.name, part.data) for part in nlp.problem.parts if isinstance(part.data, Record)
     ]
@@ -51,13 +50,13 @@ def record_warnings(
         if isinstance(part, RecordPart) and isinstance(answer, FittedRecord)
     ]
     alone = len(pairs) == 1
+
     return (
         *once(_short(nlp, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
         *biased_by_feedback(pairs),
         *colored_predictions(pairs),
         *once(_bounded(nlp, trajectories, alone=alone)),
-        *once(finding for part, _ in pairs for finding in _masked(nlp, part)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
     )
 
@@ -72,10 +71,11 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
         name = part.model.record.name or part.problem.name
         where = "" if len(nlp.parts) == 1 else f" in {name!r}"
         text = (
-            f"the residuals of {part.outputs[slowest]}{where} stay correlated for about {time:.2g} s, and the longest "
-            f"gap-free stretch lasts only {known.duration / time:.2g} times that, less than {FEWEST_TIMES:g}. "
-            "The standard errors are rough "
-            f"({counted(max(round(known.dof), 1), 'degree of', 'degrees of')} freedom); use a longer record."
+            f"the residuals of {part.outputs[slowest]}{where} stay correlated for about {time:.2g} "
+            f"s, and the longest gap-free stretch lasts only {known.duration / time:.2g} times "
+            f"that, less than {FEWEST_TIMES:g}. The standard errors are rough "
+            f"({counted(max(round(known.dof), 1), 'degree of', 'degrees of')} freedom); use a "
+            "longer record."
         )
         yield part.outputs[slowest], name, text
 
@@ -98,7 +98,8 @@ def unexplained_outputs(
             yield (
                 f"{output} in rows",
                 record,
-                f"{text}: try other starts or another model structure, unless that variation is noise.",
+                f"{text}: try other starts or another model structure, unless that variation is "
+                "noise.",
             )
             continue
         noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
@@ -110,12 +111,13 @@ def unexplained_outputs(
             yield (
                 output,
                 record,
-                f"{text}, although its noise would allow about {noise.attainable_fit_percent:.0f} %: {cure}.",
+                f"{text}, although its noise would allow about {noise.attainable_fit_percent:.0f} "
+                f"%: {cure}.",
             )
 
 
 def colored_predictions(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
-    """Warn where prediction errors are correlated in time, for which their standard errors do not account."""
+    """Warn where prediction errors are correlated in time: their standard errors ignore that."""
     values = []
     for part, fitted in pairs:
         if not part.model.criterion.errors_are_white:
@@ -126,23 +128,25 @@ def colored_predictions(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Ite
             if abs(value) > max(0.2, 5 / math.sqrt(max(count, 1))):
                 where = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
                 values.append(f"{value:.3g} for {output}{where}")
+
     if values:
         yield (
-            f"the prediction errors are not white ({some(values)} from one sample to the next). The signals were "
-            "low-pass filtered, a state that the noise reaches is not corrected, or the model is incomplete; the "
-            "standard errors, which assume white prediction errors, are then wrong."
+            f"the prediction errors are not white ({some(values)} from one sample to the next). "
+            "The signals were low-pass filtered, a state that the noise reaches is not corrected, "
+            "or the model is incomplete; the standard errors, which assume white prediction "
+            "errors, are then wrong."
         )
 
 
 def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
-    """Warn where feedback responds to errors that are correlated in time: output error is then biased.
+    """Warn where feedback responds to errors correlated in time: output error is then biased.
 
     Output error needs errors that are independent of past inputs. Feedback makes later inputs
     depend on the errors, which does no harm as long as they are white: then no error depends on an
     earlier one, nor on the inputs that responded to it. So two tests must reject: residuals against
-    past outputs (are they white?), and inputs against past residuals (is there feedback?). The level
-    of each keeps the share of fits with a false alarm below `FALSE_ALARMS` for any number of outputs
-    and inputs, since without a bias one of the two hypotheses is true.
+    past outputs (are they white?), and inputs against past residuals (is there feedback?). The
+    level of each keeps the share of fits with a false alarm below `FALSE_ALARMS` for any number of
+    outputs and inputs, since without a bias one of the two hypotheses is true.
     """
     tested = [
         (part, fitted)
@@ -151,6 +155,7 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
     ]
     outputs = sum(len(fitted.outputs) for _, fitted in tested)
     responding = []
+
     for part, fitted in tested:
         ends = np.cumsum([len(piece) for piece in fitted.data.pieces])[:-1]
         inputs = {name: np.split(fitted.data[name], ends) for name in part.system.inputs}
@@ -167,12 +172,14 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
                 for name, p_value in responses.items()
                 if p_value < FALSE_ALARMS / (outputs * len(inputs))
             ]
+
     if responding:
         static = all(part.is_static for part, _ in tested)
         yield (
-            f"feedback responds to errors that are correlated in time ({some(responding)}), as where a controller acts "
-            "on process noise such as gusts. The estimate of OutputError is then biased, which its standard errors do "
-            f"not show (a false alarm in at most {100 * FALSE_ALARMS:g} % of fits); "
+            f"feedback responds to errors that are correlated in time ({some(responding)}), as "
+            "where a controller acts on process noise such as gusts. The estimate of OutputError "
+            "is then biased, which its standard errors do not show (a false alarm in at most "
+            f"{100 * FALSE_ALARMS:g} % of fits); "
             + (
                 "use data without feedback."
                 if static
@@ -191,46 +198,20 @@ def _bounded(
             name = gain.part.model.record.name or part.problem.name
             where = "" if alone else f" of {name!r}"
             text = (
-                f"the Kalman gain{where} reached the stability limit: the data show no process noise in a state that "
-                "it corrects, and the standard errors, which do not account for the limit, are too small; name fewer "
-                "states in PredictionError(corrected=...), or compare with OutputError()."
+                f"the Kalman gain{where} reached the stability limit: the data show no process "
+                "noise in a state that it corrects, and the standard errors, which do not account "
+                "for the limit, are too small; name fewer states in "
+                "PredictionError(corrected=...), or compare with OutputError()."
             )
             yield "limit", name, text
 
 
 def successive_correlation(error: Array) -> tuple[float, int]:
-    """Return the correlation of successive residuals (n,), and the number of pairs of which both are there."""
-    both = np.isfinite(error[1:]) & np.isfinite(error[:-1])
+    """Return the correlation of successive residuals (n,), and the number of complete pairs."""
+    is_pair = np.isfinite(error[1:]) & np.isfinite(error[:-1])
     squares = float(np.nansum(error**2))
-    return float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0, int(both.sum())
-
-
-def _masked(nlp: CompiledProblem, part: RecordPart) -> Iterator[Finding]:
-    """Warn where over 5 % of the samples were not compared since a delay may reach before the record."""
-    data = part.model.record
-    system = part.system
-    samples = int(np.any([np.isfinite(data[name]) for name in part.outputs], axis=0).sum())
-    p = ca.SX.sym("p", len(system.parameters))
-    delay = system.delay(p)
-    delays = [name for j, name in enumerate(system.parameters) if ca.depends_on(delay, p[j])]
-    names = [part.problem.rename.get(name, name) for name in delays]
-    is_estimated = any(name in nlp.free or name not in nlp.names for name in names)
-    if part.data.masked <= 0.05 * samples or not is_estimated:
-        return
-
-    parameters = part.problem.parameters
-    bounds = [
-        f"{name} (up to {parameters[name].bounds[1]:g} {parameters[name].unit})"
-        for name in names
-        if name in parameters
-    ]
-    record = data.name or part.problem.name
-    text = (
-        f"{part.data.masked} of {counted(samples, 'sample')} of {record!r} were not compared. The inputs move at the "
-        "beginning, and their past is not known for the largest delay within the bounds: lower the upper bound of "
-        f"{' and '.join(bounds or names)}, or begin the record where the inputs rest."
-    )
-    yield "masked", record, text
+    product = float(error[1:][is_pair] @ error[:-1][is_pair])
+    return product / squares if squares else 0.0, int(is_pair.sum())
 
 
 def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
