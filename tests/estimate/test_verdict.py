@@ -20,7 +20,7 @@ def test_a_good_fit_in_three_sentences(fit):
     judged = verdict(good)
     assert judged.grade == "good"
     assert judged.sentences[0] == "3 of 3 starts agree on the best minimum."
-    assert "of the standard deviation of y" in judged.sentences[1]
+    assert ": residual " in judged.sentences[1]
     assert judged.sentences[2].startswith(
         "All 2 free parameters are well determined, with standard errors of at most "
     )
