@@ -22,7 +22,9 @@ from greybox.data import FrequencyResponse as FrequencyResponse
 from greybox.data import Record as Record
 from greybox.data import read_response as read_response
 from greybox.estimate.fit import fit as fit
+from greybox.estimate.profile import contour as contour
 from greybox.estimate.profile import profile as profile
+from greybox.estimate.profiles import Contour as Contour
 from greybox.estimate.profiles import Profiles as Profiles
 from greybox.estimate.result import Fit as Fit
 from greybox.estimate.storage import load as load

@@ -12,10 +12,10 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap Collocation Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
+Bootstrap Collocation Contour Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load margins plot
+Transcription TransferFunction batch bootstrap compare contour cost feedback fit frequency_response identify load margins plot
 predict prepare profile read read_response report save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
@@ -37,7 +37,7 @@ NAMESPACES = {
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
-    "plotting": "bode nyquist plot profiles recording residuals spectrum starts time_history "
+    "plotting": "bode contour nyquist plot profiles recording residuals spectrum starts time_history "
     "traces",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",

@@ -1,17 +1,19 @@
-"""The command `greybox profile`: intervals of a saved fit that need not be symmetric."""
+"""The command `greybox profile`: intervals of a saved fit that need not be symmetric, and regions of two parameters."""
 
 import argparse
 from typing import Any
 
-from greybox.cli.options import add_common_options, probability
+from greybox.cli.options import UsageError, add_common_options, probability
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
-from greybox.estimate.profile import profile
-from greybox.estimate.profiles import Profiles
+from greybox.estimate.profile import contour, profile
+from greybox.estimate.profiles import Contour, Profiles
+from greybox.files.json_numbers import finite
 
 EXAMPLES = (
     "pitch.h5",
     "pitch.h5 a1 a2 --level 0.9 --plot profiles.png",
+    "pitch.h5 --contour a1 a2 --plot contour.png",
 )
 
 
@@ -23,6 +25,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="NAME",
         help="parameters and derived quantities (default: all)",
+    )
+    parser.add_argument(
+        "--contour",
+        nargs=2,
+        metavar="NAME",
+        help="instead of intervals, the confidence region of two parameters",
     )
     parser.add_argument(
         "--level",
@@ -37,12 +45,34 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fit and profile it."""
     require_figure(options.plot, options.force)
     fit, problem = stated_fit(options)
-    result = profile(fit, options.names or None, problem=problem, level=options.level)
+    if options.contour:
+        if options.names:
+            raise UsageError("--contour takes two parameters: leave out other names.")
+        result = contour(fit, *options.contour, problem=problem, level=options.level)
+        answer = _region(result)
+    else:
+        result = profile(fit, options.names or None, problem=problem, level=options.level)
+        answer = result.summary()
     lines = save_figure(options.plot, lambda: _figure(result))
-    return result.summary(), "\n".join([str(result), *lines]), USABLE
+    return answer, "\n".join([str(result), *lines]), USABLE
 
 
-def _figure(result: Profiles) -> Any:
+def _region(contour: Contour) -> dict[str, Any]:
+    return {
+        "names": list(contour.names),
+        "units": list(contour.units),
+        "level": contour.level,
+        "limit": finite(contour.limit),
+        "estimate": contour.estimate.tolist(),
+        "points": [[finite(value) for value in point] for point in contour.points.tolist()],
+        "ends": list(contour.ends),
+        "text": str(contour),
+    }
+
+
+def _figure(result: Profiles | Contour) -> Any:
     from greybox.plotting import profile as figures  # noqa: PLC0415  (imports matplotlib)
 
+    if isinstance(result, Contour):
+        return figures.contour(result).figure
     return figures.profiles(result)[0].figure

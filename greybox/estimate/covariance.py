@@ -532,8 +532,8 @@ def _at_bound(
     close = (distance <= 0.01 * error) & ~held
     if close.any() and trajectories and all(t is not None for t in trajectories):
         outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
-        # By more than a hundredth of the standard deviation that noise gives the gradient. In a flat
-        # valley a minimum may lie this close to a bound that does not hold it.
+        # By more than a hundredth of the standard deviation that noise gives the gradient. In a
+        # flat valley a minimum may lie this close to a bound that does not hold it.
         held |= close & (outward > 0.01 * np.sqrt(np.where(known, spread, 0.0)))
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
 

@@ -1,6 +1,6 @@
-"""Minima with one parameter, or another quantity, held at a value: the points of a profile.
+"""Minima with parameters, or another quantity, held at values: the points of a profile.
 
-A parameter is held by its two bounds, any other quantity by an equation. One solver is used for all
+Parameters are held by their bounds, any other quantity by an equation. One solver is used for all
 parameters, and one program for each other quantity.
 """
 
@@ -28,18 +28,20 @@ class NoMinimumError(ValueError):
     """The solver does not find the minimum of a fit again."""
 
 
-Held = int | ca.Function
-"""What is held: the parameter at this place, or a quantity (z) -> value."""
+Held = list[int] | ca.Function
+"""What is held: the parameters at these places, or a quantity (z) -> value."""
 
 
 class HeldSolver(ABC):
-    """A problem of which one parameter, or another quantity, is held."""
+    """A problem of which parameters, or another quantity, are held."""
 
     @abstractmethod
-    def solve(self, held: Held, starts: Sequence[Array], value: float) -> list[tuple[Array, float]]:
-        """Return the minimum from each start with the quantity at a value: point and cost.
+    def solve(
+        self, held: Held, starts: Sequence[Array], value: float | Array
+    ) -> list[tuple[Array, float]]:
+        """Return the minimum from each start with what is held at its value: point and cost.
 
-        A cost is infinite where the solver failed.
+        Several parameters have an array of values. A cost is infinite where the solver failed.
         """
 
 
@@ -76,13 +78,15 @@ class HeldResponses(HeldSolver):
             self._built[quantity] = ipopt, {"lbg": np.zeros(upper.size), "ubg": upper}
         return self._built[quantity]
 
-    def solve(self, held: Held, starts: Sequence[Array], value: float) -> list[tuple[Array, float]]:
+    def solve(
+        self, held: Held, starts: Sequence[Array], value: float | Array
+    ) -> list[tuple[Array, float]]:
         """Minimize from each start."""
         scaling = self._nlp.scaling
         lower = self._lower.copy()
         upper = self._upper.copy()
-        quantity = None if isinstance(held, int) else held
-        if isinstance(held, int):
+        quantity = None if isinstance(held, list) else held
+        if isinstance(held, list):
             x = np.ones(lower.size)
             x[held] = value
             lower[held] = upper[held] = scaling.to_solver(x)[held]
@@ -108,7 +112,7 @@ class HeldResponses(HeldSolver):
         for k in np.flatnonzero(remaining).tolist():
             ipopt, equations = self._ipopt(quantity)
             bounds = {"lbx": lower, "ubx": upper, **equations}
-            ends[k], status, _ = ipopt.solve(ends[k], [SMOOTHING, value], bounds)
+            ends[k], status, _ = ipopt.solve(ends[k], [SMOOTHING, np.ravel(value)[0]], bounds)
             converged[k] = status in CONVERGED
 
         costs = np.where(converged, self._nlp.costs(scaling.to_parameters(ends)), np.inf)
@@ -134,11 +138,13 @@ class HeldRecords(HeldSolver):
         self._shapes = list(shapes)
         self._solver = GaussNewton(nlp)
 
-    def solve(self, held: Held, starts: Sequence[Array], value: float) -> list[tuple[Array, float]]:
+    def solve(
+        self, held: Held, starts: Sequence[Array], value: float | Array
+    ) -> list[tuple[Array, float]]:
         """Minimize from each start."""
         return [self._solved(held, start, value) for start in starts]
 
-    def _solved(self, held: Held, start: Array, value: float) -> tuple[Array, float]:
+    def _solved(self, held: Held, start: Array, value: float | Array) -> tuple[Array, float]:
         scaling = self._nlp.scaling
         p = len(self._nlp.free)
         x = scaling.to_parameters(start[:p])
@@ -146,10 +152,10 @@ class HeldRecords(HeldSolver):
         upper = self._nlp.upper.copy()
         equation = None
 
-        if isinstance(held, int):
+        if isinstance(held, list):
             x[held] = lower[held] = upper[held] = value
         else:
-            equation = steep_equation(held, start[:p], value)
+            equation = steep_equation(held, start[:p], float(np.ravel(value)[0]))
 
         solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper), equation)
         x = np.clip(x, lower, upper)

@@ -39,7 +39,7 @@ from greybox.estimate.held_quantity import (
     best_of_records,
     slope_of,
 )
-from greybox.estimate.profiles import End, ProfileOf, Profiles
+from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Array
@@ -239,7 +239,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What the points of one profile share.
+    """What the points of one profile, or of one ray of a contour, share.
 
     Attributes
     ----------
@@ -260,6 +260,8 @@ class _Search:
         Further starts of every point.
     bias : float
         Of the estimate, in standard errors.
+    ray : pair of (2,) arrays, optional
+        Where the values are distances along a ray of two parameters: its origin and direction.
     """
 
     solver: HeldSolver
@@ -273,6 +275,7 @@ class _Search:
     first: float
     starts: Array
     bias: float = 0.0
+    ray: tuple[Array, Array] | None = None
 
     def root(self, point: _Point) -> float:
         """Return |r|."""
@@ -288,7 +291,10 @@ class _Search:
 
     def point(self, value: float, *starts: Array) -> _Point:
         """Return the lowest minimum from these starts with the quantity at a value."""
-        minima = self.solver.solve(self.held, starts, value)
+        held_at: float | Array = value
+        if self.ray is not None:
+            held_at = self.ray[0] + value * self.ray[1]
+        minima = self.solver.solve(self.held, starts, held_at)
         z, cost = min(minima, key=lambda minimum: minimum[1])
         return _Point(value, z, cost)
 
@@ -424,7 +430,7 @@ def _search(
     slope_of_x = nlp.scaling.slope(x)
     if line.name in nlp.free:
         place = nlp.free.index(line.name)
-        held: Held = place
+        held: Held = [place]
         slope = np.eye(len(x))[place]
         value = float(x[place])
         bounds = line.bounds
@@ -511,3 +517,128 @@ def _newly_at_bound(
     return tuple(
         name for name, is_near in zip(nlp.free, near, strict=True) if is_near and name != held
     )
+
+
+# --- contours
+
+
+def contour(
+    fit: Fit,
+    first: str,
+    second: str,
+    *,
+    problem: AnyProblem | None = None,
+    level: float = 0.95,
+    directions: int = 36,
+) -> Contour:
+    """Return the confidence region of two parameters by the likelihood ratio.
+
+    At every point all other parameters are fitted again. Rays from the estimate, even in the metric
+    of the covariance, are followed to where the root of the ratio crosses √(2 F), or to the bounds
+    of the two parameters. F is the quantile of Fisher's distribution with 2 and the fit's degrees
+    of freedom. Source: Bates and Watts (1988), section 6.1.
+
+    Parameters
+    ----------
+    fit : Fit
+    first, second : str
+        Free parameters.
+    problem, level
+        As for `profile`, which admits the same criteria.
+    directions : int
+        Number of rays, at least 8.
+
+    Raises
+    ------
+    ValueError
+        As for `profile`; and for names that are not two free parameters within their bounds.
+    """
+    nlp = _compiled(fit, problem, level)
+    lines = {q.name: q for q in fit.quantities if q.kind == "free" and not q.at_bound}
+    for name in (first, second):
+        if name not in lines:
+            raise ValueError(
+                f"no free {name!r} is within its bounds; there are "
+                f"{alternatives(name, list(lines))}."
+            )
+    if first == second:
+        raise ValueError(
+            f"a contour of {first!r} needs another parameter: there are {', '.join(lines)}."
+        )
+    if directions < 8:
+        raise ValueError(f"directions is {directions}: give at least 8; fewer show no shape.")
+    return _contour(nlp, fit, (lines[first], lines[second]), level, directions)
+
+
+def _contour(
+    nlp: CompiledProblem, fit: Fit, lines: tuple[Quantity, Quantity], level: float, directions: int
+) -> Contour:
+    from scipy.special import fdtri  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    estimate = _estimate(nlp, fit)
+    x, accuracy = estimate.x, estimate.accuracy
+    places = [nlp.free.index(line.name) for line in lines]
+    dof = min(*(line.dof for line in lines), 1e9)
+    limit = math.sqrt(2 * float(fdtri(2, dof, level)))
+    block = accuracy.covariance[np.ix_(places, places)]
+    axes = np.diag(accuracy.size[places])
+    if np.linalg.det(block) > 0:
+        axes = np.linalg.cholesky(block)
+    search = _Search(
+        solver=estimate.solver,
+        held=places,
+        best=_Point(0.0, estimate.point, estimate.cost),
+        factor=float(
+            np.mean([likelihood_factor(accuracy, np.eye(len(x))[place]) for place in places])
+        ),
+        numbers=_numbers(nlp),
+        limit=limit,
+        bounds=(0.0, math.inf),
+        size=limit,
+        first=limit / 2,
+        starts=np.zeros((0, len(x))),
+    )
+    origin = x[places]
+    bounds = np.array([line.bounds for line in lines])
+    bias = np.linalg.solve(axes, [line.bias for line in lines])
+    # The rays begin at the estimate, which must lie within the contour.
+    bias *= min(1.0, 0.9 * limit / max(float(np.linalg.norm(bias)), 1e-300))
+
+    points = []
+    ends = []
+    for angle in 2 * math.pi * np.arange(directions) / directions:
+        direction = np.array([math.cos(angle), math.sin(angle)])
+        ray = axes @ direction
+        along = float(direction @ bias)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(ray > 0, bounds[:, 1] - origin, bounds[:, 0] - origin) / ray
+        reach, end = _reach(
+            replace(
+                search,
+                limit=math.sqrt(limit**2 - bias @ bias + along**2) - along,
+                bounds=(0.0, float(np.nanmin(np.where(ray == 0, np.nan, room)))),
+                ray=(origin, ray),
+            )
+        )
+        points.append(origin + reach * ray)
+        ends.append(end)
+    return Contour(
+        names=(lines[0].name, lines[1].name),
+        units=(lines[0].unit, lines[1].unit),
+        level=level,
+        estimate=origin,
+        covariance=block,
+        limit=limit,
+        points=np.array(points),
+        ends=tuple(ends),
+    )
+
+
+def _reach(search: _Search) -> tuple[float, End]:
+    """Return how far along a ray the limit is crossed, or where else the walk ended."""
+    points, end = search.side(1)
+    outside = [k for k, point in enumerate(points) if search.root(point) > search.limit]
+    if outside:
+        k = outside[0]
+        return search.crossing(points[k - 1], points[k], search.limit), "crossed"
+    return {"bound": search.bounds[1], "flat": math.inf}.get(end, math.nan), end

@@ -1,8 +1,10 @@
-"""Profiles of a fit as values that print themselves; `profile` computes them."""
+"""Profiles and contours of a fit as values that print themselves; `profile` computes them."""
 
 import math
 from dataclasses import dataclass
 from typing import Any, Literal
+
+import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.files.json_numbers import all_finite, finite
@@ -173,3 +175,61 @@ class Profiles:
             "limit": all_finite(self.limit),
             "warnings": list(self.warnings),
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Contour:
+    """The confidence region of two parameters by the likelihood ratio.
+
+    Attributes
+    ----------
+    names, units : (str, str)
+    level : float
+    estimate : (2,) array
+    covariance : (2, 2) array
+        Of the two, for the ellipse of the standard errors.
+    limit : float
+        Of the root of the ratio.
+    points : (n, 2) array
+        Where rays from the estimate leave the region, in the order of their directions; NaN where a
+        solve failed.
+    ends : tuple of End
+        Of every ray: it "crossed" the limit, reached the "bound" of one of the two parameters
+        first, is "flat", or "failed".
+    """
+
+    names: tuple[str, str]
+    units: tuple[str, str]
+    level: float
+    estimate: Array
+    covariance: Array
+    limit: float
+    points: Array
+    ends: tuple[End, ...]
+
+    def __repr__(self) -> str:
+        return one_line(self, " and ".join(self.names), str(self))
+
+    def __str__(self) -> str:
+        open_ends = len(self.ends) - self.ends.count("crossed")
+        shape = f"open in {open_ends} of {len(self.ends)} directions" if open_ends else "closed"
+        ranges = [
+            f"{name} {number(low, 4)} to {number(high, 4)}{f' {unit}' if unit else ''}"
+            for name, unit, low, high in zip(
+                self.names,
+                self.units,
+                np.nanmin(self.points, axis=0),
+                np.nanmax(self.points, axis=0),
+                strict=True,
+            )
+        ]
+        return (
+            f"{100 * self.level:g} % region of {' and '.join(self.names)}, {shape}: "
+            f"{', '.join(ranges)}"
+        )
+
+    def ellipse(self, count: int = 200) -> Array:
+        """Return the region by the standard errors, (count, 2)."""
+        angle = np.linspace(0, 2 * math.pi, count)
+        axes = np.linalg.cholesky(self.covariance)
+        return self.estimate + self.limit * (axes @ [np.cos(angle), np.sin(angle)]).T

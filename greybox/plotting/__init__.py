@@ -31,6 +31,7 @@ from greybox.plotting.flight_log import recording as recording
 from greybox.plotting.flight_log import traces as traces
 from greybox.plotting.nyquist import nyquist as nyquist
 from greybox.plotting.overview import plot as plot
+from greybox.plotting.profile import contour as contour
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
 from greybox.plotting.spectrum import spectrum as spectrum

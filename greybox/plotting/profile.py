@@ -1,10 +1,11 @@
 """Profiles of the likelihood: the mismatch as one quantity moves away from its estimate."""
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from greybox.estimate.profiles import ProfileOf, Profiles
-from greybox.plotting.figure import GRAY, Figure, Panel, Series, band
-from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw_grid
+from greybox.estimate.profiles import Contour, ProfileOf, Profiles
+from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, draw_grid
 
 
 def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
@@ -30,6 +31,44 @@ def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
 def profile_figures(profiles: Profiles) -> list[Figure]:
     """Return one figure for every profiled quantity."""
     return [_figure(profile, profiles.limit[profile.name]) for profile in profiles.profiles]
+
+
+def contour(contour: Contour, axes: Axes | None = None) -> Axes:
+    """Draw the confidence region of two parameters, and the ellipse of the standard errors.
+
+    Open ends are hollow.
+
+    Parameters
+    ----------
+    contour : Contour
+    axes : Axes, optional
+        By default a new figure is made.
+    """
+    x, y = np.vstack([contour.points, contour.points[:1]]).T
+    is_closed = np.array([end == "crossed" for end in contour.ends])
+    closed = contour.points[is_closed].T
+    hollow = contour.points[~is_closed].T
+    series = [
+        Series("", "regions", x, y),
+        Series("region", "line", x, y),
+        Series("", "points", *closed),
+    ]
+    if hollow.size:
+        series.append(Series("open end", "points", *hollow, is_hollow=True))
+    limits = [_around(values) for values in (x, y)]
+    if np.all(np.isfinite(contour.covariance)):
+        # The limits are those of the region: the ellipse may be many times as long.
+        series.append(Series("standard errors", "line", *contour.ellipse().T, color=GRAY, style=1))
+    estimate = contour.estimate[:, None]
+    series.append(Series("estimate", "points", *estimate, color=INK))
+    across, upward = map(_label, contour.names, contour.units)
+    figure = Figure("Region", across, [Panel(upward, series, limits=limits[1])], limits=limits[0])
+    return draw(figure, axes, width=5.0, inches=2.9)[0]
+
+
+def _around(values: np.ndarray) -> tuple[float, float]:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
 
 
 def _label(name: str, unit: str) -> str:

@@ -1,4 +1,4 @@
-"""Profiles show the numbers that they hold."""
+"""Profiles and contours show the numbers that they hold."""
 
 from types import SimpleNamespace
 
@@ -8,6 +8,7 @@ from drawn_lines import named
 from matplotlib.figure import Figure
 
 import greybox as gb
+from greybox.estimate.profiles import Contour
 from greybox.plotting.profile import profile_figures
 
 VALUES = np.array([0.7, 1.0, 1.4])
@@ -48,3 +49,27 @@ def test_profiles_stand_in_a_grid_or_in_axes_of_a_user():
     assert axes[0].get_xlim() == (0.7, 1.4)
     with pytest.raises(ValueError, match="has 4 panels"):
         gb.plotting.profiles(four, Figure().subplots(3))
+
+
+def test_a_contour_is_closed_with_hollow_open_ends():
+    points = np.array([[1.5, 2.0], [1.0, 3.0], [0.5, 2.0], [1.0, 1.0]])
+    ends = ("crossed", "bound", "crossed", "flat")
+    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
+    found = Contour(
+        ("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0]), covariance, 2.0, points, ends
+    )
+    ax = gb.plotting.contour(found)
+    lines = {line.get_label(): line.get_xydata() for line in ax.get_lines()}
+    np.testing.assert_array_equal(lines["region"], [*points, points[0]])
+    np.testing.assert_array_equal(lines["_"], points[[0, 2]])
+    np.testing.assert_array_equal(lines["open end"], points[[1, 3]])
+    np.testing.assert_array_equal(lines["estimate"], [[1.0, 2.0]])
+    ellipse = lines["standard errors"]
+    # The Mahalanobis distance of the ellipse is the limit everywhere.
+    off = ellipse - [1.0, 2.0]
+    np.testing.assert_allclose(np.einsum("ni,ij,nj->n", off, np.linalg.inv(covariance), off), 4.0)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("a, s", "b")
+    unknown = Contour(
+        ("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0]), np.nan * covariance, 2.0, points, ends
+    )
+    assert len(gb.plotting.contour(unknown, Figure().subplots()).get_lines()) == 4
