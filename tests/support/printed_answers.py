@@ -55,9 +55,9 @@ def record(seed, samples=200, **known):
     """Return a noisy response of the lag to a staircase of random steps."""
     random = np.random.default_rng(seed)
     u = np.repeat(random.normal(size=samples // 10), 10)
-    flight = gb.Record(0.05 * np.arange(samples), {"u": u}, units={"x": "rad"}, **known)
+    flight = gb.Record(0.05 * np.arange(samples), {"u": u}, **known)
     x = gb.simulate(Lag(), {"K": 2.0, "T": 0.4}, flight, inputs="held")["x"]
-    return flight.with_signals(x=x + 0.05 * random.normal(size=samples))
+    return flight.with_signals({"x": "rad"}, x=x + 0.05 * random.normal(size=samples))
 
 
 def response(seed):
