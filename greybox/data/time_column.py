@@ -11,20 +11,10 @@ import re
 
 import numpy as np
 
+from greybox.data.units import to_si
 from greybox.files.arrays import Array
 from greybox.files.text_table import printable
 
-SECONDS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "seconds": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
-}
 # Names of a time column, in lower case and without a unit.
 TIMES = ("time", "t", "timestamp", "timestamps", "tout")
 ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
@@ -42,13 +32,21 @@ def seconds(name: str, unit: str = "") -> float | None:
     (else in seconds), and TimeUS and TimeMS as ArduPilot's tools write it.
     """
     name = name.lower()
-    unit = unit.lower()
     if name in ARDUPILOT:
         return ARDUPILOT[name]
     suffix = SUFFIX.match(name)
     if suffix and suffix[1] in TIMES:
-        return SECONDS[suffix[2]]
-    return SECONDS.get(unit, None if unit else 1.0) if name in TIMES else None
+        return tick(suffix[2])
+    return tick(unit or "s") if name in TIMES else None
+
+
+def tick(unit: str) -> float | None:
+    """Return the seconds of a unit of time; None for any other unit."""
+    try:
+        conversion = to_si(unit.lower())
+    except ValueError:
+        return None
+    return conversion.factor if conversion.si == "s" else None
 
 
 def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[str, ...]]:
@@ -71,14 +69,14 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
     for ticks, first in EPOCHS.items():
         if first <= finite[0] < 4.1 * first:
             text = f"{name} was taken for {ticks} since 1970: times are from the first sample."
-            return (times - finite[0]) * SECONDS[ticks], (text,)
+            return (times - finite[0]) * (tick(ticks) or 1.0), (text,)
 
     # Ticks of a counter are whole; seconds since the start rarely are.
     is_whole = bool(np.all(finite == np.round(finite)))
     if name.lower().startswith("timestamp") and is_whole and step >= 1:
         # A log at 1 kHz has 1000 µs a step, and one at 1 Hz has 1000 ms.
         ticks = "µs" if step >= 1000 else "ms"
-        return times * SECONDS[ticks], (f"{name} has no unit and was taken for {ticks}.",)
+        return times * (tick(ticks) or 1.0), (f"{name} has no unit and was taken for {ticks}.",)
 
     rate = 1 / step if step > 0 else math.inf
     if step > 0 and not PLAUSIBLE[0] <= rate <= PLAUSIBLE[1]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.data.time_column import SECONDS, TIMES, seconds
+from greybox.data.time_column import TIMES, seconds, tick
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import (
     MISSING,
@@ -95,6 +95,7 @@ def read(
         columns, units = renamed(columns, units, stated, path.name)
         headings = [Heading(name, units.get(name, "")) for name in columns]
     columns = _time_first(headings, columns, path)
+    units.setdefault("time", "s")  # what a first column in a unit of time is called
     # After the names were replaced: the user may have named the time.
     has_time = any(seconds(name, units.get(name, "")) for name in columns)
     if has_time and rate:
@@ -240,9 +241,10 @@ def _time_first(
     if any(seconds(h.name, h.unit) and h.name in columns for h in headings):
         return dict(columns)
     name, unit = headings[0]
-    if name in columns and unit.lower() in SECONDS and np.all(np.diff(columns[name]) > 0):
+    step = tick(unit)
+    if name in columns and step and np.all(np.diff(columns[name]) > 0):
         remaining = {key: values for key, values in columns.items() if key not in (name, "time")}
-        return {"time": columns[name] * SECONDS[unit.lower()], **remaining}
+        return {"time": columns[name] * step, **remaining}
     unread = next((h for h in headings if h.name.lower() in TIMES or seconds(h.name, h.unit)), None)
     if unread:
         unit = f" [{unread.unit}]" if unread.unit else ""

@@ -177,3 +177,12 @@ SECONDS = {
 def test_times_have_the_unit_that_their_column_states(saved, unit):
     record = saved(f"time [{unit}],x\n0,1\n2000,2\n4000,3\n")["flight"]
     np.testing.assert_allclose(np.diff(record.time), 2000 * SECONDS[unit])
+
+
+@pytest.mark.parametrize("header", ["Time (msec)", "time [usec]", "sample [min]", "t_ms"])
+def test_times_in_any_unit_of_time(saved, header):
+    ticks = {"Time (msec)": 1e3, "time [usec]": 1e6, "sample [min]": 1 / 60, "t_ms": 1e3}[header]
+    rows = "\n".join(f"{2 * k * ticks:.9f},{k % 3}" for k in range(9))
+    recording = saved(f"{header},x\n{rows}\n")
+    np.testing.assert_allclose(recording["flight"].time, 2 * np.arange(9), atol=1e-5)
+    assert recording.findings == ()
