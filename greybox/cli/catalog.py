@@ -4,9 +4,10 @@ import ast
 import importlib
 import pkgutil
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.experiment.controller import Controller
@@ -16,6 +17,7 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 
+Named = TypeVar("Named")
 SETTINGS = ("starts", "seed", "method")  # what a problem file may choose
 
 
@@ -100,14 +102,8 @@ def find_model(text: str) -> Model:
         )
     module, name = _locate("models", match["place"])
     models = {model.__name__: model for model in models_of(module)}
-    if not name and len(models) == 1:
-        (name,) = models
-    if name not in models:
-        raise ValueError(
-            f"there is no model {text!r}; {match['place'].split(':')[0]} has "
-            f"{alternatives(name, models)}"
-        )
-    return models[name](*_arguments(match["arguments"] or "()", text))
+    model = _named(name, models, f"there is no model {text!r}; {match['place'].split(':')[0]} has")
+    return model(*_arguments(match["arguments"] or "()", text))
 
 
 def find_controller(text: str) -> type[Controller]:
@@ -124,14 +120,17 @@ def find_controller(text: str) -> type[Controller]:
         for key, value in vars(module).items()
         if isinstance(value, type) and issubclass(value, Controller) and value is not Controller
     }
-    if not name and len(controllers) == 1:
-        (name,) = controllers
-    if name not in controllers:
-        raise ValueError(
-            f"there is no controller {text!r}; {text.partition(':')[0]} has "
-            f"{alternatives(name, controllers)}"
-        )
-    return controllers[name]
+    place = text.partition(":")[0]
+    return _named(name, controllers, f"there is no controller {text!r}; {place} has")
+
+
+def _named(name: str, classes: Mapping[str, type[Named]], refusal: str) -> type[Named]:
+    """Return the class of this name, or the only class if there is no name."""
+    if not name and len(classes) == 1:
+        (name,) = classes
+    if name not in classes:
+        raise ValueError(f"{refusal} {alternatives(name, classes)}")
+    return classes[name]
 
 
 def _locate(kind: str, text: str) -> tuple[ModuleType, str]:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from greybox.cli.options import UsageError, add_words, positive_number
+from greybox.cli.options import add_words, positive_number, texts
 
 RESPONSE_OR_RECORD = (
     "with --data: the columns of a table with other names. For a response frequency=f:Hz "
@@ -34,15 +34,5 @@ def stated_columns(options: argparse.Namespace) -> dict[str, str]:
     UsageError
         For a word of another form, or a repeated name.
     """
-    columns: dict[str, str] = {}
-    for word in options.columns:
-        name, _, column = word.partition("=")
-        if not (name and column):
-            raise UsageError(
-                f"--columns {word!r} is not understood: write NAME=COLUMN:UNIT, e.g. "
-                "frequency=f:Hz."
-            )
-        if name in columns:
-            raise UsageError(f"--columns names {name} twice: {columns[name]} and {column}.")
-        columns[name] = column
-    return columns
+    form = "NAME=COLUMN:UNIT, e.g. frequency=f:Hz"
+    return texts(options.columns, "--columns", form)

@@ -3,7 +3,7 @@
 import argparse
 
 from greybox.cli.columns import RECORD, add_columns_option, stated_columns
-from greybox.cli.options import UsageError, add_words
+from greybox.cli.options import add_words, texts
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
 from greybox.logs.readers import read
@@ -54,12 +54,4 @@ def segments_of(recording: Recording, options: argparse.Namespace) -> tuple[Segm
 
 def stated_fields(options: argparse.Namespace) -> dict[str, str]:
     """Return the fields of the announcing message that `--fields` names."""
-    fields = {}
-    for word in options.fields:
-        what, _, field = word.partition("=")
-        if not field:
-            raise UsageError(
-                f"--fields {word!r} is not understood: write WHAT=FIELD, e.g. omega=W."
-            )
-        fields[what] = field
-    return fields
+    return texts(options.fields, "--fields", "WHAT=FIELD, e.g. omega=W")

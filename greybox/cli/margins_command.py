@@ -10,6 +10,7 @@ from greybox.cli.options import (
     add_words,
     assignments,
     probability,
+    texts,
 )
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
@@ -71,15 +72,7 @@ def run(options: argparse.Namespace) -> Answer:
 def _controllers(options: argparse.Namespace) -> list[Controller]:
     """Return the controllers with the gains and names of signals that the options state."""
     values = assignments(options.set, "--set")
-    signals = {}
-    for word in options.signals:
-        own, separator, outside = word.partition("=")
-        if not (own and separator and outside):
-            raise UsageError(
-                f"--signals {word!r} is not understood: write OWN=PLANT, e.g. q=theta_dot."
-            )
-        signals[own] = outside
-
+    signals = texts(options.signals, "--signals", "OWN=PLANT, e.g. q=theta_dot")
     kinds = [find_controller(text) for text in options.controller]
     names = {name for kind in kinds for name in kind.parameters}
     if unknown := sorted(values.keys() - names):

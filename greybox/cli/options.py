@@ -148,16 +148,32 @@ def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]
     return _by_name(words, flag, "NAME=LOW:HIGH, e.g. a1=-10:10", interval)
 
 
+def texts(words: Sequence[str], flag: str, form: str) -> dict[str, str]:
+    """Return texts by name from words of this form, such as ``NAME=COLUMN``.
+
+    Raises
+    ------
+    UsageError
+        For a word of another form.
+    """
+    return _by_name(words, flag, form, str)
+
+
 def _by_name(
     words: Sequence[str], flag: str, form: str, read: Callable[[str], Value]
 ) -> dict[str, Value]:
-    result = {}
+    result: dict[str, Value] = {}
     for word in words:
         name, _, text = word.partition("=")
         try:
-            if not name:
+            if not (name and text):
                 raise ValueError(word)
-            result[name] = read(text)
+            value = read(text)
         except ValueError:
             raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
+
+        # The last word would win in silence: more likely it is a slip.
+        if name in result:
+            raise UsageError(f"{flag} names {name} twice: {result[name]} and {value}.")
+        result[name] = value
     return result

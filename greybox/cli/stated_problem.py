@@ -147,10 +147,15 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     return parts[0] if len(parts) == 1 else Sum(parts)
 
 
-def filters_of(word: str, data: FrequencyResponse | Record | TransientSpectrum) -> list[Model]:
+def filters_of(
+    word: str, data: FrequencyResponse | Record | TransientSpectrum
+) -> list[TransferFunction]:
     """Return the filters that a word of --through names: a model, or filters in the response."""
     if not re.fullmatch(r"\w+(-\w+)+", word):
-        return [find_model(word)]
+        model = find_model(word)
+        if not isinstance(model, TransferFunction):
+            raise UsageError(f"--through {word} is an ODE: give the filter as a transfer function.")
+        return [model]
     about = data.about if isinstance(data, FrequencyResponse) else {}
     if word not in about:
         filters = ", ".join(name for name in about if name.endswith(FILTER_NAMES))
@@ -160,18 +165,18 @@ def filters_of(word: str, data: FrequencyResponse | Record | TransientSpectrum) 
     return [filter_model(known_filter) for known_filter in from_text(about[word])]
 
 
-def through(model: Model, known_filter: Model) -> Model:
+def through(model: Model, known_filter: TransferFunction) -> Model:
     """Return a transfer function behind a filter, whose output keeps its name and unit.
 
     Raises
     ------
     UsageError
-        If one of the two is not a transfer function.
+        If the model is not a transfer function.
     """
-    if not isinstance(model, TransferFunction) or not isinstance(known_filter, TransferFunction):
+    if not isinstance(model, TransferFunction):
         raise UsageError(
-            "--through needs two transfer functions, the plant's and the filter's: write a model "
-            "of your own."
+            f"--through needs a transfer function, and {model.label} is an ODE: write a model of "
+            "your own with the filter in it."
         )
     return model.through(known_filter)
 

@@ -10,7 +10,7 @@ from declared_models import Lag, measured
 
 import greybox as gb
 from greybox.cli.options import UsageError
-from greybox.cli.stated_problem import _with_criterion, through
+from greybox.cli.stated_problem import _with_criterion, filters_of, through
 from greybox.models.tilt import LinearTilt, Tilt
 
 FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
@@ -171,9 +171,8 @@ def test_unknown_settings_are_refused(own, capsys):
 
 
 def test_an_ode_is_behind_no_filter():
-    for pair in ((LinearTilt(), Tilt()), (Tilt(), LinearTilt())):
-        with pytest.raises(
-            UsageError, match="--through needs two transfer functions, the plant's and the filter's"
-        ):
-            through(*pair)
+    with pytest.raises(UsageError, match="--through needs a transfer function, and LinearTilt is"):
+        through(LinearTilt(), Tilt())
+    with pytest.raises(UsageError, match="--through tilt:LinearTilt is an ODE"):
+        filters_of("tilt:LinearTilt", measured(Lag(), [1.0, 2.0]))
     assert through(Tilt(), Tilt()).output == Tilt().output
