@@ -61,7 +61,9 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _signals_of(fit: Fit) -> dict[str, str]:
-    """Return the signals of the log from which the response of a fit was measured."""
+    """Return the signals of the log from which a fit was made; those of a record have its names."""
+    if fit.records:
+        return {name: name for name in fit.records[0].data.signals}
     texts = [part.data.about.get("signals", "") for part in fit.responses]
     pairs = dict(pair.split(" = ") for pair in texts[0].split(", ")) if texts and texts[0] else {}
     model = fit.model_of(0) if pairs else None

@@ -176,6 +176,7 @@ def test_models_without_inputs_are_compared_and_reported(table, folder, capsys):
         assert status == 0
     own = ["--model", "tables_my.py"]
     assert run(capsys, "compare", "a.h5", "b.h5", *own)[0] == 0
+    assert run(capsys, "predict", "b.h5", "other.csv", *names, *own)[0] == 0
     words = ["report", "a.h5", "b.h5", "--held-out", "other.csv", *names, "--out", "a.html", *own]
     assert run(capsys, *words)[0] == 0
     assert "other" in (folder / "a.html").read_text()
