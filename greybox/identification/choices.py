@@ -30,7 +30,9 @@ class Choice:
 
 
 def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice, ...]]:
-    """Return the settings of the measurement, and the choices among them; `stated` settings are kept.
+    """Return the settings of the measurement, and the choices among them.
+
+    The `stated` settings are kept.
 
     Raises
     ------
@@ -55,7 +57,8 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     if not usable:
         why = "; ".join(dict.fromkeys(text for test in tests for text in test.findings))
         raise ValueError(
-            f"no usable test was found in {recording.source or 'the log'}{f' ({why})' if why else ''}: give "
+            "no usable test was found in "
+            f"{recording.source or 'the log'}{f' ({why})' if why else ''}: give "
             "announced=MESSAGE or setpoint=SIGNAL, or whole=True with instrument=SIGNAL."
         )
     axes = {
@@ -115,7 +118,7 @@ def _first(recording: Recording, signals: Sequence[str]) -> str:
 
 
 def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
-    """Return the axis that tests of one name excite: by their name, or the one whose setpoint moves most."""
+    """Return the axis that tests excite: by their name, or the one whose setpoint moves most."""
     name = tests[0].axis
     named_axis = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
     if named_axis or tests[0].source == "SIDS":
@@ -131,7 +134,7 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
 
 
 def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
-    """Return the largest standard deviation of a signal during a test; 0 if the log does not have it."""
+    """Return the largest standard deviation of a signal in a test; 0 if the log lacks it."""
     if not _has(recording, signal):
         return 0.0
     record, field = recording.locate(signal)

@@ -75,7 +75,7 @@ FAMILIES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 
 @dataclass(frozen=True)
 class Structure:
-    """A model to fit, its name on the command line, what it describes, and the parameters to free."""
+    """A model to fit, its name on the command line, its description, and parameters to free."""
 
     model: Model
     name: str
@@ -99,7 +99,8 @@ def family(vehicle: str, output: str) -> list[Structure]:
     if output not in outputs:
         raise ValueError(
             f"vehicle={vehicle!r} has no structures for the output {output!r}: name it as one of "
-            f"{', '.join(outputs)}, such as output={next(iter(outputs))}=SIGNAL, or leave out the vehicle."
+            f"{', '.join(outputs)}, such as output={next(iter(outputs))}=SIGNAL, or leave out the "
+            "vehicle."
         )
     structures = []
     for name, about in outputs[output].items():
@@ -112,7 +113,7 @@ def family(vehicle: str, output: str) -> list[Structure]:
 
 
 def gains(model: Model, response: FrequencyResponse) -> dict[str, dict[str, tuple[float, float]]]:
-    """Return bounds and boxes of starts, of either sign, for the parameters that scale the response.
+    """Return bounds and boxes of starts, of either sign, for parameters that scale the response.
 
     Their size is that with which the declared values come closest to the measured magnitude.
     """

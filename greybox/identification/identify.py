@@ -106,7 +106,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     seed: int = 0,
     **stated: Any,
 ) -> Identification:
-    """Go from a log to a fitted model: find the tests, measure the response, fit structures, and compare them.
+    """Go from a log to a fitted model: measure the response of the tests, and fit structures.
 
     By default nothing is assumed of the vehicle: the structures are rational transfer functions of
     rising order with a delay, see `select_orders`. Every step is a function of its own (`read`,
@@ -190,7 +190,8 @@ def _judged(measurement: Measurement) -> Measurement:
     low, high = float(response.omega.min()), float(response.omega.max())
     refusals = []
     if high < 2 * low:
-        text = f"the response covers {low:.4g} to {high:.4g} rad/s, less than an octave: no basis for a model."
+        text = f"the response covers {low:.4g} to {high:.4g} rad/s, less than an octave: "
+        text += "no basis for a model."
         refusals.append(Finding("spread", "refusal", high / low, text))
     coherence = 1.0 if response.coherence is None else float(np.median(response.coherence))
     if coherence < COHERENCE[0]:

@@ -25,7 +25,7 @@ CONTROLLER_MESSAGES = (
 
 
 def controller_in(recording: Recording, controls: Sequence[str], measured: Sequence[str]) -> str:
-    """Return the signal or message that shows a controller of the axis of a control; empty without one.
+    """Return the signal or message that shows a controller of the axis; empty without one.
 
     A signal that is `measured` as an output is no setpoint: a column r may be a setpoint or a yaw
     rate.

@@ -1,4 +1,4 @@
-"""From a manoeuvre in a log to the Fourier integrals of its signals, with the choices that were made.
+"""From a manoeuvre in a log to the Fourier integrals of its signals, with every choice.
 
 Begin with `measure_manoeuvre`.
 """
@@ -55,7 +55,8 @@ class ManoeuvreMeasurement:
         lines = [
             segment_table(self.manoeuvres),
             "",
-            f"{self.spectrum.name}: {pair}, {counted(len(self.spectrum), 'line')} from {low:.4g} to {high:.4g} rad/s",
+            f"{self.spectrum.name}: {pair}, {counted(len(self.spectrum), 'line')} from {low:.4g} "
+            f"to {high:.4g} rad/s",
             *self.choices,
         ]
         return "\n".join(lines)
@@ -82,7 +83,8 @@ def measure_manoeuvre(
     wanted : str
         Its number in the list of `find_manoeuvres`, or its kind if there is only one of that kind.
     setpoint : str
-        Signal in which to look for manoeuvres; by default see `find_manoeuvres`, or else the inputs.
+        Signal in which to look for manoeuvres; by default see `find_manoeuvres`, or else the
+        inputs.
     band : (low, high), rad/s, optional
         By default from the first line to the frequency at which the input fades.
     rate : float, Hz, optional
@@ -118,22 +120,26 @@ def measure_manoeuvre(
     label = f"{chosen.kind} of {chosen.axis} at {chosen.start:.4g} s"
     spectrum = replace(spectrum, name=label, source=recording.source)
     choices = [
-        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s, including the response after the input."
+        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s, including the response after the "
+        "input."
     ]
     if band is None:
         choices.append(
-            f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; band=... chooses another."
+            f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; band=... chooses "
+            "another."
         )
     unknown = [name for name in names[: len(inputs)] if name not in record.hold]
     if unknown:
         choices.append(
-            f"{', '.join(unknown)} is taken as linear between samples, as its hold is unknown: give held={unknown[0]} if it "
+            f"{', '.join(unknown)} is taken as linear between samples, as its hold is unknown: "
+            f"give held={unknown[0]} if it "
             f"keeps its values, which makes delays {500 * record.step:.3g} ms shorter."
         )
     controller = controller_in(recording, controls, measured[len(inputs) :])
     if controller:
         choices.append(
-            f"closed loop ({controller} is in the log): output noise returns to the inputs, which are taken as known: "
+            f"closed loop ({controller} is in the log): output noise returns to the inputs, which "
+            "are taken as known: "
             "if it is not small, the estimates are biased."
         )
     return ManoeuvreMeasurement(manoeuvres, chosen, record, spectrum, tuple(choices))

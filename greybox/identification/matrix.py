@@ -59,7 +59,7 @@ def measure_matrix(
     band: tuple[float, float] | None = None,
     settle: float = SETTLED,
 ) -> MatrixMeasurement:
-    """Return the responses of all outputs to all inputs from a test with a multisine on every input.
+    """Return the responses of all outputs to all inputs, each of which has a multisine.
 
     Parameters
     ----------
@@ -101,7 +101,8 @@ def measure_matrix(
         responses = tuple(r.where((r.omega >= band[0]) & (r.omega <= band[1])) for r in responses)
     used = math.floor((len(record) / record.rate) / period + 1e-9)
     said = [
-        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: {counted(used, 'period')} of "
+        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: "
+        f"{counted(used, 'period')} of "
         f"{period:g} s, after {settle:g} s of settling."
     ]
     measured = [signals[name] for name in (*u, *y)]
@@ -113,7 +114,8 @@ def measure_matrix(
     )
     by = f"the excitations {', '.join(excitations)} tell" if e else "the inputs themselves tell"
     said.append(
-        f"{loop}: averages over whole periods; {by} which lines are whose, instrument=... names others."
+        f"{loop}: averages over whole periods; {by} which lines are whose, instrument=... names "
+        "others."
     )
     return MatrixMeasurement(record, responses, tuple(said))
 

@@ -1,4 +1,4 @@
-"""From the tests of a log to a measured frequency response, with what was chosen and what was dropped.
+"""From the tests of a log to a measured frequency response, with every choice.
 
 Begin with `measure`.
 """
@@ -36,7 +36,8 @@ INSTRUMENT, SETPOINT = "instrument", "setpoint"
 RESERVED = (INSTRUMENT, SETPOINT)
 
 FEEDBACK = (
-    "In a loop, output noise returns through the controller to the input, and biases the direct estimate toward minus "
+    "In a loop, output noise returns through the controller to the input, and biases the direct "
+    "estimate toward minus "
     "the inverse of the controller"
 )
 
@@ -97,16 +98,19 @@ class Settings:
             raise ValueError(f"points={self.points} must lie between 2 and 10000.")
         if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
             raise ValueError(
-                f"band={self.band[0]:g} {self.band[1]:g} must be two frequencies above 0, the lower first."
+                f"band={self.band[0]:g} {self.band[1]:g} must be two frequencies above 0, the "
+                "lower first."
             )
         if self.instrument and self.open_loop:
             raise ValueError(
-                "open_loop=True asks for the direct estimate, instrument=... for the joint one: give one of them."
+                "open_loop=True asks for the direct estimate, instrument=... for the joint one: "
+                "give one of them."
             )
         (u, control), (y, output) = self.names
         if u == y or control == output:
             raise ValueError(
-                f"input={self.input} and output={self.output} are the same signal or have the same name."
+                f"input={self.input} and output={self.output} are the same signal or have the "
+                "same name."
             )
         for name in (u, y):
             if name in RESERVED:
@@ -200,7 +204,8 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     used = sines or usable
     if not used and not tests and not (settings.whole or settings.period or settings.instrument):
         raise ValueError(
-            "no test was found: give setpoint=..., announced=... or instrument=..., or whole=True for the whole log."
+            "no test was found: give setpoint=..., announced=... or instrument=..., or whole=True "
+            "for the whole log."
         )
     _require_one_axis(used)
     if sines and settings.band is not None:
@@ -217,9 +222,12 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         for name in (control, output):
             recording.locate(name)
         raise ValueError(
-            f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) and no excitation is "
-            "known, so that a direct estimate tends to minus the inverse of the controller, whatever its coherence: "
-            "give the injected signal, instrument=SIGNAL, or open_loop=True if you know that the loop was open."
+            f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) "
+            "and no excitation is "
+            "known, so that a direct estimate tends to minus the inverse of the controller, "
+            "whatever its coherence: "
+            "give the injected signal, instrument=SIGNAL, or open_loop=True if you know that the "
+            "loop was open."
         )
     signals = {u: control, y: output}
     signals |= {INSTRUMENT: instrument} if instrument else {}
@@ -324,7 +332,8 @@ def _require_one_axis(used: Sequence[Segment]) -> None:
     axes = list(dict.fromkeys(segment.axis for segment in used))
     if len(axes) > 1:
         raise ValueError(
-            f"the tests are of several axes ({', '.join(axes)}): choose one, such as axis={axes[0]!r}."
+            f"the tests are of several axes ({', '.join(axes)}): choose one, such as "
+            f"axis={axes[0]!r}."
         )
 
 
@@ -333,13 +342,14 @@ def _within_band(sines: Sequence[Segment], band: tuple[float, float]) -> list[Se
     if not inside:
         there = ", ".join(f"{segment.omega:.4g}" for segment in sines)
         raise ValueError(
-            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {there} rad/s."
+            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {there} "
+            "rad/s."
         )
     return inside
 
 
 def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment]) -> str:
-    """Return the injected signal of sweeps and noise: the stated one, or the one in which the tests were found."""
+    """Return the injected signal of sweeps and noise: stated, or where the tests were found."""
     if settings.instrument or settings.open_loop or not used or used[0].kind == "sine":
         return settings.instrument or ("" if settings.open_loop or used else settings.setpoint)
     if used[0].source == "SIDS":
@@ -414,7 +424,7 @@ def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
 
 
 def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Iterator[Finding]:
-    """Yield a warning on the points beyond the frequencies of the sweeps, where their transients are all there is."""
+    """Yield a warning on the points beyond the sweeps, which only their transients excite."""
     bands = [segment.band for segment in used if segment.kind == "sweep"]
     if not bands or len(bands) < len(used):
         return
@@ -499,7 +509,8 @@ def _excitation(used: Sequence[Segment]) -> str:
     unit = f" {used[0].unit}" if used[0].unit and sizes else ""
     axis = f" of {used[0].axis}" if used[0].axis else ""
     times = f"{min(s.start for s in used):.2f} to {max(s.end for s in used):.2f} s"
-    return f"{counted(len(used), used[0].kind)}{axis}{size}{unit}, {low:.4g} to {high:.4g} rad/s, {times}"
+    band = f"{low:.4g} to {high:.4g} rad/s"
+    return f"{counted(len(used), used[0].kind)}{axis}{size}{unit}, {band}, {times}"
 
 
 def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Rational transfer functions of rising order with a delay: which of them a measured response supports."""
+"""Rational transfer functions of rising order: which of them a measured response supports."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ REWEIGHTED = 8  # times, after which the coefficients of Sanathanan and Koerner 
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of denominator (integrators included) and numerator, number of integrators, and whether with a delay."""
+    """Orders of denominator (with its integrators) and numerator; integrators; delay."""
 
     n: int
     m: int
@@ -64,7 +64,7 @@ class Orders:
 
 
 class LinearFit(NamedTuple):
-    """Weighted sum of squares by linear least squares at the best delay, with coefficients for it and its neighbors."""
+    """Weighted sum of squares at the best delay; coefficients for it and its neighbors."""
 
     squares: float
     starts: tuple[Mapping[str, float], ...]

@@ -1,4 +1,4 @@
-"""Fitted structures side by side: the smallest that the data support, and whether it explains them."""
+"""Fitted structures side by side: the smallest that the data support, and the verdict."""
 
 import math
 from collections.abc import Sequence
@@ -120,7 +120,8 @@ class Selection:
         if self.explains:
             return f"{self.reason} Its residuals are {size}."
         return (
-            f"No structure explains the data: the residuals of the best one are {size}. Its parameters describe no "
+            f"No structure explains the data: the residuals of the best one are {size}. Its "
+            "parameters describe no "
             f"vehicle. ({self.reason})"
         )
 
@@ -151,9 +152,9 @@ class Selection:
 def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     """Choose the smallest structure that the data support, by BIC.
 
-    Where even the closest structure leaves residuals larger than the given variances, differences of
-    the cost are divided by the factor (quasi-likelihood): otherwise errors that no structure
-    describes would support ever more parameters. Source: Burnham and Anderson (2002), section 2.5.
+    Where even the closest structure leaves residuals larger than the given variances, costs are
+    divided by the factor (quasi-likelihood): otherwise errors that no structure describes would
+    support ever more parameters. Source: Burnham and Anderson (2002), section 2.5.
     A structure with an unstable pole is chosen only where its BIC is lower by 6.
     """
     fitted = [c for c in candidates if c.fit.converged]

@@ -60,7 +60,8 @@ def fit_within_far_bounds(
 ) -> Fit:
     """Fit a structure, and widen a bound that holds a parameter, unless it is zero or `stated`.
 
-    A delay or a time constant of zero is where its term is absent. `options` are those of `Problem`.
+    A delay or a time constant of zero is where its term is absent. `options` are those of
+    `Problem`.
     """
     stated = stated or {}
     bounds = {**(bounds or {}), **stated.get("bounds", {})}

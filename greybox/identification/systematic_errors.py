@@ -1,4 +1,4 @@
-"""Errors of a response that its scatter does not show: loop passes that were not logged, and rounded outputs.
+"""Errors of a response that its scatter does not show: thinned logs, and rounded outputs.
 
 Begin with `systematic_errors`.
 """
@@ -108,7 +108,8 @@ def motor_saturation(
     share = saturation(recording, spans) if axis_of(control) else math.nan
     if not share > SATURATED[0]:
         return []
-    text = f"a motor is at its limit for {100 * share:.0f} % of the time: a linear model is wrong there"
+    text = f"a motor is at its limit for {100 * share:.0f} % of the time: "
+    text += "a linear model is wrong there"
     return [
         Finding(
             "motors",
@@ -134,7 +135,8 @@ def _thinned(
     common = thinning_error(thinned, recording, axis, response)
     relative = np.linalg.norm(common, axis=0)
     text = (
-        f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all frequencies and a fitted "
+        f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all "
+        "frequencies and a fitted "
         f"gain have in common; to log every pass, {thinned.cure}."
     )
     return SystematicError(
@@ -179,7 +181,7 @@ def _rounded(
 
 
 def _motion(recording: Recording, steps: float, control: Array, span: tuple[float, float]) -> float:
-    """Return the standard deviation of the quietest motor in steps: as logged, at least by the control."""
+    """Return the standard deviation of the quietest motor in steps, at least by the control."""
     by_control = steps * float(np.std(control))
     outputs = motor_outputs(recording, *span)
     logged = () if outputs is None else outputs.signals.values()

@@ -23,7 +23,7 @@ Predictions = tuple[tuple[Prediction, ...], ...]
 def window_lengths(
     fits: Sequence[Fit], records: Sequence[Record], window: float | None, lead: float | None
 ) -> tuple[float, float]:
-    """Return the lengths of window and lead in s, by default for these records; NaN without time."""
+    """Return the lengths of window and lead in s for these records; NaN without time."""
     records = [record for record in records if record.has_time]
     if not records:
         return math.nan, math.nan
@@ -83,7 +83,8 @@ def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[
     outputs = tuple(name for name in shared if name in record.signals)
     if not outputs:
         raise ValueError(
-            f"{record.name or 'the record'} has no output that all fits have ({', '.join(shared) or 'none'}); "
+            f"{record.name or 'the record'} has no output that all fits have "
+            f"({', '.join(shared) or 'none'}); "
             f"it has {', '.join(record.signals)}."
         )
     return outputs
@@ -147,7 +148,8 @@ def not_held_out(
 ) -> list[str]:
     """Say which of the records given as held out a fit was made with after all."""
     return [
-        f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of it."
+        f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of "
+        "it."
         for record in records
         for fit, label in zip(fits, labels, strict=True)
         if any(share_samples(part.data, record) for part in fit.records)

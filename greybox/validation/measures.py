@@ -164,7 +164,7 @@ def _correlations(
     errors: Sequence[Sequence[Array]],
     predictions: Sequence[Sequence[Prediction]],
 ) -> Iterator[Measure]:
-    """Yield p-values of no correlation with the inputs that all records have: Ljung (1999), section 16.6."""
+    """Yield p-values of no correlation with the inputs: Ljung (1999), section 16.6."""
     every = [p for of_fit in predictions for p in of_fit]
     for name in dict.fromkeys(name for p in every for name in p.inputs):
         if all(name in p.data.signals and np.nanstd(p.data[name]) > 0 for p in every):

@@ -110,7 +110,8 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
         values = nested_values(small, large, labels)
     except NotNestedError as reason:
         raise ValueError(
-            f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. Use gb.compare, which needs no "
+            f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. Use "
+            "gb.compare, which needs no "
             "nesting."
         ) from None
     return nested_test_at(values, small, large, labels)
@@ -142,7 +143,8 @@ def nested_test_at(
     covariance = large.covariance_of(large.free)[np.ix_(rows, rows)]
     if not (large.dof > 0 and np.all(np.isfinite(covariance)) and _is_definite(covariance)):
         raise ValueError(
-            f"the data do not determine {listed(list(values))} of {labels[1]}: nothing can be tested."
+            f"the data do not determine {listed(list(values))} of {labels[1]}: nothing can be "
+            "tested."
         )
     responses_alone = len(large.responses) == len(large.parts)
     if large.white is None or not (responses_alone or all(map(is_likelihood, (small, large)))):
@@ -248,7 +250,8 @@ def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
     # solvers leave of a large cost.
     if ratio < -max(0.02, 1e-9 * abs(large.cost)):
         raise ValueError(
-            f"{labels[1]} costs more than {labels[0]}, which it contains: its fit has not found the "
+            f"{labels[1]} costs more than {labels[0]}, which it contains: its fit has not found "
+            "the "
             "minimum; give it more starts."
         )
     return ratio

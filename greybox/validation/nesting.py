@@ -275,7 +275,8 @@ class _Equations:
         if idle:
             raise NotNestedError(
                 f"{listed(idle)} of {self.labels[1]} has no effect where the other terms are as in "
-                f"{self.labels[0]}, so no nested test is valid: fix {listed(idle)} to test the others",
+                f"{self.labels[0]}, so no nested test is valid: fix {listed(idle)} to test the "
+                "others",
                 undecided=True,
             )
 

@@ -106,7 +106,8 @@ def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
             rival_count = count_numbers(fit.parts[k])
             if rival_count != count:
                 return (
-                    f"{names[0]} was fitted to {count} numbers of {first.data.name or first.name!r} "
+                    f"{names[0]} was fitted to {count} numbers of "
+                    f"{first.data.name or first.name!r} "
                     f"and {name} to {rival_count} (the longest delay that the bounds allow leaves "
                     "out the first samples, and PredictionError those that miss an output)"
                 )

@@ -119,7 +119,8 @@ class StepwiseSelection:
             texts = listed([f"{rival} (AIC {above:+.2f})" for rival, above in rivals.items()])
             yield f"These data cannot tell {term} from {texts}."
         yield (
-            f"A term is added below {100 * self.size:g} % over the number of terms tried (Bonferroni), "
+            f"A term is added below {100 * self.size:g} % over the number of terms tried "
+            "(Bonferroni), "
             f"and removed above {100 * self.size:g} %."
         )
 
