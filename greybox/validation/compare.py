@@ -118,16 +118,11 @@ def compare(
     if bic and not any(part.data.has_time for fit in fits for part in fit.records):
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]
-    in_time = (p for of_fits in predictions.values() for p in of_fits[0] if p.data.has_time)
-    first = next(in_time, None)
     return Comparison(
         labels=names,
         data=f"{different}: their costs are not compared" if different else shared_data(fits),
         rows=tuple(rows),
         statements=(*notes, *statements),
-        window=first.horizon if first else None,
-        lead=first.lead if first else None,
-        windows={kind: sum(len(p) for p in of_fits[0]) for kind, of_fits in predictions.items()},
         predictions=predictions,
         supported=supported,
         verdict=verdict,
@@ -176,11 +171,10 @@ def _check_labels(labels: Sequence[str], count: int) -> None:
 def _as_records(records: Any) -> list[Record]:
     if records is None:
         return []
-    if isinstance(records, Record):
-        return [records]
-    if not isinstance(records, Sequence) or not all(isinstance(r, Record) for r in records):
+    listed = [records] if isinstance(records, Record) else list(records)
+    if not all(isinstance(record, Record) for record in listed):
         raise TypeError(f"records is {records!r:.80}: give a Record or a list of them.")
-    return list(records)
+    return listed
 
 
 def _costs_not_compared(reason: str, likelihoods: Likelihoods | None) -> str:

@@ -55,12 +55,9 @@ class Comparison:
         The measures.
     statements : tuple of str
         What the measures mean, in sentences.
-    window, lead : float or None
-        Lengths in s of the windows and of the data before them, in the first record in time.
-    windows : mapping of str to int
-        Number of windows by kind of data: "identification", "held-out".
     predictions : mapping of str to tuple of tuples
-        For every fit the `Prediction` of every record, for figures.
+        By kind of data, "identification" and "held-out": for every fit the `Prediction` of every
+        record.
     supported : str
         The label of the smallest structure that the data support; empty where none is known.
     verdict : str
@@ -71,9 +68,6 @@ class Comparison:
     data: str
     rows: tuple[Row, ...]
     statements: tuple[str, ...]
-    window: float | None = None
-    lead: float | None = None
-    windows: Mapping[str, int] = field(default_factory=dict)
     predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(
         default_factory=dict, repr=False
     )

@@ -55,10 +55,8 @@ def fit_rows(
     else:
         rows += [_row("AIC", unknown), _row("BIC", unknown)]
     if same_data:
-        # The included criteria at the estimates, without the one whose costs are compared already.
-        for name in dict.fromkeys(name for fit in fits for name in fit.costs):
-            if not (comparable and name == criterion):
-                rows.append(_row(f"cost: {name}", [f.costs.get(name, math.nan) for f in fits]))
+        for name in () if comparable else names:
+            rows.append(_row(f"cost: {name}", [f.costs.get(name, math.nan) for f in fits]))
         if all(fit.responses for fit in fits):
             sizes = [_relative_rms(fit) for fit in fits]
             rows.append(_row("relative residual (rms)", sizes, "%"))

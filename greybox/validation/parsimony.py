@@ -12,22 +12,16 @@ from greybox.validation.nested_models import NestedTest
 BARE_MENTION = 2.0
 
 
-def smallest_supported(bic: Sequence[float], sizes: Sequence[int]) -> int:
-    """Return the structure with the fewest parameters whose BIC is within 2 of the least."""
-    least = min(bic)
-    near = [k for k, value in enumerate(bic) if value - least <= BARE_MENTION]
-    return min(near, key=lambda k: (sizes[k], bic[k]))
-
-
 def parsimony(
     labels: Sequence[str],
     bic: Sequence[float],
     sizes: Sequence[int],
     tests: Sequence[NestedTest] = (),
 ) -> tuple[int, str]:
-    """Return which structure is the smallest that the data support, and why, in one sentence."""
-    k = smallest_supported(bic, sizes)
+    """Return the structure with the fewest parameters whose BIC is within 2 of the least, and why."""
     best = min(range(len(bic)), key=lambda i: bic[i])
+    near = [i for i, value in enumerate(bic) if value - bic[best] <= BARE_MENTION]
+    k = min(near, key=lambda i: (sizes[i], bic[i]))
     alike = [
         labels[i]
         for i, value in enumerate(bic)

@@ -99,7 +99,8 @@ def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
     with pytest.raises(ValueError, match=r"lead=0.5 s is shorter than a sample"):
         gb.predict(one, record=record, lead=0.5)
     found = gb.compare(*flights[:2], window=1.03, lead=0.48)
-    assert (found.window, found.lead) == pytest.approx((1.05, 0.5))
+    first = found.predictions["identification"][0][0]
+    assert (first.horizon, first.lead) == pytest.approx((1.05, 0.5))
     assert "windows of 1.05 s, each from 0.5 s before it" in str(found)
     for shift in (0.0, 37.1, 1234.567):  # 12.5 samples in figures that rounding disturbs
         record = flights[2].rows(np.arange(0, 300))
@@ -172,9 +173,10 @@ def test_windows_without_a_finite_value_are_left_out_and_counted():
         records.append(gb.Record(time, {"flow": given, "level": level}, name=f"tank {seed}"))
     fits = [fitted(model, records[0]) for model in (Tank(), SafeTank())]
     found = gb.compare(*fits, records=records[1])
-    assert found.windows["identification"] == 17
-    assert 5 < found.windows["held-out"] < 17
-    count = 17 - found.windows["held-out"]
+    windows = {kind: len(of_fits[0][0]) for kind, of_fits in found.predictions.items()}
+    assert windows["identification"] == 17
+    assert 5 < windows["held-out"] < 17
+    count = 17 - windows["held-out"]
     (said,) = [
         s
         for s in found.statements
