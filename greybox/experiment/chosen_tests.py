@@ -135,6 +135,7 @@ def choose_tests(
         repeats = without_surplus(rounded_up, once, duration, target)
     else:
         share = optimal_shares(rates, optimal)
+        # Whole tests rarely fill the time; the remainder goes to the most informative ones.
         rounded_down = np.floor(share * seconds / duration + 1e-9).astype(int)
         repeats = _filled(rounded_down, once, duration, seconds, optimal)
         if not repeats.any() or not math.isfinite(size_of_errors(_sum(repeats, once), optimal)):
@@ -188,6 +189,7 @@ def _sum(repeats: IntArray, once: Array) -> Array:
 
 def without_surplus(repeats: IntArray, once: Array, duration: Array, target: Array) -> IntArray:
     """Drop repeats, the longest tests first, as long as the errors stay as small as wanted."""
+    # Rounding up may leave a flight that the others already replace; the longest saves most.
     for k in np.argsort(-duration):
         while repeats[k]:
             fewer = repeats - (np.arange(len(repeats)) == k)

@@ -220,6 +220,7 @@ def connected(
                 f"signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
             )
 
+        # A signal of two sources would be overwritten without notice.
         twice = provides & driven | (provides | commanded) & {*taken}
         if twice:
             raise ValueError(

@@ -56,6 +56,7 @@ class Excitation:
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
+        # Plans and records share these arrays.
         for values in (self.time, *self.signals.values()):
             values.setflags(write=False)
         for name in ("signals", "units", "settings"):

@@ -98,6 +98,7 @@ def expected_errors(
     # Below this share of the largest variance, in units that the data notice, is rounding.
     information = np.linalg.pinv(covariance / scale, rcond=1e-13, hermitian=True) / scale
     errors = np.sqrt(np.diag(covariance))
+    # The covariance has zeros in directions without information; an error of zero would be wrong.
     errors[np.linalg.norm(accuracy.blind[:count], axis=1) > 0] = np.nan
     undetermined = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}

@@ -95,6 +95,8 @@ def _assigned(
 
 def _log_spaced(harmonics: IntArray, points: int) -> IntArray:
     """Choose distinct harmonics that are nearly log spaced."""
+    # Low harmonics are sparse on a log scale: two points may fall on one, and are moved apart,
+    # first upward, then downward from the end.
     places = np.searchsorted(harmonics, np.geomspace(harmonics[0], harmonics[-1], points) - 1e-9)
     for k in range(1, points):
         places[k] = max(places[k], places[k - 1] + 1)
@@ -143,6 +145,7 @@ def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
     def value(shift: float) -> float:
         return float(np.sum(np.sin(2 * math.pi * harmonics * shift + phases)))
 
+    # Between samples, so that the signal starts exactly at zero.
     crossing: Any = brentq(value, k / count, (k + 1) / count, xtol=1e-16)
     return phases + 2 * math.pi * harmonics * float(crossing)
 

@@ -47,6 +47,7 @@ def require_determined(information: Array, names: Sequence[str], test: str, cure
     for name, s in zip(names, size, strict=True):
         if not s > 0:
             raise ValueError(f"{test} has information on {name}: fix it, or {cure}.")
+    # With unit diagonal, the result does not depend on the units of the parameters.
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     if values[0] < 1e-10:  # rounding of the sensitivities
         combined = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
@@ -81,6 +82,7 @@ def shares(informations: Array, wanted: Array) -> Array:
         slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
         return np.asarray(np.diag(inverse)[matters], dtype=float), slope[matters]
 
+    # The variances over their value at equal shares are of size one, as SLSQP expects.
     begin = np.full(count, 1 / count)
     unit = float(np.max(with_slope(begin)[0]))
     outcome = minimize(
@@ -142,6 +144,7 @@ def _without_small(share: Array) -> Array:
 def size_of_errors(information: Array, optimal: Optimality) -> float:
     """Return the sum of the variances, or the log of their determinant; infinite if singular."""
     values = np.linalg.eigvalsh(information)
+    # Below this, the smallest eigenvalue is rounding.
     if not values[0] > 1e-12 * values[-1]:
         return np.inf
     return float(np.sum(1 / values) if optimal == "A" else -np.sum(np.log(values)))

@@ -111,6 +111,7 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
                 f"{name} is {settings[name]:g} s, but SystemID mode takes at most {limit} s: "
                 "shorten it."
             )
+    # SID_AXIS counts from one; zero disables the mode.
     number = FLOWN_AXES.index(axis) + 1
     angular = next(iter(excitation.units.values())).startswith("rad")
     if angular == axis.startswith("mixer"):

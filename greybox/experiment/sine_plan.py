@@ -212,6 +212,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         )
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
+    # In units of the wanted errors, the matrices are well scaled and the targets are one.
     scale = np.array([wanted.get(name, np.nan) for name in nlp.free])
     scale = np.where(np.isfinite(scale), scale, _sizes(sensitivity, weight))
     scaled = sensitivity * scale
@@ -308,6 +309,7 @@ def _sensitivities(
     exact = frequency_response(
         model, {**values, **fixed}, omega, input=signals[0], output=signals[1]
     )
+    # The problem only serves for sensitivities: any variance will do.
     data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)
     at = {**values, **fixed}
     nlp = compile_problem(Problem(model, data, MaximumLikelihood(), free=free, fixed=fixed))
@@ -320,6 +322,7 @@ def _sensitivities(
 
 def _sizes(sensitivity: ComplexArray, weight: Array) -> Array:
     """Return sizes (p,) of parameters without a wanted error, comparable with wanted errors."""
+    # The error of each parameter alone, after a second at all frequencies.
     norm = np.sqrt((weight[:, None] * np.abs(sensitivity) ** 2).sum(axis=0))
     return 1 / np.where(norm > 0, norm, 1.0)
 
@@ -381,6 +384,7 @@ def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tup
             break
         if best is None or total < best[0]:
             best = total, chosen, duration
+        # The sine with the smallest share costs its settling time and informs least.
         chosen = np.delete(chosen, np.argmin(share))
     assert best is not None
     return best[1], best[2]

@@ -56,6 +56,7 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
         frequencies.tolist(), amplitudes.tolist(), counts.tolist(), strict=True
     ):
         period = 2 * math.pi / w
+        # Whole periods of settling keep the phase of the analyzed sine at zero.
         lead = round_up(lead_in / period) * period
         length = max(count, round_up(least / period)) * period
         schedule.append(
@@ -74,9 +75,9 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
 
 
 def _for_each(frequencies: Array, values: float | Sequence[float], what: str) -> Array:
-    given = np.atleast_1d(np.asarray(values, dtype=float))
-    if given.size not in (1, frequencies.size):
+    array = np.atleast_1d(np.asarray(values, dtype=float))
+    if array.size not in (1, frequencies.size):
         raise ValueError(
-            f"there are {frequencies.size} frequencies but {given.size} {what}: give one for each."
+            f"there are {frequencies.size} frequencies but {array.size} {what}: give one for each."
         )
-    return np.broadcast_to(given, frequencies.shape)
+    return np.broadcast_to(array, frequencies.shape)

@@ -71,6 +71,7 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     late = np.maximum(time - hold, 0)
     if kind == "logarithmic":
         rise = math.log(high / low)
+        # The integral of a frequency that grows exponentially; expm1 keeps digits at the start.
         phase = low * span / rise * np.expm1(rise * late / span)
     else:
         phase = low * late + (high - low) * late**2 / (2 * span)

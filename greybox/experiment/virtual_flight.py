@@ -117,7 +117,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
     time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label)
 
-    wanted = (n for c in controllers for n in map(c.outside, c.inputs))
+    sensors = (n for c in controllers for n in map(c.outside, c.inputs))
     loop = _Loop(
         model.label,
         system,
@@ -125,16 +125,18 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         controllers,
         clock,
         excited=tuple(commands),
-        measured=tuple(dict.fromkeys((*system.outputs, *wanted, *noise))),
+        measured=tuple(dict.fromkeys((*system.outputs, *sensors, *noise))),
         forced=tuple(process_noise),
         initial=_checked("initial", initial, (*system.states, *system.inputs)),
     )
     sensed = _checked("noise", noise, loop.measured, low=0)
+    # Sensors and process noise have streams of their own: adding a sensor must not change the wind.
     errors = _draws(seed, 0, loop.measured, sensed, time.size)
     forced = _checked("process_noise", process_noise, system.states, low=0)
     forces = _draws(seed, 1, loop.forced, forced, time.size) * math.sqrt(clock)
     log, findings = _fly(loop, np.vstack([*commands.values(), errors, forces]), time)
 
+    # With the true values, a record of a virtual flight can be judged later.
     metadata = {
         "plant": repr(model),
         "values": dict(truth),
@@ -185,6 +187,7 @@ class _Loop:
                 raise ValueError(
                     f"the delay of {name!r} is {delay:g} s: give a value of 0 or more."
                 )
+            # A delay of whole periods must not become one period less and a fraction by rounding.
             periods = math.floor(delay * self.clock + 1e-9)
             part = delay * self.clock - periods
             result.append((periods, part if part > 1e-9 else 0.0))
@@ -194,8 +197,8 @@ class _Loop:
         """Return the initial state of the first step: plant, controllers, past controls."""
         plant = [self.initial.get(n, 0.0) for n in self.system.states]
         past = [
-            [self.initial.get(n, 0.0)] * (whole + 1)
-            for n, (whole, _) in zip(self.system.inputs, self.delays, strict=True)
+            [self.initial.get(n, 0.0)] * (periods + 1)
+            for n, (periods, _) in zip(self.system.inputs, self.delays, strict=True)
         ]
         return np.array(
             [
@@ -220,6 +223,7 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
         wrong = ~(np.abs(flown) < 1e9)  # no state of a vehicle in SI units is that large
         reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
         error = _largest(local[:, :reached], flown[len(names) :, :reached], states[:n, :reached])
+        # A divergence is judged last: too few substeps make a stable flight diverge.
         if error > TOLERANCE and substeps < MOST_SUBSTEPS:
             substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, 4))
             continue
@@ -253,7 +257,8 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     x = ca.SX.sym("x", len(system.states))
     memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
     past = [
-        ca.SX.sym(name, whole + 1) for name, (whole, _) in zip(system.inputs, delays, strict=True)
+        ca.SX.sym(name, periods + 1)
+        for name, (periods, _) in zip(system.inputs, delays, strict=True)
     ]
     added, errors, forces = (
         ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced)
@@ -263,13 +268,15 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
         n: excitation.get(n, ca.SX(loop.initial.get(n, 0.0))) for n in system.inputs
     }
     signals |= excitation
-    early = [h[whole] for h, (whole, _) in zip(past, delays, strict=True)]
+    # `past` has the newest control first: what acts before the fraction of the delay has passed is
+    # one sample older.
+    early = [h[periods] for h, (periods, _) in zip(past, delays, strict=True)]
 
     # A control that is computed from this sample reaches the plant after it.
     commanded = {c.outside(n) for c in loop.controllers for n in c.outputs}
     now = [
-        late if not part and (whole or name not in commanded) else before
-        for name, late, before, (whole, part) in zip(
+        late if not part and (periods or name not in commanded) else previous
+        for name, late, previous, (periods, part) in zip(
             system.inputs, _late(past, signals, loop), early, delays, strict=True
         )
     ]
@@ -312,8 +319,8 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
 def _late(past: list[ca.SX], signals: Signals, loop: _Loop) -> list[ca.SX]:
     """Return what reaches each input after the fraction of its delay."""
     return [
-        h[whole - 1] if whole else signals[n]
-        for n, h, (whole, _) in zip(loop.system.inputs, past, loop.delays, strict=True)
+        h[periods - 1] if periods else signals[n]
+        for n, h, (periods, _) in zip(loop.system.inputs, past, loop.delays, strict=True)
     ]
 
 
@@ -384,6 +391,7 @@ def _commands(
     """Return time, the excitation by name on the clock of the loop, and units."""
     if isinstance(excitation, Excitation):
         require_known(excitation.signals, places, "place for", label)
+        # A controller may run faster than the test signal is sampled.
         time = np.arange(math.floor(excitation.time[-1] * clock + 1e-6) + 1) / clock
         sampled = {n: np.interp(time, excitation.time, v) for n, v in excitation.signals.items()}
         return time, sampled, dict(excitation.units)
@@ -406,10 +414,10 @@ def _commands(
 
 
 def _checked(
-    what: str, given: Mapping[str, float], known: Sequence[str], low: float = -math.inf
+    what: str, given: Mapping[str, float], places: Sequence[str], low: float = -math.inf
 ) -> dict[str, float]:
     """Return numbers by name once names and sizes are right."""
-    require_known(given, known, "place for", what)
+    require_known(given, places, "place for", what)
     for n, value in given.items():
         if not isinstance(value, (int, float, np.number)) or not low <= value < math.inf:
             raise ValueError(

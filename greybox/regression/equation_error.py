@@ -178,6 +178,7 @@ def equation_error(
     longest_delays = _longest_delays(system, parameters)
     between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
 
+    # The smoothing does not depend on the parameters, so it is done once.
     data = regressors(equations, record, start, longest_delays, between)
     projection = project(data, unknown, start)
     # Lags that turn out slower than at their start need more rows at the beginning to forget their
@@ -277,6 +278,7 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
 def _longest_delays(system: Dynamics, parameters: Mapping[str, Parameter]) -> Array:
     """Return the largest delay of every input that the bounds allow (m,), s."""
     own = [parameters[name] for name in system.parameters]
+    # The search may try any delay within the bounds, and the rows must be the same for all.
     highest = [p.start if p.fixed else p.bounds[1] for p in own]
     delays = np.asarray(system.delay(highest)).ravel()
     if not np.all(np.isfinite(delays)):
@@ -296,6 +298,7 @@ def _bias(
     """
     if not data.noise:
         return dict.fromkeys(projection.names, 0.0)
+    # The same noise for every call: an estimate must not change from run to run.
     random = np.random.default_rng(0)
     steps = []
     # One pair averages well enough over a long record.

@@ -27,6 +27,7 @@ class Block:
 
 def undetermined(blocks: Sequence[Block]) -> list[tuple[int, ...]]:
     """Return the columns without effect, and the sets with a combination without effect."""
+    # The triangular factor has the singular values of all rows, which may be many thousands.
     triangle = _triangle(blocks, np.ones(1 + max(b.equation for b in blocks)))[:, 1:]
     sizes = np.linalg.norm(triangle, axis=0)
     zero = [(int(k),) for k in np.flatnonzero(sizes == 0)]
@@ -52,6 +53,7 @@ def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> A
         return np.zeros(0)
     sizes = np.linalg.norm(matrix, axis=0)
     sizes[sizes == 0] = 1.0
+    # Usually no bound is active, and the plain solution is the answer.
     free = np.linalg.lstsq(matrix / sizes, right, rcond=None)[0] / sizes
     if np.all((free >= low) & (free <= high)):
         return free

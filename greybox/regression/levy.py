@@ -186,6 +186,7 @@ def levy(
     for _ in range(iterations):
         size = np.abs(np.polyval(denominator, 1j * data.omega))
         numerator, denominator, condition = _solve(data, n, m, integrator, weights / size)
+
     numerator.flags.writeable = False
     denominator.flags.writeable = False
 
@@ -244,6 +245,7 @@ def _solve(
     matrix = np.concatenate([equations.real, equations.imag])
     right = np.concatenate([response[:, 0].real, response[:, 0].imag])
 
+    # Powers of ω differ by decades: without scaling, the rank would be that of the units.
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0] = 1.0
     normalized, _, _, singular = np.linalg.lstsq(matrix / scale, right, rcond=RANK)

@@ -190,6 +190,7 @@ class _Analysis:
         for name in self.model.states:
             if name in self.signals:
                 self.states[name] = KnownState(name, "signal", name, None)
+        # Each state may make another one known: x from a position, then v from x.
         while self._one_more_state():
             pass
 
@@ -224,6 +225,7 @@ class _Analysis:
                 or self._unknown(self.f[n]) - {*names}
                 or not self._affine(self.f[n], x)
             ]
+            # An unstable or integrating state would remember its unknown initial value.
             if not excluded:
                 values = np.asarray(ca.Function("A", [self.p], [ca.densify(matrix)])(self.start))
                 excluded = _unstable(values, names)
@@ -337,6 +339,8 @@ class _Analysis:
         right_sides = ca.vertcat(*rows, ca.SX(0, 1))
         partners = {n: self._partners(right_sides, n, names) for n in names}
         linear: set[str] = set()
+        # Of parameters that multiply one another, the one with the most partners is searched for:
+        # then the others are linear.
         for name in sorted(names, key=lambda n: len(partners[n])):
             is_affine = all(self._affine(row, self._symbol(name)) for row in rows)
             if is_affine and not partners[name] & {name, *linear}:

@@ -96,6 +96,9 @@ class Regressors:
             equation.target
         ]
         columns = np.column_stack([target, base, slopes])
+
+        # The filter is less accurate near the ends of a stretch, and simulated states have not
+        # settled at its beginning.
         edge = math.ceil(reach(band) / self.step)
         late = math.ceil(self.lateness / self.step)
         result = []
@@ -296,12 +299,15 @@ def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
     hold = exponential[:s, s : 2 * s]
     ramp = exponential[:s, 2 * s :]
 
+    # In the Schur basis, each state is driven by those after it only: one scalar recursion after
+    # another.
     drive = basis.conj().T @ drive
     drive[:, 1:-1] -= (
         np.diff(drive, 2) / 12
     )  # so that the mean over a step is right to the fourth order
     added = (hold - ramp) @ drive[:, :-1] + ramp @ drive[:, 1:]
     z = np.zeros(drive.shape, complex)
+    # The initial state is unknown: the equilibrium with the first input is the best guess.
     start = np.linalg.solve(triangle, -drive[:, 0])
     for k in reversed(range(s)):
         right = added[k] + exponential[k, k + 1 : s] @ z[k + 1 :, :-1]

@@ -89,6 +89,7 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
     for rows in parts:
         smooth_values[rows] = low_pass(values[rows], step, cutoff)
 
+    # The noise is white, so its power in what was removed gives its power everywhere.
     removed = 1 - _weight(omega, cutoff)
     noise = math.sqrt(float(np.sum((removed * amplitude) ** 2)) / max(float(np.sum(removed)), 1e-9))
     return Smoothed(smooth_values, cutoff, noise)
@@ -132,13 +133,13 @@ def without_holes(time: Array, values: Array) -> Array:
     """Return the signal with single missing samples interpolated by a cubic spline."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
-    known = np.flatnonzero(np.isfinite(values))
+    present = np.flatnonzero(np.isfinite(values))
     filled = np.array(values, dtype=float)
-    if known.size in (0, values.size):
+    if present.size in (0, values.size):
         return filled
     step = float(np.median(np.diff(time)))
-    near = np.diff(time[known]) <= GAP * step
-    for part in np.split(known, np.flatnonzero(~near) + 1):
+    near = np.diff(time[present]) <= GAP * step
+    for part in np.split(present, np.flatnonzero(~near) + 1):
         inside = np.setdiff1d(np.arange(part[0], part[-1] + 1), part)
         if inside.size and part.size >= 4:
             filled[inside] = CubicSpline(time[part], values[part])(time[inside])
@@ -192,6 +193,7 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
     candidates: Sequence[float] = np.linspace(
         math.log(np.sort(omega)[2]), math.log(omega.max()), 60
     ).tolist()
+    # The score has several local minima: a grid finds the lowest, and a search refines it.
     best = min(candidates, key=score)
     width = candidates[1] - candidates[0]
     refined = minimize_scalar(

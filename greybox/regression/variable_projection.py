@@ -161,6 +161,8 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
     if not first:
         raise ValueError(_too_short(data))
     point = _located(search)
+
+    # The sizes of the residuals weigh the equations; they are known only after a first solution.
     blocks = search.blocks(point)
     weights = _weights(blocks, [b.target for b in blocks])
     weights = _weights(blocks, residuals(blocks, _inner(search, blocks, weights)))

@@ -52,6 +52,7 @@ def whole_periods(
             f"periods of {period:.3g} s"
         )
 
+    # The last periods: transients have decayed the longest there.
     rows = time > time[-1] + step / 2 - count * period
     in_each = np.histogram(time[rows], count, (time[-1] - count * period, time[-1]))[0]
     if in_each.min() < LEAST_FILLED * period / step:

@@ -169,6 +169,7 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
     """Average the tests at one frequency, weighted by periods times squared control amplitude."""
     if len(points) == 1:
         return points[0]
+    # These weights are those of least squares over all tests together.
     weight = np.array([p.periods * abs(p.u) ** 2 for p in points])
     weight = weight / weight.sum()
     dof = np.array([p.dof for p in points])
@@ -199,6 +200,7 @@ def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
     """Return a point with its unexplained harmonics, which count as an error of the gain."""
     if not share > 0:
         return replace(point, unexplained=share)
+    # Harmonics of this share change the gain by about as much.
     error = math.hypot(point.standard_error, share * abs(point.response))
     findings = point.findings
     if share > UNEXPLAINED:

@@ -94,6 +94,7 @@ def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics)
             np.abs(harmonics.beside[:, 1] / plant[:, None] - harmonics.beside[:, 0]) ** 2, axis=1
         )
     )
+    # What the interpolated response or the sensor may explain is no distortion.
     allowed = error * np.abs(harmonics.control) + SENSOR * abs(harmonics.sine) / np.abs(plant)
     excess = np.where(e > DETECTED * noise, np.maximum(e - allowed, 0), 0)
     return float(np.sqrt(np.sum(excess**2)) / u)

@@ -192,6 +192,7 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
     omega, values, stretch = [], [], []
     for index, piece in enumerate(stretches):
         count = piece.values.shape[1]
+        # The line at zero is left out: it has the mean, which was removed with the trend.
         spectrum = np.fft.rfft(piece.values, axis=1)[:, 1:] * math.sqrt(piece.step / count)
         omega.append(HZ / (count * piece.step) * np.arange(1, spectrum.shape[1] + 1))
         values.append(spectrum)
@@ -290,10 +291,12 @@ def _narrowest(
 
 def _edges(low: float, high: float, count: int, least: float) -> Array:
     """Return the edges of bands of equal ratio that are nowhere narrower than `least`."""
+    # Equal ratios, as the gain and phase of a plant vary with log frequency.
     ratio = (high / low) ** (1 / count)
     edges = [low]
     while edges[-1] < high * (1 - 1e-9):
         edges.append(max(edges[-1] * ratio, edges[-1] + least))
+    # A last band that is too narrow joins the one before.
     if len(edges) > 2 and high - edges[-2] < least:
         edges.pop()
     edges[-1] = max(high, edges[0] + least)
@@ -321,6 +324,7 @@ def fit_band(
 
     transients = _transients(lines.stretch[rows], stretches, powers[:, : transient_order + 1])
     regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
+    # Least squares is the special case in which the regressors are their own instruments.
     instruments = regressors
     if not lines.direct:
         instruments = _without(
@@ -371,6 +375,8 @@ def _solved(
     x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):
         return None
+    # With an orthonormal basis of the instruments, the condition number is that of the problem, not
+    # that of its units.
     basis, _ = np.linalg.qr(instruments / z_length)
     square = basis.conj().T @ (regressors / x_length)
     if not np.linalg.cond(square) < WORST_CONDITION:
@@ -387,6 +393,7 @@ def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band
     band, wrong = _judged(lines, fitted, gauss_nodes(lines, fitted))
     if wrong and high - low >= 2 * widths.point:
         halves = [_halved(lines, low, center, widths), _halved(lines, center, high, widths)]
+        # A half without enough lines would leave a hole in the band.
         if all(halves):
             return halves[0] + halves[1]
     return [band]
@@ -411,6 +418,7 @@ def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
     order (Golub and Welsch (1969), Mathematics of Computation 23).
     """
     u, _, r, *_ = lines.values[:, fitted.rows]
+    # With an instrument, a line informs in proportion to both amplitudes.
     amplitude = np.sqrt(np.abs(u) * np.abs(r))
     basis, _ = np.linalg.qr(amplitude[:, None] * np.vander(fitted.x, NODES, increasing=True))
     nodes = np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis)).astype(float)
@@ -429,6 +437,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     y = lines.values[1, quartic.rows]
     weights = quartic.weights(omega) - quadratic.weights(omega)
     noise = np.sum(np.abs(quartic.residuals(y)) ** 2) / quartic.trace()
+    # Noise alone makes the two polynomials differ by this variance.
     squared = np.abs(weights @ y) ** 2
     variance = noise * np.sum(np.abs(weights) ** 2, axis=1)
     response = fitted.weights(omega) @ lines.values[1, fitted.rows]
@@ -437,6 +446,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     ):
         return plain, False
 
+    # A pole has two coefficients more: it is estimated only if the error is beyond doubt.
     certain = np.any(squared > CERTAIN * variance)
     with_pole = _with_pole(lines, fitted, omega) if certain else None
     if with_pole is None:
@@ -466,6 +476,7 @@ def _with_pole(
     if number < 1:
         return None
     solved = _solved(_without(transients, regressors), _without(transients, instruments))
+    # The correction compares both models on the lines of the narrow band.
     places = np.searchsorted(rows, fitted.rows)
     if solved is None or not np.array_equal(rows[np.minimum(places, rows.size - 1)], fitted.rows):
         return None
@@ -473,6 +484,7 @@ def _with_pole(
     coefficients = solved[1] @ y
     pole = coefficients[ORDER + 1]
     transient = transients @ (transients.T @ (y - regressors @ coefficients))
+    # Without the column of the pole, the regressors give the numerator times the input.
     coefficients[ORDER + 1] = 0.0
     output = (regressors @ coefficients + transient) / (1 + pole * x)
     at = (omega - center) / half
@@ -554,10 +566,12 @@ def _noise(
     octaves = residuals(np.geomspace(center / 2, 2 * center, places))
     if not octaves:
         return None
+    # 1.5 times the center is the width of the two octaves.
     slopes = _slopes(octaves, 1.5 * center / widths.noise)
 
     width = max(2 * half, math.ceil(NEIGHBORHOOD / widths.residuals) * widths.noise)
     near: list[_Residual] = []
+    # A neighborhood full of visibly wrong bands is widened up to four times.
     for reach in (1, 2, 4):
         low = max(center - reach * width / 2, lines.spacing / 2)
         near = residuals(
@@ -570,6 +584,7 @@ def _noise(
     if not near:
         return None
 
+    # Divided by the slope, all residuals have the level of the noise at the center.
     level = np.array([(r.center / center) ** slopes for r in near])
     trace = sum(r.number for r in near)
     output, input = np.sum([r.squares for r in near] / level, axis=0) / trace
@@ -583,6 +598,7 @@ def _overlap(residuals: Sequence[_Residual]) -> float:
     total = 0.0
     for i, first in enumerate(residuals):
         for second in residuals[i:]:
+            # The bands are sorted: from here on, none overlaps the first.
             if second.rows[0] > first.rows[-1]:
                 break
             _, columns, rows = np.intersect1d(
@@ -623,6 +639,7 @@ def _slopes(residuals: Sequence[_Residual], apart: float) -> Array:
     """
     omega = np.log([r.center for r in residuals])
     power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
+    # The mean level is estimated too, but it is not of interest here.
     omega = omega - omega.mean()
     scatter = (
         LOG_SCATTER / math.sqrt(residuals[0].number) * math.sqrt(max(len(residuals) / apart, 1.0))

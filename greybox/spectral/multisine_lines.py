@@ -74,6 +74,7 @@ def periodic_response(
 
     fundamental = HZ / period
     if omega is None:
+        # The instrument has no noise of the loop, so that its lines stand out best.
         amplitude = np.sqrt(np.sum(np.abs(spectra[:, 2]) ** 2, axis=0))
         multiple = 1 + np.flatnonzero(amplitude > EXCITED * amplitude.max())
     else:
@@ -107,6 +108,7 @@ def period_spectra(
         for values in np.split(stretch.values, count, axis=1):
             lines = np.fft.rfft(values, axis=1)[:, 1 : (values.shape[1] + 1) // 2]
             spectra.append(lines * stretch.step)
+    # Slower stretches have fewer lines; only common ones can be averaged.
     fewest = min((s.shape[1] for s in spectra), default=0)
     return stretches, np.array([s[:, :fewest] for s in spectra])
 

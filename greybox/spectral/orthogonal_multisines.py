@@ -77,6 +77,9 @@ def response_matrix(
         )
     omega = 2 * np.pi / period * np.arange(1, spectra.shape[2] + 1)
     m, k = len(inputs), len(outputs)
+
+    # A line belongs to the excitation that is strongest there; excitations may differ in unit, so
+    # each is compared with its own largest line.
     size = np.abs(spectra[:, m + k :].mean(axis=0))
     relative = size / size.max(axis=1, keepdims=True)
     owner = np.where(relative.max(axis=0) > EXCITED, relative.argmax(axis=0), -1)
@@ -133,6 +136,8 @@ def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array
     system = np.concatenate(
         [u[:, None] * matrix for u, matrix in zip(inputs, between, strict=True)], axis=1
     )
+    # Inputs have different units and lines different amplitudes: without scaling, the condition
+    # number would show these.
     rows = np.linalg.norm(system, axis=1, keepdims=True)
     columns = np.linalg.norm(system / rows, axis=0)
     scaled = system / rows / columns

@@ -127,6 +127,8 @@ def finite_frequency(
     signals = np.stack(
         [record[name] for name in ((input, output, setpoint) if setpoint else (input, output))]
     )
+
+    # A sample counts only if all signals have it: a ratio needs both sides at the same time.
     present = np.isfinite(signals).all(axis=0)
     settings = _Settings(record.time[present], signals[:, present], settle, periods)
     points = []
@@ -144,6 +146,8 @@ def finite_frequency(
         raise ValueError(f"no segment gives a point of the response: {reasons}.")
     points = _with_pooled_noise(points)
 
+    # The harmonics of one test are referred to the responses of the others, so that the mean is
+    # taken twice: before, for the response, and after, with the error that they imply.
     frequencies = sorted({p.omega for p in points})
     merged = [averaged([p for p in points if p.omega == omega]) for omega in frequencies]
     shares = unexplained(np.array(frequencies), np.array([p.response for p in merged]), measured)
@@ -167,6 +171,8 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
     notes = []
 
     rows, q = whole_periods(time, omega, settings.settle, settings.periods)
+
+    # The announced frequency may be rounded; the setpoint in the log is exact.
     if len(signals) == 3 and q > 1:
         error = frequency_error(time[rows], signals[2, rows], omega)
         if abs(error) * 2 * math.pi * q / omega > PHASE_DRIFT:
@@ -210,6 +216,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
 
 def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
     """Return the points with standard errors from the pooled noise density of all points."""
+    # Referred to the output and to one second, the noise of all tests is comparable.
     level = [(p.standard_error * abs(p.u)) ** 2 * (p.end - p.start) for p in points]
     pooled, dof = pooled_levels([p.omega for p in points], level, [p.dof for p in points])
     factors = [
@@ -233,6 +240,7 @@ def estimate_by_lines(
     t: Array, amplitudes: ComplexArray, residual: Array, omega: float, origin: float, q: int
 ) -> SinePoint:
     """Estimate with the lines beside `omega`; leakage is smooth in the number m of the line."""
+    # The lines are relative to the start of the window, so are the amplitudes here.
     u, y = amplitudes[:2] * np.exp(1j * omega * (t[0] - origin))
     if q == 1 or u == 0:
         # One period has no lines: assume white noise of the residual's variance.

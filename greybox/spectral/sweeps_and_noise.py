@@ -144,6 +144,7 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
     reach = np.maximum(fine * SMOOTHED / 2, 2 * lines.spacing)  # noise has holes by chance
     first = np.searchsorted(lines.omega, fine - reach)
     last = np.searchsorted(lines.omega, fine + reach)
+    # Cumulative power makes the mean over any band a difference of two numbers.
     total = np.concatenate([[0.0], np.cumsum(np.abs(lines.values[2]) ** 2)])
     power = fine * (total[last] - total[first]) / (last - first)
 

@@ -165,6 +165,7 @@ def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
 
 def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
     spans = [(s.start, s.end) for s in segments if s.usable] or [(-math.inf, math.inf)]
+    # Gaps between tests lose nothing.
     begins = record.time[:-1]
     ends = record.time[1:]
     within = np.any([(ends > start) & (begins < end) for start, end in spans], axis=0)
@@ -181,6 +182,7 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
 def jitter(record: Record) -> Iterator[Finding]:
     """Yield a finding if the sampling interval varies."""
     steps = np.diff(record.time)
+    # A gap is reported as such.
     steady = steps[steps <= GAP * record.step]
     jitter = float(np.std(steady) / record.step) if steady.size else 0.0
     if jitter > JITTER:
@@ -262,11 +264,13 @@ def _length(
 ) -> Iterator[Finding]:
     usable = [s for s in segments if s.usable]
     if usable:
+        # The shortest test has the largest errors.
         fewest = min(usable, key=lambda s: s.periods)
         periods = fewest.periods
         lowest = fewest.band[0]
     else:
         _, lowest = _highest_lowest(response, segments)
+        # Nothing is estimated across a gap.
         longest = max(piece.duration for piece in record.pieces)
         periods = longest * lowest / (2 * math.pi)
     yield from _graded(

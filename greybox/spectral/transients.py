@@ -84,6 +84,7 @@ def transient_spectrum(
         source=record.source,
         stretch=stretch.origin,
     )
+    # A value that was held for a part of the step acts half of that later.
     delayed = {name: spectrum.delayed_input(name, readings[name].late) for name in inputs}
     return replace(spectrum, inputs=delayed)
 

@@ -70,6 +70,7 @@ def uniform_stretches(
                     )
                     stretches.append(stretch)
 
+    # A ratio of two constants would be rounding errors.
     constant = [
         name
         for k, name in enumerate(signals)

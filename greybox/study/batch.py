@@ -154,6 +154,7 @@ def batch(
     limits = TimeLimits.from_now(seconds, start_seconds)
     folder = Path(folder)
     with locked(folder), limited(limits):
+        # Members are added before the first fit: a reader sees the whole study from the start.
         stored = add_members(folder, [member.name for member in listed])
         try:
             hidden = None if progress else True  # None: on a terminal only
@@ -188,15 +189,16 @@ def _fit_member(
     """Fit a member, unless it is done; an error of its own is its answer."""
     if _is_done(member, stored):
         return
-    kept = StoredRuns(folder, member.name)
+    runs = StoredRuns(folder, member.name)
 
     def report(done: int, count: int) -> None:
         text = f"{member.name}: {done} of {counted(count, 'start')}"
         bar.set_description_str(text)
 
+    # Runs are written whatever ends the fit; an answer only if the search was not cut.
     result, error = None, ""
     try:
-        result = _fitted(member, kept, executor, report)
+        result = _fitted(member, runs, executor, report)
         error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
     except (ExecutorLostError, KeptRunsError):
         raise
@@ -204,11 +206,11 @@ def _fit_member(
         error = " ".join(str(raised).split()) or type(raised).__name__
     finally:
         with responding(Response.FINISH):
-            kept.write()
-    if is_search_over():  # its runs are kept, and the rest of it is left for the next time
+            runs.write()
+    if is_search_over():  # its runs are stored, and the next call resumes it
         return
 
-    marks = {"fingerprint": kept.fingerprint, "asked": _asked(member)}
+    marks = {"fingerprint": runs.fingerprint, "asked": _asked(member)}
     answer = {**(summary(result) if result else {}), **marks}
     with responding(Response.FINISH):
         if result is not None:
@@ -218,10 +220,10 @@ def _fit_member(
 
 
 def _fitted(
-    member: Member, kept: StoredRuns, executor: Executor | None, report: Callable[[int, int], None]
+    member: Member, runs: StoredRuns, executor: Executor | None, report: Callable[[int, int], None]
 ) -> Fit:
     return fit_keeping(
-        kept,
+        runs,
         member.problem,
         member.starts,
         member.seed,

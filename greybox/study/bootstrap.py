@@ -332,6 +332,7 @@ def bootstrap(
         np.append(outcome.estimate, runner.constants_of(k)) for k, outcome in enumerate(outcomes)
     ]
     values = np.asarray(function(np.array(points).T)).T.copy()
+    # Where a refit failed, its last point says nothing about the estimate.
     values[[not outcome.converged for outcome in outcomes]] = np.nan
     statuses = tuple("" if outcome.converged else outcome.status for outcome in outcomes)
     return Bootstrap(
@@ -373,6 +374,7 @@ def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[Respons
     is_at_bound = {q.name: q.at_bound for q in fit.quantities}
     at_bound = np.array([is_at_bound[name] for name in nlp.free])
     nothing = np.zeros((len(nlp.names), len(nlp.names)))
+
     constants = sum((covariance for covariance, _ in known_covariances(nlp)), nothing)
     neighbors = [pair and (pair.correlation, pair.scale) for pair in assess(nlp, x).neighbors]
     draws = response_draws(nlp, x, at_bound, constants[len(x) :, len(x) :], seed, neighbors)
@@ -397,6 +399,7 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordRep
     solver = solver_for(nlp)
     search = multistart(nlp, solver, x[None], movable=False)
     nlp, search, solver, _ = refine_discretization(nlp, search, solver)
+    # A replicate starts from the estimate, so that must be a minimum with this method.
     highest = fit.cost + same_cost(nlp, fit.cost)
     if not search.minima or search.nodes is None or search.minima[0].cost > highest:
         raise ValueError(
@@ -438,12 +441,14 @@ def _made(
 ) -> list[Outcome]:
     """Make the replicates and return their outcomes by number."""
     outcomes: list[Outcome] = []
+    # A replicate is its number: workers draw the data themselves, so that the result does not
+    # depend on how many there are.
     rows = ((k, np.array([float(k)])) for k in range(replicates))
-    kept = None if folder is None else StoredRuns(Path(folder), "bootstrap")
+    runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
     lock = nullcontext() if folder is None else locked(Path(folder))
     with lock, listening(), _bar(replicates, progress) as bar:
         try:
-            memory = Memory() if kept is None else Memory(kept, packed(runner)[0])
+            memory = Memory() if runs is None else Memory(runs, packed(runner)[0])
             with responding(Response.STOP):
                 for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
                     outcomes.append(outcome)
@@ -453,9 +458,9 @@ def _made(
             if take_interrupt():
                 raise KeyboardInterrupt
         finally:
-            if kept is not None:
+            if runs is not None:
                 with responding(Response.FINISH):
-                    kept.write()
+                    runs.write()
     return outcomes
 
 

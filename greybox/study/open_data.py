@@ -48,6 +48,7 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
     constants, *measured = ca.vertsplit(data, np.cumsum([0, *lengths]).tolist())
 
     values = [*nlp.scaling.expressions(z), *ca.vertsplit(constants)]
+
     modeled = ca.vertsplit(nlp.responses(ca.vertcat(*values)), _places(parts))
     cost = kind(0)
     for k, (part, weight) in enumerate(zip(parts, solver_weights(parts), strict=True)):

@@ -60,6 +60,8 @@ class DrawnRecord:
     def _drawn_residuals(self, random: np.random.Generator, count: int) -> Array:
         """Draw `count` residuals of all outputs together."""
         drawn = self.residuals[:, random.integers(0, self.residuals.shape[1], count)]
+        # Missing residuals are replaced by others of the same output, so that every error has its
+        # size.
         for row, residuals in zip(drawn, self.residuals, strict=True):
             missing = np.isnan(row)
             row[missing] = random.choice(residuals[np.isfinite(residuals)], int(missing.sum()))
@@ -95,6 +97,7 @@ def record_draws(
     ValueError
         If the residuals correct the states, or if the data are fitted exactly.
     """
+    # Shared parameters take degrees of freedom from all records.
     share = len(nlp.free) / len(nlp.parts)
     records = []
     for part, trajectory, spectrum in zip(nlp.parts, trajectories, spectra, strict=True):
@@ -169,12 +172,14 @@ class RecordReplicates(Runner):
         outputs = self._draws.outputs(int(start[0]))
         parts = [part.with_outputs(o) for part, o in zip(records, outputs, strict=True)]
 
+        # Only the data change: what was compiled is shared with the original.
         nlp = copy(self._nlp)
         object.__setattr__(nlp, "parts", tuple(parts))
         solver = GaussNewton(nlp)
         outcome = solver.run_simulated(
             self._start, self._nodes, self._nlp.strategies.max_iterations
         )
+        # The states of the fit are a good start only if the drawn errors are small.
         if outcome is None or not outcome.converged:
             outcome = solver.run(self._start)
         return Outcome(

@@ -73,6 +73,7 @@ class DrawnPart:
         normal = random.standard_normal(count) + 1j * random.standard_normal(count)
         if self.neighbors is not None:
             normal = self._correlated(normal, *self.neighbors)
+        # The size is an estimate itself: the errors over it have Student's t distribution.
         if self.dof is not None:
             normal = normal / np.sqrt(random.chisquare(self.dof) / self.dof)
         return self.deviation * normal
@@ -160,6 +161,7 @@ def response_draws(
         part.sensitivity(values)[:, : len(x)][:, ~at_bound] / (points.size * points.rms)[:, None]
         for part, points in zip(parts, fitted, strict=True)
     ]
+    # A parameter at its bound takes nothing from the residuals.
     leverages = _leverages(slopes, nlp.scaling.slope(x)[~at_bound])
     pairs = neighbors or [None] * len(parts)
     eigenvalues, vectors = np.linalg.eigh(covariance)
@@ -186,6 +188,7 @@ def _fitted(part: ResponsePart, values: Array) -> _Fitted:
     size = part.criterion.error_size(response, part.data)
     if part.criterion.known_noise:
         size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
+
     residuals = (part.data.response - response) / size
     rms = math.sqrt(float(np.mean(np.abs(residuals) ** 2)))
     if not rms > math.sqrt(np.finfo(float).eps):
@@ -196,16 +199,16 @@ def _fitted(part: ResponsePart, values: Array) -> _Fitted:
 def _drawn_part(
     part: ResponsePart, fitted: _Fitted, leverage: Array, neighbors: tuple[float, float] | None
 ) -> DrawnPart:
-    known = part.criterion.known_noise
+    has_variances = part.criterion.known_noise
     square = float(np.mean(np.abs(fitted.residuals) ** 2 / np.maximum(1 - leverage, LEAST_LEFT)))
-    if known:  # given variances are believed, unless the residuals are larger
+    if has_variances:  # given variances are believed, unless the residuals are larger
         square = max(square, 1.0)
     return DrawnPart(
         part.data.omega,
         fitted.response,
         fitted.size,
         math.sqrt(square / 2),
-        dof=part.data.dof if known else None,
+        dof=part.data.dof if has_variances else None,
         common=part.data.common_errors,
         neighbors=neighbors,
     )
@@ -214,9 +217,9 @@ def _drawn_part(
 def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
     """Return the leverages (n,) of the points by part, from the derivatives (n, p) of errors."""
     rows = [np.vstack([slope.real, slope.imag]) for slope in slopes]
-    left, singular, _ = np.linalg.svd(np.vstack(rows) / scale, full_matrices=False)
+    basis, singular, _ = np.linalg.svd(np.vstack(rows) / scale, full_matrices=False)
     # Below this singular value a direction takes nothing from the residuals.
-    seen = left[:, singular > 1e-7 * singular.max(initial=0.0)]
+    seen = basis[:, singular > 1e-7 * singular.max(initial=0.0)]
     leverage = (seen**2).sum(axis=1)
     ends = np.cumsum([len(row) for row in rows])[:-1]
     return [part.reshape(2, -1).mean(axis=0) for part in np.split(leverage, ends)]
@@ -316,6 +319,7 @@ class ResponseReplicates(Runner):
         return Ipopt({"x": z, "p": p, "f": cost, "g": limits}, WARM)
 
     def _by_ipopt(self, numbers: Array) -> Outcome:
+        # IPOPT takes much longer than a batch: check the time limit before each solve.
         if cut := reason_to_end():
             return Outcome(np.full(len(self._start), np.nan), cut, 0, 0.0, converged=False)
         lower, upper = self._bounds

@@ -202,6 +202,8 @@ class StoredRuns(KeptRuns):
 
     def look(self) -> None:
         """Write the runs if they are older, or took longer, than `UNWRITTEN`."""
+        # A commit takes milliseconds: runs that took less would spend more time on the disk than on
+        # the solver.
         age = time.monotonic() - self._written_at
         work = sum(outcome.seconds for _, _, outcome in self._unwritten)
         if max(age, work) >= UNWRITTEN:
@@ -219,6 +221,7 @@ class StoredRuns(KeptRuns):
         self._written_at = time.monotonic()
         if not self._unwritten:
             return
+        # Serialize before the transaction, which locks the database.
         texts = [(number, _run_text(start, outcome)) for number, start, outcome in self._unwritten]
         rows = [(self._name, number, text, zlib.crc32(text.encode())) for number, text in texts]
         try:
@@ -361,6 +364,7 @@ def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connect
             ) as connection,
             connection,
         ):
+            # A database from a stranger could call functions from its schema.
             connection.execute("PRAGMA trusted_schema = OFF")
             _require_layout(connection, path, create=create)
             yield connection

@@ -122,6 +122,7 @@ def _member(stored: StoredMember, folder: Path) -> StudyMember:
         return StudyMember(name, file, "failed", error, stored.runs, answer)
     try:
         member = StudyMember(name, file, "done", "", int(answer["starts"]), answer)
+        # Try what printing will do: a damaged answer is refused here, not at the print.
         _row(member)
         _cells(answer)
         _require_labels(answer)
