@@ -266,45 +266,36 @@ class Segments:
 
         It is one (k, k) for all segments, or one for every record (r, k, k).
         """
-        s, n = self.count, self.n
+        n = self.n
         v = n + len(self.active)
-        transition = np.empty((s, n, v))
-        node_hessian = np.empty((s, n, n))
-        cross_hessian = np.empty((s, n, v - n))
-        node_gradient = np.empty((s, n))
-        parameter_hessian = np.zeros((self.number, v - n, v - n))
-        parameter_gradient = np.zeros((self.number, v - n))
+        pieces = []
+        by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
-        for batch in self.batches(s):
+        for batch in self.batches(self.count):
             ends, J, e = self.sensitivities(states, q, data, batch)
-            transition[batch] = ends.transpose(2, 0, 1)
+            # With the residuals as a last column, one product has the Hessian and the gradient.
+            J = np.concatenate([J, e[:, :, None]], axis=2)
             # A matrix product is faster than einsum where one weight serves all segments.
             if weight.ndim == 2:
                 J = (weight @ J.reshape(self.length, self.k, -1)).reshape(J.shape)
-                e = weight @ e
             else:
                 J = np.einsum("cab,lbvc->lavc", weight[self.records[batch]], J)
-                e = np.einsum("cab,lbc->lac", weight[self.records[batch]], e)
-            c = len(range(s)[batch])
-            # Products of stacked matrices are fast for contiguous ones.
-            J = np.ascontiguousarray(J.reshape(-1, v, c).transpose(2, 0, 1))
-            e = e.reshape(-1, c).T
-            H = J.transpose(0, 2, 1) @ J
-            g = (e[:, None, :] @ J)[:, 0]
-            node_hessian[batch] = H[:, :n, :n]
-            cross_hessian[batch] = H[:, :n, n:]
-            node_gradient[batch] = g[:, :n]
-            parameter_hessian += self.by_record(H[:, n:, n:], batch)
-            parameter_gradient += self.by_record(g[:, n:], batch)
 
+            # Products of stacked matrices are fast for contiguous ones.
+            J = np.ascontiguousarray(J.reshape(-1, v + 1, J.shape[-1]).transpose(2, 0, 1))
+            H = J.transpose(0, 2, 1) @ J
+            pieces.append((ends.transpose(2, 0, 1), H[:, :n].copy()))
+            by_parameters += self.by_record(H[:, n:, n:], batch)
+
+        slopes, by_nodes = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
         return Linearization(
-            transition=transition[:, :, :n],
-            parameter_sensitivity=transition[:, :, n:],
-            node_hessian=node_hessian,
-            cross_hessian=cross_hessian,
-            node_gradient=node_gradient,
-            parameter_hessian=parameter_hessian,
-            parameter_gradient=parameter_gradient,
+            transition=slopes[:, :, :n],
+            parameter_sensitivity=slopes[:, :, n:],
+            node_hessian=by_nodes[:, :, :n],
+            cross_hessian=by_nodes[:, :, n:v],
+            node_gradient=by_nodes[:, :, v],
+            parameter_hessian=by_parameters[:, :-1, :-1],
+            parameter_gradient=by_parameters[:, :-1, -1],
         )
 
     def sensitivities(

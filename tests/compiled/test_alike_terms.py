@@ -1,4 +1,6 @@
-"""Sums of terms of one form against CasADi's own derivatives of the sum, and the table of constants by hand."""
+"""Sums of terms of one form against CasADi's own derivatives of the sum, and the table of
+constants by hand.
+"""
 
 import casadi as ca
 import numpy as np

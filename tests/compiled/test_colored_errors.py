@@ -10,7 +10,9 @@ from greybox.statistics.residual_spectrum import colored_information
 
 
 def regression(n, seed):
-    """Sensitivities of four parameters and white errors of unit variance; the covariance of the estimate."""
+    """Sensitivities of four parameters and white errors of unit variance; the covariance of the
+    estimate.
+    """
     random = np.random.default_rng(seed)
     J = random.normal(size=(1, 4, n))
     return J, random.normal(size=(1, n)), np.linalg.inv(J[0] @ J[0].T)
@@ -68,7 +70,9 @@ def test_times_are_in_seconds_and_degrees_of_freedom_do_not_depend_on_them():
 
 @pytest.mark.parametrize("size", [0.03, 1.0, 30.0])
 def test_white_errors_of_any_size_leave_no_fewer_degrees_of_freedom(size):
-    """Size in units of the stated noise: the parameters take what they would take of white errors of that size."""
+    """Size in units of the stated noise: the parameters take what they would take of white
+    errors of that size.
+    """
     n = 400
     J, e, inverse = regression(n, 1)
     found = colored_errors([J], [size * e], inverse, np.eye(1), 1, 1.0)
@@ -130,7 +134,9 @@ def test_twelve_correlation_times_are_long_enough():
 
 
 def test_independent_numbers_are_no_fewer_than_a_variance_needs():
-    """Four more than the initial states and the parameters, if there are as many; half a one more than the former."""
+    """Four more than the initial states and the parameters, if there are as many; half a one
+    more than the former.
+    """
     assert independent_numbers(100, 3, 5, 7.0) == pytest.approx(100 / 7)
     assert independent_numbers(100, 3, 5, 9.0) == pytest.approx(3 + 5 + 4)
     assert independent_numbers(11, 3, 5, 9.0) == 11

@@ -1,4 +1,6 @@
-"""The compiled problem: scaling, costs, weights, and an operating point that Newton's method finds."""
+"""The compiled problem: scaling, costs, weights, and an operating point that Newton's method
+finds.
+"""
 
 import casadi as ca
 import numpy as np
@@ -95,7 +97,9 @@ def test_logarithmic_parameters_recover_the_truth_over_decades(T, K):
 
 
 def forward_flight(omega, p, theta):
-    """Pitch angle from control about a steady pitch `theta`: (4.23) linearized by hand, drag slope 2 C_x |v0|."""
+    """Pitch angle from control about a steady pitch `theta`: (4.23) linearized by hand, drag
+    slope 2 C_x |v0|.
+    """
     v0 = np.sqrt(PAPER_G * np.tan(theta) / p["C_x"])
     A = np.array(
         [
@@ -153,7 +157,9 @@ def test_rows_of_unknowns_are_evaluated_like_single_ones():
 
 @pytest.mark.parametrize("noise", [0.1, 1e-5])
 def test_costs_of_precise_data_are_weighed_down_to_what_rounding_allows(noise):
-    """A hundred rounding errors of Σ (M/σ)² are at most the tolerance of 1e-8; a criterion without sizes has none."""
+    """A hundred rounding errors of Σ (M/σ)² are at most the tolerance of 1e-8; a criterion
+    without sizes has none.
+    """
     sigma = noise * np.abs(NOISY.response) * np.geomspace(0.5, 2, len(NOISY))
     precise = gb.FrequencyResponse(NOISY.omega, NOISY.response, "u", "y", variance=sigma**2)
     parts = [

@@ -1,4 +1,6 @@
-"""Programs whose operating points Newton's method finds: their explicit form and its derivatives, by differences."""
+"""Programs whose operating points Newton's method finds: their explicit form and its
+derivatives, by differences.
+"""
 
 import numpy as np
 from evaluation import numeric_jacobian
@@ -9,7 +11,9 @@ from greybox.compiled.compiled_problem import compile_problem
 
 
 class Drag(gb.StateSpace):
-    """A mass with quadratic drag in a steady wind: the force that holds its speed follows from both."""
+    """A mass with quadratic drag in a steady wind: the force that holds its speed follows from
+    both.
+    """
 
     states, inputs, outputs = ("v",), ("F",), ("v",)
     c = gb.Parameter(0.4, bounds=(0.1, 5))
@@ -36,7 +40,9 @@ def response(force, seed):
 
 
 def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives():
-    """Two operating points, one of them of a parameter of its own and of another weight; two constraints."""
+    """Two operating points, one of them of a parameter of its own and of another weight; two
+    constraints.
+    """
     second = response(5.0, 2).with_(
         rename={"w": "w2"}, weight=0.4, constraints=[lambda p: p.c * p.m**2 - p.w]
     )

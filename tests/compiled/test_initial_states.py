@@ -105,7 +105,9 @@ class Levels(gb.StateSpace):
 
 
 def test_sizes_are_tried_together_and_then_of_each_state():
-    """In units of the outputs, of which one is a thousand times as large; where an input is zero nothing is finite."""
+    """In units of the outputs, of which one is a thousand times as large; where an input is
+    zero nothing is finite.
+    """
     inputs = np.array([[1.0, 1.0, 0.0, 1.0]])
     measured = np.array([[0.1] * 4, [1000.0] * 4])
     found = InitialStates(dynamics(Levels()), ("v", "w")).at(
@@ -119,7 +121,9 @@ def test_sizes_are_tried_together_and_then_of_each_state():
 
 
 def test_samples_without_a_finite_model_take_the_states_of_the_nearest():
-    """Levels as measured, below zero in the middle, where the root of the next sample that has one is taken."""
+    """Levels as measured, below zero in the middle, where the root of the next sample that has
+    one is taken.
+    """
 
     class Seen(Jet):
         outputs = ("h",)
@@ -135,7 +139,9 @@ def test_samples_without_a_finite_model_take_the_states_of_the_nearest():
 
 
 def test_samples_at_which_states_begin():
-    """Every third of each stretch, gaps interpolated; of an output without a value in a stretch its mean elsewhere."""
+    """Every third of each stretch, gaps interpolated; of an output without a value in a stretch
+    its mean elsewhere.
+    """
     y = np.array([[0.0, 1, np.nan, np.nan, 4, 5, 6], [np.nan] * 7])
     z = np.array([[10.0, 20.0, 30.0, 40.0], [2.0, np.nan, np.nan, 6.0]])
     stretches = (
@@ -164,7 +170,9 @@ class Gauge(Jet):
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_is_missed_counts_in_units_of_the_output_on_either_side_of_zero(sign):
-    """A level of 4 by one gauge and of 100 by the other: in units of what was measured, ten misses least."""
+    """A level of 4 by one gauge and of 100 by the other: in units of what was measured, ten
+    misses least.
+    """
     measured = np.array([[sign * 2e4] * 3, [np.log(100)] * 3])
     missed = {
         h: (np.sqrt(h) / 2 - 1) ** 2 + (np.log(h) / np.log(100) - 1) ** 2 for h in (1, 10, 100)

@@ -1,4 +1,6 @@
-"""Predictors: their gains, held against Riccati's equation, and fits of flights in wind, held against the truth."""
+"""Predictors: their gains, held against Riccati's equation, and fits of flights in wind, held
+against the truth.
+"""
 
 from functools import cache
 
@@ -136,7 +138,9 @@ def compiled_spring(*process_noise):
 
 
 def spring_gain(*process_noise, **values):
-    """Of 600 samples at 20 Hz, whose transition has poles of magnitude exp(-0.03); they must be within 1 - 3/600."""
+    """Of 600 samples at 20 Hz, whose transition has poles of magnitude exp(-0.03); they must be
+    within 1 - 3/600.
+    """
     nlp = compiled_spring(*process_noise)
     z = nlp.scaling.to_solver(np.array([(SPRING | values).get(name, 0.0) for name in nlp.free]))
     (part,) = nlp.parts
@@ -180,7 +184,7 @@ def test_poles_follow_parameters_and_gains_as_by_differences(coupling):
     assert_allclose(slopes[order], wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
 
 
-def test_noise_that_makes_a_given_variance_over_a_sample_and_residuals_are_the_unknowns_of_a_filter():
+def test_the_unknowns_of_a_filter_are_process_noise_of_a_given_variance_and_residuals():
     gain, trajectory, _ = spring_gain("v", w_v=0.4, v_x=0.06, v_v=0.09)
     (found,) = gain.steady_state(trajectory, [np.array([7.0, 0.02])])
     variance = (gain.part.residuals(trajectory) ** 2).mean(axis=1)

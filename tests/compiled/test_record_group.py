@@ -1,4 +1,6 @@
-"""Records evaluated together give what they give one by one: trajectories, costs, condensed systems, answers."""
+"""Records evaluated together give what they give one by one: trajectories, costs, condensed
+systems, answers.
+"""
 
 import numpy as np
 import pytest
@@ -31,7 +33,9 @@ class Spring(gb.StateSpace):
 
 
 def record(seed, samples=150, step=0.02, hold=8, offset=0.0):
-    """A record of the true spring with its own initial state, noise and bias of the first output."""
+    """A record of the true spring with its own initial state, noise and bias of the first
+    output.
+    """
     random = np.random.default_rng(seed)
     time = step * np.arange(samples)
     u = np.repeat(random.standard_normal(samples // hold + 1), hold)[:samples]
@@ -108,7 +112,9 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
 
 
 def _system(part, trajectory, simulated):
-    """Hessian, gradient and decrease of the nodes alone, exact in the continuity, whose scales do not matter then."""
+    """Hessian, gradient and decrease of the nodes alone, exact in the continuity, whose scales
+    do not matter then.
+    """
     if simulated:
         trajectory = part.trajectory(trajectory.z, trajectory.nodes, simulated=True)
     linear = part.linearize(trajectory, part.residual_weight(trajectory))
@@ -174,7 +180,9 @@ def test_records_share_the_sample_of_one_model_only_where_all_else_is_the_same_t
 
 @pytest.fixture(scope="module")
 def mixed():
-    """Three records and a response; the second record is another group by its parameter, the third by its step."""
+    """Three records and a response; the second record is another group by its parameter, the
+    third by its step.
+    """
     omega = np.array([1.0, 2.0, 4.0])
     response = gb.FrequencyResponse(omega, 1 / (1 + 1j * omega), "u", "x")
     each = [
@@ -205,7 +213,9 @@ def test_excerpts_share_the_samples_as_the_parts_have_them(mixed):
 
 
 def test_groups_give_back_what_they_were_given(mixed):
-    """Those of one step, one weight and one length of segments are one, whatever stands between them."""
+    """Those of one step, one weight and one length of segments are one, whatever stands between
+    them.
+    """
     parts, groups = mixed.parts, Groups(mixed.parts)
     assert [isinstance(group, RecordGroup) for group in groups.parts] == [True, False, False]
     z = mixed.scaling.to_solver(np.ones(len(mixed.free)))

@@ -1,4 +1,6 @@
-"""A record's part against brute force: sensitivities by finite differences, condensing by one dense system."""
+"""A record's part against brute force: sensitivities by finite differences, condensing by one
+dense system.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -28,7 +30,9 @@ def part_of(record, criterion=HELD, **options):
 
 @pytest.fixture(scope="module")
 def made():
-    """A part with a gap, a delay and a bias that are estimated, and a trajectory with gaps between its segments."""
+    """A part with a gap, a delay and a bias that are estimated, and a trajectory with gaps
+    between its segments.
+    """
     record = spring(120)
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
     record = record.with_signals(F=np.where(np.arange(120) == 61, np.nan, record["F"]))
@@ -326,7 +330,9 @@ INFORMED = {
 
 @pytest.fixture(scope="module", params=INFORMED)
 def informed(request):
-    """What a record says, and the regression that says so: one simulation by differences of parameters and states."""
+    """What a record says, and the regression that says so: one simulation by differences of
+    parameters and states.
+    """
     options = INFORMED[request.param]
     record = spring(120)
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
@@ -472,7 +478,9 @@ def test_a_delay_is_discontinuous_where_a_held_input_reaches_what_is_compared_at
 
 
 def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood():
-    """Of known initial states, so that one simulation has them all; the Fisher information is that of S and of e."""
+    """Of known initial states, so that one simulation has them all; the Fisher information is
+    that of S and of e.
+    """
     criterion = gb.PredictionError(
         process_noise=("v",), inputs="held", initial={"x": 0.1, "v": -0.2}
     )
@@ -511,7 +519,9 @@ def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood
 
 @pytest.mark.parametrize("sensors", [("x",), ("x", "v", "pull")])
 def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_likelihood(sensors):
-    """Weights of the residuals, whatever the number of outputs, then the data, which stay where no delay has moved."""
+    """Weights of the residuals, whatever the number of outputs, then the data, which stay where
+    no delay has moved.
+    """
 
     class Watched(Spring):
         outputs = sensors

@@ -1,4 +1,6 @@
-"""Covariances of residuals, held against densities by scipy and against the minimum that they promise."""
+"""Covariances of residuals, held against densities by scipy and against the minimum that they
+promise.
+"""
 
 import numpy as np
 import pytest
@@ -142,7 +144,9 @@ def test_weights_make_the_residuals_white(choice):
 
 @pytest.mark.parametrize("choice", [SIGMA, "diagonal", "full"])
 def test_the_gradient_of_the_cost_is_that_of_the_weighted_squares(choice):
-    """Relaxation: with weights from the residuals the Gauss-Newton gradient is that of the likelihood."""
+    """Relaxation: with weights from the residuals the Gauss-Newton gradient is that of the
+    likelihood.
+    """
     noise, products = made(choice)
     direction, h = (
         np.random.default_rng(5).normal(size=RESIDUALS.shape) * RESIDUALS.std(axis=1)[:, None],
@@ -225,7 +229,9 @@ def test_the_spread_of_what_is_missing_or_constant():
 
 @pytest.mark.parametrize(("apart", "refused"), [(3e-7, True), (3e-6, False)])
 def test_outputs_are_dependent_where_single_precision_does_not_part_them(apart, refused):
-    """Of two outputs of unit spread that differ by this, the combination that is nearly constant has half of it."""
+    """Of two outputs of unit spread that differ by this, the combination that is nearly
+    constant has half of it.
+    """
     random = np.random.default_rng(0)
     x = random.normal(size=500)
     # A third that is independent takes no part, nor does one that never moves, and rows with holes

@@ -1,4 +1,6 @@
-"""Responses of many frequencies, mapped, against the same problems as one expression for all frequencies."""
+"""Responses of many frequencies, mapped, against the same problems as one expression for all
+frequencies.
+"""
 
 import pickle
 
@@ -137,7 +139,9 @@ def test_a_formula_with_numbers_for_each_frequency_is_not_mapped(as_large):
 
 
 def test_two_hundred_parameters_need_no_large_expressions():
-    """The work of one evaluation of the Hessian is in proportion to frequencies times parameters; it was 12 million."""
+    """The work of one evaluation of the Hessian is in proportion to frequencies times
+    parameters; it was 12 million.
+    """
     count = 200
     poles = np.geomspace(0.1, 100, count)
 

@@ -1,4 +1,6 @@
-"""A frequency response as a part of a problem: what tells two runs apart, and where it is not finite."""
+"""A frequency response as a part of a problem: what tells two runs apart, and where it is not
+finite.
+"""
 
 import numpy as np
 import pytest
@@ -124,7 +126,9 @@ def stacked(values):
 
 
 def test_what_a_likelihood_says_contains_the_errors_that_points_have_in_common():
-    """Half of the variance in each component, less the common part; that moves all points together."""
+    """Half of the variance in each component, less the common part; that moves all points
+    together.
+    """
     variance = np.array([0.04, 0.02, 0.03, 0.01])
     common = np.array([[0.1, 0.05j, 0.0, 0.05], [0.0, 0.1, 0.1j, 0.0]])
     part, trajectory, found, measured, model, slope = informed(
@@ -168,7 +172,9 @@ def test_relative_errors_have_a_bias_along_the_response_and_no_errors_in_common_
 )
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()])
 def test_neighbors_are_correlated_as_errors_are_in_units_of_their_size(criterion, columns):
-    """Errors turned by the phase of the model, less what the fit took along some directions and what is common."""
+    """Errors turned by the phase of the model, less what the fit took along some directions and
+    what is common.
+    """
     omega, random = np.geomspace(0.3, 12, 20), np.random.default_rng(1)
     lag = np.sqrt(5) / (1 + 0.7j * omega)
     slope = np.transpose([lag / 10, -1j * omega * lag / (1 + 0.7j * omega)])

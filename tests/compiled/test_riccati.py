@@ -1,4 +1,6 @@
-"""The steady filter against Riccati's equation as scipy solves it, and its derivatives against differences."""
+"""The steady filter against Riccati's equation as scipy solves it, and its derivatives against
+differences.
+"""
 
 import casadi as ca
 import numpy as np
@@ -16,7 +18,9 @@ ESTIMATED = np.array([True, True, False, True, True, True, True])
 
 
 def rates(a, b):
-    """Of two states that disturb each other, and an integrator beside them that nothing disturbs."""
+    """Of two states that disturb each other, and an integrator beside them that nothing
+    disturbs.
+    """
     return np.array([[0.0, 1.0, 0.0], [-a, -b, 0.0], [0.0, 0.0, 0.0]])
 
 

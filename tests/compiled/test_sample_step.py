@@ -13,7 +13,9 @@ STEP = 0.1
 
 
 class Chain(gb.StateSpace):
-    """Two states driven by two inputs, of which the second reaches an output at once and is late."""
+    """Two states driven by two inputs, of which the second reaches an output at once and is
+    late.
+    """
 
     states, inputs, outputs = ("a", "b"), ("u", "w"), ("y", "z")
     delays = {"w": "tau"}
@@ -37,7 +39,9 @@ def made(held=(False, False), outputs=("y", "z")):
 
 
 def data(y=1.5, z=-0.4, present=(1, 1)):
-    """Delays of 0 and 1 sample, three values of each input around them, outputs, which are there, and the step."""
+    """Delays of 0 and 1 sample, three values of each input around them, outputs, which are
+    there, and the step.
+    """
     return np.array([0, 1, 1.0, 1.2, 1.8, 4.0, 5.0, 7.0, y, z, *present, STEP])
 
 

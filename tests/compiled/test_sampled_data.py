@@ -1,4 +1,6 @@
-"""Records as the estimators see them: delayed inputs held against integrals, gaps, missing samples, and bad input."""
+"""Records as the estimators see them: delayed inputs held against integrals, gaps, missing
+samples, and bad input.
+"""
 
 import numpy as np
 import pytest
@@ -36,7 +38,9 @@ def cut(data, *, inputs=("u",), outputs=("y",), lead=0.0, segment_length=7, comp
 
 
 def measured_input(u, held):
-    """The measured input as a function of time, in steps: constant before its first and after its last sample."""
+    """The measured input as a function of time, in steps: constant before its first and after
+    its last sample.
+    """
     if held:
         return lambda t: u[int(np.clip(np.floor(t + 1e-12), 0, u.size - 1))]
     return lambda t: np.interp(t, np.arange(u.size), u)
@@ -424,7 +428,9 @@ def test_outputs_that_never_change_say_nothing():
 
 
 def test_a_dead_sensor_beside_a_good_one_is_named():
-    """Its residuals, with an estimated variance, would decide the fit; one that is missing does not take part."""
+    """Its residuals, with an estimated variance, would decide the fit; one that is missing does
+    not take part.
+    """
     with pytest.raises(ValueError, match=r"has y = 3 at all times.* leave it out of the record"):
         cut(record(outputs=("y", "z"), y=np.full(60, 3.0)), outputs=("y", "z"))
     assert cut(record(outputs=("y", "z"), y=np.full(60, np.nan)), outputs=("y", "z")).segments

@@ -127,7 +127,9 @@ def test_a_guarded_root_below_zero_leaves_the_solver_finite_derivatives():
 
 @pytest.mark.parametrize("own", [(), (0,)])
 def test_sensitivities_of_outputs_below_a_guarded_root_are_differences(own):
-    """Of sqrt(max(h, 0)) the slope at h < 0 is 0 times infinity; an empty tank still fills by what flows in."""
+    """Of sqrt(max(h, 0)) the slope at h < 0 is 0 times infinity; an empty tank still fills by
+    what flows in.
+    """
 
     class Tank(gb.StateSpace):
         states, inputs, outputs = ("h",), ("u",), ("h", "jet")
@@ -187,7 +189,9 @@ def measured_rows(rows, outputs=1):
 
 
 def ends_and_residuals(step, initial, q, rows):
-    """By single steps: states at the ends (s, n) and residuals (s, length, k); q (p, s) of every segment."""
+    """By single steps: states at the ends (s, n) and residuals (s, length, k); q (p, s) of
+    every segment.
+    """
     ends, residuals = [], []
     for k in range(COUNT):
         x = initial[k]

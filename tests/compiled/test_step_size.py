@@ -1,4 +1,6 @@
-"""Substeps and segments that a record begins with, from what the poles and the errors of small models ask for."""
+"""Substeps and segments that a record begins with, from what the poles and the errors of small
+models ask for.
+"""
 
 import math
 
@@ -52,7 +54,9 @@ def test_fast_poles_ask_for_stable_steps_at_the_declared_value(rate):
 
 
 def test_the_upper_quartile_of_the_box_counts():
-    """Of rates that are even in 0 to 540 the upper quartile is about 405, which 15 substeps follow."""
+    """Of rates that are even in 0 to 540 the upper quartile is about 405, which 15 substeps
+    follow.
+    """
     assert 11 <= chosen(plant(-1.0, (-540.0, 0.0)))[0] <= 20
 
 

@@ -1,4 +1,6 @@
-"""The settings of the record solver: all strategies are on, and the options of IPOPT set its numbers."""
+"""The settings of the record solver: all strategies are on, and the options of IPOPT set its
+numbers.
+"""
 
 from dataclasses import fields, replace
 

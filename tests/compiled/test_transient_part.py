@@ -1,4 +1,6 @@
-"""The part of a manoeuvre's spectrum against finite differences, the end term at its best at every point."""
+"""The part of a manoeuvre's spectrum against finite differences, the end term at its best at
+every point.
+"""
 
 import numpy as np
 import pytest
@@ -36,7 +38,9 @@ class Seat(gb.StateSpace):
 
 
 def seat_record():
-    """Of smooth inputs at 50 Hz, of which what is interpolated is far below the noise; it ends away from its begin."""
+    """Of smooth inputs at 50 Hz, of which what is interpolated is far below the noise; it ends
+    away from its begin.
+    """
     t = 0.02 * np.arange(401)
     late = gb.Record(
         t,
@@ -94,7 +98,9 @@ def test_the_information_is_that_of_errors_whose_end_term_follows(made):
 
 
 def numbers_of(part, at):
-    """The negative log-likelihood of the outputs, from the errors and the determinants of what transforms them."""
+    """The negative log-likelihood of the outputs, from the errors and the determinants of what
+    transforms them.
+    """
     n = at.errors.shape[1]
     covariance = at.errors @ at.errors.T / n
     if not at.covariance.full:
@@ -130,7 +136,9 @@ def test_the_cost_is_that_of_normal_errors(made):
 
 
 def test_the_information_of_the_values_is_that_of_the_search(made):
-    """At white errors their spread is that of the likelihood, but for the end terms that were fitted along."""
+    """At white errors their spread is that of the likelihood, but for the end terms that were
+    fitted along.
+    """
     nlp, part, z, trajectory = made
     x = nlp.scaling.to_parameters(z)
     found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))

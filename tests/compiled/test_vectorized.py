@@ -17,7 +17,8 @@ UNARY = {
     **{
         name: getattr(ca, name)
         for name in (
-            "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil sign log1p expm1"
+            "exp log sqrt sin cos tan asin acos atan sinh cosh tanh "
+            "asinh acosh atanh floor ceil sign log1p expm1"
         ).split()
     },
 }
