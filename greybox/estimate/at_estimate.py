@@ -58,9 +58,9 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
     if driven is not None:
         assert driven.gain is not None
         assert driven.gain_slope is not None
-        own = len(names) - len(gains)
-        values = np.concatenate([values[:own], driven.gain])
-        slope = np.vstack([np.eye(own, len(estimated)), driven.gain_slope])
+        count = len(names) - len(gains)
+        values = np.concatenate([values[:count], driven.gain])
+        slope = np.vstack([np.eye(count, len(estimated)), driven.gain_slope])
         covariance = propagated(slope, covariance)
 
     return ModelAtEstimate(
@@ -98,24 +98,24 @@ def _own_names(
     records have their own.
     """
     free = {q.name for q in fit.quantities if q.kind == "free"}
-    others = [
-        other
-        for other in fit.records
-        if _class_name(other.model) == _class_name(part.model)
-        and not share_samples(other.data, part.data)
+    same_model = [
+        record
+        for record in fit.records
+        if _class_name(record.model) == _class_name(part.model)
+        and not share_samples(record.data, part.data)
     ]
-    own = []
+    record_names = []
 
     for name, known_as in outside.items():
-        elsewhere = [other.rename.get(name, name) for other in others]
+        elsewhere = [record.rename.get(name, name) for record in same_model]
         if name in model.parameters:
-            is_own = any(other != known_as for other in elsewhere)
+            is_own = any(name_there != known_as for name_there in elsewhere)
         else:
             is_own = name.endswith("_bias") and known_as not in elsewhere
         if is_own and known_as in free:
-            own.append(name)
+            record_names.append(name)
 
-    return tuple(own)
+    return tuple(record_names)
 
 
 def part_index(fit: Any, model: Model | None, part: int | None, record: Record | None) -> int:
@@ -130,8 +130,8 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
     """
     count = len(fit.parts)
     if part is not None:
-        whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
-        if not whole or not -count <= part < count:
+        is_whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
+        if not is_whole or not -count <= part < count:
             raise ValueError(
                 f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0."
             )
@@ -145,9 +145,9 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
 
     records_first = sorted(range(count), key=rank)
     if model is not None:
-        wanted = _class_name(reference(model))
+        class_name = _class_name(reference(model))
         for k in records_first:
-            if _class_name(fit.parts[k].model) == wanted:
+            if _class_name(fit.parts[k].model) == class_name:
                 return k
 
     return records_first[0]

@@ -464,9 +464,9 @@ def _sandwich(
         terms.append((term, share.dof))
 
     unknown = np.zeros(k, dtype=bool)
-    for known, dof in known_covariances(nlp):
-        unknown |= np.isnan(np.diag(known))
-        terms.append((slope @ np.nan_to_num(known) @ slope.T, dof))
+    for covariance, dof in known_covariances(nlp):
+        unknown |= np.isnan(np.diag(covariance))
+        terms.append((slope @ np.nan_to_num(covariance) @ slope.T, dof))
     return _Sandwich(root, slope, tuple(terms), unknown)
 
 
@@ -527,14 +527,14 @@ def _at_bound(
     p = len(x)
     curvature = sum((np.diag(share.bread[:, :p]) for share in shares), np.zeros(p))
     spread = sum((np.diag(share.meat) for share in shares), np.zeros(p))
-    known = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
-    error = np.sqrt(np.where(known, spread, 0.0)) / np.where(known, curvature, 1.0)
+    is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
+    error = np.sqrt(np.where(is_seen, spread, 0.0)) / np.where(is_seen, curvature, 1.0)
     close = (distance <= 0.01 * error) & ~held
     if close.any() and trajectories and all(t is not None for t in trajectories):
         outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
         # flat valley a minimum may lie this close to a bound that does not hold it.
-        held |= close & (outward > 0.01 * np.sqrt(np.where(known, spread, 0.0)))
+        held |= close & (outward > 0.01 * np.sqrt(np.where(is_seen, spread, 0.0)))
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
 
 

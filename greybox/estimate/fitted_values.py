@@ -192,7 +192,7 @@ def _(
     noise = np.full((count, count), np.nan)
     fitted = np.full((count, len(part.data)), np.nan, complex)
     ends = np.full(len(part.states), np.nan)
-    known = False
+    has_known_noise = False
     full = part.problem.criterion.settings["noise"] == "full"
 
     if trajectory is not None:
@@ -200,7 +200,7 @@ def _(
         noise = at.covariance.covariance(trajectory.products)
         fitted = at.modelled
         ends = at.ends
-        known = at.covariance.known is not None
+        has_known_noise = at.covariance.known is not None
 
     return FittedSpectrum(
         **_of_problem(part.problem),
@@ -210,7 +210,7 @@ def _(
         noise=noise,
         ends=dict(zip(part.states, ends.tolist(), strict=True)),
         at={name: float(value) for name, value in part.problem.at.items()},
-        nuisances=len(part.states) + covariance_unknowns(count, known=known, full=full),
+        nuisances=len(part.states) + covariance_unknowns(count, known=has_known_noise, full=full),
     )
 
 

@@ -229,11 +229,11 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
 
 
 def _output_text(part: FittedRecord, output: str) -> str:
-    where = f" ({part.name})" if part.name else ""
+    place = f" ({part.name})" if part.name else ""
     residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
     percent = part.fit_percent(output)
     fit_text = "" if math.isnan(percent) else f", fit {percent:.1f} %"  # NaN if it never changes
-    return f"{output}{where}: residual {residual} rms{fit_text}"
+    return f"{output}{place}: residual {residual} rms{fit_text}"
 
 
 def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
@@ -244,11 +244,11 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
             error = np.abs(part.data.response - part.response) / np.abs(part.data.response)
         if np.all(np.isfinite(error)):
             worst = int(np.argmax(error))
-            where = f" ({part.name})" if part.name and len(responses) > 1 else ""
+            place = f" ({part.name})" if part.name and len(responses) > 1 else ""
             line = (
                 f"residual {number(100 * rms(error), 2)} % rms, largest "
                 f"{number(100 * float(error[worst]), 2)} % at {part.data.omega[worst]:.4g} "
-                f"rad/s{where}"
+                f"rad/s{place}"
             )
             lines.append((-rms(error), line))
 
@@ -261,7 +261,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
     """Say how well every output of every manoeuvre is reproduced, and the noise of one sample."""
     texts = []
     for part in spectra:
-        where = f" ({part.name})" if part.name and len(spectra) > 1 else ""
+        place = f" ({part.name})" if part.name and len(spectra) > 1 else ""
         by_equation = part.criterion == EquationError().name
         for k, output in enumerate(part.outputs):
             noise = number(part.noise[k, k] ** 0.5)
@@ -269,7 +269,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
                 noise = f"error of its equation {noise}"
             else:
                 noise = f"noise of a sample {noise} {part.data.units.get(output, '')}".rstrip()
-            texts.append(f"{output}{where}: {noise}, fit {part.fit_percent(output):.1f} %")
+            texts.append(f"{output}{place}: {noise}, fit {part.fit_percent(output):.1f} %")
 
     return texts
 

@@ -104,44 +104,46 @@ def _evaluated(
     symbols = ca.SX.sym("x", len(nlp.names))
     named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
     stacked = ca.vertcat(ca.SX(0, 1), *[ca.SX(formula.evaluate(named)) for formula in formulas])
-    both = ca.Function("quantities", [symbols], [stacked, ca.jacobian(stacked, symbols)])
-    value, gradient = both([estimate[name] for name in nlp.names])
+    values_and_slopes = ca.Function(
+        "quantities", [symbols], [stacked, ca.jacobian(stacked, symbols)]
+    )
+    value, gradient = values_and_slopes([estimate[name] for name in nlp.names])
     return np.asarray(value).ravel(), np.asarray(ca.DM(gradient)).reshape(
         len(formulas), len(nlp.names)
     )
 
 
 def _tied(problem: AnyProblem) -> list[Formula]:
-    found: dict[str, Formula] = {}
+    formulas_by_name: dict[str, Formula] = {}
     for part in problem.parts:
         for name in part.tied:
             outside = part.outside(name)
             declared = part.model.parameters[name]
-            found.setdefault(
+            formulas_by_name.setdefault(
                 outside,
                 Formula(
                     outside, "tied", declared.unit, declared.about, partial(_tied_value, part, name)
                 ),
             )
 
-    return list(found.values())
+    return list(formulas_by_name.values())
 
 
 def _derived(problem: AnyProblem) -> list[Formula]:
     """Return the derived quantities, with the name of the part where it renames or ties."""
-    taken = {*problem.parameters, *(formula.name for formula in _tied(problem))}
-    found: dict[str, Formula] = {}
+    used_names = {*problem.parameters, *(formula.name for formula in _tied(problem))}
+    formulas_by_name: dict[str, Formula] = {}
     for position, part in enumerate(problem.parts):
         differs = bool(part.rename or part.tied) and len(problem.parts) > 1
         for name, function in part.model.derived.items():
-            label = f"{name} ({part.name})" if differs or name in taken else name
-            if differs and label in found:  # two parts of one name
+            label = f"{name} ({part.name})" if differs or name in used_names else name
+            if differs and label in formulas_by_name:  # two parts of one name
                 label = f"{name} (part {position})"
-            found.setdefault(
+            formulas_by_name.setdefault(
                 label, Formula(label, "derived", "", "", partial(_derived_value, part, function))
             )
 
-    return list(found.values())
+    return list(formulas_by_name.values())
 
 
 def _tied_value(part: Problem, name: str, values: Mapping[str, Any]) -> Any:

@@ -488,7 +488,7 @@ class Fit:
             If a loaded fit does not know the model.
         """
         fitted, model = self._response_part(part, model)
-        known = self._known_directions()
+        directions = self._known_directions()
         require_level(level)
         if omega is None:
             curve = None if fitted.sine else fitted.curve
@@ -507,7 +507,9 @@ class Fit:
         biases = {q.name: q.bias for q in self.quantities}
         bias = np.array([biases[name] for name in names])
 
-        return band_of(response, slope, known, places, level, self._fewest_degrees(names), bias)
+        return band_of(
+            response, slope, directions, places, level, self._fewest_degrees(names), bias
+        )
 
     def _fewest_degrees(self, names: Sequence[str]) -> float:
         """Return the fewest degrees of freedom of these parameters, by default that of the fit."""

@@ -52,8 +52,8 @@ def invisible_groups(
     while remaining:
         # Every parameter that takes part has no error, however small its part is.
         group = {max(remaining, key=lambda k: (projector[k, k], -k))}
-        while more := {k for k in remaining - group if linked[k, list(group)].any()}:
-            group |= more
+        while linked_too := {k for k in remaining - group if linked[k, list(group)].any()}:
+            group |= linked_too
         remaining -= group
         members = sorted(group, key=lambda k: (-round(projector[k, k], 6), k))
         block = projector[np.ix_(members, members)]

@@ -63,14 +63,14 @@ def _minimum(fit: Any) -> tuple[str, bool]:
             False,
         )
 
-    others = len(fit.minima) - 1
-    rest = (
-        f"; {counted(others, 'other minimum has', 'other minima have')} a higher cost"
-        if others
+    higher = len(fit.minima) - 1
+    remainder = (
+        f"; {counted(higher, 'other minimum has', 'other minima have')} a higher cost"
+        if higher
         else ""
     )
 
-    return f"{fit.agreeing} of {count} agree on the best minimum{rest}.", True
+    return f"{fit.agreeing} of {count} agree on the best minimum{remainder}.", True
 
 
 def _determined(fit: Any) -> tuple[str, bool]:
@@ -106,14 +106,14 @@ def _determined(fit: Any) -> tuple[str, bool]:
         )
 
     worst = int(np.nanargmax(judged.error))
-    whole = (
+    subject = (
         "The free parameter is"
         if len(fit.free) == 1
         else f"All {len(fit.free)} free parameters are"
     )
     most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
 
-    return f"{whole} well determined, with standard errors of at most {most}.", True
+    return f"{subject} well determined, with standard errors of at most {most}.", True
 
 
 def percent(share: float) -> str:

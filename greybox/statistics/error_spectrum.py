@@ -43,16 +43,16 @@ class ErrorSpectrum:
 
         Mirrored at the ends, and straight across gaps: a jump there would be an error of its own.
         """
-        there = np.isfinite(residuals)
+        is_measured = np.isfinite(residuals)
         samples = np.arange(residuals.shape[1])
         filled = np.zeros_like(residuals)
-        for row, known, values in zip(filled, there, residuals, strict=True):
-            if known.any():
-                row[:] = np.interp(samples, samples[known], values[known])
+        for row, is_finite, values in zip(filled, is_measured, residuals, strict=True):
+            if is_finite.any():
+                row[:] = np.interp(samples, samples[is_finite], values[is_finite])
 
         scaled = filled / self.deviation[:, None]
         white = self._filtered(np.hstack([scaled, scaled[:, ::-1]]), -0.5)[:, : len(samples)]
-        return np.where(there, white, np.nan)
+        return np.where(is_measured, white, np.nan)
 
     def colored(self, white: Array) -> Array:
         """Return white errors (k, m) with this spectrum, stationary on the circle of m samples."""
@@ -64,18 +64,18 @@ class ErrorSpectrum:
         Fits take from residuals, samples are missing, and of outputs that are combinations of
         others the whitened residuals are too: their covariance is not one.
         """
-        there = np.isfinite(white)
-        known = np.nan_to_num(white)
-        covariance = known @ known.T / white.shape[1]
-        np.fill_diagonal(covariance, (known**2).sum(axis=1) / there.sum(axis=1))
+        is_measured = np.isfinite(white)
+        filled = np.nan_to_num(white)
+        covariance = filled @ filled.T / white.shape[1]
+        np.fill_diagonal(covariance, (filled**2).sum(axis=1) / is_measured.sum(axis=1))
         roots = self._roots(0.5)
         width = np.gradient(self.omega)
         drawn = np.einsum(
             "bij,jk,bik,b->i", roots, covariance, roots.conj(), width, optimize=True
         ).real
-        wanted = np.einsum("bij,bij,b->i", roots, roots.conj(), width, optimize=True).real
+        required = np.einsum("bij,bij,b->i", roots, roots.conj(), width, optimize=True).real
 
-        return ErrorSpectrum(self.omega, self.density, np.sqrt(wanted / drawn) * self.deviation)
+        return ErrorSpectrum(self.omega, self.density, np.sqrt(required / drawn) * self.deviation)
 
     def _roots(self, power: float) -> ComplexArray:
         size, vectors = self._principal
@@ -91,8 +91,8 @@ class ErrorSpectrum:
         m = values.shape[1]
         roots = self._roots(power)
         omega = 2 * np.pi * np.arange(m // 2 + 1) / m
-        there = np.fft.rfft(values)
-        result = np.zeros_like(there)
+        transform = np.fft.rfft(values)
+        result = np.zeros_like(transform)
         for i, j in np.ndindex(*roots.shape[1:]):
-            result[i] += np.interp(omega, self.omega, roots[:, i, j]) * there[j]
+            result[i] += np.interp(omega, self.omega, roots[:, i, j]) * transform[j]
         return np.fft.irfft(result, m)

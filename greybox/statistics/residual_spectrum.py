@@ -283,10 +283,10 @@ class ResidualSpectra:
         slow = SpectralFamily.of(slow_parts(self.grid), self.grid)
         families = []
         for i in range(len(self.counts)):
-            own = self.power[i, i].real
+            power = self.power[i, i].real
             families.append([slow])
-            if own.max() > 0:
-                shapes = with_white_noise(sensitivity_shapes(self.grid, own))
+            if power.max() > 0:
+                shapes = with_white_noise(sensitivity_shapes(self.grid, power))
                 families[i].append(SpectralFamily.of(shapes, self.grid))
 
         return families
@@ -622,8 +622,8 @@ def remaining_products(stretches: Sequence[Array]) -> Array:
     if all(np.all(e) for e in measured):
         return np.ones(len(measured[0]))
     pairs = np.array([_lagged_products([e[i] for e in measured]) for i in range(len(measured[0]))])
-    whole = _lagged_products([np.ones(e.shape[1]) for e in stretches])
-    taper = np.maximum(whole / whole[0], 1e-12)
+    complete = _lagged_products([np.ones(e.shape[1]) for e in stretches])
+    taper = np.maximum(complete / complete[0], 1e-12)
     return np.clip((pairs[:, 1:] / taper[1:]).max(axis=1) / np.maximum(pairs[:, 0], 1), 1e-3, 1.0)
 
 

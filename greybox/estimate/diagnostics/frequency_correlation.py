@@ -51,12 +51,12 @@ def _of_response(problem: Problem, neighbors: CorrelatedPoints) -> Iterator[str]
 
 
 def _of_manoeuvre(part: TransientPart, z: Array, *, alone: bool) -> Iterator[str]:
-    where = "" if alone else f" of {part.problem.name!r}"
+    of_problem = "" if alone else f" of {part.problem.name!r}"
     for output, errors, slope in part.errors_by_output(z):
         neighbors = neighbor_correlation(errors, np.vstack([slope.real, slope.imag]))
         if neighbors is not None and neighbors.independent < UNLIKELY:
             yield (
-                f"{_correlated(f'the errors of {output}{where}', neighbors.mean)}; "
+                f"{_correlated(f'the errors of {output}{of_problem}', neighbors.mean)}; "
                 "the standard errors, which assume independent errors, are too small."
             )
 

@@ -48,9 +48,9 @@ def determined_together(fit: Fit) -> Iterator[str]:
         return
 
     members = tuple(dict.fromkeys(name for c in combinations for name in c.names))
-    more = f" and {len(combinations) - 3} more" if len(combinations) > 3 else ""
+    remaining = f" and {len(combinations) - 3} more" if len(combinations) > 3 else ""
     yield (
-        f"{'; '.join(map(str, combinations[:3]))}{more}: determined together, although "
+        f"{'; '.join(map(str, combinations[:3]))}{remaining}: determined together, although "
         f"{listed(members)} are not; print(fit.identifiability) shows how well each is."
     )
 

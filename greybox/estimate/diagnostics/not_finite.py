@@ -117,11 +117,11 @@ def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) ->
     at = int(np.argmax(lost.any(axis=0)))
     what = [*rows][int(np.argmax(lost[:, at]))]
     point = zip((*system.states, *system.inputs), (*x[:, at], *u[:, at]), strict=True)
-    where = ", ".join(f"{name} = {value:.4g}" for name, value in point)
+    values = ", ".join(f"{name} = {value:.4g}" for name, value in point)
     when = _time(part, int(samples[at]))
     place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
 
-    return Trouble(what, f"{what} is not finite {place}, where {where}", _elsewhere(part))
+    return Trouble(what, f"{what} is not finite {place}, where {values}", _elsewhere(part))
 
 
 def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:

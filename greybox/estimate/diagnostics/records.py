@@ -63,18 +63,18 @@ def record_warnings(
 
 def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
     """Name records that are too short to show how long their errors stay correlated."""
-    for part, known in zip(nlp.parts, accuracy.correlation, strict=False):
-        if not isinstance(part, RecordPart) or known is None or known.is_long_enough:
+    for part, colored in zip(nlp.parts, accuracy.correlation, strict=False):
+        if not isinstance(part, RecordPart) or colored is None or colored.is_long_enough:
             continue
-        slowest = int(np.argmax(known.correlation_times))
-        time = float(known.correlation_times[slowest])
+        slowest = int(np.argmax(colored.correlation_times))
+        time = float(colored.correlation_times[slowest])
         name = part.model.record.name or part.problem.name
-        where = "" if len(nlp.parts) == 1 else f" in {name!r}"
+        place = "" if len(nlp.parts) == 1 else f" in {name!r}"
         text = (
-            f"the residuals of {part.outputs[slowest]}{where} stay correlated for about {time:.2g} "
-            f"s, and the longest gap-free stretch lasts only {known.duration / time:.2g} times "
+            f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
+            f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
             f"that, less than {FEWEST_TIMES:g}. The standard errors are rough "
-            f"({counted(max(round(known.dof), 1), 'degree of', 'degrees of')} freedom); use a "
+            f"({counted(max(round(colored.dof), 1), 'degree of', 'degrees of')} freedom); use a "
             "longer record."
         )
         yield part.outputs[slowest], name, text
@@ -126,8 +126,8 @@ def colored_predictions(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Ite
             value, count = successive_correlation(fitted.residual(output))
             # Five standard deviations of the correlation of white errors, and a fifth at least.
             if abs(value) > max(0.2, 5 / math.sqrt(max(count, 1))):
-                where = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
-                values.append(f"{value:.3g} for {output}{where}")
+                place = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
+                values.append(f"{value:.3g} for {output}{place}")
 
     if values:
         yield (
@@ -159,7 +159,7 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
     for part, fitted in tested:
         ends = np.cumsum([len(piece) for piece in fitted.data.pieces])[:-1]
         inputs = {name: np.split(fitted.data[name], ends) for name in part.system.inputs}
-        where = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
+        place = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
         for output in fitted.outputs:
             residuals = np.split(fitted.residual(output), ends)
             if not whiteness(residuals).p_value < FALSE_ALARMS / outputs:
@@ -168,7 +168,7 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
                 name: feedback_correlation(residuals, u).p_value for name, u in inputs.items()
             }
             responding += [
-                f"{name} to {output}{where}"
+                f"{name} to {output}{place}"
                 for name, p_value in responses.items()
                 if p_value < FALSE_ALARMS / (outputs * len(inputs))
             ]
@@ -196,9 +196,9 @@ def _bounded(
         gain = kalman_gain(part)
         if gain is not None and gain.is_at_limit(trajectory):
             name = gain.part.model.record.name or part.problem.name
-            where = "" if alone else f" of {name!r}"
+            place = "" if alone else f" of {name!r}"
             text = (
-                f"the Kalman gain{where} reached the stability limit: the data show no process "
+                f"the Kalman gain{place} reached the stability limit: the data show no process "
                 "noise in a state that it corrects, and the standard errors, which do not account "
                 "for the limit, are too small; name fewer states in "
                 "PredictionError(corrected=...), or compare with OutputError()."

@@ -9,7 +9,7 @@ Finding = tuple[str, str, str]
 
 
 def once(findings: Iterable[Finding]) -> Iterator[str]:
-    """Yield up to three sentences of each kind; of more, the first with the names of the others."""
+    """Yield up to three sentences of each kind; of more, the first with the names of the names."""
     kinds: dict[str, list[tuple[str, str]]] = {}
     for kind, name, text in findings:
         kinds.setdefault(kind, []).append((name, text))
@@ -17,8 +17,8 @@ def once(findings: Iterable[Finding]) -> Iterator[str]:
         if len(alike) <= 3:
             yield from (text for _, text in alike)
             continue
-        others = list(dict.fromkeys(repr(name) for name, _ in alike[1:]))
+        names = list(dict.fromkeys(repr(name) for name, _ in alike[1:]))
         yield (
             f"{alike[0][1].removesuffix('.')}; the same applies to {len(alike) - 1} more "
-            f"({some(others)})."
+            f"({some(names)})."
         )
